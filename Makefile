@@ -1,0 +1,45 @@
+# One command per job; each installs what it needs into .venv and does so once.
+PYTHON ?= python3
+PY := .venv/bin/python
+INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
+PINS := pyproject.toml constraints.txt
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check clean
+
+help: ## list the commands
+	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/^([a-z]+):.*## /  make \1 \t/' | expand -t 16
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "twc_env needs Python 3.11 or newer; name one: make PYTHON=python3.11 ..."; exit 1; }
+	$(PYTHON) -m venv .venv
+
+.venv/installed-demo: $(PINS) | .venv/bin/python
+	$(INSTALL) -e '.[viz]'
+	@touch $@
+
+.venv/installed-dev: $(PINS) | .venv/bin/python
+	$(INSTALL) -e '.[viz,dev]'
+	@touch $@
+
+.venv/installed-test: $(PINS) | .venv/bin/python
+	$(INSTALL) torch -e '.[viz,dev,train]'
+	@touch $@
+
+setup: .venv/installed-dev ## .venv with everything but torch
+
+demo: .venv/installed-demo ## three robots explore twin-01: table, map.png and episode.gif in runs/demo
+	$(PY) -m agents explore --map twin-01 --out runs/demo
+	@echo "The picture: runs/demo/map.png   The film: runs/demo/episode.gif"
+
+check: .venv/installed-dev ## format, lint, types, import arrows
+	$(PY) -m ruff format --check .
+	$(PY) -m ruff check .
+	$(PY) -m mypy
+	$(PY) -m pytest -q tests/test_architecture.py
+
+test: .venv/installed-test ## all tests, training included (installs torch)
+	$(PY) -m pytest -q
+
+clean: ## delete caches and runs, keep .venv
+	rm -rf runs build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +

@@ -1,0 +1,185 @@
+"""Drive along a path on differential wheels: steer to a point ahead, and never into what the scanner sees now."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.config import DynamicsConfig
+
+Array = NDArray
+
+SIGHT_M = 1.6
+"""Scan points further away than this do not matter to the next command."""
+MARGIN_M = 0.06
+"""A command must keep the robot's rim this far from every scan point."""
+CAUTION_M = 0.35
+"""With less than this between rim and scan points ahead, the robot slows down."""
+HORIZON_STEPS = 6
+
+
+@njit(cache=True, error_model="numpy")
+def _near_points(ranges, sight, points):
+    """Scan points (k, 2) in the robot frame nearer than `sight`; returns how many."""
+    beams = ranges.shape[0]
+    step = 2.0 * math.pi / beams
+    count = 0
+    for i in range(beams):
+        if ranges[i] < sight:
+            points[count, 0] = ranges[i] * math.cos(i * step)
+            points[count, 1] = ranges[i] * math.sin(i * step)
+            count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _arc_clearance(points, count, speed, turn_rate, time_step, steps):
+    """Least distance from the robot's centre to any point while it drives an arc, and where the arc ends."""
+    x = y = heading = 0.0
+    least = 1e9
+    for _ in range(steps):
+        heading += 0.5 * turn_rate * time_step
+        x += speed * time_step * math.cos(heading)
+        y += speed * time_step * math.sin(heading)
+        heading += 0.5 * turn_rate * time_step
+        for k in range(count):
+            away = (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2
+            if away < least:
+                least = away
+    return math.sqrt(least), x, y, heading
+
+
+@njit(cache=True, error_model="numpy")
+def _drive(points, count, target_x, target_y, speed_max, turn_max, time_step, radius, margin, caution, steps, patience):
+    """Speed and turn rate toward a target in the robot frame that keep clear of the points.
+
+    `patience` True: only slow down for what is in the way; False: also look for a way around it.
+    """
+    bearing, distance = math.atan2(target_y, target_x), math.hypot(target_x, target_y)
+    least = 1e9
+    for k in range(count):
+        least = min(least, points[k, 0] ** 2 + points[k, 1] ** 2)
+    here = math.sqrt(least)
+    needed = min(radius + margin, here - 0.004)
+    turn_rate = min(max(2.5 * bearing, -turn_max), turn_max)
+    ahead = max(0.0, math.cos(bearing))
+    speed = speed_max * ahead**3 if abs(bearing) < 1.2 else 0.0
+    speed = min(speed, math.sqrt(2.0 * 1.2 * distance))
+    for scale in (1.0, 0.7, 0.45, 0.25, 0.12):
+        clear, _, _, _ = _arc_clearance(points, count, scale * speed, turn_rate, time_step, steps)
+        if clear >= needed:
+            room = (clear - radius) / caution
+            return min(scale * speed, speed_max * max(0.25, min(1.0, room))), turn_rate
+    if abs(bearing) > 0.4 or patience:
+        return 0.0, turn_rate
+    best, best_speed, best_turn = -1e9, 0.0, 0.0
+    for i in range(4):
+        speed = (0.15, 0.3, 0.5, -0.25)[i] * speed_max
+        for j in range(-4, 5):
+            turn = turn_max * j / 4.0
+            clear, x, y, heading = _arc_clearance(points, count, speed, turn, time_step, steps)
+            if clear < needed:
+                continue
+            left = math.hypot(target_x - x, target_y - y)
+            off = abs(math.atan2(target_y - y, target_x - x) - heading)
+            off = abs((off + math.pi) % (2.0 * math.pi) - math.pi)
+            score = -left - 0.1 * off + 0.3 * min(clear - radius, 0.3) - (0.4 if speed < 0.0 else 0.0)
+            if score > best:
+                best, best_speed, best_turn = score, speed, turn
+    return best_speed, best_turn
+
+
+@njit(cache=True, error_model="numpy")
+def _point_ahead(path, index, x, y, look_ahead):
+    """The point `look_ahead` further along path (k, 2) than the nearest one to (x, y); searches on from `index`.
+
+    Returns (segment index, x, y, distance from the path).
+    """
+    count = path.shape[0]
+    best, best_k, best_t = 1e18, index, 0.0
+    for k in range(index, count - 1):
+        ax, ay = path[k, 0], path[k, 1]
+        dx, dy = path[k + 1, 0] - ax, path[k + 1, 1] - ay
+        length2 = dx * dx + dy * dy
+        t = 0.0 if length2 == 0.0 else min(1.0, max(0.0, ((x - ax) * dx + (y - ay) * dy) / length2))
+        away = (x - ax - t * dx) ** 2 + (y - ay - t * dy) ** 2
+        if away < best:
+            best, best_k, best_t = away, k, t
+        if k > index and away > best + 4.0:
+            break
+    left = look_ahead
+    k, t = best_k, best_t
+    while k < count - 1:
+        dx, dy = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1]
+        length = math.hypot(dx, dy)
+        if (1.0 - t) * length >= left and length > 0.0:
+            t += left / length
+            return best_k, path[k, 0] + t * dx, path[k, 1] + t * dy, math.sqrt(best)
+        left -= (1.0 - t) * length
+        k, t = k + 1, 0.0
+    return best_k, path[count - 1, 0], path[count - 1, 1], math.sqrt(best)
+
+
+@dataclass(slots=True, eq=False)
+class Follower:
+    """Follows one path; set `path_m` to give it another."""
+
+    dynamics: DynamicsConfig
+    look_ahead_m: float = 0.5
+    path_m: Array | None = None
+    _index: int = 0
+
+    def start(self, path_m: Array) -> None:
+        """Follow path_m (k, 2), in the frame of the poses given to `command`."""
+        self.path_m = np.ascontiguousarray(path_m, dtype=float)
+        self._index = 0
+
+    def stop(self) -> None:
+        """Drop the path."""
+        self.path_m = None
+
+    def distance_left_m(self, pose: Array) -> float:
+        """Straight distance from the robot to the end of the path."""
+        return math.hypot(self.path_m[-1, 0] - pose[0], self.path_m[-1, 1] - pose[1])
+
+    def ahead(self, pose: Array, length_m: float, step_m: float = 0.1) -> Array:
+        """(k, 2) points along the next stretch of the path, from the robot on."""
+        corners = np.vstack([pose[:2], self.path_m[self._index + 1 :]])
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+        at = np.arange(0.0, min(length_m, along[-1]) + 1e-9, step_m)
+        return np.column_stack([np.interp(at, along, corners[:, 0]), np.interp(at, along, corners[:, 1])])
+
+    def command(self, pose: Array, ranges_m: Array | None, patience: bool = False) -> tuple[float, float]:
+        """Speed [m/s] and turn rate [rad/s] for the next step; (0, 0) without a path."""
+        if self.path_m is None or len(self.path_m) == 0:
+            return 0.0, 0.0
+        self._index, x, y, _ = _point_ahead(self.path_m, self._index, pose[0], pose[1], self.look_ahead_m)
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        dx, dy = x - pose[0], y - pose[1]
+        return drive_to(c * dx + s * dy, -s * dx + c * dy, ranges_m, self.dynamics, patience)
+
+
+_NO_RANGES = np.empty(0)
+
+
+def drive_to(
+    x_m: float, y_m: float, ranges_m: Array | None, dynamics: DynamicsConfig, patience: bool = False
+) -> tuple[float, float]:
+    """Speed and turn rate toward a point in the robot frame, slowing for and steering around what ranges_m shows."""
+    ranges = _NO_RANGES if ranges_m is None else np.asarray(ranges_m, dtype=np.float64)
+    points = np.empty((len(ranges), 2))
+    count = _near_points(ranges, SIGHT_M, points)
+    return _drive(
+        points, count, x_m, y_m, dynamics.speed_max_m_s, dynamics.turn_rate_max_rad_s, dynamics.time_step_s,
+        dynamics.robot_radius_m, MARGIN_M, CAUTION_M, HORIZON_STEPS, patience,
+    )  # fmt: skip
+
+
+def as_action(speed_m_s: float, turn_rate_rad_s: float, dynamics: DynamicsConfig) -> Array:
+    """(2,) float32 in [-1, 1]: shares of the maxima."""
+    shares = (speed_m_s / dynamics.speed_max_m_s, turn_rate_rad_s / dynamics.turn_rate_max_rad_s)
+    return np.array([min(max(v, -1.0), 1.0) for v in shares], np.float32)

@@ -1,0 +1,434 @@
+"""Each robot drives to the nearest frontier of its group's merged map; when none is left, it seeks the other robots.
+
+Robots of one group share a map and spread out over its frontiers. A group that does not hold every robot yet and has
+no frontier left tours the signs and the places not seen for longest, because maps merge where two robots have both
+been. Everything is planned on estimates: a plan may be wrong, so every robot watches its own progress and gives up on
+goals it cannot get to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.follow import Follower, as_action, drive_to
+from agents.planning import Disc, PathFinder, Plan, Terrain, path_is_blocked
+from twc_env.config import DynamicsConfig, EnvConfig
+from twc_env.geometry import compose, inverse, transform_points
+from twc_env.messages import Belief
+
+Array = NDArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExplorerConfig:
+    """How a nearest-frontier team behaves."""
+
+    replan_s: float = 1.5
+    frontier_cells_min: int = 5
+    """Smaller frontiers are noise until no other is left."""
+    frontier_cells_last: int = 3
+    """Smaller frontiers are never visited."""
+    small_penalty_m: float = 30.0
+    claim_radius_m: float = 3.0
+    """A frontier this near to a mate's goal belongs to the mate."""
+    claim_penalty_m: float = 20.0
+    change_penalty_m: float = 2.0
+    """Another goal must be this much nearer before a robot turns away from the one it has."""
+    arrival_m: float = 0.4
+    arrival_patience_s: float = 1.5
+    """A frontier that is still there this long after arrival is given up."""
+    stuck_s: float = 3.0
+    stuck_m: float = 0.2
+    """A robot that got no further than this in `stuck_s` is stuck."""
+    forget_s: float = 40.0
+    """A goal that failed is left alone this long, twice as long after each further failure."""
+    forget_radius_m: float = 0.8
+    tour_spacing_m: float = 2.0
+    tour_speed_m_s: float = 0.25
+    """How many metres of detour one second of absence is worth on a tour."""
+    tour_sign_bonus_m: float = 20.0
+    tour_arrival_m: float = 0.7
+    finished_s: float = 3.0
+    """Nothing left to do for this long means finished."""
+
+
+@dataclass(slots=True, eq=False)
+class _Failure:
+    """A goal that could not be reached."""
+
+    place_m: Array
+    until_step: int
+    count: int = 1
+
+
+@dataclass(slots=True, eq=False)
+class _Robot:
+    """What the team remembers of one robot; all places are in the map frame of its group."""
+
+    follower: Follower
+    pose: Array | None = None
+    map_version: int = -1
+    goal_m: Array | None = None
+    goal_kind: str = ""
+    """"frontier", "tour" or "" for none."""
+    arrived_step: int = -1
+    stuck_count: int = 0
+    track_m: list[Array] = field(default_factory=list)
+    track_step: list[int] = field(default_factory=list)
+    recent: list[Array] = field(default_factory=list)
+    failures: list[_Failure] = field(default_factory=list)
+    obstacles: list[tuple[Array, int]] = field(default_factory=list)
+    """Places where it got stuck, with the step until which they are avoided."""
+    escape_until: int = -1
+    escape_bearing: float = 0.0
+    replan: bool = True
+    idle: bool = False
+
+    def move_frame(self, pose_new_old: Array) -> None:
+        """The map jumped: carry over what is remembered, drop what was planned."""
+        if self.track_m:
+            self.track_m = list(transform_points(pose_new_old, np.array(self.track_m)))
+        for failure in self.failures:
+            failure.place_m = transform_points(pose_new_old, failure.place_m[None])[0]
+        self.obstacles.clear()
+        self.recent.clear()
+        self.drop_goal()
+
+    def drop_goal(self) -> None:
+        """Forget goal and path; the next step plans anew."""
+        self.goal_m, self.goal_kind, self.arrived_step, self.replan = None, "", -1, True
+        self.follower.stop()
+
+
+class NearestFrontier:
+    """The scripted team that the benchmark figures are made with."""
+
+    def __init__(self, config: EnvConfig, explorer: ExplorerConfig | None = None):
+        self.dynamics: DynamicsConfig = config.dynamics
+        self.explorer = explorer or ExplorerConfig()
+        self._finder = PathFinder()
+        self.reset(0, ())
+
+    def reset(self, seed: int, agents: Sequence[str]) -> None:
+        """Forget everything; the seed only breaks ties when robots are stuck."""
+        self._rng = np.random.default_rng(seed)
+        self._robots = {agent: _Robot(Follower(self.dynamics)) for agent in agents}
+        self._terrains: dict[tuple[int, ...], tuple[int, Terrain]] = {}
+        self._idle_since: int | None = None
+
+    def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
+        """One command per robot; plans anew where a plan is due."""
+        for agent, belief in beliefs.items():
+            self._observe(self._robots[agent], belief)
+        for agent in self._in_planning_order(beliefs):
+            self._plan(agent, beliefs)
+        actions = {agent: self._command(self._robots[agent], belief) for agent, belief in beliefs.items()}
+        self._note_idle(beliefs)
+        return actions
+
+    def finished(self, beliefs: dict[str, Belief]) -> bool:
+        """All robots share one map and none has had a frontier it can reach for a while."""
+        if self._idle_since is None or not beliefs:
+            return False
+        step = next(iter(beliefs.values())).step
+        return (step - self._idle_since) * self.dynamics.time_step_s >= self.explorer.finished_s
+
+    # What happened
+
+    def _observe(self, robot: _Robot, belief: Belief) -> None:
+        """Take in a belief: frame jumps, the track, being stuck, arrival."""
+        pose = np.asarray(belief.pose_map_robot, float)
+        if robot.pose is not None and belief.map_version != robot.map_version:
+            robot.move_frame(compose(pose, inverse(robot.pose)))
+        robot.pose, robot.map_version = pose, belief.map_version
+        if not robot.track_m or np.hypot(*(robot.track_m[-1] - pose[:2])) > 0.5:
+            robot.track_m.append(pose[:2].copy())
+            robot.track_step.append(belief.step)
+        robot.recent.append(pose[:2].copy())
+        window = max(2, round(self.explorer.stuck_s / self.dynamics.time_step_s))
+        if len(robot.recent) > window:
+            robot.recent.pop(0)
+        if robot.goal_m is None:
+            robot.recent.clear()
+            return
+        if belief.step <= robot.escape_until:
+            return
+        if self._has_arrived(robot, belief):
+            return
+        if len(robot.recent) >= window and self._reach_of(robot.recent) < self.explorer.stuck_m:
+            self._get_unstuck(robot, belief)
+
+    @staticmethod
+    def _reach_of(places: list[Array]) -> float:
+        """How far the last places strayed from the first."""
+        offsets = np.array(places) - places[0]
+        return float(np.sqrt((offsets**2).sum(axis=1).max()))
+
+    def _has_arrived(self, robot: _Robot, belief: Belief) -> bool:
+        """Handle arrival; a frontier that stays although the robot is there counts as failed."""
+        limit = self.explorer.tour_arrival_m if robot.goal_kind == "tour" else self.explorer.arrival_m
+        if math.hypot(*(robot.goal_m - robot.pose[:2])) > limit:
+            return False
+        if robot.goal_kind == "tour":
+            robot.stuck_count = 0
+            robot.drop_goal()
+            return True
+        if robot.arrived_step < 0:
+            robot.arrived_step, robot.replan = belief.step, True
+        elif (belief.step - robot.arrived_step) * self.dynamics.time_step_s > self.explorer.arrival_patience_s:
+            self._fail_goal(robot, belief.step)
+        return True
+
+    def _fail_goal(self, robot: _Robot, step: int) -> None:
+        """Leave this goal alone for a while, longer with each failure."""
+        radius = self.explorer.forget_radius_m
+        known = [f for f in robot.failures if math.hypot(*(f.place_m - robot.goal_m)) < radius]
+        failure = known[0] if known else _Failure(robot.goal_m.copy(), 0, 0)
+        failure.count += 1
+        wait_s = self.explorer.forget_s * 2 ** min(failure.count - 1, 6)
+        failure.until_step = step + round(wait_s / self.dynamics.time_step_s)
+        if not known:
+            robot.failures.append(failure)
+        robot.drop_goal()
+
+    def _get_unstuck(self, robot: _Robot, belief: Belief) -> None:
+        """Turn to an open side and drive there for a moment; the second time in a row also give up the goal."""
+        robot.stuck_count += 1
+        step = belief.step
+        robot.escape_until = step + int(self._rng.integers(8, 16)) + 5 * min(robot.stuck_count, 4)
+        robot.escape_bearing = self._open_bearing(belief.ranges_m)
+        path = robot.follower.path_m
+        if path is not None and len(path):
+            offset = robot.goal_m - robot.pose[:2]
+            ahead = offset / max(math.hypot(*offset), 1e-6) * 0.5
+            robot.obstacles.append((robot.pose[:2] + ahead, step + round(15.0 / self.dynamics.time_step_s)))
+        robot.recent.clear()
+        if robot.stuck_count >= 2:
+            robot.stuck_count = 0
+            self._fail_goal(robot, step)
+        robot.replan = True
+
+    def _open_bearing(self, ranges_m: Array | None) -> float:
+        """A bearing drawn among the open ones, the wider the likelier."""
+        if ranges_m is None or len(ranges_m) == 0:
+            return float(self._rng.uniform(-math.pi, math.pi))
+        beams = len(ranges_m)
+        half = max(1, round(beams * 0.04))
+        ring = np.minimum(np.concatenate([ranges_m[-half:], ranges_m, ranges_m[:half]]), 3.0)
+        room = np.lib.stride_tricks.sliding_window_view(ring, 2 * half + 1).min(axis=1)
+        weight = np.maximum(room - 0.3, 0.0) ** 2 + 1e-9
+        beam = int(self._rng.choice(beams, p=weight / weight.sum()))
+        return math.remainder(2 * math.pi * beam / beams, 2 * math.pi)
+
+    # Plans
+
+    def _in_planning_order(self, beliefs: dict[str, Belief]) -> list[str]:
+        """Robots whose plan is due: periodically, after a jump, or when the path is blocked. Those with a goal first."""
+        period = max(1, round(self.explorer.replan_s / self.dynamics.time_step_s))
+        due = []
+        for agent, belief in beliefs.items():
+            robot = self._robots[agent]
+            if belief.step <= robot.escape_until:
+                continue
+            if belief.step % period == 0 or (robot.replan and belief.step % 3 == 0) or robot.pose is None:
+                due.append(agent)
+            elif belief.step % 3 == 1 and self._is_blocked(robot, belief):
+                due.append(agent)
+        return sorted(due, key=lambda agent: self._robots[agent].goal_m is None)
+
+    def _is_blocked(self, robot: _Robot, belief: Belief) -> bool:
+        path = robot.follower.path_m
+        if path is None:
+            return False
+        return path_is_blocked(belief.grid, robot.follower.ahead(robot.pose, 3.0), self.dynamics.robot_radius_m)
+
+    def _terrain(self, agent: str, beliefs: dict[str, Belief]) -> Terrain:
+        """The group's map as this step's planning sees it, shared by its robots."""
+        belief = beliefs[agent]
+        members = tuple(sorted({belief.robot, *belief.mates}))
+        if members in self._terrains and self._terrains[members][0] == belief.step:
+            return self._terrains[members][1]
+        poses = [belief.pose_map_robot, *belief.mates.values()]
+        terrain = Terrain(belief.grid, self.dynamics.robot_radius_m, np.array(poses)[:, :2])
+        self._terrains = {k: v for k, v in self._terrains.items() if v[0] == belief.step}
+        self._terrains[members] = (belief.step, terrain)
+        return terrain
+
+    def _plan(self, agent: str, beliefs: dict[str, Belief]) -> None:
+        """Choose goal and path of one robot."""
+        belief, robot = beliefs[agent], self._robots[agent]
+        terrain = self._terrain(agent, beliefs)
+        robot.replan = False
+        discs = self._discs(robot, belief, terrain)
+        plan = self._plan_to_frontier(agent, beliefs, terrain, discs)
+        kind = "frontier"
+        if plan is None and len(self._mates(belief)) + 1 < len(self._robots):
+            plan, kind = self._plan_tour(robot, belief, terrain, discs), "tour"
+        robot.idle = plan is None or kind == "tour"
+        if plan is None:
+            robot.goal_m, robot.goal_kind = None, ""
+            robot.follower.stop()
+            return
+        goal = plan.path_m[-1]
+        if robot.goal_m is None or math.hypot(*(goal - robot.goal_m)) > 1.0:
+            robot.arrived_step = -1
+        robot.goal_m, robot.goal_kind = goal, kind
+        robot.follower.start(plan.path_m)
+
+    def _mates(self, belief: Belief) -> list[int]:
+        return [mate for mate in belief.mates if mate != belief.robot]
+
+    def _discs(self, robot: _Robot, belief: Belief, terrain: Terrain) -> list[Disc]:
+        """What to drive around: mates, places where it got stuck, and scan points the map does not explain."""
+        discs = [
+            Disc(float(pose[0]), float(pose[1]), 0.6, 12)
+            for mate, pose in belief.mates.items()
+            if mate != belief.robot and math.hypot(*(pose[:2] - robot.pose[:2])) < 6.0
+        ]
+        robot.obstacles = [(place, until) for place, until in robot.obstacles if until > belief.step]
+        discs += [Disc(float(place[0]), float(place[1]), 0.5, 40) for place, _ in robot.obstacles]
+        return discs + self._unexplained(robot.pose, belief.ranges_m, terrain)
+
+    def _unexplained(self, pose: Array, ranges_m: Array | None, terrain: Terrain) -> list[Disc]:
+        """Discs over near scan points that fall on open floor."""
+        if ranges_m is None or len(ranges_m) == 0:
+            return []
+        near = np.flatnonzero(ranges_m < 2.5)
+        angles = pose[2] + near * (2 * np.pi / len(ranges_m))
+        points = pose[:2] + ranges_m[near, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        odd = points[terrain.is_open(points)]
+        spots: list[Array] = []
+        for point in odd:
+            if all(math.hypot(*(point - spot)) > 0.2 for spot in spots):
+                spots.append(point)
+        return [Disc(float(p[0]), float(p[1]), 0.35, 30) for p in spots[:12]]
+
+    def _plan_to_frontier(
+        self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
+    ) -> Plan | None:
+        """The nearest frontier that is not a mate's and has not failed lately."""
+        sizes = terrain.frontier_sizes
+        if len(sizes) < 2:
+            return None
+        robot, belief, explorer = self._robots[agent], beliefs[agent], self.explorer
+        penalty = np.where(sizes < explorer.frontier_cells_min, explorer.small_penalty_m, 0.0)
+        penalty[sizes < explorer.frontier_cells_last] = np.inf
+        centres = terrain.frontier_centres_m
+        for other, mate_belief in beliefs.items():
+            mate = self._robots[other]
+            if other == agent or mate_belief.robot not in belief.mates or mate.goal_kind != "frontier":
+                continue
+            claimed = np.hypot(*(centres - mate.goal_m).T) < explorer.claim_radius_m
+            claimed[terrain.label_near(mate.goal_m, 0.3)] = True
+            penalty[claimed] += explorer.claim_penalty_m
+        for place in self._banned(robot, belief, beliefs):
+            label = terrain.label_near(place, explorer.forget_radius_m / 2)
+            small = np.hypot(*(centres - place).T) < explorer.forget_radius_m
+            penalty[small] = np.inf
+            if sizes[label] < 25:
+                penalty[label] = np.inf
+        if robot.goal_kind == "frontier":
+            own = terrain.label_near(robot.goal_m, 0.4)
+            penalty[np.arange(len(penalty)) != own] += explorer.change_penalty_m if own else 0.0
+        if not np.isfinite(penalty[1:]).any():
+            return None
+        return self._finder.cheapest(terrain, robot.pose[:2], terrain.labels, penalty, discs)
+
+    def _banned(self, robot: _Robot, belief: Belief, beliefs: dict[str, Belief]) -> list[Array]:
+        """Places of goals that failed lately: the robot's own, and its mates' after repeated failure."""
+        places = [f.place_m for f in robot.failures if f.until_step > belief.step]
+        for other, mate_belief in beliefs.items():
+            if mate_belief.robot in belief.mates:
+                failures = self._robots[other].failures
+                places += [f.place_m for f in failures if f.count >= 2 and f.until_step > belief.step]
+        return places
+
+    def _plan_tour(self, robot: _Robot, belief: Belief, terrain: Terrain, discs: list[Disc]) -> Plan | None:
+        """The place that is worth a visit most: signs and spots where the robot has not been for long."""
+        explorer = self.explorer
+        if robot.goal_kind == "tour":  # keep it, only refresh the path
+            labels = np.zeros_like(terrain.labels)
+            if self._mark(labels, terrain, robot.goal_m, 1):
+                plan = self._finder.cheapest(terrain, robot.pose[:2], labels, np.zeros(2), discs)
+                if plan is not None:
+                    return plan
+        places, bonus = self._tour_places(belief, terrain)
+        if not len(places):
+            return None
+        labels = np.zeros_like(terrain.labels)
+        age_s = self._absence_s(robot, places, belief.step)
+        worth = np.minimum(age_s, 600.0) * explorer.tour_speed_m_s + bonus + self._rng.uniform(0.0, 5.0, len(places))
+        penalty = np.concatenate([[np.inf], worth.max() - worth])
+        for place in self._banned(robot, belief, {}):
+            penalty[1:][np.hypot(*(places - place).T) < explorer.forget_radius_m] = np.inf
+        penalty[1:][np.hypot(*(places - robot.pose[:2]).T) < 1.5] = np.inf
+        for k, place in enumerate(places):
+            self._mark(labels, terrain, place, k + 1)
+        return self._finder.cheapest(terrain, robot.pose[:2], labels, penalty, discs)
+
+    def _tour_places(self, belief: Belief, terrain: Terrain) -> tuple[Array, Array]:
+        """Open spots on a lattice and in front of signs (k, 2), and each one's bonus (k,)."""
+        stride = max(1, round(self.explorer.tour_spacing_m / terrain.resolution_m))
+        rows, columns = np.nonzero(terrain.cost[stride // 2 :: stride, stride // 2 :: stride])
+        cells = np.column_stack([rows, columns]) * stride + stride // 2 + 0.5
+        places = terrain.to_metres(cells)
+        if not belief.signs:
+            return places, np.zeros(len(places))
+        signs = np.array([sign.position_m for sign in belief.signs], float)
+        return np.vstack([places, signs]), np.r_[np.zeros(len(places)), np.full(len(signs), self.explorer.tour_sign_bonus_m)]
+
+    def _mark(self, labels: Array, terrain: Terrain, place_m: Array, label: int) -> bool:
+        """Label the open cells within half a metre of a place (signs hang on walls); False if there are none."""
+        row, column = np.floor(terrain.to_cells(place_m)).astype(int)
+        reach = round(0.5 / terrain.resolution_m)
+        part = (slice(max(row - reach, 0), max(row + reach + 1, 0)), slice(max(column - reach, 0), max(column + reach + 1, 0)))
+        open_cells = terrain.cost[part] > 0
+        labels[part][open_cells] = label
+        return bool(open_cells.any())
+
+    def _absence_s(self, robot: _Robot, places: Array, step: int) -> Array:
+        """(k,) seconds since the robot was last within 2 m of each place."""
+        last = np.zeros(len(places))
+        track, steps = np.array(robot.track_m[-600:]), np.array(robot.track_step[-600:])
+        for k, place in enumerate(places):
+            near = np.hypot(track[:, 0] - place[0], track[:, 1] - place[1]) < 2.0
+            last[k] = steps[near].max() if near.any() else step - 1e5
+        return (step - last) * self.dynamics.time_step_s
+
+    # Commands
+
+    def _command(self, robot: _Robot, belief: Belief) -> Array:
+        """Speed and turn rate for now, as shares of the maxima."""
+        if belief.step <= robot.escape_until:
+            bearing = robot.escape_bearing
+            speed, turn_rate = drive_to(0.6 * math.cos(bearing), 0.6 * math.sin(bearing), belief.ranges_m, self.dynamics)
+            robot.escape_bearing = math.remainder(bearing - turn_rate * self.dynamics.time_step_s, 2 * math.pi)
+        elif robot.arrived_step >= 0:
+            speed, turn_rate = 0.0, 0.6 * self.dynamics.turn_rate_max_rad_s  # look around: a turn makes a new keyframe
+        else:
+            speed, turn_rate = robot.follower.command(robot.pose, belief.ranges_m, self._has_to_wait(robot, belief))
+        return as_action(speed, turn_rate, self.dynamics)
+
+    def _has_to_wait(self, robot: _Robot, belief: Belief) -> bool:
+        """A mate with right of way (the lower number) is close ahead."""
+        for mate, pose in belief.mates.items():
+            if mate >= belief.robot:
+                continue
+            dx, dy = pose[0] - robot.pose[0], pose[1] - robot.pose[1]
+            if dx * dx + dy * dy < 1.0 and abs(math.remainder(math.atan2(dy, dx) - robot.pose[2], 2 * math.pi)) < 0.8:
+                return True
+        return False
+
+    def _note_idle(self, beliefs: dict[str, Belief]) -> None:
+        """Keep the step since which the whole merged team has had nothing to do."""
+        merged = all(len(self._mates(b)) + 1 == len(self._robots) for b in beliefs.values())
+        idle = merged and all(self._robots[agent].goal_m is None and not self._robots[agent].replan for agent in beliefs)
+        if not idle:
+            self._idle_since = None
+        elif self._idle_since is None:
+            self._idle_since = next(iter(beliefs.values())).step

@@ -1,0 +1,50 @@
+"""What a team policy is, and the list of those that can be asked for by name."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Sequence
+from typing import Protocol
+
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.errors import ConfigError
+from twc_env.messages import Belief
+
+_POLICIES = {
+    "nearest-frontier": "agents.nearest_frontier:NearestFrontier",
+    "random": "agents.random_walk:RandomWalk",
+}
+
+
+class Policy(Protocol):
+    """Drives a whole team from what each robot believes."""
+
+    def reset(self, seed: int, agents: Sequence[str]) -> None:
+        """Forget everything and get ready for a new episode with these agents."""
+
+    def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
+        """For each agent (2,) float32 in [-1, 1]: forward speed and turn rate as shares of their maxima."""
+
+    def finished(self, beliefs: dict[str, Belief]) -> bool:
+        """Whether there is nothing left worth doing; an episode may end early then."""
+
+
+def policy_names() -> tuple[str, ...]:
+    """Names `make_policy` knows."""
+    return tuple(sorted(_POLICIES))
+
+
+def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
+    """Build a policy for robots that move as `config.dynamics` says.
+
+    Raises ConfigError for an unknown name.
+    """
+    if name not in _POLICIES:
+        near = difflib.get_close_matches(str(name), _POLICIES, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ConfigError(f"unknown agent {name!r}; choose one of {', '.join(policy_names())}{hint}")
+    module, _, cls = _POLICIES[name].partition(":")
+    return getattr(importlib.import_module(module), cls)(config or EnvConfig())

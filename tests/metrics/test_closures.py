@@ -1,0 +1,39 @@
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.metrics import closure_is_correct, score_closures
+
+TRUE = np.array([1.0, 2.0, 3.1])
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        ((0, 0, 0), True),
+        ((0.3, 0.3, 0), True),
+        ((0.4, 0.4, 0), False),
+        ((0, 0, math.radians(9.9)), True),
+        ((0, 0, math.radians(-10.1)), False),
+    ],
+)
+def test_a_closure_is_right_within_half_a_metre_and_ten_degrees(error, expected):
+    assert closure_is_correct(TRUE + error, TRUE) is expected
+
+
+def test_headings_on_both_sides_of_the_half_turn_are_near_each_other():
+    assert closure_is_correct([0, 0, math.pi - 0.05], [0, 0, -math.pi + 0.05])
+
+
+def test_precision_and_recall_follow_their_definitions():
+    score = score_closures([True, True, True, False, False], [True, True, False, True, False])
+    assert (score.proposed, score.accepted, score.correct) == (5, 3, 2)
+    assert score.precision == pytest.approx(2 / 3)
+    assert score.recall == pytest.approx(2 / 3)
+
+
+def test_no_closures_have_no_precision_and_no_recall():
+    score = score_closures([], [])
+    assert score.proposed == 0
+    assert math.isnan(score.precision) and math.isnan(score.recall)

@@ -1,0 +1,118 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from twc_env import geometry
+from twc_env.errors import DataError
+from twc_env.metrics import trajectory
+
+coordinates = st.floats(-50, 50)
+paths = arrays(float, st.tuples(st.integers(2, 20), st.just(3)), elements=coordinates)
+poses = st.tuples(coordinates, coordinates, st.floats(-3.1, 3.1)).map(np.array)
+
+
+def wandering_path(seed: int, steps: int = 60) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.cumsum(rng.normal(0, [0.3, 0.3, 0.1], (steps, 3)), axis=0)
+
+
+def test_equal_paths_have_no_error():
+    path = wandering_path(0)
+    assert trajectory.absolute_trajectory_error_m(path, path) == pytest.approx(0, abs=1e-12)
+
+
+def test_two_points_a_metre_too_far_apart_are_each_half_a_metre_off():
+    assert trajectory.absolute_trajectory_error_m([[0, 0], [3, 0]], [[0, 0], [2, 0]]) == pytest.approx(0.5)
+
+
+def test_a_given_alignment_is_used_as_it_is():
+    true = np.array([[0.0, 0.0], [2.0, 0.0]])
+    assert trajectory.absolute_trajectory_error_m(true + [3, 4], true, np.zeros(3)) == pytest.approx(5)
+
+
+def test_robots_are_aligned_together_so_a_wrong_offset_between_them_counts():
+    path = wandering_path(1)
+    true = np.stack([path, path + [5, 0, 0]], axis=1)  # (t, 2, 3)
+    estimated = np.stack([path, path + [7, 0, 0]], axis=1)
+    assert trajectory.absolute_trajectory_error_m(estimated[:, 0], true[:, 0]) == pytest.approx(0, abs=1e-9)
+    assert 0.8 < trajectory.absolute_trajectory_error_m(estimated, true) <= 1.0
+
+
+@given(paths, poses, st.integers(0, 100))
+def test_a_rigid_motion_of_the_estimate_changes_no_error(true, motion, seed):
+    estimated = true + np.random.default_rng(seed).normal(0, 1, true.shape)
+    before = trajectory.absolute_trajectory_error_m(estimated, true)
+    after = trajectory.absolute_trajectory_error_m(geometry.compose(motion, estimated), true)
+    assert after == pytest.approx(before, abs=1e-6)
+
+
+@given(paths, poses)
+def test_alignment_recovers_the_motion_of_the_team(estimated, motion):
+    moved = geometry.transform_points(motion, estimated[:, :2])
+    found = trajectory.align_team(estimated, moved)
+    assert geometry.transform_points(found, estimated[:, :2]) == pytest.approx(moved, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+def test_the_error_equals_that_of_evo(seed):
+    from evo.core import metrics
+    from evo.core.trajectory import PosePath3D
+
+    def in_space(path):
+        xyz = np.column_stack([path[:, :2], np.zeros(len(path))])
+        half = path[:, 2] / 2
+        return PosePath3D(xyz, np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)]))
+
+    true = wandering_path(seed)
+    estimated = geometry.compose(np.array([3.0, -2.0, 0.7]), true + wandering_path(seed + 100) * 0.1)
+    reference, aligned = in_space(true), in_space(estimated)
+    aligned.align(reference)
+    error = metrics.APE(metrics.PoseRelation.translation_part)
+    error.process_data((reference, aligned))
+    expected = error.get_statistic(metrics.StatisticsType.rmse)
+    assert trajectory.absolute_trajectory_error_m(estimated, true) == pytest.approx(expected, rel=1e-6)
+
+
+def test_unequal_path_lengths_are_refused():
+    with pytest.raises(DataError, match=r"\(3, 2\) and \(4, 2\)"):
+        trajectory.absolute_trajectory_error_m(np.zeros((3, 2)), np.zeros((4, 2)))
+
+
+def test_a_loop_that_the_estimate_leaves_open_has_the_gap_as_end_point_error():
+    true = np.array([[0.0, 0, 0], [5, 0, 0], [0, 0, 0]])
+    estimated = np.array([[1.0, 1, 0], [6, 1, 0], [1.3, 1.4, 0]])
+    assert trajectory.end_point_error_m(estimated, true) == pytest.approx(0.5)
+
+
+@given(paths, poses)
+def test_end_point_error_does_not_depend_on_the_map_frame(path, motion):
+    assert trajectory.end_point_error_m(geometry.compose(motion, path), path) == pytest.approx(0, abs=1e-6)
+
+
+def test_a_square_of_two_metres_is_eight_metres_long():
+    assert trajectory.path_length_m([[0, 0], [2, 0], [2, 2], [0, 2], [0, 0]]) == pytest.approx(8)
+
+
+def test_a_robot_that_stands_still_is_stuck_all_the_time():
+    assert trajectory.stuck_share(np.zeros((100, 1, 3)), window=20, radius_m=0.3) == 1.0
+
+
+def test_a_robot_that_drives_on_is_never_stuck():
+    path = np.zeros((100, 1, 3))
+    path[:, 0, 0] = 0.1 * np.arange(100)
+    assert trajectory.stuck_share(path, window=20, radius_m=0.3) == 0.0
+
+
+def test_the_robot_that_is_stuck_longest_counts():
+    path = np.zeros((101, 2, 3))
+    path[:, 0, 0] = np.arange(101)
+    path[:, 1, 0] = np.concatenate([np.arange(60), np.full(41, 59)])  # stands still in steps 59..100
+    assert trajectory.stuck_share(path, window=20, radius_m=0.3) == pytest.approx(42 / 101)
+
+
+def test_an_episode_shorter_than_the_window_is_not_judged_stuck():
+    assert trajectory.stuck_share(np.zeros((10, 1, 3)), window=20, radius_m=0.3) == 0.0

@@ -1,0 +1,192 @@
+"""Arrows between packages point one way: truth cannot reach the estimate, users need no private name."""
+
+import ast
+import json
+from pathlib import Path
+
+import pytest
+
+import twc_env
+
+ROOT = Path(__file__).parents[1]
+LEAVES = {"twc_env.errors", "twc_env.messages", "twc_env.geometry", "twc_env.config", "twc_env._version"}
+RANDOM = {"twc_env.random_streams"}
+
+# What the modules below a prefix may import of twc_env besides their own package; the longest prefix counts.
+ALLOWED = {
+    "twc_env.errors": set(),
+    "twc_env._version": set(),
+    "twc_env.random_streams": set(),
+    "twc_env.geometry": {"twc_env.errors"},
+    "twc_env.messages": {"twc_env.errors", "twc_env.geometry"},
+    "twc_env.config": {"twc_env.errors"},
+    "twc_env.world": LEAVES | RANDOM,
+    "twc_env.slam": LEAVES,
+    "twc_env.metrics": LEAVES,
+    "twc_env.datasets": LEAVES | RANDOM | {"twc_env.world.floorplan"},
+    "twc_env.maps": LEAVES | RANDOM | {"twc_env.world.floorplan", "twc_env.datasets"},
+    "twc_env.exploration": LEAVES
+    | RANDOM
+    | {"twc_env.world", "twc_env.slam", "twc_env.metrics", "twc_env.maps", "twc_env.datasets"},
+    "twc_env": {"twc_env"},  # the top: __init__, __main__, reproduce, bench
+}
+PUBLIC_MODULES = {
+    "twc_env.datasets",
+    "twc_env.config",
+    "twc_env.messages",
+    "twc_env.geometry",
+    "twc_env.errors",
+}
+
+
+def is_below(module: str, prefix: str) -> bool:
+    return module == prefix or module.startswith(prefix + ".")
+
+
+def known_modules() -> dict[str, Path]:
+    """Every module of the repository's packages, by dotted name."""
+    found = {}
+    for package in ("twc_env", "agents", "training"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+MODULES = known_modules()
+
+
+def imports_of(source: str, module: str, is_package: bool = False) -> set[tuple[str, str]]:
+    """All (module, name) that a source imports, wherever it stands in the file; name is "" for `import module`."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {(alias.name, "") for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parts = module.split(".")
+                parts = parts[: len(parts) - node.level + is_package]
+                base = ".".join([*parts, base] if base else parts)
+            found |= {(base, alias.name) for alias in node.names}
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
+            name = node.args[0] if node.args else None
+            literal = isinstance(name, ast.Constant) and isinstance(name.value, str)
+            found.add((name.value if literal else "<a name computed at run time>", ""))
+    return found
+
+
+def wrong_arrows(source: str, module: str, is_package: bool = False) -> list[str]:
+    """What a module of twc_env imports although the architecture forbids it."""
+    rule = max((prefix for prefix in ALLOWED if is_below(module, prefix)), key=len)
+    own = set() if rule == "twc_env" else {rule}
+    wrong = []
+    for base, name in imports_of(source, module, is_package):
+        target = f"{base}.{name}" if name and f"{base}.{name}" in MODULES else base
+        is_ours = is_below(target, "twc_env") or target.split(".")[0] in ("agents", "training", "tests")
+        if target.startswith("<") or (is_ours and not any(is_below(target, p) for p in ALLOWED[rule] | own)):
+            wrong.append(target)
+    return sorted(wrong)
+
+
+def private_uses(source: str, module: str, may_import: tuple[str, ...] = ()) -> list[str]:
+    """What a user of twc_env (agents, training, a notebook) takes from it that is not public."""
+    wrong = []
+    for base, name in imports_of(source, module):
+        if base == "twc_env" and name:
+            public = name in twc_env.__all__ or f"twc_env.{name}" in PUBLIC_MODULES
+        elif is_below(base, "twc_env"):
+            public = base == "twc_env" or any(is_below(base, p) for p in PUBLIC_MODULES)
+        else:
+            public = not base.startswith("<") and base.split(".")[0] not in {"agents", "training", "tests"} - set(
+                may_import
+            )
+        is_private = any(part.startswith("_") and part != "__future__" for part in [*base.split("."), name])
+        if not public or (is_private and is_below(base, "twc_env")):
+            wrong.append(f"{base}.{name}".rstrip("."))
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute):
+            parts = ast.unparse(node).split(".")
+            if parts[0] == "twc_env" and len(parts) >= 2:
+                public = parts[1] in twc_env.__all__ or f"twc_env.{parts[1]}" in PUBLIC_MODULES | {
+                    "twc_env.__version__"
+                }
+                if not public:
+                    wrong.append(".".join(parts[:2]))
+    return sorted(set(wrong))
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if is_below(name, "twc_env")])
+def test_a_module_of_twc_env_imports_only_what_its_place_allows(module):
+    path = MODULES[module]
+    assert wrong_arrows(path.read_text(), module, path.name == "__init__.py") == []
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if not is_below(name, "twc_env")])
+def test_agents_and_training_use_public_names_only(module):
+    own = module.split(".")[0]
+    may_import = ("agents",) if own == "agents" else ("agents", "training")
+    assert private_uses(MODULES[module].read_text(), module, may_import) == []
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.name)
+def test_notebooks_use_public_names_only(path):
+    cells = [cell["source"] for cell in json.loads(path.read_text())["cells"] if cell["cell_type"] == "code"]
+    source = "\n".join("".join(lines) for lines in cells)
+    code = "\n".join(line for line in source.splitlines() if not line.lstrip().startswith(("%", "!")))
+    assert private_uses(code, path.stem, ("agents", "training")) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("twc_env.slam.team", "import twc_env.world.world"),
+        ("twc_env.slam.team", "from twc_env.world import lidar"),
+        ("twc_env.slam.team", "from twc_env import random_streams"),
+        ("twc_env.slam.team", "from ..world import lidar"),
+        ("twc_env.slam.team", "from .. import world"),
+        ("twc_env.slam.team", "import twc_env"),
+        ("twc_env.slam.team", "def late():\n    from twc_env.exploration import environment"),
+        ("twc_env.slam.team", "import importlib\nimportlib.import_module('twc_env.world')"),
+        ("twc_env.slam.team", "import importlib\nimportlib.import_module('twc_env.' + 'world')"),
+        ("twc_env.world.world", "from twc_env.slam import robot"),
+        ("twc_env.world.world", "from twc_env.metrics import trajectory"),
+        ("twc_env.metrics.mapping", "from twc_env.world.floorplan import Floorplan"),
+        ("twc_env.geometry", "from twc_env import slam"),
+        ("twc_env.datasets.tum", "from twc_env.world import world"),
+        ("twc_env.exploration.environment", "import agents"),
+    ],
+)
+def test_the_checker_sees_a_planted_wrong_arrow(module, source):
+    assert wrong_arrows(source, module) != []
+
+
+def test_the_checker_lets_right_arrows_pass():
+    assert (
+        wrong_arrows("import numpy\nfrom twc_env.geometry import compose\nfrom . import keyframe", "twc_env.slam.team")
+        == []
+    )
+    assert (
+        wrong_arrows("from twc_env.world import world\nimport twc_env.slam.team", "twc_env.exploration.environment")
+        == []
+    )
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from twc_env.slam import team",
+        "import twc_env.world.world",
+        "import twc_env\nprint(twc_env.slam.team)",
+        "from twc_env import world",
+        "from twc_env.config import _number",
+        "import training.ppo",
+    ],
+)
+def test_the_checker_sees_a_planted_private_use(source):
+    assert private_uses(source, "agents.example", ("agents",)) != []
+
+
+def test_the_checker_lets_public_uses_pass():
+    source = "import twc_env\nfrom twc_env.messages import Belief\nenv = twc_env.parallel_env(map='twin-01')"
+    assert private_uses(source, "agents.example", ("agents",)) == []

@@ -1,0 +1,164 @@
+import copy
+import dataclasses
+import json
+import math
+import pickle
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twc_env.config import EnvConfig, LidarConfig, digest, from_dict, load, override, to_dict
+from twc_env.errors import ConfigError
+
+# The digest of the default settings of explore_v0. Another digest means other results: register a new version of the
+# environment, note it in CHANGELOG.md under "Environment versions", then change this line.
+PINNED_DIGEST = ""
+
+
+def numeric_fields():
+    """(dotted key, minimum, maximum, is_integer) of every number that can be configured."""
+
+    def walk(cls, prefix):
+        for field in dataclasses.fields(cls):
+            default = field.default_factory() if callable(field.default_factory) else field.default
+            if dataclasses.is_dataclass(default):
+                yield from walk(type(default), f"{prefix}{field.name}.")
+            elif "minimum" in field.metadata:
+                yield (
+                    f"{prefix}{field.name}",
+                    field.metadata["minimum"],
+                    field.metadata["maximum"],
+                    isinstance(default, int),
+                )
+
+    return list(walk(EnvConfig, ""))
+
+
+def test_the_default_configuration_is_the_pinned_one():
+    assert digest(EnvConfig()) == PINNED_DIGEST
+
+
+def test_values_survive_a_round_trip_through_json():
+    config = override(EnvConfig(), {"lidar.beam_count": 90, "slam.merging.closures_min": 4, "map": "twin-02"})
+    assert from_dict(json.loads(json.dumps(to_dict(config)))) == config
+
+
+def test_what_is_not_named_keeps_its_default():
+    config = from_dict({"lidar": {"beam_count": 90}})
+    assert config.lidar.beam_count == 90
+    assert config.lidar.range_max_m == LidarConfig().range_max_m
+    assert config.radio == EnvConfig().radio
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"lidr": {}}, r"config\.lidr is unknown; did you mean 'lidar'\?"),
+        ({"lidar": {"beam_cuont": 9}}, r"config\.lidar\.beam_cuont is unknown; did you mean 'beam_count'\?"),
+        ({"slam": {"merging": {"wifi": True}}}, r"config\.slam\.merging\.wifi is unknown"),
+        ({"lidar": {"beam_count": 90.5}}, r"beam_count must be of type int; got 90\.5"),
+        ({"lidar": {"beam_count": True}}, r"beam_count must be of type int; got True"),
+        ({"lidar": {"beam_count": "90"}}, r"beam_count must be of type int; got '90'"),
+        ({"lidar": {"range_max_m": None}}, r"range_max_m must be of type float; got None"),
+        ({"lidar": {"beam_count": 2}}, r"lidar\.beam_count must lie in \[8, 4096\]; got 2"),
+        ({"lidar": {"range_max_m": math.nan}}, r"lidar\.range_max_m must lie in \[0\.5, 100\]; got nan"),
+        ({"lidar": {"range_max_m": math.inf}}, r"lidar\.range_max_m must lie in \[0\.5, 100\]; got inf"),
+        ({"lidar": 3}, r"config\.lidar must be a table of settings; got 3"),
+        ({"odometry": {"platform": "weeled"}}, r"platform must be one of .*; got 'weeled'; did you mean 'wheeled'\?"),
+        ({"map": 3}, r"config\.map must be of type str; got 3"),
+        ({"slam": {"merging": {"wifi_check": 1}}}, r"wifi_check must be of type bool; got 1"),
+    ],
+)
+def test_a_wrong_setting_is_refused_in_one_line_that_names_it(values, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        from_dict(values)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("key", "minimum", "maximum", "is_integer"), numeric_fields(), ids=lambda value: str(value))
+def test_each_number_accepts_its_limits_and_refuses_what_lies_beyond(key, minimum, maximum, is_integer):
+    step = 1 if is_integer else 1e-3
+    for limit, beyond in ((minimum, minimum - step), (maximum, maximum + max(step, abs(maximum) * 1e-9))):
+        override(EnvConfig(), {key: int(limit) if is_integer else float(limit)})
+        with pytest.raises(ConfigError, match=key.split(".")[-1]):
+            override(EnvConfig(), {key: int(beyond) if is_integer else float(beyond)})
+
+
+def test_a_direct_constructor_checks_its_range_too():
+    with pytest.raises(ConfigError, match=r"lidar\.beam_count must lie in"):
+        LidarConfig(beam_count=0)
+
+
+def test_override_reads_text_as_the_type_of_the_field():
+    config = override(
+        EnvConfig(),
+        {"lidar.beam_count": "90", "radio.noise_std_db": "2", "slam.merging.wifi_check": "false", "map": "3"},
+    )
+    assert (config.lidar.beam_count, config.radio.noise_std_db) == (90, 2.0)
+    assert config.slam.merging.wifi_check is False
+    assert config.map == "3"
+
+
+@pytest.mark.parametrize(
+    ("assignments", "message"),
+    [
+        ({"lidar.beam_cuont": 9}, r"config\.lidar\.beam_cuont is unknown; did you mean 'beam_count'\?"),
+        ({"lidar.beam_count.more": 9}, r"config\.lidar\.beam_count\.more is unknown"),
+        ({"lidar.beam_count": "many"}, r"config\.lidar\.beam_count must be of type int; got 'many'"),
+        ({"slam.merging.wifi_check": "perhaps"}, r"must be true or false; got 'perhaps'"),
+        ({"lidar": 3}, r"config\.lidar must be a table of settings; got 3"),
+    ],
+)
+def test_a_wrong_override_is_refused(assignments, message):
+    with pytest.raises(ConfigError, match=message):
+        override(EnvConfig(), assignments)
+
+
+def test_override_leaves_the_original_alone():
+    config = EnvConfig()
+    before = digest(config)
+    assert override(config, {"robots": 2}).robots == 2
+    assert digest(config) == before
+
+
+@given(st.sampled_from(numeric_fields()), st.floats(0, 1))
+def test_the_digest_changes_exactly_when_a_value_does(field, share):
+    key, minimum, maximum, is_integer = field
+    value = minimum + share * (maximum - minimum)
+    changed = override(EnvConfig(), {key: round(value) if is_integer else value})
+    assert (digest(changed) == digest(EnvConfig())) == (changed == EnvConfig())
+
+
+def test_a_config_cannot_be_edited():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        EnvConfig().robots = 4
+
+
+@pytest.mark.parametrize("copied", [lambda c: pickle.loads(pickle.dumps(c)), copy.deepcopy])
+def test_copies_are_equal_and_have_the_same_digest(copied):
+    config = override(EnvConfig(), {"radio.noise_std_db": 1.5})
+    assert copied(config) == config
+    assert digest(copied(config)) == digest(config)
+
+
+def test_toml_and_json_files_give_the_same_config(tmp_path):
+    (tmp_path / "a.toml").write_text('map = "twin-02"\n[lidar]\nbeam_count = 90\n')
+    (tmp_path / "a.json").write_text('{"map": "twin-02", "lidar": {"beam_count": 90}}')
+    assert (
+        load(tmp_path / "a.toml")
+        == load(str(tmp_path / "a.json"))
+        == from_dict({"map": "twin-02", "lidar": {"beam_count": 90}})
+    )
+
+
+@pytest.mark.parametrize("name", ["broken.toml", "broken.json"])
+def test_a_file_that_is_no_toml_or_json_is_refused_by_name(tmp_path, name):
+    (tmp_path / name).write_text("{ this is neither")
+    with pytest.raises(ConfigError, match=rf"{name} is not valid {name[-4:].upper()}"):
+        load(tmp_path / name)
+
+
+def test_a_missing_file_is_refused_by_name(tmp_path):
+    with pytest.raises(ConfigError, match=r"cannot read the config file .*none\.toml"):
+        load(tmp_path / "none.toml")

@@ -1,0 +1,29 @@
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("torch", "pygame", "matplotlib", "PIL", "stable_baselines3", "pandas", "IPython")
+WARM_IMPORT_MAX_S = 0.6
+
+TIMED = "import time; t = time.perf_counter(); import twc_env; print(time.perf_counter() - t)"
+
+
+def run(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+
+
+def test_importing_twc_env_loads_nothing_heavy():
+    loaded = run(f"import sys, twc_env; print([name for name in {HEAVY!r} if name in sys.modules])")
+    assert loaded.strip() == "[]"
+
+
+def test_a_warm_import_of_twc_env_takes_less_than_its_limit():
+    best_s = min(float(run(TIMED)) for _ in range(5))
+    print(f"import twc_env: {best_s:.2f} s warm, best of 5")
+    assert best_s < WARM_IMPORT_MAX_S
+
+
+@pytest.mark.parametrize("name", ["config", "messages", "geometry"])
+def test_a_public_module_is_importable_by_itself(name):
+    assert run(f"import twc_env.{name}; print(twc_env.{name}.__name__)").strip() == f"twc_env.{name}"

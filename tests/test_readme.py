@@ -1,0 +1,48 @@
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+
+
+def example() -> str:
+    blocks = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    assert len(blocks) == 1
+    return blocks[0]
+
+
+def test_the_example_of_the_readme_has_ten_lines_and_runs(tmp_path):
+    assert len([line for line in example().splitlines() if line.strip()]) == 10
+    done = subprocess.run([sys.executable, "-c", example()], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(r"\d+% mapped rightly, [1-3] robots in one frame\n", done.stdout)
+
+
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "docs/figures.md", "maps/README.md"])
+def test_links_to_files_lead_somewhere(name):
+    text = (ROOT / name).read_text()
+    targets = [target for target in re.findall(r"\]\(([^)#]+)", text) if "://" not in target]
+    assert [target for target in targets if not (ROOT / name).parent.joinpath(target).exists()] == []
+
+
+def test_the_commands_of_the_readme_are_targets_of_the_makefile():
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+    named = set(re.findall(r"^make ([a-z]+)", README, flags=re.MULTILINE))
+    assert named == {"demo", "test"}
+    assert named <= targets
+
+
+def test_every_figure_of_an_episode_is_defined_in_the_docs():
+    import twc_env
+
+    env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=5)
+    env.reset(seed=0)
+    while env.agents:
+        env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    figures = env.result().figures
+    defined = set(re.findall(r"^\| `(\w+)` \|", (ROOT / "docs/figures.md").read_text(), flags=re.MULTILINE))
+    assert {*figures, *figures["closures"]} - {"closures"} <= defined

@@ -1,0 +1,139 @@
+import csv
+import importlib.util
+import json
+import math
+import os
+import subprocess
+import sys
+
+import pytest
+
+from training.__main__ import main, seeds_of
+from twc_env.errors import DataError
+
+HAS_TORCH = all(importlib.util.find_spec(name) is not None for name in ("torch", "stable_baselines3"))
+needs_torch = pytest.mark.skipif(
+    not HAS_TORCH and "CI" not in os.environ, reason="needs torch and stable-baselines3: pip install 'twc_env[train]'"
+)
+
+
+def small_task():
+    from training.run_folder import Task
+
+    return Task("twin-01", max_cycles=64, overrides={"lidar.beam_count": 60, "observation.map_cells": 16})
+
+
+def small_settings():
+    from training.ppo import Settings
+
+    return Settings(seed=3, rollout_steps=128, batch_size=64, epochs=2)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A folder with 256 steps of training in it."""
+    from training.ppo import train
+
+    folder = tmp_path_factory.mktemp("ppo")
+    train(small_task(), small_settings(), 256, folder, show_progress=False)
+    return folder
+
+
+def metrics_of(folder):
+    with (folder / "metrics.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_continuous_integration_has_torch_so_that_training_is_tested():
+    assert HAS_TORCH or "CI" not in os.environ
+
+
+@needs_torch
+def test_a_short_training_leaves_a_complete_run_folder(run):
+    assert {path.name for path in run.iterdir()} == {"config.json", "metrics.csv", "model.zip"}
+    record = json.loads((run / "config.json").read_text())
+    assert record["settings"]["seed"] == 3
+    assert record["environment"]["lidar"]["beam_count"] == 60
+    assert len(record["config_digest"]) == 12
+    rows = metrics_of(run)
+    assert [int(row["steps"]) for row in rows] == [128, 256]
+    assert int(rows[-1]["episodes"]) == 4
+    assert math.isfinite(float(rows[-1]["mean_return"]))
+
+
+@needs_torch
+def test_a_trained_model_is_evaluated_against_random_actions(run, capsys):
+    assert main(["evaluate", "--model", str(run / "model.zip"), "--seeds", "0-1"]) == 0
+    table = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in table] == ["policy", "trained", "random"]
+    assert all(math.isfinite(float(line.split()[1])) for line in table[1:])
+
+
+@needs_torch
+def test_the_same_seed_learns_the_same_weights(run, tmp_path):
+    import torch
+    from stable_baselines3 import PPO
+
+    from training.ppo import train
+
+    again = train(small_task(), small_settings(), 256, tmp_path, show_progress=False)
+    first, second = (PPO.load(path, device="cpu").policy.state_dict() for path in (run / "model.zip", again))
+    assert all(torch.equal(first[name], second[name]) for name in first)
+
+
+@needs_torch
+def test_training_resumes_where_it_stopped_and_keeps_the_learning_curve(tmp_path):
+    from training.ppo import train
+
+    train(small_task(), small_settings(), 128, tmp_path, show_progress=False)
+    train(small_task(), small_settings(), 256, tmp_path, resume=True, show_progress=False)
+    assert [int(row["steps"]) for row in metrics_of(tmp_path)] == [128, 256]
+
+
+@needs_torch
+def test_resuming_with_another_task_is_refused(run):
+    from training.ppo import train
+    from training.run_folder import Task
+
+    with pytest.raises(DataError, match="trained with another task"):
+        train(Task("twin-02"), small_settings(), 512, run, resume=True)
+
+
+@needs_torch
+def test_a_finished_run_is_not_overwritten(run):
+    from training.ppo import train
+
+    with pytest.raises(DataError, match="already holds a model; go on with --resume"):
+        train(small_task(), small_settings(), 256, run)
+
+
+@needs_torch
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["evaluate", "--model", "nowhere/model.zip"], "nowhere holds no training run"),
+        (["evaluate", "--seeds", "a-b"], "--seeds must look like 0-4"),
+        (["ppo", "--steps", "0"], "--steps must be at least 1; got 0"),
+        (["ppo", "--set", "lidar.beam_count"], "--set needs KEY=VALUE"),
+        (["ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
+        (["ppo", "--resume"], "holds no training run"),
+    ],
+)
+def test_a_wrong_command_ends_in_one_line_that_names_the_remedy(arguments, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and message in error
+    assert error.count("\n") == 1
+
+
+def test_without_torch_the_error_names_what_to_install():
+    code = "import sys; sys.modules['torch'] = None; from training.__main__ import main; sys.exit(main(['ppo']))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "training needs torch; install it with: pip install 'twc_env[train]'" in done.stderr
+
+
+def test_seeds_are_read_from_ranges_and_lists():
+    assert seeds_of("0-4") == [0, 1, 2, 3, 4]
+    assert seeds_of("1,5,7-8") == [1, 5, 7, 8]

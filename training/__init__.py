@@ -1,0 +1,1 @@
+"""Learning on twc_env: one readable file per algorithm. Run `python -m training --help`."""

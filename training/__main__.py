@@ -1,0 +1,89 @@
+"""`python -m training ppo ...` and `python -m training evaluate ...`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from twc_env.errors import DataError, TwcError
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns the exit status."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.run(options)
+    except TwcError as error:
+        print(f"error: {error}", file=sys.stderr)
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in ("torch", "stable_baselines3", "tqdm"):
+            raise
+        print(f"error: training needs {error.name}; install it with: pip install 'twc_env[train]'", file=sys.stderr)
+    return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m training", description="Learn to explore.")
+    commands = parser.add_subparsers(required=True, metavar="command")
+
+    ppo = commands.add_parser("ppo", help="train with proximal policy optimisation")
+    ppo.add_argument("--map", default="twin-01", help="bundled map or map file")
+    ppo.add_argument("--steps", type=int, default=20_000, help="environment steps in all (default %(default)s)")
+    ppo.add_argument("--max-cycles", type=int, default=1000, help="steps per episode (default %(default)s)")
+    ppo.add_argument("--seed", type=int, default=0)
+    ppo.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the environment")
+    ppo.add_argument("--out", type=Path, default=Path("runs/ppo"), help="run folder (default %(default)s)")
+    ppo.add_argument("--resume", action="store_true", help="go on from the model in the run folder")
+    ppo.set_defaults(run=_train_ppo)
+
+    evaluate = commands.add_parser("evaluate", help="compare a trained model with random actions")
+    evaluate.add_argument("--model", type=Path, default=Path("runs/ppo/model.zip"))
+    evaluate.add_argument("--seeds", default="0-4", help="as in 0-4 or 1,5,7 (default %(default)s)")
+    evaluate.set_defaults(run=_evaluate)
+    return parser
+
+
+def _train_ppo(options: argparse.Namespace) -> int:
+    from training import ppo
+    from training.run_folder import Task
+
+    if options.steps < 1:
+        raise DataError(f"--steps must be at least 1; got {options.steps}")
+    task = Task(options.map, options.max_cycles, dict(_assignment(text) for text in options.set))
+    settings = ppo.Settings(seed=options.seed)
+    model_path = ppo.train(task, settings, options.steps, options.out, options.resume)
+    print(f"model: {model_path}   learning curve: {options.out / 'metrics.csv'}")
+    return 0
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    from training.evaluate import evaluate
+
+    print(evaluate(options.model, seeds_of(options.seeds)).table)
+    return 0
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise DataError(f"--set needs KEY=VALUE, as in lidar.beam_count=90; got {text!r}")
+    return key, value
+
+
+def seeds_of(text: str) -> list[int]:
+    """The seeds named by "0-4" or "1,5,7"; raises DataError for anything else."""
+    try:
+        seeds: list[int] = []
+        for part in text.split(","):
+            first, _, last = part.partition("-")
+            seeds.extend(range(int(first), int(last or first) + 1))
+    except ValueError:
+        seeds = []
+    if not seeds:
+        raise DataError(f"--seeds must look like 0-4 or 1,5,7; got {text!r}")
+    return seeds
+
+
+if __name__ == "__main__":
+    sys.exit(main())

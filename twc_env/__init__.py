@@ -1,0 +1,96 @@
+"""twc_env: robots explore a building while cooperative SLAM runs inside every step.
+
+    import twc_env
+    env = twc_env.parallel_env(map="twin-01", robots=3)
+
+The environment is registered as `twc_env/Explore-v0` with PettingZoo (parallel and AEC) and, for one robot, with
+Gymnasium. Nothing heavy is loaded before an environment is made.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import pettingzoo
+
+from twc_env._version import __version__
+
+if TYPE_CHECKING:
+    from twc_env.config import EnvConfig
+    from twc_env.errors import ActionError, ConfigError, DataError, MapError, TwcError
+    from twc_env.exploration.environment import ExplorationEnv
+    from twc_env.exploration.evaluation import EpisodeResult
+    from twc_env.maps import load_map, map_names
+    from twc_env.slam.engine import CooperativeSlam
+
+__all__ = [
+    "ActionError",
+    "ConfigError",
+    "CooperativeSlam",
+    "DataError",
+    "EnvConfig",
+    "EpisodeResult",
+    "ExplorationEnv",
+    "MapError",
+    "TwcError",
+    "__version__",
+    "env",
+    "load_map",
+    "map_names",
+    "parallel_env",
+    "raw_env",
+]
+
+_HOME = {
+    "ActionError": "errors",
+    "ConfigError": "errors",
+    "CooperativeSlam": "slam.engine",
+    "DataError": "errors",
+    "EnvConfig": "config",
+    "EpisodeResult": "exploration.evaluation",
+    "ExplorationEnv": "exploration.environment",
+    "MapError": "errors",
+    "TwcError": "errors",
+    "load_map": "maps",
+    "map_names": "maps",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(f"twc_env.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'twc_env' has no attribute {name!r}")
+
+
+def parallel_env(*args: Any, **kwargs: Any) -> ExplorationEnv:
+    """The environment under PettingZoo's parallel API; arguments as of `ExplorationEnv`."""
+    from twc_env.exploration.environment import ExplorationEnv
+
+    return ExplorationEnv(*args, **kwargs)
+
+
+def raw_env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:
+    """The environment under PettingZoo's AEC API, without checks of the call order."""
+    from pettingzoo.utils import parallel_to_aec
+
+    return parallel_to_aec(parallel_env(*args, **kwargs))
+
+
+def env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:
+    """The environment under PettingZoo's AEC API; arguments as of `ExplorationEnv`."""
+    from pettingzoo.utils import OrderEnforcingWrapper
+
+    return OrderEnforcingWrapper(raw_env(*args, **kwargs))
+
+
+def _register() -> None:
+    if "twc_env/Explore-v0" in gymnasium.registry:
+        return
+    pettingzoo.register("parallel", "twc_env/Explore-v0", entry_point="twc_env:parallel_env")
+    pettingzoo.register("aec", "twc_env/Explore-v0", entry_point="twc_env:env")
+    gymnasium.register("twc_env/Explore-v0", entry_point="twc_env.exploration.single_agent:SingleRobotEnv")
+
+
+_register()

@@ -1,0 +1,378 @@
+"""Every number the environment can be configured with, in one place; the sections follow the order of a step.
+
+A config is a frozen value: build it once, hand each module its section, never edit it. `from_dict` and `load` refuse
+keys they do not know and values of the wrong type or out of range; `digest` names the values in logs and tables.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import hashlib
+import json
+import math
+import tomllib
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from twc_env.errors import ConfigError
+
+
+def _number(default, minimum: float = -math.inf, maximum: float = math.inf):
+    """A number with its allowed range (both ends included)."""
+    return field(default=default, metadata={"minimum": minimum, "maximum": maximum})
+
+
+def _choice(default: str, *others: str):
+    """A name out of a fixed list."""
+    return field(default=default, metadata={"choices": (default, *others)})
+
+
+class _Checked:
+    """Checks each field against the range or list it was declared with."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        where = type(self).__name__.removesuffix("Config").lower()
+        for f in dataclasses.fields(self):
+            value = getattr(self, f.name)
+            if (choices := f.metadata.get("choices")) and value not in choices:
+                hint = _did_you_mean(value, choices)
+                raise ConfigError(f"{where}.{f.name} must be one of {', '.join(choices)}; got {value!r}{hint}")
+            if "minimum" in f.metadata:
+                low, high = f.metadata["minimum"], f.metadata["maximum"]
+                if isinstance(value, bool) or not isinstance(value, (int, float)):
+                    raise ConfigError(f"{where}.{f.name} must be a number; got {value!r}")
+                if not low <= value <= high:
+                    raise ConfigError(f"{where}.{f.name} must lie in [{low:g}, {high:g}]; got {value!r}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DynamicsConfig(_Checked):
+    """How commands move a robot: a disc on differential wheels."""
+
+    time_step_s: float = _number(0.1, 0.01, 1.0)
+    speed_max_m_s: float = _number(1.0, 0.01, 5.0)
+    turn_rate_max_rad_s: float = _number(1.5, 0.01, 10.0)
+    acceleration_max_m_s2: float = _number(4.0, 0.1, 100.0)
+    turn_acceleration_max_rad_s2: float = _number(10.0, 0.1, 1000.0)
+    robot_radius_m: float = _number(0.2, 0.05, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdometryConfig(_Checked):
+    """How measured motion differs from true motion."""
+
+    platform: str = _choice("wheeled", "handheld", "legged")
+    drift: float = _number(1.0, 0.0, 10.0)
+    """Multiplies every error of the platform's preset: 0 gives perfect odometry and gyro, 1 the preset."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LidarConfig(_Checked):
+    """2D laser scanner over the full circle; beam 0 points ahead, beams run counter-clockwise."""
+
+    beam_count: int = _number(180, 8, 4096)
+    range_max_m: float = _number(10.0, 0.5, 100.0)
+    range_noise_std_m: float = _number(0.01, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RadioConfig(_Checked):
+    """WiFi strength: rssi = P(1 m) - 10 n log10 d - wall losses + shadowing + fading + device offset + noise."""
+
+    scan_period_s: float = _number(0.2, 0.01, 60.0)
+    power_at_1m_dbm: float = _number(-35.0, -80.0, 30.0)
+    path_loss_exponent: float = _number(2.3, 1.0, 6.0)
+    distance_min_m: float = _number(0.5, 0.01, 10.0)
+    shadowing_std_db: float = _number(2.0, 0.0, 20.0)
+    shadowing_length_m: float = _number(4.0, 0.1, 100.0)
+    fading_std_db: float = _number(1.5, 0.0, 20.0)
+    """Small-scale fading, redrawn for each transmitter whenever a robot has moved `fading_length_m`."""
+    fading_length_m: float = _number(0.5, 0.01, 10.0)
+    device_offset_std_db: float = _number(0.8, 0.0, 20.0)
+    noise_std_db: float = _number(3.0, 0.0, 20.0)
+    detection_floor_dbm: float = _number(-88.0, -120.0, 0.0)
+    """A signal of this strength is heard in half of the scans."""
+    detection_slope_db: float = _number(2.0, 0.05, 20.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraConfig(_Checked):
+    """Which signs are read, and how OCR misreads them."""
+
+    period_s: float = _number(0.5, 0.01, 60.0)
+    range_max_m: float = _number(4.0, 0.1, 50.0)
+    field_of_view_rad: float = _number(2.6, 0.1, 2 * math.pi)
+    incidence_max_rad: float = _number(1.05, 0.1, math.pi / 2)
+    """Largest angle between the line of sight and the sign's normal."""
+    bearing_noise_std_rad: float = _number(0.01, 0.0, 0.5)
+    range_noise_std_m: float = _number(0.03, 0.0, 1.0)
+    fragment_probability: float = _number(0.07, 0.0, 1.0)
+    """Chance that a reading is a fragment (10 to 45 % of the characters)."""
+    character_error_probability: float = _number(0.03, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkConfig(_Checked):
+    """The radio link from each robot to the team's mapper; what is lost is sent again in the next step."""
+
+    loss_probability: float = _number(0.0, 0.0, 0.99)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdometryFilterConfig(_Checked):
+    """The EKF of one robot: what it assumes about its sensors."""
+
+    backend: str = _choice("compiled", "filterpy")
+    """Same equations twice: a compiled kernel, or filterpy's ExtendedKalmanFilter (the oracle; about 20 x slower)."""
+    position_std_per_m: float = _number(0.04, 0.0, 1.0)
+    position_std_m: float = _number(0.002, 0.0, 1.0)
+    """Per step, whatever the motion."""
+    turn_std_rad: float = _number(0.003, 0.0, 1.0)
+    """Gyro heading noise per step."""
+    odometry_turn_std_rad: float = _number(0.02, 1e-6, 1.0)
+    """Odometry heading noise per step."""
+    gyro_bias_std_rad_s: float = _number(0.02, 0.0, 1.0)
+    """How far off the gyro may be at the start."""
+    gyro_bias_walk_rad_s: float = _number(1e-4, 0.0, 1.0)
+    match_std_m: float = _number(0.04, 1e-4, 1.0)
+    """Distance error of one beam against the local map."""
+    match_correlation: float = _number(8.0, 1.0, 1000.0)
+    """This many neighbouring beams count as one independent measurement."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalMapConfig(_Checked):
+    """The map around one robot that its scans are matched to."""
+
+    size_m: float = _number(32.0, 4.0, 200.0)
+    resolution_m: float = _number(0.1, 0.02, 0.5)
+    memory_m: float = _number(25.0, 1.0, 1000.0)
+    """Keyframes further back along the path than this are left out when the local map moves on."""
+    match_distance_max_m: float = _number(0.5, 0.1, 2.0)
+    match_iterations_max: int = _number(10, 1, 100)
+    degenerate_share: float = _number(0.04, 0.0, 1.0)
+    """A direction that fewer than this share of the beams fix is left to odometry (a corridor's axis)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyframeConfig(_Checked):
+    """When a robot remembers a place."""
+
+    distance_m: float = _number(0.5, 0.05, 10.0)
+    turn_rad: float = _number(0.5, 0.05, math.pi)
+    fingerprint_window_s: float = _number(2.0, 0.1, 60.0)
+    fingerprint_scans_max: int = _number(12, 1, 200)
+    fingerprint_detection_min: float = _number(0.4, 0.0, 1.0)
+    """A transmitter counts when heard in at least this share of the scans of the window."""
+    std_mode: str = _choice("population", "sample", "paper")
+    """Spread used to clip scans (TWC-SLAM Eq. 7): `paper` is the literal print, which never rejects anything."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaceRecognitionConfig(_Checked):
+    """Algorithm 1 of TWC-SLAM, repaired (SPEC T4-T9)."""
+
+    text_similarity_min: float = _number(0.8, 0.0, 1.0)
+    """alpha."""
+    mac_similarity_min: float = _number(0.8, 0.0, 1.0)
+    """beta."""
+    rssi_similarity_min: float = _number(0.8, 0.0, 1.0)
+    """gamma."""
+    rssi_tolerance_db: float = _number(5.0, 0.1, 50.0)
+    """tau: rms difference that still counts as the same place."""
+    rssi_mode: str = _choice("saturating", "paper")
+    """`paper` accepts when the distance d >= gamma, as printed."""
+    normalise_text: bool = True
+    revisit_travel_m: float = _number(12.0, 0.0, 1000.0)
+    """Two keyframes of one robot are a loop only when it travelled this far in between."""
+    proximity_m: float = _number(2.5, 0.0, 50.0)
+    """Keyframes this near in the present estimate are tried too (0: never)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerificationConfig(_Checked):
+    """Scan matching that accepts or refuses a loop candidate."""
+
+    window_m: float = _number(1.0, 0.1, 10.0)
+    window_rad: float = _number(0.35, 0.01, math.pi)
+    cloud_reach_m: float = _number(3.0, 0.0, 20.0)
+    """Keyframes within this path length are joined to the candidate's scan."""
+    overlap_min: float = _number(0.65, 0.0, 1.0)
+    """Share of source points within 0.15 m of a target wall."""
+    contradiction_max: float = _number(0.12, 0.0, 1.0)
+    """Share of source points that lie in the target's free space, or the other way round."""
+    backlog_per_step: int = _number(2, 1, 1000)
+    """Candidates verified per step at most; the others wait."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseGraphConfig(_Checked):
+    """Robust SE(2) optimisation."""
+
+    robust: str = _choice("dcs", "cauchy", "none")
+    robust_scale: float = _number(5.0, 0.01, 1000.0)
+    period_steps: int = _number(10, 1, 10000)
+    """Optimised at most this often, and only when closures arrived."""
+    iterations_max: int = _number(15, 1, 1000)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MergingConfig(_Checked):
+    """When two robots' maps are put into one frame."""
+
+    closures_min: int = _number(3, 1, 100)
+    """Mutually consistent closures needed."""
+    spread_min_m: float = _number(1.5, 0.0, 100.0)
+    """The closures must come from places at least this far apart."""
+    consistency_m: float = _number(0.6, 0.01, 10.0)
+    consistency_rad: float = _number(0.15, 0.01, math.pi)
+    contradiction_max: float = _number(0.10, 0.0, 1.0)
+    """Largest share of one map's walls that lie in the other's free space."""
+    wifi_check: bool = True
+    """Compare all fingerprints that the merge would bring together with what each robot's own path taught."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlamConfig(_Checked):
+    """The whole engine; it also reads the scanner's own data sheet (`lidar`)."""
+
+    resolution_m: float = _number(0.1, 0.02, 0.5)
+    """Cell size of the merged map."""
+    odometry_filter: OdometryFilterConfig = field(default_factory=OdometryFilterConfig)
+    local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
+    keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
+    place_recognition: PlaceRecognitionConfig = field(default_factory=PlaceRecognitionConfig)
+    verification: VerificationConfig = field(default_factory=VerificationConfig)
+    pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
+    merging: MergingConfig = field(default_factory=MergingConfig)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObservationConfig(_Checked):
+    """Shape of what a learner sees."""
+
+    map_cells: int = _number(64, 8, 512)
+    map_cell_m: float = _number(0.25, 0.05, 5.0)
+    wifi_slots: int = _number(16, 1, 512)
+    sign_slots: int = _number(4, 1, 64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RewardConfig(_Checked):
+    """Weights of the named terms; the default pays only for correctly mapped area."""
+
+    period_steps: int = _number(10, 1, 10000)
+    """The map is judged this often, and always at the last step."""
+    correct_area: float = _number(1.0, -1000.0, 1000.0)
+    """Per square metre gained in the correctly mapped area of the largest rightly merged group."""
+    collision: float = _number(0.0, -1000.0, 1000.0)
+    """Per step in contact (negative to discourage)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EnvConfig(_Checked):
+    """One episode's worth of settings."""
+
+    map: str = "twin-01"
+    """Name of a bundled map, or a file: twc_env JSON, HouseExpo JSON, ROS map_server yaml, png or pgm."""
+    robots: int = _number(3, 1, 64)
+    max_cycles: int = _number(2000, 1, 10_000_000)
+    dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    lidar: LidarConfig = field(default_factory=LidarConfig)
+    radio: RadioConfig = field(default_factory=RadioConfig)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    link: LinkConfig = field(default_factory=LinkConfig)
+    slam: SlamConfig = field(default_factory=SlamConfig)
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
+
+
+def digest(config: EnvConfig) -> str:
+    """Twelve hex digits that change if and only if a value changes."""
+    text = json.dumps(dataclasses.asdict(config), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def to_dict(config: EnvConfig) -> dict:
+    """Nested plain values, ready for JSON; `from_dict` reads it back."""
+    return dataclasses.asdict(config)
+
+
+def from_dict(values: dict, cls: type = EnvConfig, where: str = "config"):
+    """Build a (nested) config from plain values; what is not named keeps its default.
+
+    Raises ConfigError for an unknown key (with the nearest known one), a wrong type or a value out of range.
+    """
+    if not isinstance(values, dict):
+        raise ConfigError(f"{where} must be a table of settings; got {values!r}")
+    types = typing.get_type_hints(cls)
+    arguments = {}
+    for key, value in values.items():
+        if key not in types:
+            raise ConfigError(f"{where}.{key} is unknown{_did_you_mean(key, types)}")
+        arguments[key] = _value(types[key], value, f"{where}.{key}")
+    return cls(**arguments)
+
+
+def load(path: str | Path) -> EnvConfig:
+    """Read a TOML or JSON file that overrides the defaults it names."""
+    path = Path(path)
+    try:
+        text = path.read_text()
+        values = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except OSError as error:
+        raise ConfigError(f"cannot read the config file {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise ConfigError(f"{path} is not valid {path.suffix[1:].upper() or 'TOML'}: {error}") from error
+    return from_dict(values)
+
+
+def override(config: EnvConfig, assignments: dict[str, object]) -> EnvConfig:
+    """A copy with dotted keys replaced: `override(config, {"lidar.beam_count": 360})`.
+
+    Values given as text are read as the type of the field, so they can come straight from a command line.
+    """
+    values = to_dict(config)
+    for dotted, value in assignments.items():
+        node, parts = values, dotted.split(".")
+        for depth, part in enumerate(parts):
+            if not isinstance(node, dict) or part not in node:
+                known = node if isinstance(node, dict) else ()
+                raise ConfigError(f"config.{'.'.join(parts[: depth + 1])} is unknown{_did_you_mean(part, known)}")
+            if depth < len(parts) - 1:
+                node = node[part]
+        node[parts[-1]] = _from_text(value, node[parts[-1]], dotted)
+    return from_dict(values)
+
+
+def _value(kind: type, value, where: str):
+    if dataclasses.is_dataclass(kind):
+        return value if isinstance(value, kind) else from_dict(value, kind, where)
+    if kind is float and type(value) is int:
+        return float(value)
+    if type(value) is not kind:
+        raise ConfigError(f"{where} must be of type {kind.__name__}; got {value!r}")
+    return value
+
+
+def _from_text(value, old, where: str):
+    if not isinstance(value, str) or isinstance(old, str):
+        return value
+    if isinstance(old, bool):
+        if value.lower() in ("true", "false"):
+            return value.lower() == "true"
+        raise ConfigError(f"config.{where} must be true or false; got {value!r}")
+    try:
+        return type(old)(value)
+    except (TypeError, ValueError):
+        raise ConfigError(f"config.{where} must be of type {type(old).__name__}; got {value!r}") from None
+
+
+def _did_you_mean(key, known) -> str:
+    near = difflib.get_close_matches(str(key), list(known), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""

@@ -1,0 +1,1 @@
+"""Real map formats and logs, read into floor plans and sensor frames."""

@@ -1,0 +1,21 @@
+"""The errors twc_env raises: every message names the value, what was expected and what to do."""
+
+
+class TwcError(ValueError):
+    """Base of all errors that twc_env raises on bad input."""
+
+
+class ConfigError(TwcError):
+    """A configuration key is unknown, or its value has the wrong type or is out of range."""
+
+
+class MapError(TwcError):
+    """A floor plan cannot be read, or it describes no building a robot can explore."""
+
+
+class DataError(TwcError):
+    """A log, checkpoint or run folder cannot be read."""
+
+
+class ActionError(TwcError):
+    """An action has the wrong shape or a value that is not finite."""

@@ -1,0 +1,1 @@
+"""The PettingZoo environment: the only place where truth and estimate meet."""

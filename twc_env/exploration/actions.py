@@ -1,0 +1,45 @@
+"""What an agent may command, and how its numbers become metres per second."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from twc_env.config import DynamicsConfig
+from twc_env.errors import ActionError
+
+Array = NDArray
+
+TOLERANCE = 1e-6
+
+
+def velocity_space() -> spaces.Box:
+    """(2,) forward speed and turn rate (left is positive) as shares of the robot's maxima, in [-1, 1]."""
+    return spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+
+def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config: DynamicsConfig) -> Array:
+    """Commands (robots, 2) [m/s, rad/s] from one action per agent.
+
+    Raises ActionError when an agent has no action, or an action is not two finite numbers in [-1, 1].
+    """
+    commands = np.empty((len(agents), 2))
+    for row, agent in enumerate(agents):
+        if agent not in actions:
+            raise ActionError(f"no action for {agent!r}: step() needs one for each of {list(agents)}")
+        try:
+            commands[row] = actions[agent]
+        except (TypeError, ValueError):
+            raise ActionError(
+                f"action of {agent!r} must be 2 numbers (forward speed, turn rate) in [-1, 1]; got {actions[agent]!r}"
+            ) from None
+    if not np.all(np.abs(commands) <= 1.0 + TOLERANCE):  # also false for NaN
+        row = int(np.argmax(~np.all(np.abs(commands) <= 1.0 + TOLERANCE, axis=1)))
+        raise ActionError(
+            f"action of {agents[row]!r} must be finite and in [-1, 1]; got {actions[agents[row]]!r}: "
+            "clip it, or use an agent whose output is squashed"
+        )
+    return np.clip(commands, -1.0, 1.0) * (config.speed_max_m_s, config.turn_rate_max_rad_s)

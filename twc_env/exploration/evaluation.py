@@ -1,0 +1,284 @@
+"""Judge an episode: estimates against truth. Rewards and reports read this; engine and observations cannot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env import metrics
+from twc_env.config import EnvConfig
+from twc_env.config import digest as config_digest
+from twc_env.geometry import between, compose, transform_points
+from twc_env.messages import GridMap
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.occupancy_grid import OccupancyGrid
+from twc_env.world.floorplan import Cells, Floorplan
+
+Array = NDArray
+
+STUCK_WINDOW_S = 10.0
+STUCK_RADIUS_M = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupVerdict:
+    """One group of robots against the truth."""
+
+    robots: tuple[int, ...]
+    pose_building_map: Array
+    """(3,) the one rigid alignment that lays the group's map on the building."""
+    wrong_pairs: tuple[tuple[int, int], ...]
+    """Pairs of its robots whose relative frame is off by more than 1 m or 10 degrees."""
+    correct_area_m2: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EpisodeResult:
+    """All that an episode left behind, truth included; for reports, pictures and exports."""
+
+    config: EnvConfig
+    seed: int
+    floorplan: Floorplan
+    figures: dict
+    """The figures of the report, by name (docs/figures.md defines each)."""
+    true_poses: Array
+    """(steps + 1, robots, 3) in the building frame."""
+    estimated_poses: Array
+    """(steps + 1, robots, 3) final estimate, in the map frame of each robot's group."""
+    odometry_poses: Array
+    """(steps + 1, robots, 3) dead reckoning alone, set off at the true start, in the building frame."""
+    groups: tuple[tuple[int, ...], ...]
+    """Robots that share a map, largest group first."""
+    grids: tuple[GridMap, ...]
+    """The merged map of each group."""
+    pose_building_map: Array
+    """(groups, 3) alignment of each group's map with the building."""
+    closures: list[dict]
+    """Every verified closure: kind, status, reason, correct, target, source, target_m, source_m (building frame)."""
+    graph: dict
+    """The pose graph: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
+
+
+class EpisodeRecord:
+    """What happened so far, step by step, kept for judging."""
+
+    def __init__(self, robots: int, max_steps: int):
+        self.count = 0
+        self._true = np.zeros((max_steps + 1, robots, 3))
+        self._odom = np.zeros((max_steps + 1, robots, 3))
+        self._reckoned = np.zeros((max_steps + 1, robots, 3))
+        self.contact_count = 0
+        self._touching = np.zeros(robots, bool)
+        self.wrong_pairs: set[tuple[int, int]] = set()
+
+    def append(self, true_poses: Array, odom_poses: Array, odometry: Array, contacts: Array) -> None:
+        """Note one step: truth, front-end poses, measured motion, and contacts, one row per robot."""
+        t = self.count
+        self._true[t], self._odom[t] = true_poses, odom_poses
+        self._reckoned[t] = compose(self._reckoned[t - 1], odometry) if t else true_poses
+        self.contact_count += int((contacts & ~self._touching).sum())
+        self._touching = contacts.copy()
+        self.count += 1
+
+    @property
+    def true_poses(self) -> Array:
+        """(steps + 1, robots, 3) building frame."""
+        return self._true[: self.count]
+
+    @property
+    def odom_poses(self) -> Array:
+        """(steps + 1, robots, 3) front-end estimate, each in its robot's odom frame."""
+        return self._odom[: self.count]
+
+    @property
+    def odometry_poses(self) -> Array:
+        """(steps + 1, robots, 3) dead reckoning from the true start, building frame."""
+        return self._reckoned[: self.count]
+
+
+def judge_group(engine: CooperativeSlam, group: int, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
+    """Lay a group's map on the building and measure it."""
+    team = engine.team
+    robots = team.groups[group].robots
+    estimated = [team.poses_of(r) for r in robots]
+    true = [record.true_poses[team.keyframe_steps(r), r] for r in robots]
+    if not any(len(e) for e in estimated):
+        return GroupVerdict(robots, np.zeros(3), (), 0.0)
+    pose = metrics.align_team(np.concatenate(estimated), np.concatenate(true))
+    wrong: tuple[tuple[int, int], ...] = ()
+    if len(robots) > 1:
+        frames = np.array(
+            [metrics.implied_frames(e[:, None], t[:, None])[0] for e, t in zip(estimated, true, strict=True)]
+        )
+        centre = np.concatenate(estimated)[:, :2].mean(axis=0)
+        wrong = tuple((robots[i], robots[j]) for i, j in metrics.wrong_pairs(frames, centre))
+    grid = team.grid_of(group)
+    area = metrics.correct_area_m2(
+        grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m
+    )
+    return GroupVerdict(robots, pose, wrong, area)
+
+
+def judge(engine: CooperativeSlam, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:
+    """Every group against the truth, the group with most robots (then most area) first."""
+    verdicts = [judge_group(engine, g, record, cells) for g in range(len(engine.team.groups))]
+    for verdict in verdicts:
+        record.wrong_pairs.update(verdict.wrong_pairs)
+    return sorted(verdicts, key=lambda v: (-len(v.robots), -v.correct_area_m2))
+
+
+def rightly_mapped_m2(verdicts: list[GroupVerdict]) -> float:
+    """Correctly mapped area of the largest group without a wrong pair; 0 when there is none."""
+    return max((v.correct_area_m2 for v in verdicts if not v.wrong_pairs), default=0.0)
+
+
+def final_trajectories(engine: CooperativeSlam, record: EpisodeRecord) -> Array:
+    """(steps + 1, robots, 3) each step's pose hung on the optimised keyframe before it, in the group's map frame."""
+    poses = np.zeros_like(record.odom_poses)
+    for robot in range(poses.shape[1]):
+        odom = record.odom_poses[:, robot]
+        steps = engine.team.keyframe_steps(robot)
+        if len(steps) == 0:
+            poses[:, robot] = odom
+            continue
+        held = np.clip(np.searchsorted(steps, np.arange(len(odom)), side="right") - 1, 0, None)
+        anchors = np.array([k.pose_odom for k in engine.team.keyframes[robot]])
+        poses[:, robot] = compose(engine.team.poses_of(robot)[held], between(anchors[held], odom))
+    return poses
+
+
+def evaluate(
+    config: EnvConfig, seed: int, floorplan: Floorplan, engine: CooperativeSlam, record: EpisodeRecord, bytes_sent: dict
+) -> EpisodeResult:
+    """Every figure of the report and all that pictures and exports need."""
+    from twc_env import __version__
+
+    cells = floorplan.cells()
+    verdicts = judge(engine, record, cells)
+    estimated, true = final_trajectories(engine, record), record.true_poses
+    alignment = np.zeros((true.shape[1], 3))
+    for verdict in verdicts:
+        alignment[list(verdict.robots)] = metrics.align_team(
+            estimated[:, list(verdict.robots)], true[:, list(verdict.robots)]
+        )
+    aligned = compose(alignment[None], estimated)
+    error = aligned[..., :2] - true[..., :2]
+    best = verdicts[0]
+    group = engine.team.group_index(best.robots[0])
+    score = _score(engine.team.grid_of(group), best.pose_building_map, cells)
+    closures = _closures(engine, record, alignment)
+    counted = metrics.score_closures([c["correct"] for c in closures], [c["status"] == "accepted" for c in closures])
+    robots = range(true.shape[1])
+    figures = {
+        "map": config.map,
+        "robots": config.robots,
+        "seed": seed,
+        "steps": record.count - 1,
+        "sim_time_s": round((record.count - 1) * config.dynamics.time_step_s, 6),
+        "coverage_believed": score.believed_area_m2 / max(cells.free.sum() * cells.resolution_m**2, 1e-9),
+        "coverage_true": _score(_map_at(engine, record.true_poses, config), np.zeros(3), cells).coverage_correct,
+        "coverage_correct": score.coverage_correct,
+        "map_iou": score.map_iou,
+        "wall_iou": score.wall_iou,
+        "merged_robots": len(best.robots),
+        "wrong_merges": len(record.wrong_pairs),
+        "team_ate_m": float(np.sqrt((error**2).sum(axis=-1).mean())),
+        "per_robot_ate_m": [metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in robots],
+        "epe_m": float(np.mean([metrics.end_point_error_m(estimated[:, r], true[:, r]) for r in robots])),
+        "odometry_ate_m": _position_rmse(record.odometry_poses, true),
+        "odometry_coverage_correct": _odometry_coverage(engine, record, config, cells),
+        "closures": {
+            "proposed": counted.proposed,
+            "accepted": counted.accepted,
+            "correct": counted.correct,
+            "precision": _or_none(counted.precision),
+            "recall": _or_none(counted.recall),
+        },
+        "bytes_sent": int(sum(bytes_sent.values())),
+        "bytes_by_kind": {kind: int(count) for kind, count in sorted(bytes_sent.items())},
+        "path_length_m": float(sum(metrics.path_length_m(true[:, r]) for r in robots)),
+        "collisions": record.contact_count,
+        "stuck_share": metrics.stuck_share(
+            true, max(int(STUCK_WINDOW_S / config.dynamics.time_step_s), 1), STUCK_RADIUS_M
+        ),
+        "config_digest": config_digest(config),
+        "version": __version__,
+    }
+    return EpisodeResult(
+        config=config,
+        seed=seed,
+        floorplan=floorplan,
+        figures=figures,
+        true_poses=true.copy(),
+        estimated_poses=estimated,
+        odometry_poses=record.odometry_poses.copy(),
+        groups=tuple(v.robots for v in verdicts),
+        grids=tuple(engine.team.grid_of(engine.team.group_index(v.robots[0])) for v in verdicts),
+        pose_building_map=np.array([v.pose_building_map for v in verdicts]),
+        closures=closures,
+        graph=engine.team.graph(),
+    )
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _position_rmse(estimated: Array, true: Array) -> float:
+    """One rigid alignment of all robots together; their true relative starts are given away."""
+    return metrics.absolute_trajectory_error_m(estimated, true)
+
+
+def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.MapScore:
+    return metrics.score_map(
+        grid.log_odds,
+        grid.origin_m,
+        grid.resolution_m,
+        pose_building_map,
+        cells.free,
+        cells.wall,
+        cells.origin_m,
+        cells.resolution_m,
+    )
+
+
+def _map_at(engine: CooperativeSlam, poses: Array, config: EnvConfig) -> GridMap:
+    """The map that the keyframes' scans would give at other poses (steps + 1, robots, 3)."""
+    grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
+    for robot, keyframes in enumerate(engine.team.keyframes):
+        if keyframes:
+            steps = engine.team.keyframe_steps(robot)
+            grid.integrate(poses[steps, robot], np.array([k.ranges_m for k in keyframes]))
+    return grid.snapshot()
+
+
+def _odometry_coverage(engine: CooperativeSlam, record: EpisodeRecord, config: EnvConfig, cells: Cells) -> float:
+    alignment = metrics.align_team(record.odometry_poses, record.true_poses)
+    return _score(_map_at(engine, record.odometry_poses, config), alignment, cells).coverage_correct
+
+
+def _closures(engine: CooperativeSlam, record: EpisodeRecord, alignment: Array) -> list[dict]:
+    rows = []
+    for closure in engine.team.closures:
+        (target_robot, i), (source_robot, j) = closure.candidate.target, closure.candidate.source
+        true_target = record.true_poses[engine.team.keyframe_steps(target_robot)[i], target_robot]
+        true_source = record.true_poses[engine.team.keyframe_steps(source_robot)[j], source_robot]
+        correct = metrics.closure_is_correct(closure.pose_target_source, between(true_target, true_source))
+        target_m = transform_points(alignment[target_robot], engine.team.poses_of(target_robot)[i : i + 1, :2])[0]
+        source_m = transform_points(alignment[source_robot], engine.team.poses_of(source_robot)[j : j + 1, :2])[0]
+        rows.append(
+            {
+                "kind": closure.candidate.recogniser,
+                "status": closure.status,
+                "reason": closure.reason,
+                "correct": correct,
+                "target": closure.candidate.target,
+                "source": closure.candidate.source,
+                "target_m": target_m,
+                "source_m": source_m,
+            }
+        )
+    return rows

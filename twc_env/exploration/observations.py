@@ -1,0 +1,133 @@
+"""What an agent sees: a function of sensor frames and estimates alone. No truth is among its arguments."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from gymnasium import spaces
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import between
+from twc_env.messages import Belief, SensorFrame
+
+Array = NDArray
+
+RSSI_ZERO_DBM, RSSI_SPAN_DB = -100.0, 80.0
+POSE_LIMIT_M = 1000.0
+
+
+def observation_space(config: EnvConfig, robots: int) -> spaces.Dict:
+    """The space of one agent's observation; see `ExplorationEnv` for the meaning of each block."""
+    shape = config.observation
+    return spaces.Dict(
+        {
+            "lidar": spaces.Box(0.0, 1.0, (config.lidar.beam_count,), np.float32),
+            "map": spaces.Box(0, 255, (3, shape.map_cells, shape.map_cells), np.uint8),
+            "pose": spaces.Box(-POSE_LIMIT_M, POSE_LIMIT_M, (4,), np.float32),
+            "wifi": spaces.Box(0.0, 1.0, (shape.wifi_slots,), np.float32),
+            "signs": spaces.Box(-1.0, 1.0, (shape.sign_slots, 3), np.float32),
+            "team": spaces.Box(-1.0, 1.0, (max(robots - 1, 1), 4), np.float32),
+        }
+    )
+
+
+class ObservationBuilder:
+    """Builds one robot's observations; remembers only which transmitter has which WiFi slot."""
+
+    def __init__(self, config: EnvConfig, robots: int):
+        self._config = config
+        self._robots = robots
+        self._slot_of_mac: dict[int, int] = {}
+        self._wifi = np.zeros(config.observation.wifi_slots, np.float32)
+
+    def build(self, frame: SensorFrame, belief: Belief) -> dict[str, Array]:
+        """The observation after one frame."""
+        config = self._config
+        return {
+            "lidar": (frame.ranges_m / config.lidar.range_max_m).clip(0.0, 1.0).astype(np.float32),
+            "map": self._map(belief),
+            "pose": _pose(belief),
+            "wifi": self._update_wifi(frame),
+            "signs": self._signs(frame),
+            "team": self._team(belief),
+        }
+
+    def _map(self, belief: Belief) -> Array:
+        shape = self._config.observation
+        crop = np.zeros((3, shape.map_cells, shape.map_cells), np.uint8)
+        grid, pose = belief.grid, belief.pose_map_robot
+        x, y = pose[:2] - grid.origin_m
+        _crop(grid.log_odds, x, y, pose[2], 1.0 / grid.resolution_m, shape.map_cell_m, crop)
+        half = shape.map_cells // 2
+        for mate_pose in belief.mates.values():
+            relative = between(pose, mate_pose)
+            row = math.floor(relative[1] / shape.map_cell_m) + half
+            column = math.floor(relative[0] / shape.map_cell_m) + half
+            if 0 <= row < shape.map_cells and 0 <= column < shape.map_cells:
+                crop[2, row, column] = 255
+        return crop
+
+    def _update_wifi(self, frame: SensorFrame) -> Array:
+        if frame.wifi is not None:
+            self._wifi = np.zeros_like(self._wifi)
+            for k in np.argsort(-frame.wifi.rssi_dbm, kind="stable"):
+                mac = int(frame.wifi.macs[k])
+                slot = self._slot_of_mac.setdefault(mac, len(self._slot_of_mac))
+                if slot < len(self._wifi):
+                    level = (frame.wifi.rssi_dbm[k] - RSSI_ZERO_DBM) / RSSI_SPAN_DB
+                    self._wifi[slot] = min(max(level, 0.0), 1.0)
+        return self._wifi.copy()
+
+    def _signs(self, frame: SensorFrame) -> Array:
+        config = self._config
+        rows = np.zeros((config.observation.sign_slots, 3), np.float32)
+        nearest = sorted(frame.signs, key=lambda s: s.range_m)[: len(rows)]
+        for row, sign in zip(rows, nearest, strict=False):
+            row[:] = 1.0, sign.bearing_rad / math.pi, min(max(sign.range_m / config.camera.range_max_m, 0.0), 1.0)
+        return rows
+
+    def _team(self, belief: Belief) -> Array:
+        rows = np.zeros((max(self._robots - 1, 1), 4), np.float32)
+        others = [r for r in range(self._robots) if r != belief.robot]
+        for row, mate in zip(rows, others, strict=False):
+            if mate in belief.mates:
+                x, y, heading = between(belief.pose_map_robot, belief.mates[mate])
+                distance = math.hypot(x, y)
+                row[:] = 1.0, math.atan2(y, x) / math.pi, distance / (distance + 10.0), heading / math.pi
+        return rows
+
+
+def _pose(belief: Belief) -> Array:
+    x, y, heading = belief.pose_map_robot
+    values = np.array([x, y, math.cos(heading), math.sin(heading)], np.float32)
+    return np.clip(values, -POSE_LIMIT_M, POSE_LIMIT_M)
+
+
+@njit(cache=True, error_model="numpy")
+def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
+    """Egocentric view, robot in the middle and looking along +column: out[0] free, out[1] wall (255 or 0).
+
+    Each cell takes four samples, so that a wall one map cell thick does not slip through.
+    """
+    height, width = log_odds.shape
+    size = out.shape[1]
+    c, s = math.cos(heading), math.sin(heading)
+    for row in range(size):
+        for column in range(size):
+            free = wall = False
+            for a in range(2):
+                v = (row - size // 2 + 0.25 + 0.5 * a) * cell_m
+                for b in range(2):
+                    u = (column - size // 2 + 0.25 + 0.5 * b) * cell_m
+                    k = int(math.floor((x + c * u - s * v) * inverse_m))
+                    r = int(math.floor((y + s * u + c * v) * inverse_m))
+                    if 0 <= r < height and 0 <= k < width:
+                        free = free or log_odds[r, k] < 0
+                        wall = wall or log_odds[r, k] > 0
+            if wall:
+                out[1, row, column] = 255
+            elif free:
+                out[0, row, column] = 255

@@ -1,0 +1,56 @@
+"""One robot's view as a gymnasium environment (id: twc_env/Explore-v0), for single-agent tools."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+
+from twc_env.config import EnvConfig
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.messages import Belief
+
+
+class SingleRobotEnv(gymnasium.Env):
+    """`ExplorationEnv` with one robot: same observation, action and reward, without the dictionaries per agent."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+    def __init__(
+        self,
+        map: str | None = None,
+        max_cycles: int | None = None,
+        config: EnvConfig | Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ):
+        self._team = ExplorationEnv(map=map, robots=1, max_cycles=max_cycles, config=config, render_mode=render_mode)
+        self._agent = self._team.possible_agents[0]
+        self.render_mode = render_mode
+        self.observation_space = self._team.observation_space(self._agent)
+        self.action_space = self._team.action_space(self._agent)
+
+    @property
+    def parallel(self) -> ExplorationEnv:
+        """The environment underneath."""
+        return self._team
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        """Begin an episode."""
+        super().reset(seed=seed)
+        observations, infos = self._team.reset(seed, options)
+        return observations[self._agent], infos[self._agent]
+
+    def step(self, action):
+        """One time step."""
+        observations, rewards, terminated, truncated, infos = self._team.step({self._agent: action})
+        agent = self._agent
+        return observations[agent], float(rewards[agent]), terminated[agent], truncated[agent], infos[agent]
+
+    def belief(self) -> Belief:
+        """What the robot knows."""
+        return self._team.belief(self._agent)
+
+    def render(self):
+        """A picture, in render_mode "rgb_array"."""
+        return self._team.render()

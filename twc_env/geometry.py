@@ -1,0 +1,54 @@
+"""SE(2) and angles: pure functions on arrays. A pose is (x [m], y [m], heading [rad])."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray
+
+
+def wrap_angle(angle_rad):
+    """Angles moved into [-pi, pi)."""
+    return (np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi
+
+
+def compose(pose_a_b: Array, pose_b_c: Array) -> Array:
+    """The pose of c in a, from b in a and c in b; (..., 3) each, broadcast."""
+    a, b = np.asarray(pose_a_b, float), np.asarray(pose_b_c, float)
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
+    y = a[..., 1] + s * b[..., 0] + c * b[..., 1]
+    return np.stack([x, y, wrap_angle(a[..., 2] + b[..., 2])], axis=-1)
+
+
+def inverse(pose_a_b: Array) -> Array:
+    """The pose of a in b, from b in a; (..., 3)."""
+    p = np.asarray(pose_a_b, float)
+    c, s = np.cos(p[..., 2]), np.sin(p[..., 2])
+    return np.stack([-c * p[..., 0] - s * p[..., 1], s * p[..., 0] - c * p[..., 1], wrap_angle(-p[..., 2])], axis=-1)
+
+
+def between(pose_m_a: Array, pose_m_b: Array) -> Array:
+    """The pose of b in a, from both in m; (..., 3) each, broadcast."""
+    return compose(inverse(pose_m_a), pose_m_b)
+
+
+def transform_points(pose_a_b: Array, points_b: Array) -> Array:
+    """Points (n, 2) of frame b, expressed in frame a."""
+    c, s = np.cos(pose_a_b[2]), np.sin(pose_a_b[2])
+    points_b = np.asarray(points_b, float)
+    return points_b @ np.array([[c, s], [-s, c]]) + np.asarray(pose_a_b)[:2]
+
+
+def align_rigidly(points_from: Array, points_to: Array) -> Array:
+    """The pose (3,) that moves points_from (n, 2) onto points_to with least squared error (no scale, no mirror).
+
+    Well defined for any n >= 1: where the points fix no rotation (one point, or all equal) the rotation is 0.
+    """
+    a, b = np.asarray(points_from, float), np.asarray(points_to, float)
+    mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
+    h = (a - mean_a).T @ (b - mean_b)
+    angle = np.arctan2(h[0, 1] - h[1, 0], h[0, 0] + h[1, 1])
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([*(mean_b - np.array([[c, -s], [s, c]]) @ mean_a), angle])

@@ -1,0 +1,179 @@
+"""The records that cross borders between packages. None of them can hold a true pose.
+
+Frames: `robot` is the body frame (x ahead, y left); `odom` is where one robot's front end started (continuous, drifts);
+`map` is the frame of the merged map of the robot's group (jumps when closures arrive). `pose_map_robot` is the pose of
+the robot in the map frame, as (x [m], y [m], heading [rad]).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WifiScan:
+    """One sweep over the WiFi channels: the transmitters heard and how strongly."""
+
+    macs: Array
+    """(heard,) int64, ascending: the 48-bit MAC addresses heard."""
+    rssi_dbm: Array
+    """(heard,) float64, received strength of each."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignReading:
+    """One text read by the camera, as the OCR gave it (so possibly misread)."""
+
+    text: str
+    bearing_rad: float
+    """Direction of the sign's centre in the robot frame."""
+    range_m: float
+    """Measured distance to the sign's centre."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorFrame:
+    """All that one robot measures in one step. The engine knows nothing else of the world."""
+
+    robot: int
+    step: int
+    time_s: float
+    odometry: Array
+    """(3,) motion since the last frame in the robot frame of that frame [m, m, rad], from wheels, legs or hand."""
+    turn_rate_rad_s: float
+    """Gyro: turn rate averaged over the time since the last frame."""
+    ranges_m: Array
+    """(beams,) beam i points to 2 pi i / beams in the robot frame; no return reads the scanner's maximum range."""
+    wifi: WifiScan | None = None
+    """The scan that finished in this step, if one did."""
+    signs: tuple[SignReading, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fingerprint:
+    """The radio signature of a place: clipped mean strength of each transmitter (TWC-SLAM Eq. 7-8)."""
+
+    macs: Array
+    """(heard,) int64, ascending."""
+    rssi_dbm: Array
+    """(heard,) float64."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SignObservation:
+    """A text that was read near a keyframe, placed in the keyframe's robot frame."""
+
+    text: str
+    position_m: Array
+    """(2,)."""
+    facing_rad: float
+    """Outward normal of the wall it hangs on, as the local map shows it; NaN where the map shows no wall."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """A place a robot remembers: where its front end believed it was, and what it sensed there."""
+
+    robot: int
+    index: int
+    """Counts the robot's own keyframes from 0."""
+    step: int
+    time_s: float
+    pose_odom: Array
+    """(3,) pose in the robot's odom frame."""
+    motion: Array
+    """(3,) pose in the frame of the previous keyframe (zeros for the first)."""
+    motion_covariance: Array
+    """(3, 3) covariance of `motion` [m2, m rad, rad2]."""
+    travel_m: float
+    """Path length up to here."""
+    ranges_m: Array
+    """(beams,) the scan taken here."""
+    signs: tuple[SignObservation, ...]
+    """Texts read since the last keyframe."""
+    fingerprint: Fingerprint
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopCandidate:
+    """A pair of keyframes that look like one place, not yet checked by geometry."""
+
+    target: tuple[int, int]
+    """(robot, keyframe index)."""
+    source: tuple[int, int]
+    guess: Array
+    """(3,) first guess of the source's pose in the target's frame."""
+    recogniser: str
+    """Who proposed it: "twc" (text and WiFi) or "proximity" (near in the present estimate)."""
+    text_similarity: float = float("nan")
+    mac_similarity: float = float("nan")
+    rssi_similarity: float = float("nan")
+
+
+@dataclass(slots=True, eq=False)
+class LoopClosure:
+    """A candidate after scan matching, and what the back end thinks of it now."""
+
+    candidate: LoopCandidate
+    pose_target_source: Array
+    """(3,) measured pose of the source in the target's frame."""
+    covariance: Array
+    """(3, 3) of the measurement."""
+    overlap: float
+    """Share of the source's points that lie on the target's walls."""
+    status: str
+    """"accepted", "pending" (waits for other closures that agree) or "rejected"."""
+    reason: str = ""
+    """Why it is not accepted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridMap:
+    """Occupancy as log-odds; row 0 is the lowest y. Free < 0, wall > 0, unknown 0."""
+
+    log_odds: Array
+    """(rows, columns) int16."""
+    origin_m: Array
+    """(2,) lower left corner of cell [0, 0] in the map frame."""
+    resolution_m: float
+
+    def cell_of(self, points_m: Array) -> Array:
+        """(..., 2) points in the map frame -> (..., 2) integer (row, column); may lie outside."""
+        cells = np.floor((np.asarray(points_m) - self.origin_m) / self.resolution_m).astype(np.int64)
+        return cells[..., ::-1]
+
+    def centre_of(self, cells: Array) -> Array:
+        """(..., 2) integer (row, column) -> (..., 2) points in the map frame."""
+        return self.origin_m + (np.asarray(cells)[..., ::-1] + 0.5) * self.resolution_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownSign:
+    """A text that the team has read, where it believes it stands."""
+
+    text: str
+    position_m: Array
+    """(2,) in the map frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """What one robot knows: the merged map of its group and where it is in it. Holds estimates only."""
+
+    robot: int
+    step: int
+    pose_map_robot: Array
+    """(3,)."""
+    grid: GridMap
+    mates: dict[int, Array] = field(default_factory=dict)
+    """Robots of the same group: robot -> (3,) estimated pose in the same map frame."""
+    signs: tuple[KnownSign, ...] = ()
+    ranges_m: Array | None = None
+    """(beams,) the robot's latest scan."""
+    map_version: int = 0
+    """Grows whenever the map jumped (a closure moved it): plans made before should be dropped."""

@@ -1,0 +1,28 @@
+"""Numbers that say how good an episode was: plain arrays in, numbers out."""
+
+from twc_env.metrics.closures import ClosureScore, closure_is_correct, score_closures
+from twc_env.metrics.mapping import MapScore, correct_area_m2, score_map
+from twc_env.metrics.merging import implied_frames, wrong_pairs
+from twc_env.metrics.trajectory import (
+    absolute_trajectory_error_m,
+    align_team,
+    end_point_error_m,
+    path_length_m,
+    stuck_share,
+)
+
+__all__ = [
+    "ClosureScore",
+    "MapScore",
+    "absolute_trajectory_error_m",
+    "align_team",
+    "closure_is_correct",
+    "correct_area_m2",
+    "end_point_error_m",
+    "implied_frames",
+    "path_length_m",
+    "score_closures",
+    "score_map",
+    "stuck_share",
+    "wrong_pairs",
+]

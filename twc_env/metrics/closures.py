@@ -1,0 +1,53 @@
+"""Which loop closures are right, and how many of the right ones were accepted."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.geometry import between
+
+Array = NDArray
+
+DISTANCE_MAX_M = 0.5
+ANGLE_MAX_RAD = math.radians(10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ClosureScore:
+    """Counts of an episode's loop closures."""
+
+    proposed: int
+    accepted: int
+    correct: int
+    """Accepted ones that are right."""
+    precision: float
+    """Right share of the accepted; NaN when none was accepted."""
+    recall: float
+    """Accepted share of the right ones; NaN when none was right."""
+
+
+def closure_is_correct(
+    measured: Array, true: Array, distance_max_m: float = DISTANCE_MAX_M, angle_max_rad: float = ANGLE_MAX_RAD
+) -> bool:
+    """Whether a measured pose (3,) of one keyframe in another's frame is near the true one (ends included)."""
+    error = between(true, measured)
+    return bool(np.hypot(error[0], error[1]) <= distance_max_m and abs(error[2]) <= angle_max_rad)
+
+
+def score_closures(is_correct: Array, is_accepted: Array) -> ClosureScore:
+    """Precision and recall over all closures that were proposed and measured; both (k,) bool."""
+    is_correct, is_accepted = np.asarray(is_correct, bool), np.asarray(is_accepted, bool)
+    right = int(np.count_nonzero(is_correct & is_accepted))
+    accepted = int(np.count_nonzero(is_accepted))
+    possible = int(np.count_nonzero(is_correct))
+    return ClosureScore(
+        proposed=len(is_correct),
+        accepted=accepted,
+        correct=right,
+        precision=right / accepted if accepted else math.nan,
+        recall=right / possible if possible else math.nan,
+    )

@@ -1,0 +1,175 @@
+"""How much of the building a merged map shows rightly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class MapScore:
+    """A map compared with the building, cell by cell."""
+
+    correct_area_m2: float
+    """Free floor that the map shows as free."""
+    believed_area_m2: float
+    """All that the map shows as free, right or wrong."""
+    coverage_correct: float
+    """Share of the building's explorable floor that the map shows as free."""
+    map_iou: float
+    """Intersection over union of the map's free area and the explorable floor."""
+    wall_iou: float
+    """Intersection over union of walls, where a wall counts as met when it is at most one cell away."""
+
+
+def correct_area_m2(
+    log_odds: Array,
+    origin_m: Array,
+    resolution_m: float,
+    pose_building_map: Array,
+    truth_free: Array,
+    truth_origin_m: Array,
+    truth_resolution_m: float,
+    free_below: int = 0,
+) -> float:
+    """Area of the explorable floor (truth_free) that the map shows as free; arguments as in `score_map`."""
+    row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
+    count = _count_free(log_odds, row, column, step, truth_free, free_below)
+    return float(count) * truth_resolution_m**2
+
+
+def score_map(
+    log_odds: Array,
+    origin_m: Array,
+    resolution_m: float,
+    pose_building_map: Array,
+    truth_free: Array,
+    truth_wall: Array,
+    truth_origin_m: Array,
+    truth_resolution_m: float,
+    free_below: int = 0,
+    wall_above: int = 0,
+) -> MapScore:
+    """Compare a merged map with the building.
+
+    log_odds (h, w) int16 with its lower left corner at origin_m in the map frame; a cell is free below `free_below` and
+    wall above `wall_above`. pose_building_map (3,) places the map frame in the building. truth_free and truth_wall
+    (H, W) bool with their corner at truth_origin_m in the building frame.
+
+    The centre of each true cell is looked up in the map. Walls are scored by the walls that border explorable floor:
+    with r the share of those that the map has within one cell, and p the share of the map's wall cells that have a true
+    wall within one cell, wall_iou = p r / (p + r - p r), which is the plain IoU when both hold exactly.
+    """
+    row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
+    cell_m2 = truth_resolution_m**2
+    correct_m2 = float(_count_free(log_odds, row, column, step, truth_free, free_below)) * cell_m2
+    floor_m2 = float(np.count_nonzero(truth_free)) * cell_m2
+    believed_m2 = float(np.count_nonzero(log_odds < free_below)) * resolution_m**2
+    union_m2 = floor_m2 + max(believed_m2, correct_m2) - correct_m2
+
+    wall_met, wall_count = _count_true_walls_met(log_odds, row, column, step, truth_free, truth_wall, wall_above)
+    row, column, step = _sampling_back(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
+    map_wall_met, map_wall_count = _count_map_walls_met(log_odds, row, column, step, truth_wall, wall_above)
+    recall, precision = _share(wall_met, wall_count), _share(map_wall_met, map_wall_count)
+    return MapScore(
+        correct_area_m2=correct_m2,
+        believed_area_m2=believed_m2,
+        coverage_correct=_share(correct_m2, floor_m2),
+        map_iou=_share(correct_m2, union_m2),
+        wall_iou=_share(precision * recall, precision + recall - precision * recall),
+    )
+
+
+def _share(part: float, whole: float) -> float:
+    return float(part / whole) if whole > 0 else 0.0
+
+
+def _sampling(pose_building_map: Array, origin_m, resolution_m, truth_origin_m, truth_resolution_m):
+    """Map cell (row, column, as reals) of the centre of true cell [0, 0], and (cos, sin) of one true cell's step."""
+    x, y, heading = (float(v) for v in pose_building_map)
+    c, s = np.cos(heading), np.sin(heading)
+    dx = truth_origin_m[0] + 0.5 * truth_resolution_m - x
+    dy = truth_origin_m[1] + 0.5 * truth_resolution_m - y
+    row = (-s * dx + c * dy - origin_m[1]) / resolution_m
+    column = (c * dx + s * dy - origin_m[0]) / resolution_m
+    scale = truth_resolution_m / resolution_m
+    return float(row), float(column), np.array([c * scale, -s * scale])
+
+
+def _sampling_back(pose_building_map: Array, origin_m, resolution_m, truth_origin_m, truth_resolution_m):
+    """The same for the centres of map cells in the true grid."""
+    x, y, heading = (float(v) for v in pose_building_map)
+    c, s = np.cos(heading), np.sin(heading)
+    px, py = origin_m[0] + 0.5 * resolution_m, origin_m[1] + 0.5 * resolution_m
+    row = (y + s * px + c * py - truth_origin_m[1]) / truth_resolution_m
+    column = (x + c * px - s * py - truth_origin_m[0]) / truth_resolution_m
+    scale = resolution_m / truth_resolution_m
+    return float(row), float(column), np.array([c * scale, s * scale])
+
+
+@njit(cache=True, error_model="numpy")
+def _count_free(log_odds, row0, column0, step, truth_free, free_below):
+    """True free cells whose centre falls into a free cell of the map."""
+    rows, columns = log_odds.shape
+    c, s = step[0], step[1]
+    count = 0
+    for i in range(truth_free.shape[0]):
+        row, column = row0 + c * i, column0 - s * i
+        for j in range(truth_free.shape[1]):
+            if truth_free[i, j]:
+                r, k = int(np.floor(row + s * j)), int(np.floor(column + c * j))
+                if 0 <= r < rows and 0 <= k < columns and log_odds[r, k] < free_below:
+                    count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _count_true_walls_met(log_odds, row0, column0, step, truth_free, truth_wall, wall_above):
+    """(met, all) of the true wall cells that border free cells; met: a wall of the map at most one cell away."""
+    rows, columns = log_odds.shape
+    height, width = truth_wall.shape
+    c, s = step[0], step[1]
+    met, count = 0, 0
+    for i in range(height):
+        for j in range(width):
+            if not truth_wall[i, j]:
+                continue
+            borders = False
+            for a in range(max(i - 1, 0), min(i + 2, height)):
+                for b in range(max(j - 1, 0), min(j + 2, width)):
+                    borders = borders or truth_free[a, b]
+            if not borders:
+                continue
+            count += 1
+            r, k = int(np.floor(row0 + c * i + s * j)), int(np.floor(column0 - s * i + c * j))
+            found = False
+            for a in range(max(r - 1, 0), min(r + 2, rows)):
+                for b in range(max(k - 1, 0), min(k + 2, columns)):
+                    found = found or log_odds[a, b] > wall_above
+            met += found
+    return met, count
+
+
+@njit(cache=True, error_model="numpy")
+def _count_map_walls_met(log_odds, row0, column0, step, truth_wall, wall_above):
+    """(met, all) of the map's wall cells; met: a true wall at most one cell away."""
+    height, width = truth_wall.shape
+    c, s = step[0], step[1]
+    met, count = 0, 0
+    for i in range(log_odds.shape[0]):
+        for j in range(log_odds.shape[1]):
+            if log_odds[i, j] <= wall_above:
+                continue
+            count += 1
+            r, k = int(np.floor(row0 + c * i + s * j)), int(np.floor(column0 - s * i + c * j))
+            found = False
+            for a in range(max(r - 1, 0), min(r + 2, height)):
+                for b in range(max(k - 1, 0), min(k + 2, width)):
+                    found = found or truth_wall[a, b]
+            met += found
+    return met, count

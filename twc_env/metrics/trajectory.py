@@ -1,0 +1,79 @@
+"""How far an estimated path is from the true one, and how a robot moved."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.errors import DataError
+from twc_env.geometry import align_rigidly, between, transform_points
+
+Array = NDArray
+
+
+def align_team(estimated: Array, true: Array) -> Array:
+    """The pose (3,) that moves estimated positions onto true ones with least squared error.
+
+    Both (..., 2) or (..., 3), of equal leading shape: all robots and steps count alike, so one rigid motion is found
+    for the team as a whole. Raises DataError for unequal shapes or no positions.
+    """
+    return align_rigidly(*_position_pairs(estimated, true))
+
+
+def absolute_trajectory_error_m(estimated: Array, true: Array, alignment: Array | None = None) -> float:
+    """Root mean square distance between estimated and true positions after one rigid alignment (ATE).
+
+    Shapes as in `align_team`. `alignment` (3,) moves the estimate onto the truth; without it the best one is taken.
+    """
+    estimated_m, true_m = _position_pairs(estimated, true)
+    if alignment is None:
+        alignment = align_rigidly(estimated_m, true_m)
+    error_m = transform_points(alignment, estimated_m) - true_m
+    return float(np.sqrt(np.mean(np.sum(error_m**2, axis=1))))
+
+
+def end_point_error_m(estimated: Array, true: Array) -> float:
+    """Distance between the estimated and the true last position, both seen from the first pose (EPE, SPEC T18).
+
+    Both (t, 3). Where a path truly ends where it began this is the start-to-end gap that the paper prints.
+    """
+    estimated, true = np.asarray(estimated, float), np.asarray(true, float)
+    if estimated.shape != true.shape or estimated.ndim != 2 or len(true) == 0 or true.shape[1] != 3:
+        raise DataError(f"need two paths of equal shape (steps, 3); got {estimated.shape} and {true.shape}")
+    end_estimated, end_true = between(estimated[0], estimated[-1]), between(true[0], true[-1])
+    return float(np.hypot(*(end_estimated - end_true)[:2]))
+
+
+def path_length_m(poses: Array) -> float:
+    """Length of the path through (t, 2) or (t, 3) poses."""
+    steps_m = np.diff(np.asarray(poses, float)[:, :2], axis=0)
+    return float(np.sum(np.hypot(steps_m[:, 0], steps_m[:, 1])))
+
+
+def stuck_share(true_poses: Array, window: int, radius_m: float) -> float:
+    """Share of the episode in which a robot got nowhere, of the robot for which it is largest.
+
+    true_poses (t, n, 2 or 3). A step counts when it lies in some stretch of `window` steps during which the robot never
+    was `radius_m` or more away from where it stood at the end of the stretch.
+    """
+    positions_m = np.asarray(true_poses, float)[..., :2]  # (t, n, 2)
+    count = len(positions_m) - window
+    if window < 1 or count < 1:
+        return 0.0
+    reach_m = np.zeros((count, positions_m.shape[1]))
+    for back in range(1, window + 1):
+        offset_m = positions_m[window:] - positions_m[window - back : len(positions_m) - back]
+        np.maximum(reach_m, np.hypot(offset_m[..., 0], offset_m[..., 1]), out=reach_m)
+    starts_stuck = reach_m < radius_m  # (count, n): the stretch that begins at this step
+    change = np.zeros((len(positions_m) + 1, positions_m.shape[1]), int)
+    change[:count] += starts_stuck
+    change[window + 1 : window + 1 + count] -= starts_stuck
+    is_stuck = np.cumsum(change, axis=0)[:-1] > 0  # (t, n)
+    return float(is_stuck.mean(axis=0).max())
+
+
+def _position_pairs(estimated: Array, true: Array) -> tuple[Array, Array]:
+    estimated, true = np.asarray(estimated, float), np.asarray(true, float)
+    if estimated.shape[:-1] != true.shape[:-1] or true.size == 0:
+        raise DataError(f"need as many estimated as true poses, at least one; got {estimated.shape} and {true.shape}")
+    return estimated[..., :2].reshape(-1, 2), true[..., :2].reshape(-1, 2)

@@ -1,0 +1,1 @@
+"""The cooperative SLAM engine: sensor frames in, estimates out. It never sees ground truth."""

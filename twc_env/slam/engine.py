@@ -1,0 +1,66 @@
+"""The whole cooperative SLAM engine: sensor frames in, beliefs out. It needs no world: recorded frames will do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import compose
+from twc_env.messages import Belief, Keyframe, SensorFrame
+from twc_env.slam.robot import RobotFrontEnd
+from twc_env.slam.team import TeamMapper
+
+Array = NDArray
+
+
+class CooperativeSlam:
+    """One front end per robot and the team's mapper.
+
+    `track` runs the front ends and gives the keyframes to send; `absorb` takes in those that arrived. `update` does
+    both where nothing lies between.
+    """
+
+    def __init__(self, config: EnvConfig, robot_count: int):
+        self.robots = [RobotFrontEnd(robot, config) for robot in range(robot_count)]
+        self.team = TeamMapper(config, robot_count)
+        self._frames: list[SensorFrame | None] = [None] * robot_count
+
+    def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
+        """Run the front end of each frame's robot; the keyframes that came of it, in order."""
+        keyframes = []
+        for frame in frames:
+            self._frames[frame.robot] = frame
+            keyframe = self.robots[frame.robot].update(frame)
+            if keyframe is not None:
+                keyframes.append(keyframe)
+        return keyframes
+
+    def absorb(self, step: int, keyframes: list[Keyframe]) -> None:
+        """Take the keyframes that reached the mapper into the team's map."""
+        self.team.update(step, keyframes)
+
+    def update(self, frames: Sequence[SensorFrame]) -> None:
+        """`track` and `absorb` at once, for logs and perfect links."""
+        self.absorb(frames[0].step, self.track(frames))
+
+    def pose_map_robot(self, robot: int) -> Array:
+        """(3,) present estimate of a robot in its group's map frame."""
+        return compose(self.team.pose_map_odom(robot), self.robots[robot].pose_odom)
+
+    def belief(self, robot: int) -> Belief:
+        """What this robot knows now."""
+        team, frame = self.team, self._frames[robot]
+        group = team.group_index(robot)
+        return Belief(
+            robot=robot,
+            step=frame.step if frame is not None else 0,
+            pose_map_robot=self.pose_map_robot(robot),
+            grid=team.grid_of(group),
+            mates={mate: self.pose_map_robot(mate) for mate in team.groups[group].robots if mate != robot},
+            signs=team.signs_of(group),
+            ranges_m=frame.ranges_m if frame is not None else np.zeros(0),
+            map_version=team.groups[group].version,
+        )

@@ -1,0 +1,129 @@
+"""Accept or refuse a loop candidate by laying its scans on each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.config import OdometryFilterConfig, VerificationConfig
+from twc_env.geometry import between, transform_points
+from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
+from twc_env.slam.scan_matching import LineField, scan_points
+
+Array = NDArray
+
+FIELD_CELL_M = 0.1
+NEAR_WALL_M = 0.15
+STEP_M, STEP_RAD = 0.15, 0.05
+"""Grid of the correlative search; the refinement reaches further than one step."""
+SPACING_M = 0.9
+"""Of neighbouring keyframes, every one this far along the path joins the target's walls."""
+SEEN_THROUGH_M = 0.35
+"""A point this far in front of a beam's end was seen through."""
+PRIOR_STD = {"twc": (0.2, 0.2, 0.1), "proximity": (2.0, 2.0, 0.5)}
+"""What the candidate's guess itself is worth [m, m, rad]: a shared sign fixes a corridor's axis, nearness does not."""
+MATCH_STD_MIN = np.array([0.03, 0.03, 0.01])
+
+
+@njit(cache=True, error_model="numpy")
+def _share_seen_through(points, pose, ranges, range_max, margin):
+    """Share of the points, seen from pose in the frame of another scan, that lie well inside that scan's free space."""
+    beams = ranges.shape[0]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    through = compared = 0
+    for i in range(points.shape[0]):
+        x = pose[0] + c * points[i, 0] - s * points[i, 1]
+        y = pose[1] + s * points[i, 0] + c * points[i, 1]
+        r = math.sqrt(x * x + y * y)
+        if r >= range_max:
+            continue
+        bearing = math.atan2(y, x) * beams / (2 * math.pi)
+        low = int(math.floor(bearing)) % beams
+        free = min(ranges[low], ranges[(low + 1) % beams])
+        compared += 1
+        if r < free - margin:
+            through += 1
+    return through / max(compared, 1)
+
+
+class LoopVerifier:
+    """Scan matching between two keyframes, each with its neighbours along the path."""
+
+    def __init__(self, config: VerificationConfig, noise: OdometryFilterConfig, range_max_m: float):
+        self._config = config
+        self._noise = noise
+        self._range_max_m = range_max_m
+        size_m = 2 * (range_max_m + config.cloud_reach_m + 1.0)
+        self._field = LineField(np.zeros(2), size_m, FIELD_CELL_M, range_max_m)
+
+    def verify(
+        self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
+    ) -> LoopClosure:
+        """Match the source to the target's walls; the paths are all keyframes of the two robots.
+
+        Gives a closure with status "accepted" or "rejected" (and the reason); the back end may still refuse it.
+        """
+        target, source = target_path[candidate.target[1]], source_path[candidate.source[1]]
+        self._draw_target(target, target_path)
+        points = self._source_points(source, source_path)
+        rule = self._config
+        coarse, _ = self._field.correlate(
+            points, candidate.guess, (rule.window_m, rule.window_rad), (STEP_M, STEP_RAD), stride=4
+        )
+        match = self._field.refine(points, coarse, 0.4, 20, 0.04)
+        overlap = self._field.share_near(points, match.pose, NEAR_WALL_M)
+        contradiction = self._contradiction(target, source, match.pose)
+        reason = ""
+        if overlap < rule.overlap_min:
+            reason = f"overlap {overlap:.2f} < {rule.overlap_min:g}"
+        elif contradiction > rule.contradiction_max:
+            reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
+        prior = np.diag(1.0 / np.square(PRIOR_STD[candidate.recogniser]))
+        information = match.information(self._noise.match_std_m, self._noise.match_correlation) + prior
+        covariance = np.linalg.inv(information) + np.diag(MATCH_STD_MIN**2)
+        status = "rejected" if reason else "accepted"
+        return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
+
+    def _draw_target(self, target: Keyframe, path: Sequence[Keyframe]) -> None:
+        near = _neighbours(target, path, self._config.cloud_reach_m)
+        poses = between(target.pose_odom, np.array([k.pose_odom for k in near]))
+        self._field.reset(np.zeros(2))
+        self._field.add(poses, np.array([k.ranges_m for k in near]))
+
+    def _source_points(self, source: Keyframe, path: Sequence[Keyframe]) -> Array:
+        near = _neighbours(source, path, min(self._config.cloud_reach_m, SPACING_M))
+        clouds = [
+            transform_points(between(source.pose_odom, k.pose_odom), scan_points(k.ranges_m, self._range_max_m))
+            for k in near
+        ]
+        return np.ascontiguousarray(np.concatenate(clouds))
+
+    def _contradiction(self, target: Keyframe, source: Keyframe, pose_target_source: Array) -> float:
+        """The larger share of one scan's points that the other scan saw through."""
+        pairs = (
+            (source, pose_target_source, target),
+            (target, between(pose_target_source, np.zeros(3)), source),
+        )
+        return max(
+            _share_seen_through(
+                scan_points(seen.ranges_m, self._range_max_m), pose, other.ranges_m, self._range_max_m, SEEN_THROUGH_M
+            )
+            for seen, pose, other in pairs
+        )
+
+
+def _neighbours(keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float) -> list[Keyframe]:
+    """The keyframe first, then others of its robot within reach_m of path, about SPACING_M apart."""
+    chosen = [keyframe]
+    for direction in (-1, 1):
+        last, i = keyframe.travel_m, keyframe.index + direction
+        while 0 <= i < len(path) and abs(path[i].travel_m - keyframe.travel_m) <= reach_m:
+            if abs(path[i].travel_m - last) >= SPACING_M:
+                chosen.append(path[i])
+                last = path[i].travel_m
+            i += direction
+    return chosen

@@ -1,0 +1,157 @@
+"""Fold scans into log-odds cells.
+
+Free space is the visible polygon, filled row by row so that each cell is visited once per scan; the cells that returned
+a beam are then raised. A cell is free below 0, wall above 0, unknown at 0.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.messages import GridMap
+
+Array = NDArray
+
+LOG_ODDS_FREE = -4
+LOG_ODDS_HIT = 10
+LOG_ODDS_MIN = -60
+LOG_ODDS_MAX = 80
+FREE_MARGIN_CELLS = 0.5
+"""Free space ends this far before the measured wall."""
+
+
+def beam_directions(beam_count: int) -> tuple[Array, Array]:
+    """(beams,) cosine and sine of each beam's angle in the robot frame."""
+    angles = np.arange(beam_count) * (2 * np.pi / beam_count)
+    return np.cos(angles), np.sin(angles)
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_crossings(px, py, qx, qy, row_low, row_high, crossings, counts):
+    """Note where the polygon edge p-q crosses the centre line of each row, sorted by column."""
+    low, high = (py, qy) if qy > py else (qy, py)
+    first = max(int(math.ceil(low)), row_low)
+    last = min(int(math.ceil(high)) - 1, row_high)
+    if last < first:
+        return
+    slope = (qx - px) / (qy - py)
+    for row in range(first, last + 1):
+        column = int(math.ceil(px + (row - py) * slope))
+        n = counts[row - row_low]
+        if n >= crossings.shape[1]:
+            continue
+        k = n
+        while k > 0 and crossings[row - row_low, k - 1] > column:
+            crossings[row - row_low, k] = crossings[row - row_low, k - 1]
+            k -= 1
+        crossings[row - row_low, k] = column
+        counts[row - row_low] = n + 1
+
+
+@njit(cache=True, error_model="numpy")
+def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, x, y, heading, ranges, range_max, crossings, counts):
+    height, width = log_odds.shape
+    beams = ranges.shape[0]
+    step = 2 * math.pi / beams
+    gx, gy = (x - origin_x) * inverse_m - 0.5, (y - origin_y) * inverse_m - 0.5
+    reach = 0.0
+    for i in range(beams):
+        reach = max(reach, min(ranges[i], range_max))
+    reach *= inverse_m
+    row_low = max(0, int(gy - reach) - 1)
+    row_high = min(height - 1, int(gy + reach) + 2)
+    for row in range(row_low, row_high + 1):
+        counts[row - row_low] = 0
+    previous_x = previous_y = 0.0
+    for i in range(-1, beams):
+        angle = heading + i * step
+        r = max(min(ranges[i], range_max) * inverse_m - 0.5, 0.0)
+        qx, qy = gx + r * math.cos(angle), gy + r * math.sin(angle)
+        if i >= 0:
+            _fill_crossings(previous_x, previous_y, qx, qy, row_low, row_high, crossings, counts)
+        previous_x, previous_y = qx, qy
+    for row in range(row_low, row_high + 1):
+        pairs = counts[row - row_low] // 2
+        for p in range(pairs):
+            first = max(0, crossings[row - row_low, 2 * p])
+            last = min(width, crossings[row - row_low, 2 * p + 1])
+            for column in range(first, last):
+                log_odds[row, column] = max(log_odds[row, column] + LOG_ODDS_FREE, LOG_ODDS_MIN)
+    last_row = last_column = -1
+    for i in range(beams):
+        if ranges[i] >= range_max:
+            continue
+        angle = heading + i * step
+        column = int(math.floor((x + ranges[i] * math.cos(angle) - origin_x) * inverse_m))
+        row = int(math.floor((y + ranges[i] * math.sin(angle) - origin_y) * inverse_m))
+        if row < 0 or column < 0 or row >= height or column >= width or (row == last_row and column == last_column):
+            continue
+        last_row, last_column = row, column
+        log_odds[row, column] = min(log_odds[row, column] + LOG_ODDS_HIT, LOG_ODDS_MAX)
+
+
+@njit(cache=True, error_model="numpy")
+def _integrate_many(log_odds, origin_x, origin_y, inverse_m, poses, scans, range_max, crossings, counts):
+    for k in range(poses.shape[0]):
+        _integrate_scan(
+            log_odds, origin_x, origin_y, inverse_m, poses[k, 0], poses[k, 1], poses[k, 2], scans[k], range_max,
+            crossings, counts,
+        )  # fmt: skip
+
+
+class OccupancyGrid:
+    """Log-odds cells that grow with what is seen."""
+
+    PADDING_M = 6.0
+
+    def __init__(self, resolution_m: float, range_max_m: float, beam_count: int):
+        self.resolution_m = resolution_m
+        self.range_max_m = range_max_m
+        self._crossings = np.zeros((1, beam_count + 2), np.int32)
+        self._counts = np.zeros(1, np.int32)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.log_odds = np.zeros((0, 0), np.int16)
+        self.origin_m = np.zeros(2)
+
+    def integrate(self, poses: Array, scans: Array) -> None:
+        """Fold in scans (k, beams) [m] taken at poses (k, 3)."""
+        if len(poses) == 0:
+            return
+        reach = np.minimum(np.max(scans, axis=1, keepdims=True), self.range_max_m)
+        self._cover((poses[:, :2] - reach).min(axis=0), (poses[:, :2] + reach).max(axis=0))
+        _integrate_many(
+            self.log_odds, self.origin_m[0], self.origin_m[1], 1.0 / self.resolution_m, poses, scans, self.range_max_m,
+            self._crossings, self._counts,
+        )  # fmt: skip
+
+    def snapshot(self) -> GridMap:
+        """A read-only view of the cells as they are now; valid until the next `integrate`."""
+        return GridMap(self.log_odds, self.origin_m, self.resolution_m)
+
+    def _cover(self, low_m: Array, high_m: Array) -> None:
+        """Make the grid hold the box low_m..high_m."""
+        rows, columns = self.log_odds.shape
+        top = self.origin_m + np.array([columns, rows]) * self.resolution_m
+        if rows and np.all(low_m >= self.origin_m) and np.all(high_m <= top):
+            return
+        old_low, old_high = (self.origin_m, top) if rows else (low_m, high_m)
+        first = np.floor((np.minimum(low_m - self.PADDING_M, old_low)) / self.resolution_m)
+        last = np.ceil((np.maximum(high_m + self.PADDING_M, old_high)) / self.resolution_m)
+        if rows:  # grow only on the sides that need it
+            first = np.where(low_m < old_low, first, np.round(old_low / self.resolution_m))
+            last = np.where(high_m > old_high, last, np.round(old_high / self.resolution_m))
+        shape = (last - first).astype(int)[::-1]
+        grown = np.zeros(shape, np.int16)
+        if rows:
+            c, r = np.round(self.origin_m / self.resolution_m - first).astype(int)
+            grown[r : r + rows, c : c + columns] = self.log_odds
+        self.log_odds, self.origin_m = grown, first * self.resolution_m
+        self._crossings = np.zeros((shape[0] + 4, self._crossings.shape[1]), np.int32)
+        self._counts = np.zeros(shape[0] + 4, np.int32)

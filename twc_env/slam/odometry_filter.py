@@ -1,0 +1,182 @@
+"""Fuse odometry, gyro and scan matching: an extended Kalman filter over (x, y, heading, gyro bias).
+
+The same equations stand here twice: `CompiledFilter`, used in the hot path, and `FilterpyFilter` on filterpy's
+ExtendedKalmanFilter, which is the oracle it is tested against and an option of the log tools.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.config import OdometryFilterConfig
+from twc_env.geometry import wrap_angle
+
+Array = NDArray
+
+
+@njit(cache=True, error_model="numpy")
+def _motion_noise(dx, dy, config, out):
+    """Variances (along x, along y, heading) of one step's motion."""
+    length = math.sqrt(dx * dx + dy * dy)
+    out[0] = config[1] ** 2 + config[0] ** 2 * length
+    out[1] = out[0]
+    out[2] = config[2] ** 2
+
+
+@njit(cache=True, error_model="numpy")
+def _predict(x, p, odometry, turn_rate, dt, config):
+    """Move by odometry with the gyro's heading; then learn the gyro's bias from the odometry's turn.
+
+    x (4,) and p (4, 4) are changed in place. config: position_std_per_m, position_std_m, turn_std_rad,
+    odometry_turn_std_rad, gyro_bias_walk_rad_s.
+    """
+    turn = (turn_rate - x[3]) * dt
+    middle = x[2] + 0.5 * turn
+    c, s = math.cos(middle), math.sin(middle)
+    dx, dy = odometry[0], odometry[1]
+    mx, my = c * dx - s * dy, s * dx + c * dy
+    x[0] += mx
+    x[1] += my
+    x[2] += turn
+    noise = np.empty(3)
+    _motion_noise(dx, dy, config, noise)
+    # P <- F P F^T with F = I + rows 0-2: d/d heading and d/d bias
+    f02, f12, f03, f13, f23 = -my, mx, 0.5 * my * dt, -0.5 * mx * dt, -dt
+    for j in range(4):
+        p[0, j] += f02 * p[2, j] + f03 * p[3, j]
+        p[1, j] += f12 * p[2, j] + f13 * p[3, j]
+        p[2, j] += f23 * p[3, j]
+    for i in range(4):
+        p[i, 0] += f02 * p[i, 2] + f03 * p[i, 3]
+        p[i, 1] += f12 * p[i, 2] + f13 * p[i, 3]
+        p[i, 2] += f23 * p[i, 3]
+    p[0, 0] += noise[0]
+    p[1, 1] += noise[1]
+    p[2, 2] += noise[2]
+    p[3, 3] += config[4] ** 2 * dt
+    # z = odometry turn - gyro turn = -bias dt + noise
+    residual = odometry[2] - turn_rate * dt + x[3] * dt
+    variance = p[3, 3] * dt * dt + config[3] ** 2 + config[2] ** 2
+    gain = np.empty(4)
+    for i in range(4):
+        gain[i] = -p[i, 3] * dt / variance
+    row = p[3].copy()
+    for i in range(4):
+        x[i] += gain[i] * residual
+        for j in range(4):
+            p[i, j] += gain[i] * dt * row[j]
+
+
+@njit(cache=True, error_model="numpy")
+def _update_pose(x, p, innovation, covariance):
+    """Linear update with a measured pose; innovation (3,) = measured - x[:3], heading wrapped."""
+    s = p[:3, :3] + covariance
+    gain = np.linalg.solve(s, p[:3, :].copy()).T
+    x += gain @ innovation
+    p -= gain @ p[:3, :].copy()
+    for i in range(4):
+        for j in range(i):
+            mean = 0.5 * (p[i, j] + p[j, i])
+            p[i, j] = mean
+            p[j, i] = mean
+
+
+def _process_values(config: OdometryFilterConfig) -> Array:
+    return np.array(
+        [
+            config.position_std_per_m,
+            config.position_std_m,
+            config.turn_std_rad,
+            config.odometry_turn_std_rad,
+            config.gyro_bias_walk_rad_s,
+        ]
+    )
+
+
+class CompiledFilter:
+    """The filter of the hot path."""
+
+    def __init__(self, config: OdometryFilterConfig):
+        self._values = _process_values(config)
+        self.state = np.zeros(4)
+        """(x [m], y [m], heading [rad], gyro bias [rad/s]) in the odom frame; the heading is not wrapped."""
+        self.covariance = np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2])
+
+    def predict(self, odometry: Array, turn_rate_rad_s: float, dt_s: float) -> None:
+        """Move by one frame's odometry (3,) and gyro."""
+        _predict(self.state, self.covariance, odometry, turn_rate_rad_s, dt_s, self._values)
+
+    def update(self, pose: Array, covariance: Array) -> None:
+        """Correct with a pose (3,) measured by scan matching and its covariance (3, 3)."""
+        innovation = pose - self.state[:3]
+        innovation[2] = (innovation[2] + math.pi) % (2 * math.pi) - math.pi
+        _update_pose(self.state, self.covariance, innovation, covariance)
+
+
+class FilterpyFilter:
+    """The same filter on filterpy."""
+
+    def __init__(self, config: OdometryFilterConfig):
+        from filterpy.kalman import ExtendedKalmanFilter
+
+        self._config = config
+        self._values = _process_values(config)
+        self._ekf = ExtendedKalmanFilter(dim_x=4, dim_z=3)
+        self._ekf.x = np.zeros(4)
+        self._ekf.P = np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2])
+
+    @property
+    def state(self) -> Array:
+        """(x [m], y [m], heading [rad], gyro bias [rad/s]) in the odom frame."""
+        return self._ekf.x
+
+    @property
+    def covariance(self) -> Array:
+        """(4, 4)."""
+        return self._ekf.P
+
+    def predict(self, odometry: Array, turn_rate_rad_s: float, dt_s: float) -> None:
+        """Move by one frame's odometry (3,) and gyro."""
+        ekf, (dx, dy, turn_odometry) = self._ekf, odometry
+        turn = (turn_rate_rad_s - ekf.x[3]) * dt_s
+        c, s = math.cos(ekf.x[2] + 0.5 * turn), math.sin(ekf.x[2] + 0.5 * turn)
+        mx, my = c * dx - s * dy, s * dx + c * dy
+        noise = np.empty(3)
+        _motion_noise(dx, dy, self._values, noise)
+        ekf.F = np.eye(4)
+        ekf.F[:3, 2:] += np.array([[-my, 0.5 * my * dt_s], [mx, -0.5 * mx * dt_s], [0.0, -dt_s]])
+        ekf.Q = np.diag([*noise, self._config.gyro_bias_walk_rad_s**2 * dt_s])
+        moved = ekf.x + np.array([mx, my, turn, 0.0])
+        ekf.predict()
+        ekf.x = moved  # filterpy's predict is linear; the motion is not
+        ekf.update(
+            np.array([turn_odometry - turn_rate_rad_s * dt_s]),
+            HJacobian=lambda _x: np.array([[0.0, 0.0, 0.0, -dt_s]]),
+            Hx=lambda x: np.array([-x[3] * dt_s]),
+            R=np.array([[self._config.odometry_turn_std_rad**2 + self._config.turn_std_rad**2]]),
+        )
+
+    def update(self, pose: Array, covariance: Array) -> None:
+        """Correct with a pose (3,) measured by scan matching and its covariance (3, 3)."""
+
+        def residual(a, b):
+            d = a - b
+            d[2] = wrap_angle(d[2])
+            return d
+
+        self._ekf.update(
+            np.asarray(pose),
+            HJacobian=lambda _x: np.eye(3, 4),
+            Hx=lambda x: x[:3],
+            R=covariance,
+            residual=residual,
+        )
+
+
+def make_filter(config: OdometryFilterConfig) -> CompiledFilter | FilterpyFilter:
+    """The filter that `config.backend` names."""
+    return {"compiled": CompiledFilter, "filterpy": FilterpyFilter}[config.backend](config)

@@ -1,0 +1,156 @@
+"""One robot's front end: sensor frames in, a smooth pose estimate and keyframes out."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import between, compose, inverse, wrap_angle
+from twc_env.messages import Keyframe, SensorFrame, SignObservation
+from twc_env.slam.odometry_filter import make_filter
+from twc_env.slam.radio_fingerprint import fingerprint
+from twc_env.slam.scan_matching import LineField, scan_points
+
+Array = NDArray
+
+INNOVATION_MAX_M = 0.4
+INNOVATION_MAX_RAD = 0.25
+"""A match that jumps further than this from the prediction is not believed."""
+MATCHED_SHARE_MIN = 0.3
+"""Nor is one that explains fewer of the beams."""
+MOTION_STD_MIN = np.array([0.01, 0.01, 0.003])
+"""Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""
+
+
+class RobotFrontEnd:
+    """Odometry, gyro and scan matching against a local map, in the robot's own odom frame (it starts at 0, 0, 0)."""
+
+    def __init__(self, robot: int, config: EnvConfig):
+        self.robot = robot
+        self._config = config.slam
+        self._range_max_m = config.lidar.range_max_m
+        self._filter = make_filter(config.slam.odometry_filter)
+        local = config.slam.local_map
+        self._field = LineField(np.zeros(2), local.size_m, local.resolution_m, self._range_max_m)
+        self._recentre_m = max(0.5 * local.size_m - self._range_max_m - 1.0, 1.0)
+        self._centre_m = np.zeros(2)
+        self._keyframes: list[Keyframe] = []
+        self._scans: deque = deque(maxlen=config.slam.keyframe.fingerprint_scans_max)
+        self._readings: list[tuple[str, Array, float]] = []
+        self._travel_m = 0.0
+        self._time_s = 0.0
+        self._motion_variance = np.zeros(3)
+        self._match_information = np.zeros((3, 3))
+        self.pose_odom = np.zeros(3)
+        """(3,) the estimate after the latest frame."""
+
+    def update(self, frame: SensorFrame) -> Keyframe | None:
+        """Take in one frame; gives a keyframe when the robot has come to a new place."""
+        self._predict(frame)
+        points = scan_points(frame.ranges_m, self._range_max_m)
+        if self._keyframes:
+            self._match(points)
+        state = self._filter.state
+        self.pose_odom = np.array([state[0], state[1], (state[2] + math.pi) % (2 * math.pi) - math.pi])
+        self._remember_radio_and_signs(frame)
+        if not self._is_new_place():
+            return None
+        keyframe = self._make_keyframe(frame)
+        self._keyframes.append(keyframe)
+        self._extend_local_map(keyframe)
+        return keyframe
+
+    def _predict(self, frame: SensorFrame) -> None:
+        dt_s = frame.time_s - self._time_s
+        self._time_s = frame.time_s
+        if dt_s <= 0.0:
+            return
+        self._filter.predict(frame.odometry, frame.turn_rate_rad_s, dt_s)
+        length = math.hypot(frame.odometry[0], frame.odometry[1])
+        self._travel_m += length
+        noise = self._config.odometry_filter
+        moved = noise.position_std_m**2 + noise.position_std_per_m**2 * length
+        self._motion_variance += (moved, moved, noise.turn_std_rad**2)
+
+    def _match(self, points: Array) -> None:
+        local, noise = self._config.local_map, self._config.odometry_filter
+        self._match_information = np.zeros((3, 3))
+        guess = self._filter.state[:3].copy()
+        match = self._field.refine(
+            points, guess, local.match_distance_max_m, local.match_iterations_max, local.degenerate_share
+        )
+        if match.weight < max(5.0, MATCHED_SHARE_MIN * len(points)):
+            return
+        step = match.pose - guess
+        if math.hypot(step[0], step[1]) > INNOVATION_MAX_M or abs(step[2]) > INNOVATION_MAX_RAD:
+            return
+        information = match.information(noise.match_std_m, noise.match_correlation)
+        self._match_information = information
+        self._filter.update(match.pose, np.linalg.inv(information + 1e-6 * np.eye(3)))
+
+    def _remember_radio_and_signs(self, frame: SensorFrame) -> None:
+        if frame.wifi is not None:
+            self._scans.append((frame.time_s, frame.wifi))
+        for sign in frame.signs:
+            angle = self.pose_odom[2] + sign.bearing_rad
+            position = self.pose_odom[:2] + sign.range_m * np.array([math.cos(angle), math.sin(angle)])
+            facing = self._field.facing_at(position, self.pose_odom[:2])
+            self._readings.append((sign.text, position, facing))
+
+    def _is_new_place(self) -> bool:
+        if not self._keyframes:
+            return True
+        rule, last = self._config.keyframe, self._keyframes[-1].pose_odom
+        moved = math.hypot(self.pose_odom[0] - last[0], self.pose_odom[1] - last[1])
+        return moved >= rule.distance_m or abs(wrap_angle(self.pose_odom[2] - last[2])) >= rule.turn_rad
+
+    def _make_keyframe(self, frame: SensorFrame) -> Keyframe:
+        rule = self._config.keyframe
+        motion, covariance = np.zeros(3), np.zeros((3, 3))
+        if self._keyframes:
+            motion = between(self._keyframes[-1].pose_odom, self.pose_odom)
+            covariance = self._motion_covariance(self._keyframes[-1].pose_odom[2])
+        recent = [scan for time_s, scan in self._scans if time_s > frame.time_s - rule.fingerprint_window_s]
+        robot_odom = inverse(self.pose_odom)
+        signs = tuple(
+            SignObservation(text, compose(robot_odom, [*position, 0.0])[:2], float(wrap_angle(facing + robot_odom[2])))
+            for text, position, facing in self._readings
+        )
+        self._readings = []
+        self._motion_variance = np.zeros(3)
+        return Keyframe(
+            robot=self.robot,
+            index=len(self._keyframes),
+            step=frame.step,
+            time_s=frame.time_s,
+            pose_odom=self.pose_odom.copy(),
+            motion=motion,
+            motion_covariance=covariance,
+            travel_m=self._travel_m,
+            ranges_m=np.asarray(frame.ranges_m, np.float64),
+            signs=signs,
+            fingerprint=fingerprint(recent, rule.fingerprint_detection_min, rule.std_mode),
+        )
+
+    def _motion_covariance(self, heading_rad: float) -> Array:
+        """Odometry's covariance since the last keyframe, sharpened by what the local map fixes."""
+        c, s = math.cos(heading_rad), math.sin(heading_rad)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        matched = turn.T @ (0.5 * self._match_information) @ turn
+        covariance = np.linalg.inv(np.diag(1.0 / np.maximum(self._motion_variance, 1e-9)) + matched)
+        return covariance + np.diag(MOTION_STD_MIN**2)
+
+    def _extend_local_map(self, keyframe: Keyframe) -> None:
+        position = keyframe.pose_odom[:2]
+        if np.hypot(*(position - self._centre_m)) <= self._recentre_m:
+            self._field.add(keyframe.pose_odom[None], keyframe.ranges_m[None])
+            return
+        self._centre_m = position
+        self._field.reset(position)
+        horizon = keyframe.travel_m - self._config.local_map.memory_m
+        recent = [k for k in self._keyframes[-200:] if k.travel_m >= horizon]
+        self._field.add(np.array([k.pose_odom for k in recent]), np.array([k.ranges_m for k in recent]))

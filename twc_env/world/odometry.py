@@ -1,0 +1,105 @@
+"""What wheels, legs or a swaying hand report of the true motion, and what the gyro adds: both drift (SPEC T1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.config import OdometryConfig
+from twc_env.random_streams import random_stream
+from twc_env.world.noise import StepNoise
+
+Array = NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryPreset:
+    """The errors of one platform at drift 1; all are standard deviations over episodes or steps."""
+
+    scale_std: float
+    """Distance read too long or too short, fixed for an episode."""
+    heading_bias_std_rad_per_m: float
+    """Steady curl of the dead-reckoned path, fixed for an episode."""
+    turn_scale_std: float
+    """Turns read too large or too small, fixed for an episode."""
+    position_std_m: float
+    """White noise over one metre; grows with the root of the distance."""
+    heading_std_rad: float
+    """White noise of the heading over one metre; grows with the root of the distance."""
+    turn_std_rad: float
+    """White noise of the heading over a turn of one radian; grows with the root of the turn."""
+    slips_per_m: float
+    """How often a wheel spins or a foot slides."""
+    slip_share: float
+    """Share of that step's motion which is then read too much, at most."""
+    gyro_bias_std_rad_s: float
+    """Constant over an episode."""
+    gyro_std_rad: float
+    """White noise of the heading that the gyro gives over one step."""
+
+
+PRESETS = {
+    "wheeled": OdometryPreset(0.015, 0.0025, 0.01, 0.02, 0.006, 0.01, 0.02, 0.5, 0.004, 0.002),
+    "legged": OdometryPreset(0.025, 0.0035, 0.015, 0.04, 0.010, 0.015, 0.05, 0.5, 0.006, 0.003),
+    "handheld": OdometryPreset(0.035, 0.005, 0.02, 0.06, 0.015, 0.02, 0.0, 0.0, 0.008, 0.004),
+}
+
+
+class Odometry:
+    """The odometers and gyros of all robots for one episode."""
+
+    def __init__(self, config: OdometryConfig, time_step_s: float, robots: int, seed: int):
+        preset, drift = PRESETS[config.platform], config.drift
+        self._time_step_s = time_step_s
+        streams = [random_stream(seed, "odometry", robot) for robot in range(robots)]
+        gyro_streams = [random_stream(seed, "gyro", robot) for robot in range(robots)]
+        slip_streams = [random_stream(seed, "slip", robot) for robot in range(robots)]
+        draws = np.array([stream.standard_normal(3) for stream in streams])
+        gyro = np.array([stream.standard_normal() for stream in gyro_streams])
+        spreads = (preset.scale_std, preset.heading_bias_std_rad_per_m, preset.turn_scale_std)
+        self._biases = drift * np.column_stack([draws * spreads, gyro * preset.gyro_bias_std_rad_s])  # (robots, 4)
+        self._slips_per_m = preset.slips_per_m if drift > 0 else 0.0
+        self._white = np.array(
+            [
+                drift * preset.position_std_m,
+                drift * preset.heading_std_rad,
+                drift * preset.turn_std_rad,
+                drift * preset.slip_share,
+                drift * preset.gyro_std_rad,
+            ]
+        )
+
+        self._noise = StepNoise(streams, 3)
+        self._gyro_noise = StepNoise(gyro_streams, 1)
+        self._slip = StepNoise(slip_streams, 2, "random")
+
+    def measure(self, poses_before: Array, poses: Array) -> tuple[Array, Array]:
+        """True poses (n, 3) at the last frame and now -> odometry (n, 3), gyro turn rate (n,) [rad/s]."""
+        odometry, turn_rates = np.empty((len(poses), 3)), np.empty(len(poses))
+        _measure(
+            poses_before, poses, self._biases, self._white, self._slips_per_m, self._time_step_s,
+            self._noise.next(), self._slip.next(), self._gyro_noise.next(), odometry, turn_rates,
+        )  # fmt: skip
+        return odometry, turn_rates
+
+
+@njit(cache=True, error_model="numpy")
+def _measure(before, now, biases, white, slips_per_m, time_step, normal, slip, gyro_normal, odometry, turn_rates):
+    for i in range(now.shape[0]):
+        c, s = np.cos(before[i, 2]), np.sin(before[i, 2])
+        wx, wy = now[i, 0] - before[i, 0], now[i, 1] - before[i, 1]
+        dx, dy = c * wx + s * wy, -s * wx + c * wy
+        turn = (now[i, 2] - before[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        distance = np.sqrt(dx * dx + dy * dy)
+        stretch = 1.0 + biases[i, 0]
+        if slip[i, 0] < slips_per_m * distance:
+            stretch += white[3] * slip[i, 1]
+        blur = white[0] * np.sqrt(distance)
+        odometry[i, 0] = stretch * dx + blur * normal[i, 0]
+        odometry[i, 1] = stretch * dy + 0.5 * blur * normal[i, 1]
+        spread = np.sqrt(white[1] * white[1] * distance + white[2] * white[2] * abs(turn))
+        odometry[i, 2] = turn * (1.0 + biases[i, 2]) + biases[i, 1] * distance + spread * normal[i, 2]
+        turn_rates[i] = (turn + white[4] * gyro_normal[i, 0]) / time_step + biases[i, 3]

@@ -1,0 +1,126 @@
+"""Walls sorted into square buckets, so that a ray or a line of sight meets only the walls near it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray
+
+_BUCKET_MIN_M, _BUCKET_MAX_M = 0.5, 2.0
+_MARGIN_M = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WallIndex:
+    """Walls and, for each bucket of a grid over the building, the walls that pass through it."""
+
+    walls_m: Array
+    """(walls, 4): x1, y1, x2, y2."""
+    loss_db: Array
+    """(walls,) radio loss of one crossing."""
+    origin_m: Array
+    """(2,) lower left corner of bucket (0, 0)."""
+    bucket_m: float
+    shape: tuple[int, int]
+    """(rows, columns)."""
+    first: Array
+    """(rows * columns + 1,) int32: bucket b holds members[first[b] : first[b + 1]]."""
+    members: Array
+    """(entries,) int32 wall numbers."""
+
+    def crossing(self, point_m: Array, targets_m: Array) -> tuple[Array, Array]:
+        """Walls between one point (2,) and each target (k, 2): (k,) how many, and (k,) their summed loss [dB].
+
+        A line through the joint of two walls that continue each other crosses once.
+        """
+        counts = np.empty(len(targets_m), np.int64)
+        losses = np.empty(len(targets_m))
+        _cross(
+            self.walls_m, self.loss_db, self.origin_m, self.bucket_m, *self.shape, self.first, self.members,
+            point_m[0], point_m[1], targets_m, counts, losses,
+        )  # fmt: skip
+        return counts, losses
+
+
+def index_walls(walls_m: Array, loss_db: Array) -> WallIndex:
+    """Sort walls (w, 2, 2) with their losses (w,) into buckets sized for a few walls each."""
+    flat = np.ascontiguousarray(np.asarray(walls_m, float).reshape(-1, 4))
+    low = np.minimum(flat[:, :2], flat[:, 2:]).min(axis=0) - _MARGIN_M
+    high = np.maximum(flat[:, :2], flat[:, 2:]).max(axis=0) + _MARGIN_M
+    bucket_m = float(np.clip(1.5 * np.sqrt(np.prod(high - low) / len(flat)), _BUCKET_MIN_M, _BUCKET_MAX_M))
+    columns, rows = (np.ceil((high - low) / bucket_m).astype(int) + 1).tolist()
+    first = np.zeros(rows * columns + 1, np.int32)
+    _fill(flat, low, bucket_m, rows, columns, first, np.empty(0, np.int32))
+    counts = first.copy()
+    first[1:] = np.cumsum(counts[:-1])
+    first[0] = 0
+    members = np.empty(int(first[-1]), np.int32)
+    _fill(flat, low, bucket_m, rows, columns, first[:-1].copy(), members)
+    return WallIndex(flat, np.asarray(loss_db, float), low, bucket_m, (rows, columns), first, members)
+
+
+@njit(cache=True, error_model="numpy")
+def _fill(walls, origin, bucket, rows, columns, slots, members):
+    """Visit every (wall, bucket) pair that touches; count into slots, or write members when there is room."""
+    half = 0.5 * bucket + 1e-9
+    for w in range(walls.shape[0]):
+        ax, ay = walls[w, 0] - origin[0], walls[w, 1] - origin[1]
+        bx, by = walls[w, 2] - origin[0], walls[w, 3] - origin[1]
+        c0, c1 = int(min(ax, bx) / bucket - 1e-9), int(max(ax, bx) / bucket + 1e-9)
+        r0, r1 = int(min(ay, by) / bucket - 1e-9), int(max(ay, by) / bucket + 1e-9)
+        ex, ey = bx - ax, by - ay
+        for r in range(max(r0, 0), min(r1, rows - 1) + 1):
+            for c in range(max(c0, 0), min(c1, columns - 1) + 1):
+                # The box is cut by the wall's line unless all its corners lie on one side.
+                side = (c * bucket + half - ax) * ey - (r * bucket + half - ay) * ex
+                if abs(side) > half * (abs(ex) + abs(ey)) + 1e-9:
+                    continue
+                b = r * columns + c
+                if members.shape[0] > 0:
+                    members[slots[b]] = w
+                slots[b] += 1
+
+
+@njit(cache=True, error_model="numpy")
+def _cross(walls, loss, origin, bucket, rows, columns, first, members, px, py, targets, counts, losses):
+    stamp = np.full(walls.shape[0], -1, np.int32)
+    for k in range(targets.shape[0]):
+        qx, qy = targets[k, 0], targets[k, 1]
+        dx, dy = qx - px, qy - py
+        counts[k], losses[k] = 0, 0.0
+        # Walk the buckets from p to q; t is the share of the way.
+        gx, gy = (px - origin[0]) / bucket, (py - origin[1]) / bucket
+        c, r = int(np.floor(gx)), int(np.floor(gy))
+        c_end, r_end = int(np.floor((qx - origin[0]) / bucket)), int(np.floor((qy - origin[1]) / bucket))
+        step_c, step_r = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+        rate_x, rate_y = bucket / max(abs(dx), 1e-12), bucket / max(abs(dy), 1e-12)
+        next_x = (c + 1 - gx if dx > 0 else gx - c) * rate_x
+        next_y = (r + 1 - gy if dy > 0 else gy - r) * rate_y
+        for _ in range(abs(c_end - c) + abs(r_end - r) + 1):
+            if 0 <= c < columns and 0 <= r < rows:
+                b = r * columns + c
+                for m in range(first[b], first[b + 1]):
+                    w = members[m]
+                    if stamp[w] == k:
+                        continue
+                    stamp[w] = k
+                    ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
+                    side_a = dx * (ay - py) - dy * (ax - px)
+                    side_b = dx * (by - py) - dy * (bx - px)
+                    if (side_a >= 0.0) == (side_b >= 0.0):
+                        continue
+                    side_p = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+                    side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
+                    if (side_p >= 0.0) != (side_q >= 0.0):
+                        counts[k] += 1
+                        losses[k] += loss[w]
+            if next_x < next_y:
+                next_x += rate_x
+                c += step_c
+            else:
+                next_y += rate_y
+                r += step_r

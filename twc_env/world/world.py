@@ -1,0 +1,174 @@
+"""The world as one thing: put robots into a building, move them, and give each what its sensors measure."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig, RadioConfig
+from twc_env.errors import ConfigError, MapError
+from twc_env.geometry import compose, inverse
+from twc_env.messages import SensorFrame, SignReading, WifiScan
+from twc_env.random_streams import random_stream
+from twc_env.world.dynamics import Dynamics
+from twc_env.world.floorplan import Floorplan, distance_to_walls
+from twc_env.world.lidar import Lidar
+from twc_env.world.odometry import Odometry
+from twc_env.world.radio import RadioModel, WifiReceiver
+from twc_env.world.signs import SignCamera
+
+Array = NDArray
+
+START_CLEARANCE_M = 0.4
+"""Distance of a drawn start from any wall."""
+START_SPACING_M = 1.5
+"""Distance between drawn starts."""
+START_SPACING_MIN_M = 0.6
+_START_TRIES = 20
+"""Sets of places tried, each with less distance between the robots, before a map counts as too small."""
+
+
+class World:
+    """Ground truth of one episode. Call `step`, then `sense` once: sensing draws the noise of that step."""
+
+    def __init__(self, config: EnvConfig, plan: Floorplan):
+        self.config, self.plan = config, plan
+        self.sighted_signs: tuple[tuple[int, ...], ...] = ()
+        """For each robot the true signs (plan numbers) behind the readings of its last frame; for metrics only."""
+        # All is computed where the building was drawn: moving it changes not even the rounding.
+        self._home = plan.home
+        self._radio = _radio_model(config.radio, self._home)
+        self._wifi_period = _period_steps(config.radio.scan_period_s, config)
+        self._camera_period = _period_steps(config.camera.period_s, config)
+
+    def reset(self, seed: int, starts: str | Array = "random") -> None:
+        """Begin an episode. Starts: "random" (drawn by seed), "map" (the plan's own), or poses (n, 3).
+
+        Raises MapError when the robots do not fit, ConfigError for starts that are no such thing.
+        """
+        config, robots = self.config, self.config.robots
+        start_poses_home = self._start_poses(seed, starts)
+        self.start_poses = self._in_building(start_poses_home)
+        self._dynamics = Dynamics(config.dynamics, self._home.walls_m, start_poses_home)
+        self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
+        radius = config.dynamics.robot_radius_m
+        self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed)
+        self._receivers = [WifiReceiver(config.radio, self._radio, robot, seed) for robot in range(robots)]
+        self._cameras = [SignCamera(config.camera, self._home, robot, seed) for robot in range(robots)]
+        self._sensed_poses = self._dynamics.poses
+        self._step = 0
+        self.sighted_signs = ((),) * robots
+
+    @property
+    def poses(self) -> Array:
+        """(n, 3) true poses in the building frame."""
+        return self._in_building(self._dynamics.poses)
+
+    @property
+    def contacts(self) -> Array:
+        """(n,) whether each robot touched something in the last step."""
+        return self._dynamics.contacts
+
+    def step(self, commands: Array) -> None:
+        """Move all robots for one time step; commands (n, 2) [m/s, rad/s]."""
+        self._dynamics.step(commands)
+        self._step += 1
+
+    def sense(self) -> tuple[SensorFrame, ...]:
+        """One frame per robot: all that leaves the world."""
+        poses = self._dynamics.poses
+        odometry, turn_rates = self._odometry.measure(self._sensed_poses, poses)
+        ranges = self._lidar.scan(poses)
+        time_s = self._step * self.config.dynamics.time_step_s
+        if self._step == 0:
+            odometry, turn_rates = np.zeros_like(odometry), np.zeros_like(turn_rates)
+        frames, sighted = [], []
+        for robot, pose in enumerate(poses):
+            readings, sources = self._read_signs(robot, pose)
+            wifi = self._scan_wifi(robot, pose)
+            turn_rate = float(turn_rates[robot])
+            frames.append(
+                SensorFrame(robot, self._step, time_s, odometry[robot], turn_rate, ranges[robot], wifi, readings)
+            )
+            sighted.append(sources)
+        self._sensed_poses = poses
+        self.sighted_signs = tuple(sighted)
+        return tuple(frames)
+
+    def _scan_wifi(self, robot: int, pose: Array) -> WifiScan | None:
+        is_due = (self._step + robot) % self._wifi_period == 0
+        return self._receivers[robot].scan(pose[:2]) if is_due else None
+
+    def _read_signs(self, robot: int, pose: Array) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
+        is_due = (self._step + robot) % self._camera_period == 0
+        return self._cameras[robot].read(pose) if is_due else ((), ())
+
+    def _in_building(self, poses_home: Array) -> Array:
+        pose = self.plan.pose_building_home
+        return compose(pose, poses_home) if pose.any() else poses_home.copy()
+
+    def _start_poses(self, seed: int, starts: str | Array) -> Array:
+        """(n, 3) in the home frame."""
+        robots, home = self.config.robots, self._home
+        if not isinstance(starts, str):
+            poses = np.array(starts, float)
+            if poses.shape != (robots, 3) or not np.isfinite(poses).all():
+                raise ConfigError(f"starts must be {robots} finite poses (x, y, heading); got shape {poses.shape}")
+            return compose(inverse(self.plan.pose_building_home), poses)
+        if starts == "random":
+            return draw_starts(home, robots, random_stream(seed, "starts"))
+        if starts == "map":
+            if len(home.starts) < robots:
+                raise MapError(
+                    f"map {home.name!r} has {len(home.starts)} starts for {robots} robots; "
+                    "add some, or draw them at random"
+                )
+            return np.array(home.starts[:robots])
+        raise ConfigError(f"starts must be 'random', 'map' or poses; got {starts!r}")
+
+
+def draw_starts(home: Floorplan, robots: int, random: np.random.Generator) -> Array:
+    """(robots, 3) free poses clear of walls and apart from each other.
+
+    Where the building is too small, the distance between robots shrinks step by step, down to 0.6 m.
+    """
+    places = start_places(home)
+    if len(places) == 0:
+        raise MapError(f"map {home.name!r} has no place {START_CLEARANCE_M} m clear of walls to start from")
+    for spacing_m in np.linspace(START_SPACING_M, START_SPACING_MIN_M, _START_TRIES):
+        chosen = _spaced(places[random.permutation(len(places))], robots, spacing_m)
+        if len(chosen) == robots:
+            return np.column_stack([chosen, random.uniform(-math.pi, math.pi, robots)])
+    raise MapError(f"map {home.name!r} has no room for {robots} robots; use fewer")
+
+
+def start_places(home: Floorplan) -> Array:
+    """(k, 2) centres of the free cells that keep the start clearance; computed once per plan."""
+    if "start_places" not in home._cache:
+        cells = home.cells()
+        rows, columns = np.nonzero(cells.free)
+        centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
+        home._cache["start_places"] = centres[distance_to_walls(home, centres) >= START_CLEARANCE_M]
+    return home._cache["start_places"]
+
+
+def _spaced(places: Array, count: int, spacing_m: float) -> Array:
+    chosen: list[Array] = []
+    for place in places:
+        if all(np.hypot(*(place - other)) >= spacing_m for other in chosen):
+            chosen.append(place)
+            if len(chosen) == count:
+                break
+    return np.array(chosen).reshape(-1, 2)
+
+
+def _period_steps(period_s: float, config: EnvConfig) -> int:
+    return max(1, round(period_s / config.dynamics.time_step_s))
+
+
+@lru_cache(maxsize=8)
+def _radio_model(config: RadioConfig, plan: Floorplan) -> RadioModel:
+    return RadioModel(config, plan)
