@@ -197,8 +197,8 @@ class PlaceRecognitionConfig(_Checked):
 class VerificationConfig(_Checked):
     """Scan matching that accepts or refuses a loop candidate."""
 
-    window_m: float = _number(1.0, 0.1, 10.0)
-    window_rad: float = _number(0.35, 0.01, math.pi)
+    window_m: float = _number(0.6, 0.1, 10.0)
+    window_rad: float = _number(0.15, 0.01, math.pi)
     cloud_reach_m: float = _number(3.0, 0.0, 20.0)
     """Keyframes within this path length are joined to the candidate's scan."""
     overlap_min: float = _number(0.65, 0.0, 1.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,9 +15,17 @@ def wrap_angle(angle_rad):
     return (np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi
 
 
+def _wrap(angle_rad: float) -> float:
+    return (angle_rad + math.pi) % (2 * math.pi) - math.pi
+
+
 def compose(pose_a_b: Array, pose_b_c: Array) -> Array:
     """The pose of c in a, from b in a and c in b; (..., 3) each, broadcast."""
     a, b = np.asarray(pose_a_b, float), np.asarray(pose_b_c, float)
+    if a.ndim == 1 and b.ndim == 1:  # one pose: ten times faster without array functions
+        (ax, ay, at), (bx, by, bt) = a.tolist(), b.tolist()
+        c, s = math.cos(at), math.sin(at)
+        return np.array([ax + c * bx - s * by, ay + s * bx + c * by, _wrap(at + bt)])
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
     y = a[..., 1] + s * b[..., 0] + c * b[..., 1]
@@ -25,6 +35,10 @@ def compose(pose_a_b: Array, pose_b_c: Array) -> Array:
 def inverse(pose_a_b: Array) -> Array:
     """The pose of a in b, from b in a; (..., 3)."""
     p = np.asarray(pose_a_b, float)
+    if p.ndim == 1:
+        x, y, t = p.tolist()
+        c, s = math.cos(t), math.sin(t)
+        return np.array([-c * x - s * y, s * x - c * y, _wrap(-t)])
     c, s = np.cos(p[..., 2]), np.sin(p[..., 2])
     return np.stack([-c * p[..., 0] - s * p[..., 1], s * p[..., 0] - c * p[..., 1], wrap_angle(-p[..., 2])], axis=-1)
 

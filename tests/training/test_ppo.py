@@ -20,7 +20,7 @@ needs_torch = pytest.mark.skipif(
 def small_task():
     from training.run_folder import Task
 
-    return Task("twin-01", max_cycles=64, overrides={"lidar.beam_count": 60, "observation.map_cells": 16})
+    return Task("twin-01", max_cycles=64, overrides={"lidar.beam_count": 60, "observation.map_cells": 36})
 
 
 def small_settings():

@@ -208,7 +208,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     def _observe(self, frames: tuple[SensorFrame, ...]) -> dict[str, dict[str, Array]]:
         return {
-            agent: builder.build(frame, self.engine.belief(frame.robot))
+            agent: builder.build(frame, self.engine.belief(frame.robot, with_signs=False))
             for agent, builder, frame in zip(self.agents, self._builders, frames, strict=True)
         }
 

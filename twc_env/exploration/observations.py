@@ -114,20 +114,25 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     """
     height, width = log_odds.shape
     size = out.shape[1]
-    c, s = math.cos(heading), math.sin(heading)
-    for row in range(size):
-        for column in range(size):
-            free = wall = False
-            for a in range(2):
-                v = (row - size // 2 + 0.25 + 0.5 * a) * cell_m
-                for b in range(2):
-                    u = (column - size // 2 + 0.25 + 0.5 * b) * cell_m
-                    k = int(math.floor((x + c * u - s * v) * inverse_m))
-                    r = int(math.floor((y + s * u + c * v) * inverse_m))
-                    if 0 <= r < height and 0 <= k < width:
-                        free = free or log_odds[r, k] < 0
-                        wall = wall or log_odds[r, k] > 0
-            if wall:
-                out[1, row, column] = 255
-            elif free:
-                out[0, row, column] = 255
+    step = 0.5 * cell_m * inverse_m
+    c, s = math.cos(heading) * step, math.sin(heading) * step
+    first = 0.5 - 2 * (size // 2)  # in samples, two to a cell
+    x0 = x * inverse_m + first * (c - s)
+    y0 = y * inverse_m + first * (s + c)
+    for i in range(2 * size):
+        gx, gy = x0 - s * i, y0 + c * i
+        for j in range(2 * size):
+            # adding a whole number makes truncation round down
+            k, r = int(gx + 65536.0) - 65536, int(gy + 65536.0) - 65536
+            gx += c
+            gy += s
+            if 0 <= r < height and 0 <= k < width:
+                level = log_odds[r, k]
+                if level > 0:
+                    out[1, i >> 1, j >> 1] = 255
+                elif level < 0:
+                    out[0, i >> 1, j >> 1] = 255
+    for i in range(size):
+        for j in range(size):
+            if out[1, i, j]:
+                out[0, i, j] = 0

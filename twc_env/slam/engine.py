@@ -50,8 +50,8 @@ class CooperativeSlam:
         """(3,) present estimate of a robot in its group's map frame."""
         return compose(self.team.pose_map_odom(robot), self.robots[robot].pose_odom)
 
-    def belief(self, robot: int) -> Belief:
-        """What this robot knows now."""
+    def belief(self, robot: int, with_signs: bool = True) -> Belief:
+        """What this robot knows now; `with_signs=False` leaves out the team's list of signs, which takes a while."""
         team, frame = self.team, self._frames[robot]
         group = team.group_index(robot)
         return Belief(
@@ -60,7 +60,7 @@ class CooperativeSlam:
             pose_map_robot=self.pose_map_robot(robot),
             grid=team.grid_of(group),
             mates={mate: self.pose_map_robot(mate) for mate in team.groups[group].robots if mate != robot},
-            signs=team.signs_of(group),
+            signs=team.signs_of(group) if with_signs else (),
             ranges_m=frame.ranges_m if frame is not None else np.zeros(0),
             map_version=team.groups[group].version,
         )

@@ -18,8 +18,10 @@ from twc_env.slam.place_recognition import ProposalFilter, TextWifiRecogniser
 
 Array = NDArray
 
-REPEAT_REACH_M = {"twc": 0.75, "proximity": 1.5}
-"""Proposals nearer than this, along both paths, to an earlier one of the same kind are not tried again."""
+REPEAT_REACH_M = 2.0
+"""Proposals nearer than this, along both paths, to an earlier one of the same kind are not tried again ..."""
+REPEAT_REACH_APART_M = 0.75
+"""... while the two robots do not share a map yet, when every closure counts."""
 PROXIMITY_PERIOD_M = 1.5
 """Path length between two searches for near keyframes."""
 DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
@@ -78,7 +80,7 @@ class TeamMapper:
         self._information = _Growing(3, 3)
         self._is_closure = _Growing(dtype=bool)
         self._recogniser = TextWifiRecogniser(config.slam.place_recognition)
-        self._filters = {name: ProposalFilter() for name in REPEAT_REACH_M}
+        self._filters = {name: ProposalFilter() for name in ("twc", "proximity")}
         self._verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar.range_max_m)
         self._waiting: dict[str, deque[LoopCandidate]] = {"twc": deque(), "proximity": deque()}
         self._searched_m = [0.0] * robot_count
@@ -184,7 +186,8 @@ class TeamMapper:
             candidates.append(near)
         for candidate in candidates:
             target = self.keyframes[candidate.target[0]][candidate.target[1]]
-            reach = REPEAT_REACH_M[candidate.recogniser]
+            together = self._group_of[target.robot] == self._group_of[keyframe.robot]
+            reach = REPEAT_REACH_M if together else REPEAT_REACH_APART_M
             if self._filters[candidate.recogniser].is_new(target, keyframe, reach):
                 self._waiting[candidate.recogniser].append(candidate)
 
