@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.follow import Follower, as_action, drive_to
-from agents.planning import Disc, PathFinder, Plan, Terrain, path_is_blocked
+from agents.planning import Disc, PathFinder, Plan, Terrain, is_frontier, path_is_blocked
 from twc_env.config import DynamicsConfig, EnvConfig
 from twc_env.geometry import compose, inverse, transform_points
 from twc_env.messages import Belief
@@ -28,7 +28,9 @@ Array = NDArray
 class ExplorerConfig:
     """How a nearest-frontier team behaves."""
 
-    replan_s: float = 1.5
+    check_s: float = 0.5
+    """Goals and paths are checked against the newest map this often, and replanned when they no longer hold."""
+    replan_s: float = 4.0
     frontier_cells_min: int = 5
     """Smaller frontiers are noise until no other is left."""
     frontier_cells_last: int = 3
@@ -80,7 +82,8 @@ class _Robot:
     stuck_count: int = 0
     track_m: list[Array] = field(default_factory=list)
     track_step: list[int] = field(default_factory=list)
-    recent: list[Array] = field(default_factory=list)
+    anchor: tuple[float, float, int] | None = None
+    """Where (x, y) and at which step it last got on: it is stuck when it has not left this place for long."""
     failures: list[_Failure] = field(default_factory=list)
     obstacles: list[tuple[Array, int]] = field(default_factory=list)
     """Places where it got stuck, with the step until which they are avoided."""
@@ -96,7 +99,7 @@ class _Robot:
         for failure in self.failures:
             failure.place_m = transform_points(pose_new_old, failure.place_m[None])[0]
         self.obstacles.clear()
-        self.recent.clear()
+        self.anchor = None
         self.drop_goal()
 
     def drop_goal(self) -> None:
@@ -146,33 +149,22 @@ class NearestFrontier:
         if robot.pose is not None and belief.map_version != robot.map_version:
             robot.move_frame(compose(pose, inverse(robot.pose)))
         robot.pose, robot.map_version = pose, belief.map_version
-        if not robot.track_m or np.hypot(*(robot.track_m[-1] - pose[:2])) > 0.5:
+        x, y = float(pose[0]), float(pose[1])
+        if not robot.track_m or math.hypot(robot.track_m[-1][0] - x, robot.track_m[-1][1] - y) > 0.5:
             robot.track_m.append(pose[:2].copy())
             robot.track_step.append(belief.step)
-        robot.recent.append(pose[:2].copy())
-        window = max(2, round(self.explorer.stuck_s / self.dynamics.time_step_s))
-        if len(robot.recent) > window:
-            robot.recent.pop(0)
-        if robot.goal_m is None:
-            robot.recent.clear()
+        anchor = robot.anchor
+        if robot.goal_m is None or anchor is None or math.hypot(anchor[0] - x, anchor[1] - y) > self.explorer.stuck_m:
+            robot.anchor = (x, y, belief.step)
+        if robot.goal_m is None or belief.step <= robot.escape_until or self._has_arrived(robot, belief):
             return
-        if belief.step <= robot.escape_until:
-            return
-        if self._has_arrived(robot, belief):
-            return
-        if len(robot.recent) >= window and self._reach_of(robot.recent) < self.explorer.stuck_m:
+        if (belief.step - robot.anchor[2]) * self.dynamics.time_step_s >= self.explorer.stuck_s:
             self._get_unstuck(robot, belief)
-
-    @staticmethod
-    def _reach_of(places: list[Array]) -> float:
-        """How far the last places strayed from the first."""
-        offsets = np.array(places) - places[0]
-        return float(np.sqrt((offsets**2).sum(axis=1).max()))
 
     def _has_arrived(self, robot: _Robot, belief: Belief) -> bool:
         """Handle arrival; a frontier that stays although the robot is there counts as failed."""
         limit = self.explorer.tour_arrival_m if robot.goal_kind == "tour" else self.explorer.arrival_m
-        if math.hypot(*(robot.goal_m - robot.pose[:2])) > limit:
+        if math.hypot(robot.goal_m[0] - robot.pose[0], robot.goal_m[1] - robot.pose[1]) > limit:
             return False
         if robot.goal_kind == "tour":
             robot.stuck_count = 0
@@ -207,7 +199,7 @@ class NearestFrontier:
             offset = robot.goal_m - robot.pose[:2]
             ahead = offset / max(math.hypot(*offset), 1e-6) * 0.5
             robot.obstacles.append((robot.pose[:2] + ahead, step + round(15.0 / self.dynamics.time_step_s)))
-        robot.recent.clear()
+        robot.anchor = None
         if robot.stuck_count >= 2:
             robot.stuck_count = 0
             self._fail_goal(robot, step)
@@ -228,23 +220,23 @@ class NearestFrontier:
     # Plans
 
     def _in_planning_order(self, beliefs: dict[str, Belief]) -> list[str]:
-        """Robots whose plan is due: periodically, after a jump, or when the path is blocked. Those with a goal first."""
-        period = max(1, round(self.explorer.replan_s / self.dynamics.time_step_s))
-        due = []
-        for agent, belief in beliefs.items():
-            robot = self._robots[agent]
-            if belief.step <= robot.escape_until:
-                continue
-            if belief.step % period == 0 or (robot.replan and belief.step % 3 == 0) or robot.pose is None:
-                due.append(agent)
-            elif belief.step % 3 == 1 and self._is_blocked(robot, belief):
-                due.append(agent)
+        """Robots that need a new plan now, those with a goal first."""
+        due = [agent for agent, belief in beliefs.items() if self._needs_plan(self._robots[agent], belief)]
         return sorted(due, key=lambda agent: self._robots[agent].goal_m is None)
 
-    def _is_blocked(self, robot: _Robot, belief: Belief) -> bool:
-        path = robot.follower.path_m
-        if path is None:
+    def _needs_plan(self, robot: _Robot, belief: Belief) -> bool:
+        """Now and then anyway; at once when the plan was dropped, its frontier was mapped or its path is blocked."""
+        step, explorer, tick = belief.step, self.explorer, self.dynamics.time_step_s
+        if step <= robot.escape_until:
             return False
+        if step % max(1, round(explorer.replan_s / tick)) == 0:
+            return True
+        if step % max(1, round(explorer.check_s / tick)) != 0:
+            return robot.replan and step % 2 == 0
+        if robot.goal_m is None or robot.follower.path_m is None:
+            return robot.replan
+        if robot.goal_kind == "frontier" and not is_frontier(belief.grid, robot.goal_m, explorer.arrival_m):
+            return True
         return path_is_blocked(belief.grid, robot.follower.ahead(robot.pose, 3.0), self.dynamics.robot_radius_m)
 
     def _terrain(self, agent: str, beliefs: dict[str, Belief]) -> Terrain:
@@ -380,13 +372,12 @@ class NearestFrontier:
         if not belief.signs:
             return places, np.zeros(len(places))
         signs = np.array([sign.position_m for sign in belief.signs], float)
-        return np.vstack([places, signs]), np.r_[np.zeros(len(places)), np.full(len(signs), self.explorer.tour_sign_bonus_m)]
+        bonus = np.concatenate([np.zeros(len(places)), np.full(len(signs), self.explorer.tour_sign_bonus_m)])
+        return np.vstack([places, signs]), bonus
 
     def _mark(self, labels: Array, terrain: Terrain, place_m: Array, label: int) -> bool:
         """Label the open cells within half a metre of a place (signs hang on walls); False if there are none."""
-        row, column = np.floor(terrain.to_cells(place_m)).astype(int)
-        reach = round(0.5 / terrain.resolution_m)
-        part = (slice(max(row - reach, 0), max(row + reach + 1, 0)), slice(max(column - reach, 0), max(column + reach + 1, 0)))
+        part = terrain.patch(place_m, 0.5)
         open_cells = terrain.cost[part] > 0
         labels[part][open_cells] = label
         return bool(open_cells.any())
@@ -406,7 +397,8 @@ class NearestFrontier:
         """Speed and turn rate for now, as shares of the maxima."""
         if belief.step <= robot.escape_until:
             bearing = robot.escape_bearing
-            speed, turn_rate = drive_to(0.6 * math.cos(bearing), 0.6 * math.sin(bearing), belief.ranges_m, self.dynamics)
+            x, y = 0.6 * math.cos(bearing), 0.6 * math.sin(bearing)
+            speed, turn_rate = drive_to(x, y, belief.ranges_m, self.dynamics)
             robot.escape_bearing = math.remainder(bearing - turn_rate * self.dynamics.time_step_s, 2 * math.pi)
         elif robot.arrived_step >= 0:
             speed, turn_rate = 0.0, 0.6 * self.dynamics.turn_rate_max_rad_s  # look around: a turn makes a new keyframe
@@ -427,7 +419,8 @@ class NearestFrontier:
     def _note_idle(self, beliefs: dict[str, Belief]) -> None:
         """Keep the step since which the whole merged team has had nothing to do."""
         merged = all(len(self._mates(b)) + 1 == len(self._robots) for b in beliefs.values())
-        idle = merged and all(self._robots[agent].goal_m is None and not self._robots[agent].replan for agent in beliefs)
+        robots = [self._robots[agent] for agent in beliefs]
+        idle = merged and all(robot.goal_m is None and not robot.replan for robot in robots)
         if not idle:
             self._idle_since = None
         elif self._idle_since is None:

@@ -49,23 +49,20 @@ class Disc:
 def _known_box(log_odds):
     """Rows and columns (first, last + 1) that hold anything known; all zero when nothing is."""
     height, width = log_odds.shape
-    row_low, row_high, column_low, column_high = height, 0, width, 0
+    in_column = np.zeros(width, np.int16)
+    row_low, row_high = height, 0
     for r in range(height):
         row = log_odds[r]
-        if not row.any():
-            continue
-        row_low, row_high = min(row_low, r), r + 1
-        c = 0
-        while c < column_low and row[c] == 0:
-            c += 1
-        column_low = min(column_low, c)
-        c = width
-        while c > column_high and row[c - 1] == 0:
-            c -= 1
-        column_high = max(column_high, c)
+        seen = np.int16(0)
+        for c in range(width):
+            seen |= row[c]
+            in_column[c] |= row[c]
+        if seen != 0:
+            row_low, row_high = min(row_low, r), r + 1
     if row_high == 0:
         return 0, 0, 0, 0
-    return row_low, row_high, column_low, column_high
+    columns = np.flatnonzero(in_column)
+    return row_low, row_high, columns[0], columns[-1] + 1
 
 
 @njit(cache=True, error_model="numpy")
@@ -93,35 +90,33 @@ def _free_discs(kind, discs):
 
 @njit(cache=True, error_model="numpy")
 def _squared_clearance(kind, reach, across, squared):
-    """Squared distance in cells from each cell to the nearest wall, exact up to `reach`; both outputs (h, w) int16."""
+    """Squared distance in cells from each cell to the nearest wall, exact up to `reach`; both outputs (h, w) float32."""
     height, width = kind.shape
-    far = np.int16(2 * reach * reach)
+    far = np.float32(2 * reach * reach)
+    base = np.empty(width, np.float32)
     for r in range(height):
-        line, source = across[r], kind[r]
+        line, source, has_wall = across[r], kind[r], False
         for c in range(width):
-            line[c] = np.int16(0) if source[c] == WALL else far
-        for d in range(1, reach + 1):
-            d2 = np.int16(d * d)
+            base[c] = np.float32(0.0) if source[c] == WALL else far
+            has_wall |= source[c] == WALL
+            line[c] = base[c]
+        for d in range(1, reach + 1 if has_wall else 0):
+            d2 = np.float32(d * d)
+            low, high = line[: width - d], line[d:]
+            right, left = base[d:], base[: width - d]
             for c in range(width - d):
-                if source[c + d] == WALL and d2 < line[c]:
-                    line[c] = d2
-            for c in range(d, width):
-                if source[c - d] == WALL and d2 < line[c]:
-                    line[c] = d2
+                low[c] = min(low[c], right[c] + d2)
+            for c in range(width - d):
+                high[c] = min(high[c], left[c] + d2)
     for r in range(height):
-        out = squared[r]
+        out, line = squared[r], across[r]
         for c in range(width):
-            out[c] = across[r, c]
+            out[c] = line[c]
         for d in range(1, reach + 1):
-            d2 = np.int16(d * d)
-            if r >= d:
-                above = across[r - d]
-                for c in range(width):
-                    out[c] = min(out[c], np.int16(above[c] + d2))
-            if r + d < height:
-                below = across[r + d]
-                for c in range(width):
-                    out[c] = min(out[c], np.int16(below[c] + d2))
+            d2 = np.float32(d * d)
+            above, below = across[max(r - d, 0)], across[min(r + d, height - 1)]
+            for c in range(width):
+                out[c] = min(out[c], min(above[c], below[c]) + d2)
 
 
 @njit(cache=True, error_model="numpy")
@@ -131,7 +126,7 @@ def _price(kind, squared, price_of_squared, cost):
     top = price_of_squared.shape[0] - 1
     for r in range(height):
         for c in range(width):
-            cost[r, c] = price_of_squared[min(squared[r, c], top)] if kind[r, c] == FREE else 0
+            cost[r, c] = price_of_squared[min(int(squared[r, c]), top)] if kind[r, c] == FREE else 0
 
 
 @njit(cache=True, error_model="numpy")
@@ -230,11 +225,11 @@ def _cheapest_goal(cost, labels, penalty, start, spent, parent, following, prece
     persist between calls: `spent` must be FAR except at opened[:opened_count]. Returns (goal or -1, its path cost,
     cells opened).
     """
-    height, width = cost.shape
+    width = cost.shape[1]
     flat, label_of = cost.reshape(-1), labels.reshape(-1)
     for k in range(opened_count):
         spent[opened[k]] = FAR
-    steps = np.array([1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1], np.int32)
+    steps = np.array([1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1], np.int64)
     head = np.full(BUCKETS, -1, np.int32)
     spent[start], parent[start], following[start], preceding[start] = 0, -1, -1, -1
     head[0], opened[0] = start, start
@@ -257,6 +252,9 @@ def _cheapest_goal(cost, labels, penalty, start, spent, parent, following, prece
             best, best_total = cell, now + penalty[label]
         for k in range(8):
             neighbour = cell + steps[k]
+            old = spent[neighbour]
+            if old <= now + STRAIGHT * OPEN_COST:
+                continue
             factor = flat[neighbour]
             if factor == 0:
                 continue
@@ -266,7 +264,6 @@ def _cheapest_goal(cost, labels, penalty, start, spent, parent, following, prece
                 if flat[down] == 0 or flat[side] == 0:
                     continue
             through = now + (STRAIGHT if k < 4 else DIAGONAL) * factor
-            old = spent[neighbour]
             if through >= old:
                 continue
             if old == FAR:
@@ -306,7 +303,7 @@ def _trace(parent, goal, width):
 
 @njit(cache=True, error_model="numpy")
 def _line_cost(cost, row_a, column_a, row_b, column_b):
-    """Highest cost factor on the straight line between two points (in cells); COST_MAX + 1 if it meets a closed cell."""
+    """Highest cost factor on the straight line between two points (in cells); COST_MAX + 1 if one is closed."""
     height, width = cost.shape
     samples = max(1, int(2.0 * math.hypot(row_b - row_a, column_b - column_a)))
     highest = 0
@@ -350,11 +347,24 @@ def _blocked(log_odds, rows, columns, wall_above, reach):
     limit = reach * reach
     span = int(reach) + 1
     for k in range(rows.shape[0]):
-        row, column = int(math.floor(rows[k])), int(math.floor(columns[k]))
+        row, column = math.floor(rows[k]), math.floor(columns[k])
         for r in range(max(0, row - span), min(height, row + span + 1)):
             for c in range(max(0, column - span), min(width, column + span + 1)):
                 if log_odds[r, c] > wall_above and (r + 0.5 - rows[k]) ** 2 + (c + 0.5 - columns[k]) ** 2 < limit:
                     return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _any_frontier(log_odds, row, column, reach, free_below):
+    """Whether a free cell within `reach` of (row, column) has an unknown neighbour."""
+    height, width = log_odds.shape
+    for r in range(max(1, row - reach), min(height - 1, row + reach + 1)):
+        for c in range(max(1, column - reach), min(width - 1, column + reach + 1)):
+            if log_odds[r, c] < free_below and (
+                log_odds[r - 1, c] == 0 or log_odds[r + 1, c] == 0 or log_odds[r, c - 1] == 0 or log_odds[r, c + 1] == 0
+            ):
+                return True
     return False
 
 
@@ -382,11 +392,11 @@ class Terrain:
             discs = np.column_stack([self.to_cells(robots_m), np.full(len(robots_m), 1.2 * robot_radius_m / cell)])
             _free_discs(self.kind, discs)
         reach = math.ceil(self.COMFORT_M / cell)
-        self.squared = np.empty(shape, np.int16)
-        _squared_clearance(self.kind, reach, np.empty(shape, np.int16), self.squared)
+        squared = np.empty(shape, np.float32)
+        _squared_clearance(self.kind, reach, np.empty(shape, np.float32), squared)
         self.cost = np.empty(shape, np.int16)
         limit = (robot_radius_m + self.MARGIN_M) / cell
-        _price(self.kind, self.squared, _prices(limit, reach), self.cost)
+        _price(self.kind, squared, _prices(limit, reach), self.cost)
         self.labels = np.zeros(shape, np.int32)
         self.clusters = _frontiers(self.kind, self.cost, self.labels, np.empty((self.kind.size // 2 + 1, 2), np.int32))
 
@@ -408,11 +418,16 @@ class Terrain:
         """(..., 2) fractional (row, column) -> (..., 2) points in the map frame."""
         return self.origin_m + np.asarray(cells, float)[..., ::-1] * self.resolution_m
 
+    def patch(self, point_m: Array, reach_m: float) -> tuple[slice, slice]:
+        """The rows and columns within `reach_m` (a square) of a point."""
+        reach = round(reach_m / self.resolution_m)
+        row, column = (math.floor(v) for v in self.to_cells(point_m))
+        rows = slice(max(row - reach, 0), max(row + reach + 1, 0))
+        return rows, slice(max(column - reach, 0), max(column + reach + 1, 0))
+
     def label_near(self, point_m: Array, reach_m: float) -> int:
         """The frontier that has a cell within `reach_m` (a square) of a point; 0 if none."""
-        row, column = np.floor(self.to_cells(point_m)).astype(int)
-        reach = round(reach_m / self.resolution_m)
-        patch = self.labels[max(row - reach, 0) : max(row + reach + 1, 0), max(column - reach, 0) : max(column + reach + 1, 0)]
+        patch = self.labels[self.patch(point_m, reach_m)]
         found = patch[patch > 0]
         return int(np.bincount(found).argmax()) if len(found) else 0
 
@@ -497,6 +512,12 @@ def path_is_blocked(grid: GridMap, points_m: Array, robot_radius_m: float) -> bo
     columns, rows = ((np.asarray(points_m) - grid.origin_m) / grid.resolution_m).T
     reach = robot_radius_m / grid.resolution_m
     return bool(_blocked(grid.log_odds, rows.copy(), columns.copy(), Terrain.WALL_ABOVE, reach))
+
+
+def is_frontier(grid: GridMap, point_m: Array, reach_m: float) -> bool:
+    """Whether the newest grid still has a frontier within `reach_m` (a square) of a point."""
+    column, row = (math.floor(v) for v in (np.asarray(point_m) - grid.origin_m) / grid.resolution_m)
+    return bool(_any_frontier(grid.log_odds, row, column, round(reach_m / grid.resolution_m), Terrain.FREE_BELOW))
 
 
 def _prices(limit_cells: float, reach_cells: int) -> Array:

@@ -55,11 +55,10 @@ def train(
         _check_same_run(folder, task, settings)
     elif model_path.exists():
         raise DataError(f"{folder} already holds a model; go on with --resume or name another folder with --out")
-    else:
-        write_settings(folder, "ppo", task, asdict(settings))
 
     environment = Monitor(task.make())
     try:
+        write_settings(folder, "ppo", task, asdict(settings))
         if resume:
             model = PPO.load(model_path, environment, device="cpu")
             model.set_random_seed(settings.seed + model.num_timesteps)
@@ -118,7 +117,10 @@ class Progress(BaseCallback):
         self.started, self.steps_before = time.perf_counter(), self.num_timesteps
         self.bar = tqdm(total=self.steps, initial=self.num_timesteps, unit="step", disable=not self.show)
         self.path = self.folder / "metrics.csv"
-        if self.num_timesteps == 0 or not self.path.exists():
+        if self.num_timesteps > 0 and self.path.exists():
+            with self.path.open(newline="") as file:
+                self.episodes = max((int(row["episodes"]) for row in csv.DictReader(file)), default=0)
+        else:
             with self.path.open("w", newline="") as file:
                 csv.writer(file).writerow(COLUMNS)
 

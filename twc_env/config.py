@@ -36,7 +36,7 @@ class _Checked:
 
     def __post_init__(self) -> None:
         where = type(self).__name__.removesuffix("Config").lower()
-        for f in dataclasses.fields(self):
+        for f in dataclasses.fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
             if (choices := f.metadata.get("choices")) and value not in choices:
                 hint = _did_you_mean(value, choices)

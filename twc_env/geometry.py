@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray
 
 
-def wrap_angle(angle_rad):
+def wrap_angle(angle_rad: ArrayLike):
     """Angles moved into [-pi, pi)."""
     return (np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi
 
@@ -19,7 +19,7 @@ def _wrap(angle_rad: float) -> float:
     return (angle_rad + math.pi) % (2 * math.pi) - math.pi
 
 
-def compose(pose_a_b: Array, pose_b_c: Array) -> Array:
+def compose(pose_a_b: ArrayLike, pose_b_c: ArrayLike) -> Array:
     """The pose of c in a, from b in a and c in b; (..., 3) each, broadcast."""
     a, b = np.asarray(pose_a_b, float), np.asarray(pose_b_c, float)
     if a.ndim == 1 and b.ndim == 1:  # one pose: ten times faster without array functions
@@ -32,7 +32,7 @@ def compose(pose_a_b: Array, pose_b_c: Array) -> Array:
     return np.stack([x, y, wrap_angle(a[..., 2] + b[..., 2])], axis=-1)
 
 
-def inverse(pose_a_b: Array) -> Array:
+def inverse(pose_a_b: ArrayLike) -> Array:
     """The pose of a in b, from b in a; (..., 3)."""
     p = np.asarray(pose_a_b, float)
     if p.ndim == 1:
@@ -43,19 +43,19 @@ def inverse(pose_a_b: Array) -> Array:
     return np.stack([-c * p[..., 0] - s * p[..., 1], s * p[..., 0] - c * p[..., 1], wrap_angle(-p[..., 2])], axis=-1)
 
 
-def between(pose_m_a: Array, pose_m_b: Array) -> Array:
+def between(pose_m_a: ArrayLike, pose_m_b: ArrayLike) -> Array:
     """The pose of b in a, from both in m; (..., 3) each, broadcast."""
     return compose(inverse(pose_m_a), pose_m_b)
 
 
-def transform_points(pose_a_b: Array, points_b: Array) -> Array:
+def transform_points(pose_a_b: ArrayLike, points_b: ArrayLike) -> Array:
     """Points (n, 2) of frame b, expressed in frame a."""
-    c, s = np.cos(pose_a_b[2]), np.sin(pose_a_b[2])
-    points_b = np.asarray(points_b, float)
-    return points_b @ np.array([[c, s], [-s, c]]) + np.asarray(pose_a_b)[:2]
+    pose, points = np.asarray(pose_a_b, float), np.asarray(points_b, float)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return points @ np.array([[c, s], [-s, c]]) + pose[:2]
 
 
-def align_rigidly(points_from: Array, points_to: Array) -> Array:
+def align_rigidly(points_from: ArrayLike, points_to: ArrayLike) -> Array:
     """The pose (3,) that moves points_from (n, 2) onto points_to with least squared error (no scale, no mirror).
 
     Well defined for any n >= 1: where the points fix no rotation (one point, or all equal) the rotation is 0.

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from training.__main__ import main, seeds_of
-from twc_env.errors import DataError
+from twc_env.errors import DataError, MapError
 
 HAS_TORCH = all(importlib.util.find_spec(name) is not None for name in ("torch", "stable_baselines3"))
 needs_torch = pytest.mark.skipif(
@@ -88,6 +88,17 @@ def test_training_resumes_where_it_stopped_and_keeps_the_learning_curve(tmp_path
     train(small_task(), small_settings(), 128, tmp_path, show_progress=False)
     train(small_task(), small_settings(), 256, tmp_path, resume=True, show_progress=False)
     assert [int(row["steps"]) for row in metrics_of(tmp_path)] == [128, 256]
+    assert [int(row["episodes"]) for row in metrics_of(tmp_path)] == [2, 4]
+
+
+@needs_torch
+def test_a_wrong_map_leaves_no_run_folder(tmp_path):
+    from training.ppo import train
+    from training.run_folder import Task
+
+    with pytest.raises(MapError, match="no map named 'twin-3'"):
+        train(Task("twin-3"), small_settings(), 256, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 @needs_torch

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from twc_env.geometry import between
-
-Array = NDArray
 
 DISTANCE_MAX_M = 0.5
 ANGLE_MAX_RAD = math.radians(10.0)
@@ -31,14 +29,14 @@ class ClosureScore:
 
 
 def closure_is_correct(
-    measured: Array, true: Array, distance_max_m: float = DISTANCE_MAX_M, angle_max_rad: float = ANGLE_MAX_RAD
+    measured: ArrayLike, true: ArrayLike, distance_max_m: float = DISTANCE_MAX_M, angle_max_rad: float = ANGLE_MAX_RAD
 ) -> bool:
     """Whether a measured pose (3,) of one keyframe in another's frame is near the true one (ends included)."""
     error = between(true, measured)
     return bool(np.hypot(error[0], error[1]) <= distance_max_m and abs(error[2]) <= angle_max_rad)
 
 
-def score_closures(is_correct: Array, is_accepted: Array) -> ClosureScore:
+def score_closures(is_correct: ArrayLike, is_accepted: ArrayLike) -> ClosureScore:
     """Precision and recall over all closures that were proposed and measured; both (k,) bool."""
     is_correct, is_accepted = np.asarray(is_correct, bool), np.asarray(is_accepted, bool)
     right = int(np.count_nonzero(is_correct & is_accepted))

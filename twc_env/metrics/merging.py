@@ -6,7 +6,7 @@ import itertools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twc_env.errors import DataError
 from twc_env.geometry import transform_points, wrap_angle
@@ -14,7 +14,7 @@ from twc_env.geometry import transform_points, wrap_angle
 Array = NDArray
 
 
-def implied_frames(estimated_poses: Array, true_poses: Array) -> Array:
+def implied_frames(estimated_poses: ArrayLike, true_poses: ArrayLike) -> Array:
     """Where each robot's own path places the map frame in the building: (n, 3) poses `pose_building_map`.
 
     Both (t, n, 3): estimates in one map frame, truth in the building frame. The heading is the mean heading difference,
@@ -32,8 +32,8 @@ def implied_frames(estimated_poses: Array, true_poses: Array) -> Array:
 
 
 def wrong_pairs(
-    poses_building_map: Array,
-    centre_map_m: Array = (0.0, 0.0),
+    poses_building_map: ArrayLike,
+    centre_map_m: ArrayLike = (0.0, 0.0),
     distance_max_m: float = 1.0,
     angle_max_rad: float = math.radians(10.0),
 ) -> list[tuple[int, int]]:

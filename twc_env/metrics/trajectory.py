@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twc_env.errors import DataError
 from twc_env.geometry import align_rigidly, between, transform_points
@@ -11,7 +11,7 @@ from twc_env.geometry import align_rigidly, between, transform_points
 Array = NDArray
 
 
-def align_team(estimated: Array, true: Array) -> Array:
+def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
     """The pose (3,) that moves estimated positions onto true ones with least squared error.
 
     Both (..., 2) or (..., 3), of equal leading shape: all robots and steps count alike, so one rigid motion is found
@@ -20,7 +20,7 @@ def align_team(estimated: Array, true: Array) -> Array:
     return align_rigidly(*_position_pairs(estimated, true))
 
 
-def absolute_trajectory_error_m(estimated: Array, true: Array, alignment: Array | None = None) -> float:
+def absolute_trajectory_error_m(estimated: ArrayLike, true: ArrayLike, alignment: ArrayLike | None = None) -> float:
     """Root mean square distance between estimated and true positions after one rigid alignment (ATE).
 
     Shapes as in `align_team`. `alignment` (3,) moves the estimate onto the truth; without it the best one is taken.
@@ -32,7 +32,7 @@ def absolute_trajectory_error_m(estimated: Array, true: Array, alignment: Array 
     return float(np.sqrt(np.mean(np.sum(error_m**2, axis=1))))
 
 
-def end_point_error_m(estimated: Array, true: Array) -> float:
+def end_point_error_m(estimated: ArrayLike, true: ArrayLike) -> float:
     """Distance between the estimated and the true last position, both seen from the first pose (EPE, SPEC T18).
 
     Both (t, 3). Where a path truly ends where it began this is the start-to-end gap that the paper prints.
@@ -44,13 +44,13 @@ def end_point_error_m(estimated: Array, true: Array) -> float:
     return float(np.hypot(*(end_estimated - end_true)[:2]))
 
 
-def path_length_m(poses: Array) -> float:
+def path_length_m(poses: ArrayLike) -> float:
     """Length of the path through (t, 2) or (t, 3) poses."""
     steps_m = np.diff(np.asarray(poses, float)[:, :2], axis=0)
     return float(np.sum(np.hypot(steps_m[:, 0], steps_m[:, 1])))
 
 
-def stuck_share(true_poses: Array, window: int, radius_m: float) -> float:
+def stuck_share(true_poses: ArrayLike, window: int, radius_m: float) -> float:
     """Share of the episode in which a robot got nowhere, of the robot for which it is largest.
 
     true_poses (t, n, 2 or 3). A step counts when it lies in some stretch of `window` steps during which the robot never
@@ -72,7 +72,7 @@ def stuck_share(true_poses: Array, window: int, radius_m: float) -> float:
     return float(is_stuck.mean(axis=0).max())
 
 
-def _position_pairs(estimated: Array, true: Array) -> tuple[Array, Array]:
+def _position_pairs(estimated: ArrayLike, true: ArrayLike) -> tuple[Array, Array]:
     estimated, true = np.asarray(estimated, float), np.asarray(true, float)
     if estimated.shape[:-1] != true.shape[:-1] or true.size == 0:
         raise DataError(f"need as many estimated as true poses, at least one; got {estimated.shape} and {true.shape}")

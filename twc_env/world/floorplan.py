@@ -305,11 +305,8 @@ def _check_names(plan: Floorplan, where: str) -> None:
 def _check_signs(plan: Floorplan, cells: Cells, where: str) -> None:
     for sign in plan.signs:
         label = f"{where}: sign {sign.text!r} at {_point_text(sign.position_m)}"
-        gap = distance_to_walls(plan, sign.position_m[None])[0]
-        if gap > SIGN_TO_WALL_MAX_M:
-            raise MapError(
-                f"{label} hangs on no wall: the nearest is {gap:.2f} m off, at most {SIGN_TO_WALL_MAX_M} m is allowed"
-            )
+        if plan.wall_index.distance_m(sign.position_m[None], SIGN_TO_WALL_MAX_M)[0] >= SIGN_TO_WALL_MAX_M:
+            raise MapError(f"{label} hangs on no wall: none is within {SIGN_TO_WALL_MAX_M} m; move it onto one")
         normal = np.array([np.cos(sign.facing_rad), np.sin(sign.facing_rad)])
         front = sign.position_m + SIGN_FRONT_M * normal
         if not cells.is_free(front):
@@ -321,19 +318,11 @@ def _check_signs(plan: Floorplan, cells: Cells, where: str) -> None:
             raise MapError(f"{label} is buried inside a wall; move it to the wall's face, towards its facing side")
 
 
-def distance_to_walls(plan: Floorplan, points_m: Array) -> Array:
-    """(k, 2) points -> (k,) distance to the nearest wall [m]."""
-    points = np.ascontiguousarray(points_m, float)
-    gaps = np.empty(len(points))
-    _wall_distance(plan.walls_m.reshape(-1, 4), points, gaps)
-    return gaps
-
-
 def _rasterise(plan: Floorplan, resolution_m: float) -> Cells:
     low_x, low_y, high_x, high_y = plan.bounds_m
-    # Half a cell off the whole multiples: walls drawn on multiples of the resolution run through cell centres.
-    origin = (np.floor(np.array([low_x, low_y]) / resolution_m + 1e-6) - 1.5) * resolution_m
-    columns, rows = (np.ceil((np.array([high_x, high_y]) - origin) / resolution_m + 1e-6).astype(int) + 1).tolist()
+    # The outermost walls, and all walls whole cells away from them, run through cell centres.
+    origin = np.array([low_x, low_y]) - 1.5 * resolution_m
+    columns, rows = (np.round((np.array([high_x, high_y]) - origin) / resolution_m + 2.0).astype(int)).tolist()
     if rows * columns > _CELLS_MAX:
         raise MapError(
             f"map {plan.name!r} spans {high_x - low_x:.0f} x {high_y - low_y:.0f} m, too large for cells of "
@@ -412,20 +401,6 @@ def _flood(wall, seeds, free):
                     stack[size] = nr * columns + nc
                     size += 1
     return leaks
-
-
-@njit(cache=True, error_model="numpy")
-def _wall_distance(walls, points, gaps):
-    for i in range(points.shape[0]):
-        nearest2 = 1e300
-        for w in range(walls.shape[0]):
-            ax, ay = walls[w, 0], walls[w, 1]
-            ex, ey = walls[w, 2] - ax, walls[w, 3] - ay
-            px, py = points[i, 0] - ax, points[i, 1] - ay
-            t = min(max((px * ex + py * ey) / (ex * ex + ey * ey), 0.0), 1.0)
-            dx, dy = px - t * ex, py - t * ey
-            nearest2 = min(nearest2, dx * dx + dy * dy)
-        gaps[i] = np.sqrt(nearest2)
 
 
 # --- native JSON -----------------------------------------------------------------------------------------------------

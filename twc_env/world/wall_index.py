@@ -45,6 +45,15 @@ class WallIndex:
         )  # fmt: skip
         return counts, losses
 
+    def distance_m(self, points_m: Array, reach_m: float) -> Array:
+        """(k, 2) points -> (k,) distance to the nearest wall, cut at `reach_m`."""
+        gaps = np.empty(len(points_m))
+        _distance(
+            self.walls_m, self.origin_m, self.bucket_m, *self.shape, self.first, self.members,
+            np.ascontiguousarray(points_m, float), reach_m, gaps,
+        )  # fmt: skip
+        return gaps
+
 
 def index_walls(walls_m: Array, loss_db: Array) -> WallIndex:
     """Sort walls (w, 2, 2) with their losses (w,) into buckets sized for a few walls each."""
@@ -124,3 +133,24 @@ def _cross(walls, loss, origin, bucket, rows, columns, first, members, px, py, t
             else:
                 next_y += rate_y
                 r += step_r
+
+
+@njit(cache=True, error_model="numpy")
+def _distance(walls, origin, bucket, rows, columns, first, members, points, reach, gaps):
+    for i in range(points.shape[0]):
+        x, y = points[i, 0], points[i, 1]
+        nearest2 = reach * reach
+        c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
+        c1 = min(int(np.floor((x + reach - origin[0]) / bucket)), columns - 1)
+        r0 = max(int(np.floor((y - reach - origin[1]) / bucket)), 0)
+        r1 = min(int(np.floor((y + reach - origin[1]) / bucket)), rows - 1)
+        for r in range(r0, r1 + 1):
+            for c in range(c0, c1 + 1):
+                for m in range(first[r * columns + c], first[r * columns + c + 1]):
+                    w = members[m]
+                    ax, ay = x - walls[w, 0], y - walls[w, 1]
+                    ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
+                    t = min(max((ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
+                    dx, dy = ax - t * ex, ay - t * ey
+                    nearest2 = min(nearest2, dx * dx + dy * dy)
+        gaps[i] = np.sqrt(nearest2)

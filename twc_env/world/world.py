@@ -14,7 +14,7 @@ from twc_env.geometry import compose, inverse
 from twc_env.messages import SensorFrame, SignReading, WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.world.dynamics import Dynamics
-from twc_env.world.floorplan import Floorplan, distance_to_walls
+from twc_env.world.floorplan import Floorplan
 from twc_env.world.lidar import Lidar
 from twc_env.world.odometry import Odometry
 from twc_env.world.radio import RadioModel, WifiReceiver
@@ -27,6 +27,7 @@ START_CLEARANCE_M = 0.4
 START_SPACING_M = 1.5
 """Distance between drawn starts."""
 START_SPACING_MIN_M = 0.6
+_PLACES_MAX = 2000
 _START_TRIES = 20
 """Sets of places tried, each with less distance between the robots, before a map counts as too small."""
 
@@ -139,7 +140,7 @@ def draw_starts(home: Floorplan, robots: int, random: np.random.Generator) -> Ar
     if len(places) == 0:
         raise MapError(f"map {home.name!r} has no place {START_CLEARANCE_M} m clear of walls to start from")
     for spacing_m in np.linspace(START_SPACING_M, START_SPACING_MIN_M, _START_TRIES):
-        chosen = _spaced(places[random.permutation(len(places))], robots, spacing_m)
+        chosen = _spaced(places[random.permutation(len(places))[:_PLACES_MAX]], robots, spacing_m)
         if len(chosen) == robots:
             return np.column_stack([chosen, random.uniform(-math.pi, math.pi, robots)])
     raise MapError(f"map {home.name!r} has no room for {robots} robots; use fewer")
@@ -151,7 +152,7 @@ def start_places(home: Floorplan) -> Array:
         cells = home.cells()
         rows, columns = np.nonzero(cells.free)
         centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
-        home._cache["start_places"] = centres[distance_to_walls(home, centres) >= START_CLEARANCE_M]
+        home._cache["start_places"] = centres[home.wall_index.distance_m(centres, START_CLEARANCE_M) >= START_CLEARANCE_M]
     return home._cache["start_places"]
 
 

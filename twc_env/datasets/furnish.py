@@ -1,0 +1,126 @@
+"""Signs and access points for buildings whose map has none, placed by seed."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.random_streams import random_stream
+from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, AccessPoint, Floorplan, Sign
+
+Array = NDArray
+
+AREA_PER_ACCESS_POINT_M2 = 25.0
+ACCESS_POINTS_MIN, ACCESS_POINTS_MAX = 6, 40
+AREA_PER_LABEL_M2 = 20.0
+AREA_PER_REPEATED_SIGN_M2 = 40.0
+SIGN_SPACING_M = 1.5
+REPEATED = ("EXIT", "FIRE EXTINGUISHER")
+"""Texts that hang in several places, as in every building: the trap of text-only place recognition."""
+_WALL_STEP_M = 0.5
+_NOUNS = (
+    "ARCHIVE", "BAKERY", "CERAMICS", "DARKROOM", "ELECTRONICS", "FOUNDRY", "GREENHOUSE", "HERBARIUM", "INTAKE",
+    "JOINERY", "KITCHEN", "LIBRARY", "MAILROOM", "NURSERY", "OPTICS", "PHARMACY", "QUIET STUDY", "RECORDS", "SEMINAR",
+    "TEXTILES", "UTILITY", "VAULT", "WORKSHOP", "X-RAY", "YOGA", "ZOOLOGY",
+)  # fmt: skip
+_MAC_VENDOR = 0x02005E
+"""The first three bytes; the 02 says that the address is locally administered."""
+
+
+def furnish(plan: Floorplan, seed: int = 0) -> Floorplan:
+    """The same plan with unique room labels, repeated signs and access points. Equal seeds furnish equally."""
+    random = random_stream(seed, "furnish")
+    return dataclasses.replace(plan, signs=place_signs(plan, random), access_points=place_access_points(plan, random))
+
+
+def place_signs(plan: Floorplan, random: np.random.Generator) -> tuple[Sign, ...]:
+    """Signs on walls that face free space, some metres apart: about one unique label per 20 m2 of floor."""
+    cells = plan.cells()
+    area_m2 = cells.free.sum() * cells.resolution_m**2
+    places, facings = _wall_faces(plan)
+    order = _spread(places, random, SIGN_SPACING_M)
+    label_count = max(4, round(area_m2 / AREA_PER_LABEL_M2))
+    repeat_count = max(2, round(area_m2 / AREA_PER_REPEATED_SIGN_M2))
+    texts = [room_label(i) for i in range(label_count)]
+    texts += [text for text in REPEATED for _ in range(repeat_count)]
+    texts = [texts[i] for i in random.permutation(len(texts))]
+    return tuple(Sign(text, places[i], float(facings[i])) for text, i in zip(texts, order, strict=False))
+
+
+def place_access_points(plan: Floorplan, random: np.random.Generator) -> tuple[AccessPoint, ...]:
+    """Access points far from each other over the free space: one per 25 m2, 6 to 40, with 2 or 3 addresses each."""
+    cells = plan.cells()
+    rows, columns = np.nonzero(cells.free)
+    area_m2 = len(rows) * cells.resolution_m**2
+    count = int(np.clip(round(area_m2 / AREA_PER_ACCESS_POINT_M2), ACCESS_POINTS_MIN, ACCESS_POINTS_MAX))
+    centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
+    pool = centres[random.permutation(len(centres))[:4000]]
+    chosen = _farthest(pool, count)
+    boxes = random.choice(1 << 16, size=len(chosen), replace=False)
+    return tuple(
+        AccessPoint(
+            f"ap-{i + 1:02d}",
+            position,
+            tuple(_MAC_VENDOR << 24 | int(box) << 8 | k for k in range(int(random.integers(2, 4)))),
+        )
+        for i, (position, box) in enumerate(zip(chosen, boxes, strict=True))
+    )
+
+
+def room_label(number: int) -> str:
+    """The label of the n-th room: every number another text."""
+    wing, place = divmod(number, 40)
+    noun = _NOUNS[(number * 7) % len(_NOUNS)]
+    second = (number // len(_NOUNS)) % len(_NOUNS)
+    tail = f" {_NOUNS[(number * 7 + 3 + second) % len(_NOUNS)]}" if number >= len(_NOUNS) else ""
+    return f"{chr(65 + wing % 26)}{101 + place + 100 * (wing // 26)} {noun}{tail}"
+
+
+def _wall_faces(plan: Floorplan) -> tuple[Array, Array]:
+    """Where a sign can hang: (k, 2) places on walls, (k,) directions into the free space before them."""
+    begins, ends = plan.walls_m[:, 0], plan.walls_m[:, 1]
+    lengths = np.linalg.norm(ends - begins, axis=1)
+    walls, places = [], []
+    for i in np.flatnonzero(lengths >= _WALL_STEP_M):
+        count = int(lengths[i] / _WALL_STEP_M)
+        share = (np.arange(count)[:, None] + 0.5) / count
+        places.append(begins[i] + share * (ends[i] - begins[i]))
+        walls.append(np.full(count, i))
+    if not walls:
+        return np.zeros((0, 2)), np.zeros(0)
+    wall, place = np.concatenate(walls), np.concatenate(places)
+    along = (ends[wall] - begins[wall]) / lengths[wall, None]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    wall, place, normal = np.tile(wall, 2), np.tile(place, (2, 1)), np.concatenate([normal, -normal])
+    cells = plan.cells()
+    is_open = cells.is_free(place + SIGN_FRONT_M * normal) & cells.is_free(place + 2 * SIGN_FRONT_M * normal)
+    place, normal = place[is_open], normal[is_open]
+    fronts, faces = place + 2 * SIGN_FRONT_M * normal, place + SIGN_FACE_M * normal
+    is_seen = [
+        plan.wall_index.crossing(front, face[None])[0][0] == 0 for front, face in zip(fronts, faces, strict=True)
+    ]
+    is_seen = np.array(is_seen, bool)
+    return place[is_seen], np.arctan2(normal[is_seen, 1], normal[is_seen, 0])
+
+
+def _spread(places: Array, random: np.random.Generator, spacing_m: float) -> list[int]:
+    """Numbers of places in random order, each clear of those before it."""
+    order: list[int] = []
+    is_near = np.zeros(len(places), bool)
+    for i in random.permutation(len(places)):
+        if not is_near[i]:
+            order.append(int(i))
+            is_near |= np.linalg.norm(places - places[i], axis=1) < spacing_m
+    return order
+
+
+def _farthest(pool: Array, count: int) -> Array:
+    """Up to `count` points of the pool, each as far as possible from those before it."""
+    chosen = [0]
+    gaps = np.linalg.norm(pool - pool[0], axis=1)
+    while len(chosen) < min(count, len(pool)):
+        chosen.append(int(np.argmax(gaps)))
+        gaps = np.minimum(gaps, np.linalg.norm(pool - pool[chosen[-1]], axis=1))
+    return pool[chosen]

@@ -1,0 +1,166 @@
+"""HouseExpo plans (Li et al., 2019): one JSON per flat, the contour of its free space traced from a 1 cm raster.
+
+The free space is the inside of one contour; walls are notches about 0.1 m thick. Some contours touch themselves, and
+room boxes can lie anywhere: neither is trusted.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.datasets.furnish import furnish
+from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
+from twc_env.errors import MapError
+from twc_env.world.floorplan import Cells, Floorplan, Room, validate
+
+Array = NDArray
+
+SIMPLIFY_M = 0.01
+"""The drawn contour is followed this closely: the pixel it was traced from."""
+ROOM_FREE_SHARE_MIN = 0.3
+"""A room's box with less free space than this does not lie where its room is."""
+_FILL_RESOLUTION_M = 0.05
+
+
+def read_house_expo(path: str | Path, seed: int = 0) -> Floorplan:
+    """Read one HouseExpo JSON file; signs and access points are placed by seed."""
+    path = Path(path)
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MapError(f"cannot read the map {path}: {error.strerror or error}; check the path") from error
+    except ValueError as error:
+        raise MapError(f"{path} is not valid JSON: {error}; download it again") from error
+    return house_expo_plan(values, path.name, seed)
+
+
+def house_expo_plan(values: dict, where: str, seed: int = 0) -> Floorplan:
+    """Build a plan from the values of a HouseExpo file; `where` names the file in errors."""
+    contour = simplified_ring(_contour(values, where), SIMPLIFY_M)
+    ends = np.stack([contour, np.roll(contour, -1, axis=0)], axis=1)
+    name = str(values.get("id", Path(where).stem))
+    plan = Floorplan(
+        name=name,
+        walls_m=ends,
+        wall_loss_db=np.full(len(ends), WALL_LOSS_DB / 2),
+        interior_m=[_interior_point(contour, where)],
+    )
+    plan = validate(plan)
+    rooms = _rooms(values.get("room_category", {}), plan.cells(), where)
+    furnished = furnish(plan, seed)
+    return validate(
+        Floorplan(
+            name, plan.walls_m, plan.wall_loss_db, rooms, furnished.signs, furnished.access_points,
+            interior_m=plan.interior_m,
+        )  # fmt: skip
+    )
+
+
+def simplified_ring(ring: Array, tolerance_m: float) -> Array:
+    """Fewer corners of a closed ring (k, 2), none of the dropped ones farther than the tolerance (Douglas-Peucker)."""
+    is_repeated = np.all(ring == np.roll(ring, 1, axis=0), axis=1)
+    ring = ring[~is_repeated] if not is_repeated.all() else ring[:1]
+    if len(ring) < 4:
+        return ring
+    far = int(np.argmax(np.linalg.norm(ring - ring[0], axis=1)))
+    opened = np.ascontiguousarray(np.concatenate([ring, ring[:1]]))
+    keep = np.zeros(len(opened), np.bool_)
+    keep[[0, far, -1]] = True
+    _keep_corners(opened, 0, far, tolerance_m, keep)
+    _keep_corners(opened, far, len(opened) - 1, tolerance_m, keep)
+    return ring[keep[:-1]]
+
+
+def _contour(values: dict, where: str) -> Array:
+    try:
+        contour = np.array(values["verts"], dtype=float)
+    except KeyError:
+        raise MapError(f"{where} lacks the key 'verts', the contour of a HouseExpo plan; add it") from None
+    except (TypeError, ValueError):
+        contour = np.zeros(0)
+    if contour.ndim != 2 or contour.shape[1] != 2 or len(contour) < 3:
+        raise MapError(f"{where}: verts must be three or more corners [x, y]; got {str(values['verts'])[:60]}")
+    if not np.isfinite(contour).all():
+        raise MapError(f"{where}: verts holds a value that is not finite (NaN or infinity); give plain numbers")
+    return contour
+
+
+def _interior_point(contour: Array, where: str) -> Array:
+    """A point deep in the largest part of the inside, whether or not the contour touches itself."""
+    low = contour.min(axis=0) - _FILL_RESOLUTION_M
+    columns, rows = (np.ceil((contour.max(axis=0) - low) / _FILL_RESOLUTION_M).astype(int) + 2).tolist()
+    if rows * columns > 100_000_000:
+        raise MapError(f"{where} spans {columns * _FILL_RESOLUTION_M:.0f} m; verts must be metres")
+    inside = np.zeros((rows, columns), np.bool_)
+    _fill_even_odd(np.ascontiguousarray(contour - low), _FILL_RESOLUTION_M, inside)
+    part = largest_part(inside)
+    if not part.any():
+        raise MapError(f"{where} has no free space inside its contour; verts must go around the floor")
+    row, column = deepest_cell(part)
+    return low + (np.array([column, row]) + 0.5) * _FILL_RESOLUTION_M
+
+
+def _rooms(categories: object, cells: Cells, where: str) -> tuple[Room, ...]:
+    """Labelled boxes that lie on free space; a box with several labels is one room."""
+    if not isinstance(categories, dict):
+        raise MapError(f"{where}: room_category must map labels to boxes; got {type(categories).__name__}")
+    labels: dict[tuple[float, ...], list[str]] = {}
+    for label, boxes in categories.items():
+        for box in boxes:
+            labels.setdefault(tuple(float(value) for value in box), []).append(str(label))
+    rooms = []
+    for (x1, y1, x2, y2), names in labels.items():
+        if _free_share(cells, x1, y1, x2, y2) >= ROOM_FREE_SHARE_MIN:
+            corners = np.array([(x1, y1), (x2, y1), (x2, y2), (x1, y2)])
+            rooms.append(Room(" / ".join(name.replace("_", " ") for name in names), corners))
+    return tuple(rooms)
+
+
+def _free_share(cells: Cells, x1: float, y1: float, x2: float, y2: float) -> float:
+    xs = np.arange(min(x1, x2) + 0.05, max(x1, x2), 0.1)
+    ys = np.arange(min(y1, y2) + 0.05, max(y1, y2), 0.1)
+    points = np.stack(np.meshgrid(xs, ys), axis=-1)
+    return float(cells.is_free(points).mean()) if points.size else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _keep_corners(points, begin, end, tolerance, keep):
+    stack = [(begin, end)]
+    while len(stack) > 0:
+        i, j = stack.pop()
+        ex, ey = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+        length2 = max(ex * ex + ey * ey, 1e-18)
+        worst, at = tolerance * tolerance, -1
+        for k in range(i + 1, j):
+            ax, ay = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1]
+            t = min(max((ax * ex + ay * ey) / length2, 0.0), 1.0)
+            gap2 = (ax - t * ex) ** 2 + (ay - t * ey) ** 2
+            if gap2 > worst:
+                worst, at = gap2, k
+        if at >= 0:
+            keep[at] = True
+            stack.append((i, at))
+            stack.append((at, j))
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_even_odd(ring, resolution, inside):
+    """Cells whose centre lies inside the ring (k, 2): each edge flips what is right of it."""
+    rows, columns = inside.shape
+    for k in range(ring.shape[0]):
+        x1, y1 = ring[k - 1, 0], ring[k - 1, 1]
+        x2, y2 = ring[k, 0], ring[k, 1]
+        if y1 > y2:
+            x1, y1, x2, y2 = x2, y2, x1, y1
+        for r in range(max(int(np.ceil(y1 / resolution - 0.5)), 0), rows):
+            y = (r + 0.5) * resolution
+            if y >= y2:
+                break
+            x = x1 + (x2 - x1) * (y - y1) / (y2 - y1)
+            for c in range(max(int(np.ceil(x / resolution - 0.5)), 0), columns):
+                inside[r, c] = not inside[r, c]

@@ -1,0 +1,203 @@
+"""Pictures of free space turned into walls: every edge between a free and another cell becomes part of a wall."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.datasets.furnish import furnish
+from twc_env.errors import MapError
+from twc_env.world.floorplan import Floorplan, validate
+
+Array = NDArray
+
+PICTURE_RESOLUTION_M = 0.05
+"""Pixel size assumed where a picture names none."""
+FREE_ABOVE = 250
+"""Pixels brighter than this are free."""
+WALL_LOSS_DB = 5.0
+"""Of a whole wall; each of its two faces carries half."""
+SPECK_M2 = 0.02
+"""Obstacles and holes smaller than this are taken for dirt."""
+
+
+def read_picture(path: str | Path, seed: int = 0, resolution_m: float = PICTURE_RESOLUTION_M) -> Floorplan:
+    """A .png or .pgm(.gz) picture with white free space; signs and access points are placed by seed.
+
+    Raises MapError when the picture cannot be read or shows no free space.
+    """
+    path = Path(path)
+    grey = read_grey(path)
+    name = path.name.split(".")[0]
+    return validate(furnish(plan_from_free(grey[::-1] > FREE_ABOVE, resolution_m, name), seed))
+
+
+def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Array = (0.0, 0.0)) -> Floorplan:
+    """Free cells (rows, columns), row 0 the lowest y -> a plan without signs whose walls are the cells' edges.
+
+    Only the largest connected part is kept, and specks are dropped. Raises MapError when nothing is free.
+    """
+    free = largest_part(free)
+    if not free.any():
+        raise MapError(f"map {name!r} shows no free space; free cells must be white, or check the thresholds")
+    free = _without_specks(free, resolution_m)
+    origin_m = np.asarray(origin_m, float)
+    walls = free_edges(free) * resolution_m + origin_m
+    row, column = deepest_cell(free)
+    return Floorplan(
+        name=name,
+        walls_m=walls,
+        wall_loss_db=np.full(len(walls), WALL_LOSS_DB / 2),
+        interior_m=[origin_m + (np.array([column, row]) + 0.5) * resolution_m],
+    )
+
+
+def free_edges(free: Array) -> Array:
+    """Free cells (rows, columns) -> (walls, 2, 2) their outline as straight runs, in cells."""
+    padded = np.pad(free, 1)
+    horizontal = _runs(padded[1:] != padded[:-1])
+    vertical = _runs((padded[:, 1:] != padded[:, :-1]).T)
+    lying = np.stack([horizontal[:, [1, 0]], horizontal[:, [2, 0]]], axis=1)
+    standing = np.stack([vertical[:, [0, 1]], vertical[:, [0, 2]]], axis=1)
+    # Line k of the padded differences is the lower edge of cell k; columns of the padding count from -1.
+    return np.concatenate([lying - np.array([1, 0]), standing - np.array([0, 1])]).astype(float)
+
+
+def largest_part(free: Array) -> Array:
+    """Only the largest 4-connected part of the free cells."""
+    labels, sizes = _label(np.ascontiguousarray(free), False)
+    return labels == np.argmax(sizes) + 1 if len(sizes) else np.zeros_like(free)
+
+
+def deepest_cell(free: Array) -> tuple[int, int]:
+    """(row, column) of a free cell as far from all others as any."""
+    depth = _depth(np.ascontiguousarray(np.pad(free, 1)))[1:-1, 1:-1]
+    row, column = np.unravel_index(np.argmax(depth), depth.shape)
+    return int(row), int(column)
+
+
+def read_grey(path: Path) -> Array:
+    """(rows, columns) uint8, row 0 the top. PGM is read here, other formats by Pillow; alpha lies on black.
+
+    Raises MapError when the file cannot be read or is too large.
+    """
+    names = [suffix.lower() for suffix in path.suffixes]
+    try:
+        if ".pgm" in names[-2:]:
+            raw = path.read_bytes()
+            return _decode_pgm(gzip.decompress(raw) if names[-1] == ".gz" else raw, path.name)
+    except OSError as error:
+        raise MapError(f"cannot read the picture {path}: {error.strerror or error}; check the file") from error
+    return _read_with_pillow(path)
+
+
+def _read_with_pillow(path: Path) -> Array:
+    try:
+        from PIL import Image, UnidentifiedImageError
+    except ImportError as error:
+        raise MapError(f"reading {path.name} needs Pillow; run `pip install twc_env[viz]`, or use .pgm") from error
+    try:
+        with Image.open(path) as picture:
+            if picture.mode in ("L", "RGB", "1"):
+                return np.asarray(picture.convert("L"))
+            pixels = np.asarray(picture.convert("RGBA"), dtype=float)
+    except (OSError, UnidentifiedImageError) as error:
+        raise MapError(f"cannot read the picture {path}: {error}; save it again as png or pgm") from error
+    return (pixels[..., :3].mean(axis=-1) * pixels[..., 3] / 255).astype(np.uint8)
+
+
+def _decode_pgm(raw: bytes, where: str) -> Array:
+    """P5 (binary) and P2 (text), 8 or 16 bit, comments allowed; values are scaled to 0..255."""
+    fields, at = [], 0
+    while len(fields) < 4:
+        while raw[at : at + 1].isspace():
+            at += 1
+        if raw[at : at + 1] == b"#":
+            at = raw.find(b"\n", at)
+            if at < 0:
+                break
+            continue
+        end = at
+        while end < len(raw) and not raw[end : end + 1].isspace():
+            end += 1
+        if end == at:
+            break
+        fields.append(raw[at:end])
+        at = end
+    try:
+        kind = fields[0]
+        columns, rows, white = (int(field) for field in fields[1:4])
+        if kind not in (b"P5", b"P2") or min(columns, rows) < 1 or not 0 < white < 65536:
+            raise ValueError
+        if kind == b"P2":
+            pixels = np.array(raw[at:].split()[: rows * columns], dtype=float)
+        else:
+            pixels = np.frombuffer(raw, "u1" if white < 256 else ">u2", rows * columns, at + 1).astype(float)
+        pixels = pixels.reshape(rows, columns)
+    except (ValueError, IndexError):
+        raise MapError(f"{where} is no complete PGM picture (P5 or P2); export it again") from None
+    return np.round(np.clip(pixels / white, 0, 1) * 255).astype(np.uint8)
+
+
+def _runs(edges: Array) -> Array:
+    """(lines, n) bool -> (runs, 3) int: line, begin and end of each run of True."""
+    flips = np.diff(np.pad(edges, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    lines, begins = np.nonzero(flips == 1)
+    _, ends = np.nonzero(flips == -1)
+    return np.column_stack([lines, begins, ends])
+
+
+def _without_specks(free: Array, resolution_m: float) -> Array:
+    """Fill what is enclosed by free space and too small to be an obstacle."""
+    labels, sizes = _label(np.ascontiguousarray(~np.pad(free, 1)), True)
+    small = np.concatenate([[False], np.array(sizes) * resolution_m**2 < SPECK_M2])
+    return free | small[labels][1:-1, 1:-1]
+
+
+@njit(cache=True, error_model="numpy")
+def _label(mask, diagonal):
+    """Connected parts of a mask: (rows, columns) labels from 1, and their sizes."""
+    rows, columns = mask.shape
+    labels = np.zeros((rows, columns), np.int32)
+    stack = np.empty(rows * columns, np.int64)
+    sizes = []
+    for r0 in range(rows):
+        for c0 in range(columns):
+            if not mask[r0, c0] or labels[r0, c0] != 0:
+                continue
+            label = len(sizes) + 1
+            labels[r0, c0] = label
+            stack[0] = r0 * columns + c0
+            waiting, size = 1, 0
+            while waiting > 0:
+                waiting -= 1
+                r, c = stack[waiting] // columns, stack[waiting] % columns
+                size += 1
+                for nr in range(max(r - 1, 0), min(r + 2, rows)):
+                    for nc in range(max(c - 1, 0), min(c + 2, columns)):
+                        if (diagonal or nr == r or nc == c) and mask[nr, nc] and labels[nr, nc] == 0:
+                            labels[nr, nc] = label
+                            stack[waiting] = nr * columns + nc
+                            waiting += 1
+            sizes.append(size)
+    return labels, np.array(sizes, dtype=np.int64)
+
+
+@njit(cache=True, error_model="numpy")
+def _depth(free):
+    """Chamfer distance of each free cell to the nearest other cell, in thirds of a cell. The border must not be free."""
+    rows, columns = free.shape
+    depth = np.where(free, np.int32(1 << 30), np.int32(0))
+    for r in range(1, rows - 1):
+        for c in range(1, columns - 1):
+            near = min(depth[r - 1, c] + 3, depth[r, c - 1] + 3, depth[r - 1, c - 1] + 4, depth[r - 1, c + 1] + 4)
+            depth[r, c] = min(depth[r, c], near)
+    for r in range(rows - 2, 0, -1):
+        for c in range(columns - 2, 0, -1):
+            near = min(depth[r + 1, c] + 3, depth[r, c + 1] + 3, depth[r + 1, c + 1] + 4, depth[r + 1, c - 1] + 4)
+            depth[r, c] = min(depth[r, c], near)
+    return depth

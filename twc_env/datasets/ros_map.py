@@ -1,0 +1,122 @@
+"""ROS map_server maps (a yaml file and a PGM picture): read as a floor plan, written from an occupancy grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.datasets.furnish import furnish
+from twc_env.datasets.raster import plan_from_free, read_grey
+from twc_env.errors import MapError
+from twc_env.messages import GridMap
+from twc_env.world.floorplan import Floorplan, validate
+
+Array = NDArray
+
+_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+_FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0
+_OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RosMap:
+    """A map_server map; row 0 is the lowest y."""
+
+    free: Array
+    """(rows, columns) bool."""
+    occupied: Array
+    """(rows, columns) bool; what is neither is unknown."""
+    resolution_m: float
+    origin: Array
+    """(3,) pose of the picture's lower left corner."""
+
+
+def read_ros_map(path: str | Path, seed: int = 0) -> Floorplan:
+    """The floor plan of a map_server yaml; signs and access points are placed by seed.
+
+    Raises MapError for missing keys, a missing picture or a map without free space.
+    """
+    path = Path(path)
+    ros_map = read_ros_cells(path)
+    plan = plan_from_free(ros_map.free, ros_map.resolution_m, path.stem)
+    return validate(furnish(plan, seed).moved(ros_map.origin))
+
+
+def read_ros_cells(path: str | Path) -> RosMap:
+    """The cells of a map_server yaml. The picture may lie beside it compressed (`map.pgm.gz` for `map.pgm`)."""
+    path = Path(path)
+    values = _read_yaml(path)
+    picture = path.parent / values["image"]
+    if not picture.is_file():
+        picture = picture.with_name(picture.name + ".gz")
+    if not picture.is_file():
+        raise MapError(f"{path.name} names the picture {values['image']!r}, which is not beside it; put it there")
+    shade = read_grey(picture)[::-1] / 255.0
+    occupancy = shade if _number(values, "negate", path) else 1.0 - shade
+    resolution_m = _number(values, "resolution", path)
+    if not 0 < resolution_m < 10:
+        raise MapError(f"{path.name}: resolution must be metres per pixel, above 0; got {resolution_m:g}")
+    return RosMap(
+        free=occupancy < _number(values, "free_thresh", path),
+        occupied=occupancy > _number(values, "occupied_thresh", path),
+        resolution_m=resolution_m,
+        origin=_origin(values["origin"], path),
+    )
+
+
+def write_ros_map(grid: GridMap, folder: str | Path, stem: str) -> Path:
+    """Write `stem.pgm` and `stem.yaml` as map_server reads them; returns the path of the yaml."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    shade = np.full(grid.log_odds.shape, _UNKNOWN, np.uint8)
+    shade[grid.log_odds < 0] = _FREE
+    shade[grid.log_odds > 0] = _OCCUPIED
+    rows, columns = shade.shape
+    (folder / f"{stem}.pgm").write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + shade[::-1].tobytes())
+    x, y = (float(value) for value in grid.origin_m)
+    path = folder / f"{stem}.yaml"
+    path.write_text(
+        f"image: {stem}.pgm\nresolution: {float(grid.resolution_m)!r}\norigin: [{x!r}, {y!r}, 0.0]\nnegate: 0\n"
+        f"occupied_thresh: {_OCCUPIED_ABOVE}\nfree_thresh: {_FREE_BELOW}\n"
+    )
+    return path
+
+
+def _read_yaml(path: Path) -> dict[str, str]:
+    """The flat `key: value` lines of a map_server file; other keys (such as `mode`) are left alone."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise MapError(f"cannot read the map {path}: {error.strerror or error}; check the path") from error
+    values = {}
+    for line in text.splitlines():
+        key, separator, value = line.partition("#")[0].partition(":")
+        if separator:
+            values[key.strip()] = value.strip().strip("\"'")
+    for key in _KEYS:
+        if key not in values:
+            raise MapError(f"{path.name} lacks the key {key!r}; a map_server file has {', '.join(_KEYS)}")
+    return values
+
+
+def _number(values: dict[str, str], key: str, path: Path) -> float:
+    try:
+        number = float(values[key])
+    except ValueError:
+        raise MapError(f"{path.name}: {key} must be a number; got {values[key]!r}") from None
+    if not np.isfinite(number):
+        raise MapError(f"{path.name}: {key} must be finite; got {values[key]!r}")
+    return number
+
+
+def _origin(text: str, path: Path) -> Array:
+    try:
+        origin = np.array([float(value) for value in text.strip("[]").split(",")])
+    except ValueError:
+        origin = np.zeros(0)
+    if origin.shape != (3,) or not np.isfinite(origin).all():
+        raise MapError(f"{path.name}: origin must be [x, y, yaw]; got {text!r}")
+    return origin
