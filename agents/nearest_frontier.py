@@ -74,7 +74,8 @@ class _Robot:
 
     follower: Follower
     pose: Array | None = None
-    map_version: int = -1
+    map_id: tuple[int, int] = (-1, 0)
+    """Changes whenever the map frame jumps: version of the map and number of mates in it."""
     goal_m: Array | None = None
     goal_kind: str = ""
     """"frontier", "tour" or "" for none."""
@@ -93,14 +94,22 @@ class _Robot:
     idle: bool = False
 
     def move_frame(self, pose_new_old: Array) -> None:
-        """The map jumped: carry over what is remembered, drop what was planned."""
-        if self.track_m:
-            self.track_m = list(transform_points(pose_new_old, np.array(self.track_m)))
+        """The map jumped: carry everything remembered over to the new frame, and plan anew."""
+
+        def moved(place_m: Array) -> Array:
+            return transform_points(pose_new_old, np.asarray(place_m)[None])[0]
+
+        self.track_m = list(transform_points(pose_new_old, np.array(self.track_m).reshape(-1, 2)))
         for failure in self.failures:
-            failure.place_m = transform_points(pose_new_old, failure.place_m[None])[0]
-        self.obstacles.clear()
-        self.anchor = None
-        self.drop_goal()
+            failure.place_m = moved(failure.place_m)
+        self.obstacles = [(moved(place), until) for place, until in self.obstacles]
+        if self.anchor is not None:
+            self.anchor = (*moved(self.anchor[:2]), self.anchor[2])
+        if self.goal_m is not None:
+            self.goal_m = moved(self.goal_m)
+            if self.follower.path_m is not None:
+                self.follower.start(transform_points(pose_new_old, self.follower.path_m))
+        self.replan = True
 
     def drop_goal(self) -> None:
         """Forget goal and path; the next step plans anew."""
@@ -146,9 +155,10 @@ class NearestFrontier:
     def _observe(self, robot: _Robot, belief: Belief) -> None:
         """Take in a belief: frame jumps, the track, being stuck, arrival."""
         pose = np.asarray(belief.pose_map_robot, float)
-        if robot.pose is not None and belief.map_version != robot.map_version:
+        map_id = (belief.map_version, len(belief.mates))
+        if robot.pose is not None and map_id != robot.map_id:
             robot.move_frame(compose(pose, inverse(robot.pose)))
-        robot.pose, robot.map_version = pose, belief.map_version
+        robot.pose, robot.map_id = pose, map_id
         x, y = float(pose[0]), float(pose[1])
         if not robot.track_m or math.hypot(robot.track_m[-1][0] - x, robot.track_m[-1][1] - y) > 0.5:
             robot.track_m.append(pose[:2].copy())

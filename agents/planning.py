@@ -90,7 +90,7 @@ def _free_discs(kind, discs):
 
 @njit(cache=True, error_model="numpy")
 def _squared_clearance(kind, reach, across, squared):
-    """Squared distance in cells from each cell to the nearest wall, exact up to `reach`; both outputs (h, w) float32."""
+    """Squared distance in cells to the nearest wall, exact up to `reach`; both outputs (h, w) float32."""
     height, width = kind.shape
     far = np.float32(2 * reach * reach)
     base = np.empty(width, np.float32)

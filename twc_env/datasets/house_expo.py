@@ -6,6 +6,7 @@ room boxes can lie anywhere: neither is trusted.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -44,21 +45,16 @@ def house_expo_plan(values: dict, where: str, seed: int = 0) -> Floorplan:
     contour = simplified_ring(_contour(values, where), SIMPLIFY_M)
     ends = np.stack([contour, np.roll(contour, -1, axis=0)], axis=1)
     name = str(values.get("id", Path(where).stem))
-    plan = Floorplan(
-        name=name,
-        walls_m=ends,
-        wall_loss_db=np.full(len(ends), WALL_LOSS_DB / 2),
-        interior_m=[_interior_point(contour, where)],
-    )
-    plan = validate(plan)
-    rooms = _rooms(values.get("room_category", {}), plan.cells(), where)
-    furnished = furnish(plan, seed)
-    return validate(
+    plan = validate(
         Floorplan(
-            name, plan.walls_m, plan.wall_loss_db, rooms, furnished.signs, furnished.access_points,
-            interior_m=plan.interior_m,
-        )  # fmt: skip
+            name=name,
+            walls_m=ends,
+            wall_loss_db=np.full(len(ends), WALL_LOSS_DB / 2),
+            interior_m=[_interior_point(contour, where)],
+        )
     )
+    rooms = _rooms(values.get("room_category", {}), plan.cells(), where)
+    return validate(furnish(dataclasses.replace(plan, rooms=rooms), seed))
 
 
 def simplified_ring(ring: Array, tolerance_m: float) -> Array:

@@ -22,7 +22,9 @@ FREE_ABOVE = 250
 WALL_LOSS_DB = 5.0
 """Of a whole wall; each of its two faces carries half."""
 SPECK_M2 = 0.02
-"""Obstacles and holes smaller than this are taken for dirt."""
+"""Obstacles smaller than this are taken for dirt."""
+STRIP_M = 0.2
+"""Free strips no wider than this, where no robot fits, are taken for stray beams and gaps of the scan."""
 
 
 def read_picture(path: str | Path, seed: int = 0, resolution_m: float = PICTURE_RESOLUTION_M) -> Floorplan:
@@ -39,12 +41,15 @@ def read_picture(path: str | Path, seed: int = 0, resolution_m: float = PICTURE_
 def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Array = (0.0, 0.0)) -> Floorplan:
     """Free cells (rows, columns), row 0 the lowest y -> a plan without signs whose walls are the cells' edges.
 
-    Only the largest connected part is kept, and specks are dropped. Raises MapError when nothing is free.
+    Only the largest connected part is kept; specks and narrow strips are dropped. Raises MapError when nothing is free.
     """
-    free = largest_part(free)
+    free = _without_specks(largest_part(free), resolution_m)
+    free = largest_part(_without_strips(free, resolution_m))
     if not free.any():
-        raise MapError(f"map {name!r} shows no free space; free cells must be white, or check the thresholds")
-    free = _without_specks(free, resolution_m)
+        raise MapError(
+            f"map {name!r} shows no free space wider than {STRIP_M} m; free cells must be white, "
+            "or check the thresholds and the resolution"
+        )
     origin_m = np.asarray(origin_m, float)
     walls = free_edges(free) * resolution_m + origin_m
     row, column = deepest_cell(free)
@@ -158,6 +163,16 @@ def _without_specks(free: Array, resolution_m: float) -> Array:
     return free | small[labels][1:-1, 1:-1]
 
 
+def _without_strips(free: Array, resolution_m: float) -> Array:
+    """Only what a square a little wider than STRIP_M can sweep (a morphological opening)."""
+    side = int(STRIP_M / resolution_m + 1e-6) + 1
+    window = np.lib.stride_tricks.sliding_window_view
+    outside = np.pad(free, side)
+    fits = window(window(outside, side, axis=0).all(axis=-1), side, axis=1).all(axis=-1)
+    swept = window(window(fits, side, axis=0).any(axis=-1), side, axis=1).any(axis=-1)
+    return swept[1:-1, 1:-1]
+
+
 @njit(cache=True, error_model="numpy")
 def _label(mask, diagonal):
     """Connected parts of a mask: (rows, columns) labels from 1, and their sizes."""
@@ -189,7 +204,7 @@ def _label(mask, diagonal):
 
 @njit(cache=True, error_model="numpy")
 def _depth(free):
-    """Chamfer distance of each free cell to the nearest other cell, in thirds of a cell. The border must not be free."""
+    """Chamfer distance of each free cell to the nearest other, in thirds of a cell; the border must not be free."""
     rows, columns = free.shape
     depth = np.where(free, np.int32(1 << 30), np.int32(0))
     for r in range(1, rows - 1):

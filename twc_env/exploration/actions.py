@@ -26,20 +26,33 @@ def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config:
 
     Raises ActionError when an agent has no action, or an action is not two finite numbers in [-1, 1].
     """
-    commands = np.empty((len(agents), 2))
-    for row, agent in enumerate(agents):
-        if agent not in actions:
-            raise ActionError(f"no action for {agent!r}: step() needs one for each of {list(agents)}")
-        try:
-            commands[row] = actions[agent]
-        except (TypeError, ValueError):
-            raise ActionError(
-                f"action of {agent!r} must be 2 numbers (forward speed, turn rate) in [-1, 1]; got {actions[agent]!r}"
-            ) from None
-    if not np.all(np.abs(commands) <= 1.0 + TOLERANCE):  # also false for NaN
+    try:
+        commands = np.array([actions[agent] for agent in agents], float)
+    except (KeyError, TypeError, ValueError):
+        commands = _one_by_one(actions, agents)
+    if commands.shape != (len(agents), 2):
+        commands = _one_by_one(actions, agents)
+    if not np.abs(commands).max() <= 1.0 + TOLERANCE:  # also true for NaN
         row = int(np.argmax(~np.all(np.abs(commands) <= 1.0 + TOLERANCE, axis=1)))
         raise ActionError(
             f"action of {agents[row]!r} must be finite and in [-1, 1]; got {actions[agents[row]]!r}: "
             "clip it, or use an agent whose output is squashed"
         )
-    return np.clip(commands, -1.0, 1.0) * (config.speed_max_m_s, config.turn_rate_max_rad_s)
+    return commands.clip(-1.0, 1.0) * (config.speed_max_m_s, config.turn_rate_max_rad_s)
+
+
+def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
+    """The same with a message for the first action that does not fit."""
+    commands = np.empty((len(agents), 2))
+    for row, agent in enumerate(agents):
+        if agent not in actions:
+            raise ActionError(f"no action for {agent!r}: step() needs one for each of {list(agents)}")
+        try:
+            if np.shape(actions[agent]) != (2,):
+                raise ValueError
+            commands[row] = actions[agent]
+        except (TypeError, ValueError):
+            raise ActionError(
+                f"action of {agent!r} must be 2 numbers (forward speed, turn rate) in [-1, 1]; got {actions[agent]!r}"
+            ) from None
+    return commands

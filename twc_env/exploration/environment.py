@@ -132,7 +132,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         frames = self._world.sense()
         self._think(frames)
         if is_last:
-            self.engine.team.finish()
+            self.engine.finish()
         values = self._judge(is_last)
         observations = self._observe(frames)
         agents = self.agents
@@ -144,6 +144,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             dict.fromkeys(agents, is_last),
             {agent: {"reward_terms": v} for agent, v in zip(agents, values, strict=True)},
         )
+
+    @property
+    def frames(self) -> tuple[SensorFrame, ...]:
+        """What each robot sensed in the last step; `twc_env.datasets.write_frame_log` records them."""
+        return self._frames
 
     def belief(self, agent: str) -> Belief:
         """What one robot knows: the merged map of its group and where it is in it. Estimates only."""
@@ -177,6 +182,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     def _think(self, frames: tuple[SensorFrame, ...]) -> None:
         """Front ends, link and team mapper take in one set of frames."""
+        self._frames = frames
         for keyframe in self.engine.track(frames):
             self._send(keyframe)
         self.engine.absorb(self._steps, self._link.deliver())

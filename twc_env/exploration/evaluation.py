@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env import metrics
+from twc_env._version import __version__
 from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
 from twc_env.geometry import between, compose, transform_points
@@ -154,8 +155,6 @@ def evaluate(
     config: EnvConfig, seed: int, floorplan: Floorplan, engine: CooperativeSlam, record: EpisodeRecord, bytes_sent: dict
 ) -> EpisodeResult:
     """Every figure of the report and all that pictures and exports need."""
-    from twc_env import __version__
-
     cells = floorplan.cells()
     verdicts = judge(engine, record, cells)
     estimated, true = final_trajectories(engine, record), record.true_poses
@@ -171,6 +170,7 @@ def evaluate(
     score = _score(engine.team.grid_of(group), best.pose_building_map, cells)
     closures = _closures(engine, record, alignment)
     counted = metrics.score_closures([c["correct"] for c in closures], [c["status"] == "accepted" for c in closures])
+    by_odometry = _score_odometry(engine, record, config, cells)
     robots = range(true.shape[1])
     figures = {
         "map": config.map,
@@ -179,7 +179,7 @@ def evaluate(
         "steps": record.count - 1,
         "sim_time_s": round((record.count - 1) * config.dynamics.time_step_s, 6),
         "coverage_believed": score.believed_area_m2 / max(cells.free.sum() * cells.resolution_m**2, 1e-9),
-        "coverage_true": _score(_map_at(engine, record.true_poses, config), np.zeros(3), cells).coverage_correct,
+        "coverage_true": _seen_share(_map_at(engine, record.true_poses, config), cells),
         "coverage_correct": score.coverage_correct,
         "map_iou": score.map_iou,
         "wall_iou": score.wall_iou,
@@ -189,7 +189,9 @@ def evaluate(
         "per_robot_ate_m": [metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in robots],
         "epe_m": float(np.mean([metrics.end_point_error_m(estimated[:, r], true[:, r]) for r in robots])),
         "odometry_ate_m": _position_rmse(record.odometry_poses, true),
-        "odometry_coverage_correct": _odometry_coverage(engine, record, config, cells),
+        "odometry_coverage_correct": by_odometry.coverage_correct,
+        "odometry_map_iou": by_odometry.map_iou,
+        "odometry_wall_iou": by_odometry.wall_iou,
         "closures": {
             "proposed": counted.proposed,
             "accepted": counted.accepted,
@@ -255,9 +257,22 @@ def _map_at(engine: CooperativeSlam, poses: Array, config: EnvConfig) -> GridMap
     return grid.snapshot()
 
 
-def _odometry_coverage(engine: CooperativeSlam, record: EpisodeRecord, config: EnvConfig, cells: Cells) -> float:
+def _seen_share(grid: GridMap, cells: Cells) -> float:
+    """Share of the explorable floor of which some scan said anything; grid drawn at the true poses."""
+    rows, columns = np.nonzero(cells.free)
+    centres = cells.origin_m + (np.stack([columns, rows], axis=1) + 0.5) * cells.resolution_m
+    found = grid.cell_of(centres)
+    inside = np.all((found >= 0) & (found < grid.log_odds.shape), axis=1)
+    row, column = found[inside].T
+    return float(np.count_nonzero(grid.log_odds[row, column]) / max(len(rows), 1))
+
+
+def _score_odometry(
+    engine: CooperativeSlam, record: EpisodeRecord, config: EnvConfig, cells: Cells
+) -> metrics.MapScore:
+    """The map that dead reckoning alone would give, its true relative starts given away, after one alignment."""
     alignment = metrics.align_team(record.odometry_poses, record.true_poses)
-    return _score(_map_at(engine, record.odometry_poses, config), alignment, cells).coverage_correct
+    return _score(_map_at(engine, record.odometry_poses, config), alignment, cells)
 
 
 def _closures(engine: CooperativeSlam, record: EpisodeRecord, alignment: Array) -> list[dict]:

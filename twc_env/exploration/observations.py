@@ -40,7 +40,9 @@ class ObservationBuilder:
     def __init__(self, config: EnvConfig, robots: int):
         self._config = config
         self._robots = robots
-        self._slot_of_mac: dict[int, int] = {}
+        self._known_macs = np.zeros(0, np.int64)
+        """Ascending."""
+        self._slot_of_known = np.zeros(0, np.int64)
         self._wifi = np.zeros(config.observation.wifi_slots, np.float32)
 
     def build(self, frame: SensorFrame, belief: Belief) -> dict[str, Array]:
@@ -71,15 +73,28 @@ class ObservationBuilder:
         return crop
 
     def _update_wifi(self, frame: SensorFrame) -> Array:
-        if frame.wifi is not None:
-            self._wifi = np.zeros_like(self._wifi)
-            for k in np.argsort(-frame.wifi.rssi_dbm, kind="stable"):
-                mac = int(frame.wifi.macs[k])
-                slot = self._slot_of_mac.setdefault(mac, len(self._slot_of_mac))
-                if slot < len(self._wifi):
-                    level = (frame.wifi.rssi_dbm[k] - RSSI_ZERO_DBM) / RSSI_SPAN_DB
-                    self._wifi[slot] = min(max(level, 0.0), 1.0)
+        scan = frame.wifi
+        if scan is not None:
+            self._wifi[:] = 0.0
+            level = ((scan.rssi_dbm - RSSI_ZERO_DBM) / RSSI_SPAN_DB).clip(0.0, 1.0)
+            slots = self._slots_of(scan.macs, level)
+            mine = slots < len(self._wifi)
+            self._wifi[slots[mine]] = level[mine]
         return self._wifi.copy()
+
+    def _slots_of(self, macs: Array, level: Array) -> Array:
+        """(heard,) slot of each transmitter; new ones get the next slots, the strongest first."""
+        known = self._known_macs
+        place = np.searchsorted(known, macs)
+        if len(known) == 0 or not np.array_equal(known[np.minimum(place, len(known) - 1)], macs):
+            new = np.setdiff1d(macs, known, assume_unique=True)
+            strongest_first = new[np.argsort(-level[np.searchsorted(macs, new)], kind="stable")]
+            merged = np.concatenate([known, strongest_first])
+            slots = np.concatenate([self._slot_of_known, len(known) + np.arange(len(new))])
+            order = np.argsort(merged)
+            self._known_macs, self._slot_of_known = merged[order], slots[order]
+            place = np.searchsorted(self._known_macs, macs)
+        return self._slot_of_known[place]
 
     def _signs(self, frame: SensorFrame) -> Array:
         config = self._config
@@ -94,23 +109,23 @@ class ObservationBuilder:
         others = [r for r in range(self._robots) if r != belief.robot]
         for row, mate in zip(rows, others, strict=False):
             if mate in belief.mates:
-                x, y, heading = between(belief.pose_map_robot, belief.mates[mate])
+                x, y, heading = between(belief.pose_map_robot, belief.mates[mate]).tolist()
                 distance = math.hypot(x, y)
                 row[:] = 1.0, math.atan2(y, x) / math.pi, distance / (distance + 10.0), heading / math.pi
         return rows
 
 
 def _pose(belief: Belief) -> Array:
-    x, y, heading = belief.pose_map_robot
-    values = np.array([x, y, math.cos(heading), math.sin(heading)], np.float32)
-    return np.clip(values, -POSE_LIMIT_M, POSE_LIMIT_M)
+    x, y, heading = belief.pose_map_robot.tolist()
+    x, y = (min(max(v, -POSE_LIMIT_M), POSE_LIMIT_M) for v in (x, y))
+    return np.array([x, y, math.cos(heading), math.sin(heading)], np.float32)
 
 
 @njit(cache=True, error_model="numpy")
 def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     """Egocentric view, robot in the middle and looking along +column: out[0] free, out[1] wall (255 or 0).
 
-    Each cell takes four samples, so that a wall one map cell thick does not slip through.
+    Each cell takes two samples on one of its diagonals, by turns, so that a wall one map cell thick hardly slips through.
     """
     height, width = log_odds.shape
     size = out.shape[1]
@@ -120,12 +135,13 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     x0 = x * inverse_m + first * (c - s)
     y0 = y * inverse_m + first * (s + c)
     for i in range(2 * size):
-        gx, gy = x0 - s * i, y0 + c * i
-        for j in range(2 * size):
+        shift = (i + (i >> 1)) & 1
+        gx, gy = x0 - s * i + c * shift, y0 + c * i + s * shift
+        for j in range(shift, 2 * size, 2):
             # adding a whole number makes truncation round down
             k, r = int(gx + 65536.0) - 65536, int(gy + 65536.0) - 65536
-            gx += c
-            gy += s
+            gx += 2 * c
+            gy += 2 * s
             if 0 <= r < height and 0 <= k < width:
                 level = log_odds[r, k]
                 if level > 0:

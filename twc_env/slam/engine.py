@@ -27,6 +27,8 @@ class CooperativeSlam:
         self.robots = [RobotFrontEnd(robot, config) for robot in range(robot_count)]
         self.team = TeamMapper(config, robot_count)
         self._frames: list[SensorFrame | None] = [None] * robot_count
+        self._poses_map_robot = [np.zeros(3)] * robot_count
+        self._last_step = 0
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Run the front end of each frame's robot; the keyframes that came of it, in order."""
@@ -40,15 +42,24 @@ class CooperativeSlam:
 
     def absorb(self, step: int, keyframes: list[Keyframe]) -> None:
         """Take the keyframes that reached the mapper into the team's map."""
+        self._last_step = step
         self.team.update(step, keyframes)
+        self._poses_map_robot = [
+            compose(self.team.pose_map_odom(robot), front_end.pose_odom) for robot, front_end in enumerate(self.robots)
+        ]
+
+    def finish(self) -> None:
+        """Work off all that waits in the team's mapper (end of an episode or log)."""
+        self.team.finish()
+        self.absorb(self._last_step, [])
 
     def update(self, frames: Sequence[SensorFrame]) -> None:
         """`track` and `absorb` at once, for logs and perfect links."""
         self.absorb(frames[0].step, self.track(frames))
 
     def pose_map_robot(self, robot: int) -> Array:
-        """(3,) present estimate of a robot in its group's map frame."""
-        return compose(self.team.pose_map_odom(robot), self.robots[robot].pose_odom)
+        """(3,) estimate of a robot in its group's map frame, as of the last `absorb`."""
+        return self._poses_map_robot[robot]
 
     def belief(self, robot: int, with_signs: bool = True) -> Belief:
         """What this robot knows now; `with_signs=False` leaves out the team's list of signs, which takes a while."""

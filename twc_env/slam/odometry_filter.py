@@ -17,6 +17,9 @@ from twc_env.geometry import wrap_angle
 
 Array = NDArray
 
+INFORMATION_MIN = 1e-6
+"""Added to a match's information, so that a direction it does not fix has a variance at all."""
+
 
 @njit(cache=True, error_model="numpy")
 def _motion_noise(dx, dy, config, out):
@@ -72,17 +75,41 @@ def _predict(x, p, odometry, turn_rate, dt, config):
 
 
 @njit(cache=True, error_model="numpy")
-def _update_pose(x, p, innovation, covariance):
-    """Linear update with a measured pose; innovation (3,) = measured - x[:3], heading wrapped."""
-    s = p[:3, :3] + covariance
-    gain = np.linalg.solve(s, p[:3, :].copy()).T
-    x += gain @ innovation
-    p -= gain @ p[:3, :].copy()
+def _invert3(m, out):
+    """Inverse of a symmetric 3 x 3 matrix by cofactors."""
+    a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
+    c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
+    det = a * c00 + b * c01 + c * c02
+    out[0, 0], out[0, 1], out[0, 2] = c00 / det, c01 / det, c02 / det
+    out[1, 1], out[1, 2], out[2, 2] = (a * f - c * c) / det, (b * c - a * e) / det, (a * d - b * b) / det
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
+
+
+@njit(cache=True, error_model="numpy")
+def _update_pose(x, p, pose, information):
+    """Linear update of x (4,) and p (4, 4) with a measured pose (3,) and its information (3, 3)."""
+    r, s, inverse, gain, old = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3)), p.copy()
+    for i in range(3):
+        for j in range(3):
+            s[i, j] = information[i, j]
+        s[i, i] += INFORMATION_MIN
+    _invert3(s, r)
+    for i in range(3):
+        for j in range(3):
+            s[i, j] = p[i, j] + r[i, j]
+    _invert3(s, inverse)
+    innovation = np.empty(3)
+    for i in range(3):
+        innovation[i] = pose[i] - x[i]
+    innovation[2] = (innovation[2] + math.pi) % (2 * math.pi) - math.pi
     for i in range(4):
-        for j in range(i):
-            mean = 0.5 * (p[i, j] + p[j, i])
-            p[i, j] = mean
-            p[j, i] = mean
+        for j in range(3):
+            gain[i, j] = old[i, 0] * inverse[0, j] + old[i, 1] * inverse[1, j] + old[i, 2] * inverse[2, j]
+    for i in range(4):
+        x[i] += gain[i, 0] * innovation[0] + gain[i, 1] * innovation[1] + gain[i, 2] * innovation[2]
+        for j in range(i, 4):
+            p[i, j] = old[i, j] - gain[i, 0] * old[0, j] - gain[i, 1] * old[1, j] - gain[i, 2] * old[2, j]
+            p[j, i] = p[i, j]
 
 
 def _process_values(config: OdometryFilterConfig) -> Array:
@@ -110,11 +137,9 @@ class CompiledFilter:
         """Move by one frame's odometry (3,) and gyro."""
         _predict(self.state, self.covariance, odometry, turn_rate_rad_s, dt_s, self._values)
 
-    def update(self, pose: Array, covariance: Array) -> None:
-        """Correct with a pose (3,) measured by scan matching and its covariance (3, 3)."""
-        innovation = pose - self.state[:3]
-        innovation[2] = (innovation[2] + math.pi) % (2 * math.pi) - math.pi
-        _update_pose(self.state, self.covariance, innovation, covariance)
+    def update(self, pose: Array, information: Array) -> None:
+        """Correct with a pose (3,) measured by scan matching and its information (3, 3), which may be singular."""
+        _update_pose(self.state, self.covariance, pose, information)
 
 
 class FilterpyFilter:
@@ -160,8 +185,8 @@ class FilterpyFilter:
             R=np.array([[self._config.odometry_turn_std_rad**2 + self._config.turn_std_rad**2]]),
         )
 
-    def update(self, pose: Array, covariance: Array) -> None:
-        """Correct with a pose (3,) measured by scan matching and its covariance (3, 3)."""
+    def update(self, pose: Array, information: Array) -> None:
+        """Correct with a pose (3,) measured by scan matching and its information (3, 3), which may be singular."""
 
         def residual(a, b):
             d = a - b
@@ -172,7 +197,7 @@ class FilterpyFilter:
             np.asarray(pose),
             HJacobian=lambda _x: np.eye(3, 4),
             Hx=lambda x: x[:3],
-            R=covariance,
+            R=np.linalg.inv(information + INFORMATION_MIN * np.eye(3)),
             residual=residual,
         )
 

@@ -13,7 +13,7 @@ from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Keyframe, SensorFrame, SignObservation
 from twc_env.slam.odometry_filter import make_filter
 from twc_env.slam.radio_fingerprint import fingerprint
-from twc_env.slam.scan_matching import LineField, scan_points
+from twc_env.slam.scan_matching import LineField
 
 Array = NDArray
 
@@ -36,6 +36,8 @@ class RobotFrontEnd:
         self._filter = make_filter(config.slam.odometry_filter)
         local = config.slam.local_map
         self._field = LineField(np.zeros(2), local.size_m, local.resolution_m, self._range_max_m)
+        noise = config.slam.odometry_filter
+        self._match_variance_m2 = noise.match_std_m**2 * noise.match_correlation
         self._recentre_m = max(0.5 * local.size_m - self._range_max_m - 1.0, 1.0)
         self._centre_m = np.zeros(2)
         self._keyframes: list[Keyframe] = []
@@ -44,18 +46,17 @@ class RobotFrontEnd:
         self._travel_m = 0.0
         self._time_s = 0.0
         self._motion_variance = np.zeros(3)
-        self._match_information = np.zeros((3, 3))
+        self._match_information: Array | None = None
         self.pose_odom = np.zeros(3)
         """(3,) the estimate after the latest frame."""
 
     def update(self, frame: SensorFrame) -> Keyframe | None:
         """Take in one frame; gives a keyframe when the robot has come to a new place."""
         self._predict(frame)
-        points = scan_points(frame.ranges_m, self._range_max_m)
         if self._keyframes:
-            self._match(points)
-        state = self._filter.state
-        self.pose_odom = np.array([state[0], state[1], (state[2] + math.pi) % (2 * math.pi) - math.pi])
+            self._match(frame.ranges_m)
+        x, y, heading, _ = self._filter.state.tolist()
+        self.pose_odom = np.array([x, y, (heading + math.pi) % (2 * math.pi) - math.pi])
         self._remember_radio_and_signs(frame)
         if not self._is_new_place():
             return None
@@ -70,27 +71,25 @@ class RobotFrontEnd:
         if dt_s <= 0.0:
             return
         self._filter.predict(frame.odometry, frame.turn_rate_rad_s, dt_s)
-        length = math.hypot(frame.odometry[0], frame.odometry[1])
+        length = math.hypot(*frame.odometry[:2].tolist())
         self._travel_m += length
         noise = self._config.odometry_filter
         moved = noise.position_std_m**2 + noise.position_std_per_m**2 * length
         self._motion_variance += (moved, moved, noise.turn_std_rad**2)
 
-    def _match(self, points: Array) -> None:
-        local, noise = self._config.local_map, self._config.odometry_filter
-        self._match_information = np.zeros((3, 3))
+    def _match(self, ranges_m: Array) -> None:
+        local = self._config.local_map
         guess = self._filter.state[:3].copy()
-        match = self._field.refine(
-            points, guess, local.match_distance_max_m, local.match_iterations_max, local.degenerate_share
-        )
-        if match.weight < max(5.0, MATCHED_SHARE_MIN * len(points)):
+        pose, information, share = self._field.match_scan(
+            ranges_m, guess, local.match_distance_max_m, local.match_iterations_max, local.degenerate_share,
+            self._match_variance_m2,
+        )  # fmt: skip
+        jump_x, jump_y, turn = (pose - guess).tolist()
+        self._match_information = None
+        if share < MATCHED_SHARE_MIN or math.hypot(jump_x, jump_y) > INNOVATION_MAX_M or abs(turn) > INNOVATION_MAX_RAD:
             return
-        step = match.pose - guess
-        if math.hypot(step[0], step[1]) > INNOVATION_MAX_M or abs(step[2]) > INNOVATION_MAX_RAD:
-            return
-        information = match.information(noise.match_std_m, noise.match_correlation)
         self._match_information = information
-        self._filter.update(match.pose, np.linalg.inv(information + 1e-6 * np.eye(3)))
+        self._filter.update(pose, information)
 
     def _remember_radio_and_signs(self, frame: SensorFrame) -> None:
         if frame.wifi is not None:
@@ -104,9 +103,10 @@ class RobotFrontEnd:
     def _is_new_place(self) -> bool:
         if not self._keyframes:
             return True
-        rule, last = self._config.keyframe, self._keyframes[-1].pose_odom
-        moved = math.hypot(self.pose_odom[0] - last[0], self.pose_odom[1] - last[1])
-        return moved >= rule.distance_m or abs(wrap_angle(self.pose_odom[2] - last[2])) >= rule.turn_rad
+        rule = self._config.keyframe
+        dx, dy, turn = (self.pose_odom - self._keyframes[-1].pose_odom).tolist()
+        turn = (turn + math.pi) % (2 * math.pi) - math.pi
+        return math.hypot(dx, dy) >= rule.distance_m or abs(turn) >= rule.turn_rad
 
     def _make_keyframe(self, frame: SensorFrame) -> Keyframe:
         rule = self._config.keyframe
@@ -138,10 +138,12 @@ class RobotFrontEnd:
 
     def _motion_covariance(self, heading_rad: float) -> Array:
         """Odometry's covariance since the last keyframe, sharpened by what the local map fixes."""
-        c, s = math.cos(heading_rad), math.sin(heading_rad)
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        matched = turn.T @ (0.5 * self._match_information) @ turn
-        covariance = np.linalg.inv(np.diag(1.0 / np.maximum(self._motion_variance, 1e-9)) + matched)
+        information = np.diag(1.0 / np.maximum(self._motion_variance, 1e-9))
+        if self._match_information is not None:
+            c, s = math.cos(heading_rad), math.sin(heading_rad)
+            turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+            information += turn.T @ (0.5 * self._match_information) @ turn
+        covariance = np.linalg.inv(information)
         return covariance + np.diag(MOTION_STD_MIN**2)
 
     def _extend_local_map(self, keyframe: Keyframe) -> None:

@@ -17,6 +17,8 @@ Array = NDArray
 
 REACH_M = 0.5
 """Cells further from a wall than this know nothing of it."""
+WEIGHT_MIN = 5.0
+"""With less than this sum of weights nothing was matched."""
 SAME_WALL_M = 0.02
 """A piece of wall this near to a line that is already known adds nothing."""
 JUMP_MAX_M = 0.5
@@ -178,7 +180,7 @@ def _refine(
         total = _normal_equations(
             field, origin_x, origin_y, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, h, g
         )
-        if total < 5.0:
+        if total < WEIGHT_MIN:
             break
         weakest, vx, vy = _weakest_direction(h)
         degenerate = weakest < degenerate_share * total
@@ -248,6 +250,37 @@ def _share_near(field, origin_x, origin_y, inverse_m, points, n, pose, near_m):
     return count / max(n, 1)
 
 
+@njit(cache=True, error_model="numpy")
+def _information(h, degenerate, vx, vy, scale, out):
+    """Fill out (3, 3) with h / scale, emptied along the direction (vx, vy) where that is degenerate."""
+    out[0, 0], out[0, 1], out[0, 2], out[1, 1], out[1, 2], out[2, 2] = h[0], h[1], h[2], h[3], h[4], h[5]
+    out[1, 0], out[2, 0], out[2, 1] = h[1], h[2], h[4]
+    out /= scale
+    if degenerate:
+        kxx, kxy, kyy = 1.0 - vx * vx, -vx * vy, 1.0 - vy * vy
+        for j in range(3):
+            a, b = out[0, j], out[1, j]
+            out[0, j], out[1, j] = kxx * a + kxy * b, kxy * a + kyy * b
+        for i in range(3):
+            a, b = out[i, 0], out[i, 1]
+            out[i, 0], out[i, 1] = kxx * a + kxy * b, kxy * a + kyy * b
+
+
+@njit(cache=True, error_model="numpy")
+def _match_scan(
+    field, origin_x, origin_y, inverse_m, ranges, range_max, guess, distance_max, iterations, degenerate_share, scale,
+    points, pose, information,
+):  # fmt: skip
+    """A whole scan against the field; writes pose (3,) and information (3, 3), gives (points, sum of weights)."""
+    n = _points_of(ranges, range_max, points)
+    h = np.zeros(6)
+    _, total, degenerate, vx, vy = _refine(
+        field, origin_x, origin_y, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, pose, h
+    )
+    _information(h, degenerate, vx, vy, scale, information)
+    return n, total
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
     """Where a scan fits, and how well each direction is fixed."""
@@ -257,18 +290,16 @@ class Match:
     hessian: Array
     """(3, 3) sum of J^T w J over the beams [1/m2 units once divided by the beam variance]."""
     weight: float
-    """Sum of the beams' weights; below 5 nothing was matched."""
+    """Sum of the beams' weights; below WEIGHT_MIN nothing was matched."""
     is_degenerate: bool
     direction: Array
     """(2,) the direction that the walls fix least, unit length."""
 
     def information(self, beam_std_m: float, correlation: float) -> Array:
         """(3, 3) information of `pose`; none along a degenerate direction, as a corridor does not fix its own axis."""
-        information = self.hessian / (beam_std_m**2 * correlation)
-        if self.is_degenerate:
-            keep = np.eye(3)
-            keep[:2, :2] -= np.outer(self.direction, self.direction)
-            information = keep @ information @ keep
+        h, information = self.hessian, np.empty((3, 3))
+        upper = np.array([h[0, 0], h[0, 1], h[0, 2], h[1, 1], h[1, 2], h[2, 2]])
+        _information(upper, self.is_degenerate, *self.direction, beam_std_m**2 * correlation, information)
         return information
 
 
@@ -281,6 +312,7 @@ class LineField:
         self.range_max_m = range_max_m
         self._inverse_m = 1.0 / resolution_m
         self.cells = np.empty((cells, cells, 4), np.float32)
+        self._points = np.empty((0, 2))
         self.reset(centre_m)
 
     def reset(self, centre_m: Array) -> None:
@@ -302,6 +334,29 @@ class LineField:
         )
         hessian = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
         return Match(pose, hessian, weight, degenerate, np.array([vx, vy]))
+
+    def match_scan(
+        self,
+        ranges_m: Array,
+        guess: Array,
+        distance_max_m: float,
+        iterations: int,
+        degenerate_share: float,
+        variance_m2: float,
+    ) -> tuple[Array, Array, float]:
+        """`refine` for a whole scan (beams,) in one compiled call.
+
+        variance_m2 is the squared error of one beam, times how many beams count as one. Gives the pose (3,), its
+        information (3, 3) and the share of the returned beams that the field explains.
+        """
+        if len(self._points) < len(ranges_m):
+            self._points = np.empty((len(ranges_m), 2))
+        pose, information = np.empty(3), np.empty((3, 3))
+        count, weight = _match_scan(
+            self.cells, *self._frame, ranges_m, self.range_max_m, guess, distance_max_m, iterations, degenerate_share,
+            variance_m2, self._points, pose, information,
+        )  # fmt: skip
+        return pose, information, weight / count if weight >= WEIGHT_MIN else 0.0
 
     def correlate(
         self, points: Array, guess: Array, window: tuple[float, float], step: tuple[float, float], stride: int = 1

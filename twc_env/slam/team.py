@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,6 +71,7 @@ class TeamMapper:
         """Every closure that was ever verified, with what became of it."""
         self.groups = [Group((r,), self._new_grid()) for r in range(robot_count)]
         self._group_of = list(range(robot_count))
+        self._map_odom: list[Array | None] = [np.zeros(3) for _ in range(robot_count)]
         self._poses = _Growing(3)
         self._scans = _Growing(config.lidar.beam_count)
         self._steps = [_Growing(dtype=np.int64) for _ in range(robot_count)]
@@ -122,9 +124,11 @@ class TeamMapper:
 
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
-        if not self.keyframes[robot]:
-            return np.zeros(3)
-        return compose(self._poses.rows[self._nodes[robot][-1]], inverse(self.keyframes[robot][-1].pose_odom))
+        held = self._map_odom[robot]
+        if held is None:
+            held = compose(self._poses.rows[self._nodes[robot][-1]], inverse(self.keyframes[robot][-1].pose_odom))
+            self._map_odom[robot] = held
+        return held
 
     def grid_of(self, group: int) -> GridMap:
         """The merged map of a group, as it is now."""
@@ -169,6 +173,7 @@ class TeamMapper:
         if nodes:
             self._add_edge(nodes[-1], node, keyframe.motion, keyframe.motion_covariance, False)
         nodes.append(node)
+        self._map_odom[robot] = None
         self.keyframes[robot].append(keyframe)
         self._steps[robot].append(keyframe.step)
         self.groups[self._group_of[robot]].grid.integrate(pose[None], keyframe.ranges_m[None])
@@ -313,7 +318,7 @@ class TeamMapper:
 
     def _merge(self, a: int, b: int, pose_a_b: Array) -> None:
         moved = [node for robot in self.groups[b].robots for node in self._nodes[robot]]
-        self._poses.rows[moved] = compose(pose_a_b, self._poses.rows[moved])
+        self._place(moved, compose(pose_a_b, self._poses.rows[moved]), self.groups[b].robots)
         robots = tuple(sorted(self.groups[a].robots + self.groups[b].robots))
         version = self.groups[a].version + self.groups[b].version + 1
         self.groups[a] = Group(robots, self._new_grid(), version)
@@ -326,6 +331,12 @@ class TeamMapper:
         self._redraw(a)
 
     # --- optimisation and drawing ---
+
+    def _place(self, nodes: Sequence[int] | Array, poses: Array, robots: Sequence[int]) -> None:
+        """Move nodes, all of these robots, to new poses."""
+        self._poses.rows[nodes] = poses
+        for robot in robots:
+            self._map_odom[robot] = None
 
     def _optimise(self, group: int) -> None:
         robots = self.groups[group].robots
@@ -345,7 +356,7 @@ class TeamMapper:
             self._config.pose_graph,
             fixed=int(local[self._nodes[robots[0]][0]]),
         )
-        self._poses.rows[nodes] = after
+        self._place(nodes, after, robots)
         moved = np.abs(after - before)
         if moved[:, :2].max() > MOVED_M or np.abs(wrap_angle(moved[:, 2])).max() > MOVED_RAD:
             self._redraw(group)

@@ -161,11 +161,12 @@ class Floorplan:
         return self._cache["cells", resolution_m]
 
     def __getstate__(self) -> dict:
-        return {key: value for key, value in self.__dict__.items() if key != "_cache"}
+        # Caches stay behind, but not the home: it must come back to the last bit.
+        kept = {key: self._cache[key] for key in ("home",) if key in self._cache}
+        return {**self.__dict__, "_cache": kept}
 
     def __setstate__(self, state: dict) -> None:
         self.__dict__.update(state)
-        self.__post_init__()
 
 
 def validate(plan: Floorplan) -> Floorplan:

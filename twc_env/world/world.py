@@ -152,7 +152,8 @@ def start_places(home: Floorplan) -> Array:
         cells = home.cells()
         rows, columns = np.nonzero(cells.free)
         centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
-        home._cache["start_places"] = centres[home.wall_index.distance_m(centres, START_CLEARANCE_M) >= START_CLEARANCE_M]
+        gaps_m = home.wall_index.distance_m(centres, START_CLEARANCE_M)
+        home._cache["start_places"] = centres[gaps_m >= START_CLEARANCE_M]
     return home._cache["start_places"]
 
 

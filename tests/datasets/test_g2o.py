@@ -1,0 +1,88 @@
+"""Pose graphs survive the g2o format, and public ones can be read."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twc_env.datasets.g2o import read_g2o, write_g2o
+from twc_env.errors import DataError
+
+DATA = os.environ.get("TWC_DATA")
+
+
+def some_graph():
+    rng = np.random.default_rng(0)
+    factors = rng.normal(size=(4, 3, 3))
+    return {
+        "nodes": rng.normal(size=(4, 3)),
+        "edges_ij": np.array([[0, 1], [1, 2], [2, 3], [0, 3]]),
+        "edges_z": rng.normal(size=(4, 3)),
+        "edges_information": factors @ factors.transpose(0, 2, 1),
+    }
+
+
+@pytest.mark.parametrize("name", ["a.g2o", "a.g2o.gz"])
+def test_a_graph_survives_a_round_trip(tmp_path, name):
+    graph = some_graph()
+    write_g2o(tmp_path / name, graph)
+    read = read_g2o(tmp_path / name)
+    assert all(np.allclose(read[key], graph[key], atol=1e-6) for key in graph)
+    assert read["edges_kind"] == ["odometry", "odometry", "odometry", "closure"]
+
+
+def test_the_information_matrix_is_written_as_its_upper_triangle(tmp_path):
+    graph = {
+        "nodes": np.zeros((2, 3)),
+        "edges_ij": [[0, 1]],
+        "edges_z": [[1, 2, 3]],
+        "edges_information": [[[11, 12, 13], [12, 22, 23], [13, 23, 33]]],
+    }
+    write_g2o(tmp_path / "a.g2o", graph)
+    assert "EDGE_SE2 0 1 1 2 3 11 12 13 22 23 33" in (tmp_path / "a.g2o").read_text()
+
+
+def test_vertex_numbers_may_have_gaps(tmp_path):
+    (tmp_path / "a.g2o").write_text("VERTEX_SE2 7 0 0 0\nVERTEX_SE2 3 1 0 0\nEDGE_SE2 7 3 1 0 0 1 0 0 1 0 1\n")
+    graph = read_g2o(tmp_path / "a.g2o")
+    assert graph["vertex_ids"].tolist() == [7, 3]
+    assert graph["edges_ij"].tolist() == [[0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("VERTEX_SE2 0 0 0\n", "line 1: expected 4 finite numbers"),
+        ("VERTEX_SE2 0 0 0 inf\n", "line 1: expected 4 finite numbers"),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 9 1 0 0 1 0 0 1 0 1\n", "line 2: the edge names vertex 9"),
+        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "holds VERTEX_SE3:QUAT"),
+        ("", "it is empty"),
+    ],
+)
+def test_a_malformed_file_is_refused_with_the_reason(tmp_path, text, message):
+    (tmp_path / "a.g2o").write_text(text)
+    with pytest.raises(DataError, match=message):
+        read_g2o(tmp_path / "a.g2o")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"edges_ij": np.array([[0, 1]])}, "differ in length"),
+        ({"edges_ij": np.array([[0, 1], [1, 2], [2, 3], [0, 4]])}, "must lie in 0..3"),
+        ({"edges_z": np.zeros((4, 2))}, r"\(n, 3\)"),
+    ],
+)
+def test_a_graph_that_does_not_fit_together_is_not_written(tmp_path, change, message):
+    with pytest.raises(DataError, match=message):
+        write_g2o(tmp_path / "a.g2o", some_graph() | change)
+    assert not (tmp_path / "a.g2o").exists()
+
+
+@pytest.mark.skipif(DATA is None, reason="TWC_DATA names no folder with the public pose graphs")
+@pytest.mark.parametrize(("name", "vertices", "edges"), [("MIT", 808, 827), ("intel", 1728, 2512)])
+def test_public_graphs_have_their_published_size(name, vertices, edges):
+    graph = read_g2o(Path(DATA) / "posegraph" / f"{name}.g2o.gz")
+    assert (len(graph["nodes"]), len(graph["edges_ij"])) == (vertices, edges)
+    assert np.all(np.linalg.eigvalsh(graph["edges_information"]) > 0)

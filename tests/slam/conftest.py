@@ -1,0 +1,99 @@
+"""Hand-made rooms, the scans that a perfect scanner takes in them, and keyframes made of both."""
+
+import numpy as np
+import pytest
+
+from twc_env.geometry import between
+from twc_env.messages import Fingerprint, Keyframe
+
+RANGE_MAX_M = 10.0
+
+
+def polygon_walls(*corners: tuple[float, float]) -> np.ndarray:
+    """(k, 2, 2) walls of a closed polygon."""
+    points = np.array(corners, float)
+    return np.stack([points, np.roll(points, -1, axis=0)], axis=1)
+
+
+def exact_scan(walls: np.ndarray, pose, beams: int = 180, range_max_m: float = RANGE_MAX_M) -> np.ndarray:
+    """(beams,) distance to the nearest wall in each beam's direction; range_max_m where there is none."""
+    angles = pose[2] + np.arange(beams) * 2 * np.pi / beams
+    direction = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None]  # (beams, 1, 2)
+    start, along = walls[:, 0] - np.asarray(pose)[:2], walls[:, 1] - walls[:, 0]  # (walls, 2)
+    cross = direction[..., 0] * along[:, 1] - direction[..., 1] * along[:, 0]  # (beams, walls)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / cross
+        share = (start[:, 0] * direction[..., 1] - start[:, 1] * direction[..., 0]) / cross
+        hit = (distance > 0) & (share >= 0) & (share <= 1)
+    return np.minimum(np.where(hit, distance, range_max_m).min(axis=1), range_max_m)
+
+
+def make_keyframe(robot=0, index=0, pose=(0.0, 0.0, 0.0), travel_m=0.0, ranges_m=None, signs=(), macs=(), rssi_dbm=()):
+    """A keyframe with only what the test at hand cares about."""
+    return Keyframe(
+        robot=robot,
+        index=index,
+        step=10 * index,
+        time_s=float(index),
+        pose_odom=np.asarray(pose, float),
+        motion=np.zeros(3),
+        motion_covariance=np.diag([1e-4, 1e-4, 1e-5]),
+        travel_m=travel_m,
+        ranges_m=np.full(8, RANGE_MAX_M) if ranges_m is None else ranges_m,
+        signs=tuple(signs),
+        fingerprint=Fingerprint(np.array(macs, np.int64), np.array(rssi_dbm, float)),
+    )
+
+
+@pytest.fixture(scope="session")
+def scan():
+    return exact_scan
+
+
+@pytest.fixture(scope="session")
+def walls():
+    return polygon_walls
+
+
+@pytest.fixture(scope="session")
+def keyframe():
+    return make_keyframe
+
+
+@pytest.fixture(scope="session")
+def path_of():
+    """Keyframes of one robot along poses in the building; its odom frame starts at the first of them."""
+
+    def make(robot: int, walls: np.ndarray, poses: np.ndarray) -> list[Keyframe]:
+        poses = np.asarray(poses, float)
+        steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+        travel = np.concatenate([[0.0], np.cumsum(steps)])
+        return [
+            make_keyframe(robot, i, between(poses[0], pose), travel[i], exact_scan(walls, pose))
+            for i, pose in enumerate(poses)
+        ]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def office():
+    """(w, 2, 2) a room that looks like nothing else: no two walls or corners are alike."""
+    return np.concatenate(
+        [
+            polygon_walls((-4, -3), (3.5, -3), (3.5, 1), (5, 1), (5, 3.2), (-1, 3.2), (-1, 2.4), (-4, 2.4)),
+            polygon_walls((1.0, -1.2), (1.6, -1.2), (1.6, -0.5), (1.0, -0.5)),
+            polygon_walls((-2.6, 0.4), (-2.2, 0.4), (-2.2, 0.9), (-2.6, 0.9)),
+        ]
+    )
+
+
+@pytest.fixture(scope="session")
+def hall():
+    """(w, 2, 2) a room of another shape."""
+    return np.concatenate(
+        [
+            polygon_walls((-6, -1.6), (6.5, -1.6), (6.5, 4.5), (2, 4.5), (2, 6), (-3, 6), (-3, 4), (-6, 4)),
+            polygon_walls((3.0, 1.0), (3.5, 1.0), (3.5, 1.6), (3.0, 1.6)),
+        ]
+    )

@@ -1,0 +1,73 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twc_env.slam.text_similarity import normalise, text_similarities, text_similarity
+
+texts = st.text("ABE3O0 I1", max_size=9)
+
+
+def edit_distance(a: str, b: str) -> int:
+    """The textbook table, cell by cell."""
+    table = [[i + j if i * j == 0 else 0 for j in range(len(b) + 1)] for i in range(len(a) + 1)]
+    for i in range(1, len(a) + 1):
+        for j in range(1, len(b) + 1):
+            change = table[i - 1][j - 1] + (a[i - 1] != b[j - 1])
+            table[i][j] = min(table[i - 1][j] + 1, table[i][j - 1] + 1, change)
+    return table[-1][-1]
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "expected"),
+    [
+        ("EXIT", "EXIT", 1.0),
+        ("EXIT", "EX1T", 0.75),
+        ("A301", "A302", 0.75),
+        ("ROOM A301", "ROOM A302", 8 / 9),
+        ("FIRE HYDRANT", "FIRE HYDRAN", 11 / 12),
+        ("ABC", "XYZ", 0.0),
+    ],
+)
+def test_known_pairs_have_the_similarity_of_equation_five(a, b, expected):
+    assert text_similarity(a, b) == pytest.approx(expected, abs=1e-12)
+
+
+@given(texts, texts)
+def test_similarity_is_one_minus_the_edit_distance_over_the_longer_length(a, b):
+    longest = max(len(a), len(b))
+    expected = (longest - edit_distance(a, b)) / longest if a and b else 0.0
+    assert text_similarity(a, b) == pytest.approx(expected, abs=1e-12)
+
+
+@given(texts, texts)
+def test_similarity_is_symmetric_and_lies_between_zero_and_one(a, b):
+    assert text_similarity(a, b) == text_similarity(b, a)
+    assert 0.0 <= text_similarity(a, b) <= 1.0
+
+
+@given(texts, st.lists(texts, max_size=5))
+def test_one_against_many_gives_what_one_against_one_gives(text, others):
+    expected = [text_similarity(text, other) for other in others]
+    assert text_similarities(text, others) == pytest.approx(np.array(expected), abs=1e-12)
+
+
+def test_an_empty_text_is_like_nothing_not_even_itself():
+    assert text_similarity("", "") == 0.0
+    assert text_similarity("", "EXIT") == 0.0
+    assert text_similarities("", ["", "EXIT"]).tolist() == [0.0, 0.0]
+    assert text_similarities("EXIT", ["", "EXIT"]).tolist() == [0.0, 1.0]
+
+
+def test_nothing_to_compare_with_gives_no_scores():
+    assert text_similarities("EXIT", []).shape == (0,)
+
+
+def test_normalising_ignores_case_and_spaces():
+    assert normalise("  fire \t cabinet\n") == "FIRE CABINET"
+    assert normalise(" \t ") == ""
+
+
+@given(texts)
+def test_normalising_twice_changes_nothing(text):
+    assert normalise(normalise(text)) == normalise(text)

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twc_env.config import LidarConfig
+from twc_env.maps import load_map
+from twc_env.world import lidar as lidar_module
+from twc_env.world.lidar import Lidar
+from twc_env.world.wall_index import index_walls
+
+SQUARE = np.array([[[0, 0], [4, 0]], [[4, 0], [4, 4]], [[4, 4], [0, 4]], [[0, 4], [0, 0]]], float)
+FAR_SQUARE = SQUARE + 100.0
+
+
+def scanner(walls=SQUARE, robots=1, seed=0, radius_m=0.2, **config) -> Lidar:
+    return Lidar(LidarConfig(**config), index_walls(walls, np.ones(len(walls))), radius_m, robots, seed)
+
+
+@pytest.fixture(params=["sweep", "walk"])
+def method(request, monkeypatch):
+    """Both ways to scan must measure the same."""
+    monkeypatch.setattr(lidar_module, "_SWEEP_WALLS_MAX", 10**9 if request.param == "sweep" else 0)
+
+
+def square_range(x: float, y: float, angle_rad: float) -> float:
+    dx, dy = np.cos(angle_rad), np.sin(angle_rad)
+    along_x = ((4 if dx > 0 else 0) - x) / dx if abs(dx) > 1e-12 else np.inf
+    along_y = ((4 if dy > 0 else 0) - y) / dy if abs(dy) > 1e-12 else np.inf
+    return min(along_x, along_y)
+
+
+@pytest.mark.parametrize("pose", [(2.0, 2.0, 0.0), (0.7, 3.1, 1.1), (3.9, 0.1, -3.0)])
+def test_ranges_in_a_square_room_have_their_closed_form(method, pose):
+    beams = 180
+    ranges = scanner(beam_count=beams).true_ranges(np.array([pose]))[0]
+    expected = [square_range(pose[0], pose[1], pose[2] + 2 * np.pi * b / beams) for b in range(beams)]
+    assert ranges == pytest.approx(np.array(expected), abs=1e-9)
+
+
+def test_beam_zero_points_ahead_and_beams_run_counter_clockwise(method):
+    ranges = scanner(beam_count=8).true_ranges(np.array([[1.0, 1.5, 0.0]]))[0]
+    assert ranges[[0, 2, 4, 6]] == pytest.approx([3.0, 2.5, 1.0, 1.5])
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(1, 120))
+def test_ranges_agree_with_shapely_on_random_walls(seed, count):
+    random = np.random.default_rng(seed)
+    begins = random.uniform(0, 15, (count, 2))
+    walls = np.stack([begins, begins + random.normal(0, 2, (count, 2))], axis=1)
+    pose = np.array([*random.uniform(0, 15, 2), random.uniform(-3, 3)])
+    config, lines = LidarConfig(beam_count=32, range_max_m=12.0), shapely.MultiLineString(list(walls))
+    angles = pose[2] + 2 * np.pi * np.arange(32) / 32
+    here = shapely.Point(pose[:2])
+    expected = []
+    for angle in angles:
+        tip = pose[:2] + 12.0 * np.array([np.cos(angle), np.sin(angle)])
+        hits = lines.intersection(shapely.LineString([pose[:2], tip]))
+        expected.append(12.0 if hits.is_empty else min(12.0, here.distance(hits)))
+    index = index_walls(walls, np.ones(count))
+    for limit in (10**9, 0):
+        lidar_module._SWEEP_WALLS_MAX, kept = limit, lidar_module._SWEEP_WALLS_MAX
+        found = Lidar(config, index, 0.2, 1, 0).true_ranges(pose[None])[0]
+        lidar_module._SWEEP_WALLS_MAX = kept
+        assert found == pytest.approx(np.array(expected), abs=1e-7)
+
+
+def test_both_methods_agree_on_a_bundled_map(monkeypatch):
+    plan = load_map("twin-02")
+    poses = np.array([[5.5, 5.0, 0.3], [20.0, 1.3, 2.0], [30.0, -3.0, -1.0]])
+    ranges = []
+    for limit in (10**9, 0):
+        monkeypatch.setattr(lidar_module, "_SWEEP_WALLS_MAX", limit)
+        ranges.append(Lidar(LidarConfig(), plan.wall_index, 0.2, 3, 0).true_ranges(poses))
+    assert ranges[0] == pytest.approx(ranges[1], abs=1e-9)
+
+
+def test_no_return_reads_exactly_the_maximum_range(method):
+    ranges = scanner(FAR_SQUARE, range_max_m=7.5, range_noise_std_m=0.1).scan(np.zeros((1, 3)))
+    assert (ranges == 7.5).all()
+
+
+def test_another_robot_is_seen_as_a_disc():
+    poses = np.array([[1.0, 2.0, 0.0], [3.0, 2.0, 0.0]])
+    ranges = scanner(robots=2, beam_count=360, radius_m=0.25).true_ranges(poses)
+    assert ranges[0, 0] == pytest.approx(1.75)
+    assert ranges[1, 180] == pytest.approx(1.75)
+    half_width_rad = np.arcsin(0.25 / 2)
+    seen = np.flatnonzero(ranges[0] < 2.0)
+    seen = seen[(seen < 45) | (seen > 315)]
+    assert len(seen) == 2 * int(np.degrees(half_width_rad)) + 1
+
+
+def test_a_robot_behind_a_wall_is_not_seen():
+    walls = np.concatenate([SQUARE, [[[2, 0], [2, 4]]]])
+    alone = scanner(walls).true_ranges(np.array([[1.0, 2.0, 0.0]]))
+    together = scanner(walls, robots=2).true_ranges(np.array([[1.0, 2.0, 0.0], [3.0, 2.0, 0.0]]))
+    assert np.array_equal(alone[0], together[0])
+
+
+def test_range_noise_has_the_configured_spread_and_stays_in_range():
+    device = scanner(range_noise_std_m=0.05, range_max_m=2.5, beam_count=360)
+    pose = np.array([[2.0, 2.0, 0.0]])
+    exact = device.true_ranges(pose)[0]
+    scans = np.array([device.scan(pose)[0] for _ in range(300)])
+    inner = exact < 2.2
+    errors = (scans - exact)[:, inner]
+    assert errors.std() == pytest.approx(0.05, rel=0.02)
+    assert errors.mean() == pytest.approx(0.0, abs=0.002)
+    assert scans.min() >= 0.0
+    assert scans.max() <= 2.5
+
+
+def test_adding_a_robot_leaves_the_noise_of_the_others_alone():
+    poses = np.array([[1.0, 1.0, 0.0], [3.0, 3.0, 0.0]])
+    walls = np.concatenate([SQUARE, [[[2, 0], [2, 4]]]])
+    one = scanner(walls, robots=1, seed=4).scan(poses[:1])
+    two = scanner(walls, robots=2, seed=4).scan(poses)
+    assert np.array_equal(one[0], two[0])

@@ -1,0 +1,149 @@
+import numpy as np
+import pytest
+
+from twc_env.config import RadioConfig
+from twc_env.maps import load_map
+from twc_env.world.floorplan import AccessPoint, Floorplan
+from twc_env.world.radio import RadioModel, WifiReceiver
+
+QUIET = {"shadowing_std_db": 0.0, "fading_std_db": 0.0, "device_offset_std_db": 0.0, "noise_std_db": 0.0}
+SURE = {**QUIET, "detection_floor_dbm": -119.0, "detection_slope_db": 0.05}
+
+
+def hall(inner_walls=(), macs=((1, 2),), source=(0.0, 0.0)) -> Floorplan:
+    outer = [[-5, -50, 200, -50], [200, -50, 200, 50], [200, 50, -5, 50], [-5, 50, -5, -50]]
+    walls = np.array([*outer, *[w[:4] for w in inner_walls]], float).reshape(-1, 2, 2)
+    losses = [8.0] * 4 + [w[4] for w in inner_walls]
+    points = [AccessPoint(f"ap-{i}", np.array(source), m) for i, m in enumerate(macs)]
+    return Floorplan("hall", walls, losses, access_points=points, interior_m=[[1, 0]])
+
+
+def test_rssi_falls_ten_n_decibels_per_decade():
+    config = RadioConfig(**QUIET, path_loss_exponent=3.1)
+    model = RadioModel(config, hall())
+    near, far = (model.mean_rssi_dbm(np.array([d, 0.0])) for d in (1.5, 15.0))
+    assert near - far == pytest.approx([31.0, 31.0])
+
+
+def test_rssi_at_one_metre_is_the_configured_power_up_to_the_transmitters_offset():
+    model = RadioModel(RadioConfig(**QUIET, power_at_1m_dbm=-40.0), hall(macs=[tuple(range(1, 200))]))
+    levels = model.mean_rssi_dbm(np.array([1.0, 0.0]))
+    assert levels.mean() == pytest.approx(-40.0, abs=0.3)
+    assert levels.std() == pytest.approx(1.0, abs=0.2)
+
+
+def test_rssi_stops_rising_below_the_smallest_distance():
+    model = RadioModel(RadioConfig(**QUIET, distance_min_m=0.5), hall())
+    assert np.array_equal(model.mean_rssi_dbm(np.array([0.5, 0.0])), model.mean_rssi_dbm(np.array([0.0, 0.01])))
+
+
+def test_each_wall_takes_its_loss():
+    position = np.array([10.0, 0.3])
+    walls = [(2, -3, 2, 3, 4.0), (5, -3, 5, 3, 7.0), (8, 1, 8, 3, 50.0), (12, -3, 12, 3, 50.0)]
+    open_hall = RadioModel(RadioConfig(**QUIET), hall()).mean_rssi_dbm(position)
+    model = RadioModel(RadioConfig(**QUIET), hall(walls))
+    blocked = model.mean_rssi_dbm(position) - model._power_offsets_db
+    free = open_hall - RadioModel(RadioConfig(**QUIET), hall())._power_offsets_db
+    assert free - blocked == pytest.approx([11.0, 11.0])
+
+
+def test_shadowing_is_the_same_at_the_same_place_whatever_came_before():
+    plan = load_map("twin-01")
+    first, second = RadioModel(RadioConfig(), plan), RadioModel(RadioConfig(), plan)
+    place, elsewhere = np.array([10.0, 1.2]), np.array([22.0, 5.0])
+    before = first.shadowing_db(place)
+    second.shadowing_db(elsewhere)
+    assert np.array_equal(before, second.shadowing_db(place))
+    assert np.abs(before - first.shadowing_db(elsewhere)).max() > 0.5
+
+
+def test_shadowing_has_the_configured_spread_and_correlation():
+    config = RadioConfig(shadowing_std_db=2.0, shadowing_length_m=4.0)
+    model = RadioModel(config, hall(macs=[(i + 1,) for i in range(150)]))
+    places = np.random.default_rng(0).uniform(0, 150, (150, 2))
+    here = np.array([model.shadowing_db(p) for p in places])
+    assert here.std() == pytest.approx(2.0, rel=0.05)
+    for gap_m in (1.0, 4.0, 8.0):
+        there = np.array([model.shadowing_db(p + [gap_m, 0.0]) for p in places])
+        assert (here * there).mean() / 4.0 == pytest.approx(np.exp(-gap_m / 4.0), abs=0.06)
+
+
+def test_addresses_of_one_access_point_share_shadowing_and_others_do_not():
+    model = RadioModel(RadioConfig(), hall(macs=[(1, 2), (3,)]))
+    assert model.macs.tolist() == [1, 2, 3]
+    assert model.access_point_of.tolist() == [0, 0, 1]
+    shadowing = model.shadowing_db(np.array([7.0, 7.0]))
+    assert shadowing.shape == (2,)
+    assert shadowing[0] != shadowing[1]
+
+
+def test_shadowing_moves_with_the_building():
+    plan = load_map("twin-01")
+    moved = plan.moved([30.0, -8.0, 2.0])
+    here, there = np.array([3.0, 1.0]), moved.home
+    position_moved = np.array([30.0, -8.0]) + np.array([[np.cos(2), -np.sin(2)], [np.sin(2), np.cos(2)]]) @ here
+    assert there is plan
+    expected = RadioModel(RadioConfig(), plan).mean_rssi_dbm(here)
+    assert RadioModel(RadioConfig(), moved).mean_rssi_dbm(position_moved) == pytest.approx(expected, abs=1e-9)
+
+
+def test_readings_are_whole_decibels_with_ascending_addresses():
+    model = RadioModel(RadioConfig(), load_map("twin-01"))
+    scan = WifiReceiver(RadioConfig(), model, robot=0, seed=1).scan(np.array([15.0, 1.2]))
+    assert np.array_equal(scan.rssi_dbm, np.round(scan.rssi_dbm))
+    assert (np.diff(scan.macs) > 0).all()
+    assert scan.macs.dtype == np.int64
+
+
+def test_eight_access_points_are_heard_all_over_the_twin_maps():
+    for name in ("twin-01", "twin-02"):
+        plan = load_map(name)
+        model = RadioModel(RadioConfig(), plan)
+        cells = plan.cells(1.0)
+        rows, columns = np.nonzero(cells.free)
+        for row, column in zip(rows, columns, strict=True):
+            centre = cells.origin_m + (np.array([column, row]) + 0.5) * cells.resolution_m
+            level = model.mean_rssi_dbm(centre)
+            assert len(np.unique(model.access_point_of[level > -88.0])) >= 8
+
+
+def test_a_signal_at_the_floor_is_heard_in_half_of_the_scans():
+    config = RadioConfig(**QUIET, detection_floor_dbm=-80.0, detection_slope_db=2.0)
+    model = RadioModel(config, hall(macs=[tuple(range(1, 41))]))
+    receiver = WifiReceiver(config, model, robot=0, seed=0)
+    position = np.array([90.0, 0.0])
+    expected = 1 / (1 + np.exp((-80.0 - model.mean_rssi_dbm(position)) / 2.0))
+    heard = np.zeros(40)
+    for _ in range(1000):
+        heard[receiver.scan(position).macs - 1] += 1
+    assert heard / 1000 == pytest.approx(expected, abs=0.06)
+    assert 0.3 < expected.mean() < 0.7
+
+
+def test_noise_differs_between_scans_with_the_configured_spread():
+    config = RadioConfig(**{**SURE, "noise_std_db": 3.0})
+    receiver = WifiReceiver(config, RadioModel(config, hall(macs=[tuple(range(1, 31))])), robot=0, seed=0)
+    readings = np.array([receiver.scan(np.array([5.0, 0.0])).rssi_dbm for _ in range(300)])
+    assert readings.std(axis=0).mean() == pytest.approx(3.0, rel=0.05)
+
+
+def test_fading_stays_while_the_robot_stays_and_changes_when_it_has_moved():
+    config = RadioConfig(**{**SURE, "fading_std_db": 4.0, "fading_length_m": 0.5})
+    receiver = WifiReceiver(config, RadioModel(config, hall(macs=[tuple(range(1, 31))])), robot=0, seed=0)
+    first, same, moved = (receiver.scan(np.array([x, 0.0])).rssi_dbm for x in (20.0, 20.0, 20.6))
+    assert np.array_equal(first, same)
+    assert np.abs(first - moved).max() > 3
+
+
+def test_devices_differ_by_their_offset():
+    config = RadioConfig(**{**SURE, "device_offset_std_db": 6.0})
+    model = RadioModel(config, hall())
+    place = np.array([5.0, 0.0])
+    readings = [WifiReceiver(config, model, robot, seed=3).scan(place).rssi_dbm for robot in range(8)]
+    assert len({tuple(r) for r in readings}) > 4
+
+
+def test_a_building_without_access_points_gives_empty_scans():
+    plan = Floorplan("bare", hall().walls_m, hall().wall_loss_db, interior_m=[[1, 0]])
+    scan = WifiReceiver(RadioConfig(), RadioModel(RadioConfig(), plan), robot=0, seed=0).scan(np.zeros(2))
+    assert len(scan.macs) == len(scan.rssi_dbm) == 0

@@ -1,0 +1,128 @@
+"""Measure speed: environment steps per second of the world alone and of the whole step with SLAM inside.
+
+The robots wander by reflex (the driver's time is not counted), through whole episodes, so that keyframes, loop closures,
+merges, optimisation and redrawing are all paid for. The team's trajectory error is printed beside the speed, because an
+engine that has lost track can be fast.
+"""
+
+from __future__ import annotations
+
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.maps import load_map
+from twc_env.world.world import World
+
+Array = NDArray
+
+WARM_UP_STEPS = 30
+
+
+class Wanderer:
+    """Drives one robot by its scan alone: straight on, and away from what comes near."""
+
+    def __init__(self, seed: int):
+        self._random = np.random.default_rng(seed)
+        self._turn_steps = 0
+        self._turn = 1.0
+
+    def act(self, ranges_m: Array) -> Array:
+        """(2,) action from a scan (beams,) [m]."""
+        beams = len(ranges_m)
+        ahead = beams // 12
+        front = min(ranges_m[:ahead].min(), ranges_m[-ahead:].min())
+        if self._turn_steps > 0:
+            self._turn_steps -= 1
+            return np.array([0.0, self._turn])
+        if front < 0.7:
+            left, right = ranges_m[: beams // 2].mean(), ranges_m[beams // 2 :].mean()
+            self._turn = 1.0 if left > right else -1.0
+            self._turn_steps = int(self._random.integers(4, 14))
+            return np.array([0.0, self._turn])
+        return np.array([1.0, np.clip(self._random.normal(0.0, 0.3), -1.0, 1.0)])
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """One timed episode."""
+
+    wall_s: float
+    cpu_s: float
+    steps: int
+    team_ate_m: float
+
+
+def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lambda _line: None) -> dict:
+    """Time `episodes` episodes of each kind; rates are medians. `report` gets a line after each."""
+    world, slam = [], []
+    for seed in range(episodes):
+        world.append(time_world(config, seed))
+        report(f"world alone, seed {seed}: {world[-1].steps / world[-1].wall_s:,.0f} steps/s")
+        slam.append(time_environment(config, seed))
+        report(
+            f"whole step,  seed {seed}: {slam[-1].steps / slam[-1].wall_s:,.0f} steps/s, "
+            f"team ATE {slam[-1].team_ate_m:.3f} m"
+        )
+    return {
+        "world_env_steps_per_s": statistics.median(s.steps / s.wall_s for s in world),
+        "slam_env_steps_per_s": statistics.median(s.steps / s.wall_s for s in slam),
+        "world_env_steps_per_cpu_s": statistics.median(s.steps / s.cpu_s for s in world),
+        "slam_env_steps_per_cpu_s": statistics.median(s.steps / s.cpu_s for s in slam),
+        "slam_agent_steps_per_s": config.robots * statistics.median(s.steps / s.wall_s for s in slam),
+        "slam_env_steps_per_s_min": min(s.steps / s.wall_s for s in slam),
+        "slam_env_steps_per_s_max": max(s.steps / s.wall_s for s in slam),
+        "team_ate_m": statistics.median(s.team_ate_m for s in slam),
+        "map": config.map,
+        "robots": config.robots,
+        "beams": config.lidar.beam_count,
+        "steps": config.max_cycles,
+        "episodes": episodes,
+        "machine": f"{platform.machine()} {platform.system()}, Python {platform.python_version()}",
+    }
+
+
+def time_world(config: EnvConfig, seed: int) -> Speed:
+    """An episode of the world alone: physics and all sensors."""
+    world = World(config, load_map(config.map))
+    world.reset(seed)
+    drivers = [Wanderer(seed * 1000 + robot) for robot in range(config.robots)]
+    frames = world.sense()
+    scale = np.array([config.dynamics.speed_max_m_s, config.dynamics.turn_rate_max_rad_s])
+    wall_s = cpu_s = 0.0
+    for step in range(config.max_cycles + WARM_UP_STEPS):
+        commands = np.array([d.act(f.ranges_m) for d, f in zip(drivers, frames, strict=True)]) * scale
+        wall, cpu = time.perf_counter(), time.process_time()
+        world.step(commands)
+        frames = world.sense()
+        if step >= WARM_UP_STEPS:
+            wall_s += time.perf_counter() - wall
+            cpu_s += time.process_time() - cpu
+    return Speed(wall_s, cpu_s, config.max_cycles, float("nan"))
+
+
+def time_environment(config: EnvConfig, seed: int) -> Speed:
+    """An episode of the environment: world, SLAM, observations, rewards."""
+    warm = ExplorationEnv(config=config)
+    warm.reset(seed=seed)
+    warm.step(dict.fromkeys(warm.agents, np.zeros(2)))
+    env = ExplorationEnv(config=config)
+    env.reset(seed=seed)
+    drivers = {agent: Wanderer(seed * 1000 + robot) for robot, agent in enumerate(env.agents)}
+    scans = {agent: env.belief(agent).ranges_m for agent in env.agents}
+    wall_s = cpu_s = 0.0
+    while env.agents:
+        actions = {agent: drivers[agent].act(scans[agent]) for agent in env.agents}
+        wall, cpu = time.perf_counter(), time.process_time()
+        env.step(actions)
+        wall_s += time.perf_counter() - wall
+        cpu_s += time.process_time() - cpu
+        scans = {agent: env.belief(agent).ranges_m for agent in env.agents}
+    return Speed(wall_s, cpu_s, config.max_cycles, env.result().figures["team_ate_m"])

@@ -1,0 +1,64 @@
+"""Trajectories in the TUM format: `time x y z qx qy qz qw` per line, as evo and most SLAM tools read it."""
+
+from __future__ import annotations
+
+import gzip
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.errors import DataError
+from twc_env.geometry import wrap_angle
+
+Array = NDArray
+
+
+def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
+    """Write poses (k, 3) taken at times_s (k,); height, roll and pitch are 0. A name that ends in .gz is packed.
+
+    Raises DataError when the shapes do not belong together.
+    """
+    times_s, poses = np.asarray(times_s, float), np.asarray(poses, float)
+    if times_s.ndim != 1 or poses.shape != (len(times_s), 3):
+        raise DataError(f"times must be (k,) and poses (k, 3); got {times_s.shape} and {poses.shape}")
+    half = poses[:, 2] / 2
+    zeros = np.zeros(len(poses))
+    columns = [times_s, poses[:, 0], poses[:, 1], zeros, zeros, zeros, np.sin(half), np.cos(half)]
+    with _open(path, "wt") as file:
+        np.savetxt(file, np.column_stack(columns), fmt="%.9g")
+
+
+def read_tum(path: str | Path) -> tuple[Array, Array]:
+    """Times (k,) [s] and poses (k, 3) of a file; height, roll and pitch are dropped.
+
+    Raises DataError naming the first line that is not eight numbers.
+    """
+    rows = []
+    try:
+        with _open(path, "rt") as file:
+            for number, line in enumerate(file, 1):
+                words = line.split("#", 1)[0].replace(",", " ").split()
+                if words:
+                    rows.append(_row(words, path, number))
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"cannot read the trajectory {path}: {error}; check the path and the format") from error
+    values = np.array(rows).reshape(-1, 8)
+    qx, qy, qz, qw = values[:, 4:].T
+    heading = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+    return values[:, 0], np.column_stack([values[:, 1:3], wrap_angle(heading)])
+
+
+def _row(words: list[str], path: str | Path, number: int) -> list[float]:
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = []
+    if len(values) != 8 or not all(map(math.isfinite, values)):
+        raise DataError(f"{path}, line {number}: expected 8 numbers 'time x y z qx qy qz qw'; got {' '.join(words)!r}")
+    return values
+
+
+def _open(path: str | Path, mode: str):
+    return gzip.open(path, mode) if str(path).endswith(".gz") else open(path, mode)

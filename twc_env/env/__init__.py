@@ -1,1 +1,0 @@
-"""The PettingZoo environment: the only place where truth and estimate meet."""

@@ -1,0 +1,211 @@
+"""Draw a moment of an episode as an RGB array: what is there, what the team believes, and who is where.
+
+Truth is grey, belief lies over it: believed floor is white (tinted per group while the team has several maps),
+believed walls are dark. A filled disc is where a robot is, a ring where it believes to be.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.exploration.evaluation import EpisodeRecord, judge_group
+from twc_env.geometry import compose, inverse
+from twc_env.messages import GridMap
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.world.floorplan import Cells, Floorplan
+
+Array = NDArray
+
+WIDTH_MAX_PX, HEIGHT_MAX_PX = 900, 900
+PIXELS_PER_METRE_MAX = 36.0
+MARGIN_M = 0.8
+COLOURS = np.array(
+    [
+        (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (120, 94, 60),
+        (110, 110, 220),
+    ],
+    np.uint8,
+)  # fmt: skip
+"""(colours, 3) of robots 0, 1, ... and of groups, by their first robot; told apart with any colour vision."""
+_UNKNOWN = np.array([219, 222, 227], np.float64)
+_TRUE_WALL = np.array([158, 164, 173], np.float64)
+_FLOOR = np.array([255, 255, 255], np.float64)
+_WALL = np.array([38, 44, 56], np.float64)
+_TINT = 0.16
+TRAIL_STEPS = 150
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """All that a picture shows; every pose and point is in the building frame."""
+
+    walls: Array
+    """(rows, columns) bool, the true walls; row 0 is the lowest y."""
+    origin_m: Array
+    """(2,) lower left corner of walls[0, 0]."""
+    resolution_m: float
+    grids: tuple[GridMap, ...] = ()
+    """One estimated map per group, the largest group first."""
+    pose_building_map: Array = ()
+    """(groups, 3) where each group's map lies in the building."""
+    true_poses: Array = ()
+    """(robots, 3)."""
+    estimated_poses: Array = ()
+    """(robots, 3)."""
+    groups: tuple[tuple[int, ...], ...] = ()
+    """Robots of each group; a group's floor is tinted like its first robot. Empty: one map, no tint."""
+    trails_m: tuple[Array, ...] = ()
+    """Per robot (k, 2) the way it came, oldest first."""
+    robot_radius_m: float = 0.2
+
+
+@njit(cache=True, error_model="numpy")
+def _paint_floor(image, left, top, metres, walls, wall_x, wall_y, wall_cell):
+    """Fill the image with ground truth; pixel (0, 0) is at (left, top)."""
+    height, width, _ = image.shape
+    rows, columns = walls.shape
+    for v in range(height):
+        row = int(math.floor((top - (v + 0.5) * metres - wall_y) / wall_cell))
+        for u in range(width):
+            column = int(math.floor((left + (u + 0.5) * metres - wall_x) / wall_cell))
+            is_wall = 0 <= row < rows and 0 <= column < columns and walls[row, column]
+            for k in range(3):
+                image[v, u, k] = _TRUE_WALL[k] if is_wall else _UNKNOWN[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _paint_grid(image, left, top, metres, log_odds, grid_x, grid_y, cell, pose_map_building, floor):
+    """Lay an estimated map over the image."""
+    height, width, _ = image.shape
+    rows, columns = log_odds.shape
+    c, s = math.cos(pose_map_building[2]), math.sin(pose_map_building[2])
+    for v in range(height):
+        y = top - (v + 0.5) * metres
+        for u in range(width):
+            x = left + (u + 0.5) * metres
+            column = int(math.floor((pose_map_building[0] + c * x - s * y - grid_x) / cell))
+            row = int(math.floor((pose_map_building[1] + s * x + c * y - grid_y) / cell))
+            if row < 0 or column < 0 or row >= rows or column >= columns or log_odds[row, column] == 0:
+                continue
+            for k in range(3):
+                image[v, u, k] = _WALL[k] if log_odds[row, column] > 0 else floor[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_line(image, u0, v0, u1, v1, half_width, colour, opacity):
+    """A smooth-edged line between two pixels; a point when both are equal."""
+    height, width, _ = image.shape
+    reach = half_width + 1.0
+    du, dv = u1 - u0, v1 - v0
+    length2 = du * du + dv * dv
+    for v in range(max(0, int(min(v0, v1) - reach)), min(height, int(max(v0, v1) + reach) + 2)):
+        for u in range(max(0, int(min(u0, u1) - reach)), min(width, int(max(u0, u1) + reach) + 2)):
+            t = 0.0 if length2 == 0.0 else min(1.0, max(0.0, ((u - u0) * du + (v - v0) * dv) / length2))
+            away = math.hypot(u - u0 - t * du, v - v0 - t * dv)
+            cover = opacity * min(1.0, max(0.0, half_width + 0.5 - away))
+            if cover > 0.0:
+                for k in range(3):
+                    image[v, u, k] += cover * (colour[k] - image[v, u, k])
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_path(image, pixels, half_width, colour, fade):
+    """Lines through pixels (k, 2), the oldest at opacity `fade`."""
+    count = pixels.shape[0]
+    for k in range(count - 1):
+        opacity = fade + (0.9 - fade) * (k + 1) / count
+        _draw_line(image, pixels[k, 0], pixels[k, 1], pixels[k + 1, 0], pixels[k + 1, 1], half_width, colour, opacity)
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_ring(image, u0, v0, radius, half_width, colour):
+    """A smooth-edged circle."""
+    height, width, _ = image.shape
+    reach = radius + half_width + 1.0
+    for v in range(max(0, int(v0 - reach)), min(height, int(v0 + reach) + 2)):
+        for u in range(max(0, int(u0 - reach)), min(width, int(u0 + reach) + 2)):
+            away = abs(math.hypot(u - u0, v - v0) - radius)
+            cover = min(1.0, max(0.0, half_width + 0.5 - away))
+            for k in range(3):
+                image[v, u, k] += cover * (colour[k] - image[v, u, k])
+
+
+def scene_of(floorplan: Floorplan, engine: CooperativeSlam, record: EpisodeRecord, cells: Cells) -> Scene:
+    """The present moment of an episode, every group's map laid on the building as well as one rigid motion can."""
+    verdicts = [judge_group(engine, g, record, cells) for g in range(len(engine.team.groups))]
+    verdicts.sort(key=lambda v: (-len(v.robots), -v.correct_area_m2))
+    true = record.true_poses
+    estimated = np.zeros((true.shape[1], 3))
+    for verdict in verdicts:
+        for robot in verdict.robots:
+            estimated[robot] = compose(verdict.pose_building_map, engine.pose_map_robot(robot))
+    return Scene(
+        walls=cells.wall,
+        origin_m=cells.origin_m,
+        resolution_m=cells.resolution_m,
+        grids=tuple(engine.team.grid_of(engine.team.group_index(v.robots[0])) for v in verdicts),
+        pose_building_map=np.array([v.pose_building_map for v in verdicts]),
+        true_poses=true[-1],
+        estimated_poses=estimated,
+        groups=tuple(v.robots for v in verdicts),
+        trails_m=tuple(true[-TRAIL_STEPS:, robot, :2] for robot in range(true.shape[1])),
+    )
+
+
+def render(scene: Scene) -> Array:
+    """The picture (height, width, 3) uint8, north up, at most 900 pixels wide and high."""
+    rows, columns = scene.walls.shape
+    size_m = np.array([columns, rows]) * scene.resolution_m + 2 * MARGIN_M
+    scale = float(min(WIDTH_MAX_PX / size_m[0], HEIGHT_MAX_PX / size_m[1], PIXELS_PER_METRE_MAX))
+    width, height = (max(1, round(v * scale)) for v in size_m)
+    left, top = scene.origin_m[0] - MARGIN_M, scene.origin_m[1] + size_m[1] - MARGIN_M
+    image = np.empty((height, width, 3))
+    walls = np.ascontiguousarray(scene.walls, dtype=bool)
+    view = (float(left), float(top), 1.0 / scale)
+    _paint_floor(image, *view, walls, float(scene.origin_m[0]), float(scene.origin_m[1]), float(scene.resolution_m))
+    for k in range(len(scene.grids) - 1, -1, -1):  # the largest group lies on top
+        _paint_estimate(image, view, scene, k)
+    _paint_robots(image, view, scene)
+    return image.astype(np.uint8)
+
+
+def _paint_estimate(image: Array, view: tuple, scene: Scene, group: int) -> None:
+    grid = scene.grids[group]
+    floor = _FLOOR
+    if len(scene.groups) > 1:
+        floor = (1 - _TINT) * _FLOOR + _TINT * _colour(scene.groups[group][0])
+    pose_map_building = inverse(np.asarray(scene.pose_building_map, float)[group])
+    x, y = float(grid.origin_m[0]), float(grid.origin_m[1])
+    _paint_grid(image, *view, grid.log_odds, x, y, float(grid.resolution_m), pose_map_building, floor)
+
+
+def _paint_robots(image: Array, view: tuple, scene: Scene) -> None:
+    left, top, metres = view
+
+    def to_pixels(points_m: Array) -> Array:
+        points_m = np.asarray(points_m, float)
+        return np.column_stack([(points_m[:, 0] - left) / metres - 0.5, (top - points_m[:, 1]) / metres - 0.5])
+
+    radius = max(scene.robot_radius_m / metres, 3.5)
+    for robot, trail in enumerate(scene.trails_m):
+        if len(trail) > 1:
+            _draw_path(image, to_pixels(trail), max(0.9, 0.28 * radius), _colour(robot), 0.15)
+    for robot, pose in enumerate(np.asarray(scene.estimated_poses, float).reshape(-1, 3)):
+        (u, v), ahead = to_pixels(pose[None, :2])[0], 1.9 * radius
+        tip_u, tip_v = u + ahead * math.cos(pose[2]), v - ahead * math.sin(pose[2])
+        _draw_ring(image, u, v, 1.25 * radius, 0.8, _colour(robot))
+        _draw_line(image, u, v, tip_u, tip_v, 0.8, _colour(robot), 1.0)
+    for robot, pose in enumerate(np.asarray(scene.true_poses, float).reshape(-1, 3)):
+        u, v = to_pixels(pose[None, :2])[0]
+        _draw_line(image, u, v, u, v, radius, _colour(robot), 1.0)
+        tip_u, tip_v = u + 0.75 * radius * math.cos(pose[2]), v - 0.75 * radius * math.sin(pose[2])
+        _draw_line(image, u, v, tip_u, tip_v, max(0.6, 0.16 * radius), _FLOOR, 1.0)
+
+
+def _colour(robot: int) -> Array:
+    return COLOURS[robot % len(COLOURS)].astype(np.float64)
