@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import difflib
-import importlib
 from collections.abc import Sequence
 from typing import Protocol
 
 from numpy.typing import NDArray
 
+from agents.nearest_frontier import NearestFrontier
+from agents.random_walk import RandomWalk
 from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError
 from twc_env.messages import Belief
-
-_POLICIES = {
-    "nearest-frontier": "agents.nearest_frontier:NearestFrontier",
-    "random": "agents.random_walk:RandomWalk",
-}
 
 
 class Policy(Protocol):
@@ -30,6 +26,9 @@ class Policy(Protocol):
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
         """Whether there is nothing left worth doing; an episode may end early then."""
+
+
+_POLICIES: dict[str, type[Policy]] = {"nearest-frontier": NearestFrontier, "random": RandomWalk}
 
 
 def policy_names() -> tuple[str, ...]:
@@ -46,5 +45,4 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
         near = difflib.get_close_matches(str(name), _POLICIES, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ConfigError(f"unknown agent {name!r}; choose one of {', '.join(policy_names())}{hint}")
-    module, _, cls = _POLICIES[name].partition(":")
-    return getattr(importlib.import_module(module), cls)(config or EnvConfig())
+    return _POLICIES[name](config or EnvConfig())  # type: ignore[call-arg]

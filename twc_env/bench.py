@@ -116,7 +116,7 @@ def time_environment(config: EnvConfig, seed: int) -> Speed:
     env = ExplorationEnv(config=config)
     env.reset(seed=seed)
     drivers = {agent: Wanderer(seed * 1000 + robot) for robot, agent in enumerate(env.agents)}
-    scans = {agent: env.belief(agent).ranges_m for agent in env.agents}
+    scans = {agent: frame.ranges_m for agent, frame in zip(env.agents, env.frames, strict=False)}
     wall_s = cpu_s = 0.0
     while env.agents:
         actions = {agent: drivers[agent].act(scans[agent]) for agent in env.agents}
@@ -124,5 +124,5 @@ def time_environment(config: EnvConfig, seed: int) -> Speed:
         env.step(actions)
         wall_s += time.perf_counter() - wall
         cpu_s += time.process_time() - cpu
-        scans = {agent: env.belief(agent).ranges_m for agent in env.agents}
+        scans = {agent: frame.ranges_m for agent, frame in zip(env.agents, env.frames, strict=False)}
     return Speed(wall_s, cpu_s, config.max_cycles, env.result().figures["team_ate_m"])

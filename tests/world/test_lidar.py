@@ -49,6 +49,7 @@ def test_ranges_agree_with_shapely_on_random_walls(seed, count):
     random = np.random.default_rng(seed)
     begins = random.uniform(0, 15, (count, 2))
     walls = np.stack([begins, begins + random.normal(0, 2, (count, 2))], axis=1)
+    walls = np.concatenate([walls, 5.0 * SQUARE - 2.5])
     pose = np.array([*random.uniform(0, 15, 2), random.uniform(-3, 3)])
     config, lines = LidarConfig(beam_count=32, range_max_m=12.0), shapely.MultiLineString(list(walls))
     angles = pose[2] + 2 * np.pi * np.arange(32) / 32
@@ -58,7 +59,7 @@ def test_ranges_agree_with_shapely_on_random_walls(seed, count):
         tip = pose[:2] + 12.0 * np.array([np.cos(angle), np.sin(angle)])
         hits = lines.intersection(shapely.LineString([pose[:2], tip]))
         expected.append(12.0 if hits.is_empty else min(12.0, here.distance(hits)))
-    index = index_walls(walls, np.ones(count))
+    index = index_walls(walls, np.ones(len(walls)))
     for limit in (10**9, 0):
         lidar_module._SWEEP_WALLS_MAX, kept = limit, lidar_module._SWEEP_WALLS_MAX
         found = Lidar(config, index, 0.2, 1, 0).true_ranges(pose[None])[0]

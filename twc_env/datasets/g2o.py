@@ -110,8 +110,9 @@ def _checked(graph: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]:
         if array.shape[1:] != shape:
             raise DataError(f"{key} of the pose graph must be (n, {', '.join(map(str, shape))}); got {array.shape}")
         arrays.append(array)
-    if len({len(a) for a in arrays[1:]}) > 1:
-        raise DataError(f"the pose graph's edge arrays differ in length: {[len(a) for a in arrays[1:]]}; make them equal")
+    lengths = [len(a) for a in arrays[1:]]
+    if len(set(lengths)) > 1:
+        raise DataError(f"the pose graph's edge arrays differ in length: {lengths}; make them equal")
     nodes, ij = arrays[0], arrays[1]
     if len(ij) and (ij.min() < 0 or ij.max() >= len(nodes)):
         raise DataError(f"edges_ij of the pose graph must lie in 0..{len(nodes) - 1}; got {ij.min()}..{ij.max()}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +32,11 @@ class TextWifiRecogniser:
         self._texts: list[str] = []
         self._places: list[tuple[Keyframe, SignObservation]] = []
 
-    def propose(self, keyframe: Keyframe) -> list[LoopCandidate]:
-        """Candidates between this keyframe (source) and all earlier ones (targets); then remembers it."""
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+        """Candidates between this keyframe (source) and all earlier ones (targets) of robots that are not skipped.
+
+        The keyframe is remembered for those that follow.
+        """
         rule = self._config
         best: dict[tuple[int, int], LoopCandidate] = {}
         readings = [(self._key(sign.text), sign) for sign in keyframe.signs]
@@ -40,6 +44,8 @@ class TextWifiRecogniser:
             similarity = text_similarities(text, self._texts)
             for k in np.flatnonzero(similarity >= rule.text_similarity_min - 1e-9):
                 target, target_sign = self._places[k]
+                if target.robot in skipped_robots:
+                    continue
                 if target.robot == keyframe.robot and keyframe.travel_m - target.travel_m < rule.revisit_travel_m:
                     continue
                 candidate = self._compare(target, target_sign, keyframe, sign, float(similarity[k]))

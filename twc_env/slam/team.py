@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,6 +26,11 @@ REPEAT_REACH_APART_M = 0.75
 """... while the two robots do not share a map yet, when every closure counts."""
 PROXIMITY_PERIOD_M = 1.5
 """Path length between two searches for near keyframes."""
+TIED_M = 3.0
+"""Inside one map, a robot whose last closure is nearer than this along its path needs no other yet."""
+URGENT_SQUARED_ERROR = 1.0
+"""A closure that the estimate already meets this well can wait for the next optimisation but `patience` ones."""
+PATIENCE_PERIODS = 8
 DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
 """A closure inside one map may disagree with the present estimate by this much."""
 MOVED_M, MOVED_RAD = 0.03, 0.005
@@ -86,9 +92,12 @@ class TeamMapper:
         self._verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar.range_max_m)
         self._waiting: dict[str, deque[LoopCandidate]] = {"twc": deque(), "proximity": deque()}
         self._searched_m = [0.0] * robot_count
-        self._dirty: set[int] = set()
+        self._tied_m = [-np.inf] * robot_count
+        self._dirty: dict[int, bool] = {}
+        """Groups with closures that came since the last optimisation; True where one of them is urgent."""
         self._last_optimised_step = -(10**9)
-        self._signs: dict[int, tuple[int, list[KnownSign]]] = {}
+        self._signs_read = [0] * robot_count
+        self._signs: dict[int, tuple[tuple[int, int], tuple[KnownSign, ...]]] = {}
 
     def update(self, step: int, keyframes: list[Keyframe]) -> None:
         """Take in the keyframes that arrived; verify, merge and optimise as far as this step's budget goes."""
@@ -96,7 +105,9 @@ class TeamMapper:
             self._add(keyframe)
             self._propose(keyframe)
         self._verify_some()
-        if self._dirty and step - self._last_optimised_step >= self._config.pose_graph.period_steps:
+        waited = step - self._last_optimised_step
+        period = self._config.pose_graph.period_steps
+        if waited >= period and (any(self._dirty.values()) or (self._dirty and waited >= PATIENCE_PERIODS * period)):
             self._last_optimised_step = step
             for group in sorted(self._dirty):
                 self._optimise(group)
@@ -136,13 +147,13 @@ class TeamMapper:
 
     def signs_of(self, group: int) -> tuple[KnownSign, ...]:
         """The texts read by a group, each once per place."""
-        robots = self.groups[group].robots
-        count = sum(len(self.keyframes[r]) for r in robots) + 100_003 * self.groups[group].version
+        count = sum(self._signs_read[r] for r in self.groups[group].robots)
+        key = (count, self.groups[group].version)
         held = self._signs.get(group)
-        if held is None or held[0] != count:
-            held = (count, self._collect_signs(robots))
+        if held is None or held[0] != key:
+            held = (key, self._collect_signs(self.groups[group].robots))
             self._signs[group] = held
-        return tuple(held[1])
+        return held[1]
 
     def graph(self) -> dict[str, Array | list[str]]:
         """The pose graph as arrays: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
@@ -176,6 +187,7 @@ class TeamMapper:
         self._map_odom[robot] = None
         self.keyframes[robot].append(keyframe)
         self._steps[robot].append(keyframe.step)
+        self._signs_read[robot] += len(keyframe.signs)
         self.groups[self._group_of[robot]].grid.integrate(pose[None], keyframe.ranges_m[None])
 
     def _add_edge(self, first: int, second: int, measured: Array, covariance: Array, is_closure: bool) -> None:
@@ -185,13 +197,16 @@ class TeamMapper:
         self._is_closure.append(is_closure)
 
     def _propose(self, keyframe: Keyframe) -> None:
-        candidates = self._recogniser.propose(keyframe)
-        near = self._near_keyframe(keyframe)
+        group = self._group_of[keyframe.robot]
+        is_tied = keyframe.travel_m - self._tied_m[keyframe.robot] < TIED_M
+        mates = self.groups[group].robots if is_tied else ()
+        candidates = self._recogniser.propose(keyframe, skipped_robots=mates)
+        near = None if is_tied else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)
         for candidate in candidates:
             target = self.keyframes[candidate.target[0]][candidate.target[1]]
-            together = self._group_of[target.robot] == self._group_of[keyframe.robot]
+            together = self._group_of[target.robot] == group
             reach = REPEAT_REACH_M if together else REPEAT_REACH_APART_M
             if self._filters[candidate.recogniser].is_new(target, keyframe, reach):
                 self._waiting[candidate.recogniser].append(candidate)
@@ -257,7 +272,11 @@ class TeamMapper:
             return
         closure.status, closure.reason = "accepted", ""
         self._add_edge(target, source, closure.pose_target_source, closure.covariance, True)
-        self._dirty.add(self._group_of[closure.candidate.target[0]])
+        for robot, index in (closure.candidate.target, closure.candidate.source):
+            self._tied_m[robot] = max(self._tied_m[robot], self.keyframes[robot][index].travel_m)
+        group = self._group_of[closure.candidate.target[0]]
+        is_urgent = error @ np.linalg.solve(closure.covariance, error) > URGENT_SQUARED_ERROR
+        self._dirty[group] = self._dirty.get(group, False) or bool(is_urgent)
 
     def _travel_between(self, candidate: LoopCandidate) -> float:
         """Path length over which drift could have gathered: between the keyframes, or since the robots' last tie."""
@@ -326,7 +345,7 @@ class TeamMapper:
         for index, group in enumerate(self.groups):
             for robot in group.robots:
                 self._group_of[robot] = index
-        self._dirty = {g if g < b else g - 1 for g in self._dirty if g != b} | {a}
+        self._dirty = {g if g < b else g - 1: urgent for g, urgent in self._dirty.items() if g != b} | {a: True}
         self._signs.clear()
         self._redraw(a)
 
@@ -368,14 +387,14 @@ class TeamMapper:
         grid.integrate(self._poses.rows[nodes], self._scans.rows[nodes])
         self.groups[group].version += 1
 
-    def _collect_signs(self, robots: tuple[int, ...]) -> list[KnownSign]:
-        found: list[KnownSign] = []
+    def _collect_signs(self, robots: tuple[int, ...]) -> tuple[KnownSign, ...]:
+        places: dict[str, list[Array]] = {}
         for robot in robots:
-            for pose, keyframe in zip(self.poses_of(robot), self.keyframes[robot], strict=True):
+            poses = self.poses_of(robot)
+            for keyframe in self.keyframes[robot]:
                 for sign in keyframe.signs:
-                    position = compose(pose, [*sign.position_m, 0.0])[:2]
-                    if not any(
-                        k.text == sign.text and np.hypot(*(k.position_m - position)) < SAME_SIGN_M for k in found
-                    ):
-                        found.append(KnownSign(sign.text, position))
-        return found
+                    position = compose(poses[keyframe.index], [*sign.position_m, 0.0])[:2]
+                    known = places.setdefault(sign.text, [])
+                    if all(math.dist(position, other) >= SAME_SIGN_M for other in known):
+                        known.append(position)
+        return tuple(KnownSign(text, position) for text, known in places.items() for position in known)

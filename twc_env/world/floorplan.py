@@ -136,9 +136,7 @@ class Floorplan:
     def digest(self) -> str:
         """Twelve hex digits of the content; the same wherever the building stands."""
         if "digest" not in self._cache:
-            values = {**_to_values(self.home), "pose_building_home": None}
-            text = json.dumps(_rounded(values), sort_keys=True)
-            self._cache["digest"] = hashlib.sha256(text.encode()).hexdigest()[:12]
+            self._cache["digest"] = hashlib.sha256(_digest_text(self.home).encode()).hexdigest()[:12]
         return self._cache["digest"]
 
     @property
@@ -440,8 +438,22 @@ def _json_rows(value: object) -> str:
     return "[\n  " + ",\n  ".join(json.dumps(item, ensure_ascii=False) for item in value) + "\n]"
 
 
+def _digest_text(home: Floorplan) -> str:
+    """All values to a tenth of a millimetre or milliradian, so that moving there and back keeps the digest."""
+    values = {**_to_values(home), "pose_building_home": None}
+    for sign in values["signs"]:
+        sign["facing_rad"] = _rounded_angle(sign["facing_rad"])
+    for start in values["starts"]:
+        start[2] = _rounded_angle(start[2])
+    return json.dumps(_rounded(values), sort_keys=True)
+
+
+def _rounded_angle(angle_rad: float) -> float:
+    turn = 2 * np.pi
+    return round(angle_rad % turn, 4) % round(turn, 4)
+
+
 def _rounded(value: object) -> object:
-    """Numbers to a tenth of a millimetre, so that moving there and back keeps the digest."""
     if isinstance(value, float):
         return round(value, 4) + 0.0
     if isinstance(value, list):

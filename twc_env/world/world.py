@@ -118,6 +118,9 @@ class World:
             poses = np.array(starts, float)
             if poses.shape != (robots, 3) or not np.isfinite(poses).all():
                 raise ConfigError(f"starts must be {robots} finite poses (x, y, heading); got shape {poses.shape}")
+            for i in np.flatnonzero(~self.plan.cells().is_free(poses[:, :2])):
+                at = f"({poses[i, 0]:.2f}, {poses[i, 1]:.2f})"
+                raise ConfigError(f"starts[{i}] at {at} is no open floor of map {home.name!r}; move it inside")
             return compose(inverse(self.plan.pose_building_home), poses)
         if starts == "random":
             return draw_starts(home, robots, random_stream(seed, "starts"))

@@ -1,0 +1,174 @@
+"""Command line of the scripted agents: `python -m agents explore | benchmark`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from agents import benchmark, picture
+from agents.explore import Progress, explore, table_of, write_json, write_run
+from agents.policy import make_policy, policy_names
+from twc_env import ConfigError, EnvConfig, TwcError, load_map, map_names
+from twc_env.config import load, override
+
+_EXPLORE_HELP = """\
+Let a scripted team explore one building and write a run folder:
+report.json (docs/figures.md says what each figure means), config.json, map.png, episode.gif, map.pgm + map.yaml,
+pose_graph.g2o and trajectories/*.tum (readable by evo).
+
+examples:
+  python -m agents explore
+  python -m agents explore --map twin-02 --robots 3 --seed 1 --out runs/twin-02
+  python -m agents explore --map office.yaml --steps 6000 --set odometry.drift=2 --set lidar.beam_count=360
+  python -m agents explore --agent random --no-pictures --json -
+"""
+_BENCHMARK_HELP = """\
+Run many seeds on several maps and print one table per map. Runs that are already in the output folder with the same
+settings and version are not run again, so an interrupted benchmark goes on where it stopped.
+A seed passes when all robots end in one map, no merge was wrong, team ATE is at most 0.30 m and at least 90 % of the
+floor is mapped correctly.
+
+examples:
+  python -m agents benchmark --maps twin-01 twin-02 --seeds 0-9 --out runs/benchmark
+  python -m agents benchmark --maps twin-01 --seeds 0-99 --jobs 4 --no-pictures --set odometry.platform=legged
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; returns the exit code: 0 done, 2 wrong input, 130 interrupted."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.run(options)
+    except TwcError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+
+
+def _explore(options: argparse.Namespace) -> int:
+    config = _config(options, options.map, options.steps)
+    has_gif = not (options.no_gif or options.no_pictures)
+    if not options.no_pictures:
+        picture.require_libraries(has_gif)
+    folder = options.out or Path("runs") / f"{Path(config.map).stem}-{options.agent}-seed{options.seed}"
+    progress = Progress(config.max_cycles, f"{Path(config.map).stem} seed {options.seed}")
+    try:
+        run = explore(config, options.agent, options.seed, picture.Film() if has_gif else None, progress)
+    finally:
+        progress.close()
+    write_run(run, folder, not options.no_pictures)
+    _write_report(options.json, run.report)
+    if str(options.json) != "-":
+        print(f"{options.agent} on {config.map}, seed {options.seed}, {config.robots} robots\n")
+        print(table_of(run.report))
+        print(f"\nwritten to {folder}")
+    if run.was_interrupted:
+        print(f"interrupted after {run.report['steps']} steps; the figures are of those", file=sys.stderr)
+    return 130 if run.was_interrupted else 0
+
+
+def _benchmark(options: argparse.Namespace) -> int:
+    if not options.no_pictures:
+        picture.require_libraries(gif=False)
+    seeds = benchmark.parse_seeds(options.seeds)
+    jobs, names = [], {}
+    for name in options.maps:
+        config = _config(options, name, options.steps)
+        load_map(name)  # a misspelt map fails now, not after an hour
+        for seed in seeds:
+            folder = options.out / Path(name).stem / f"seed-{seed}"
+            jobs.append(benchmark.Job(config, options.agent, seed, folder, not options.no_pictures))
+            names[folder] = name
+    make_policy(options.agent)
+    reports: dict[str, list[dict[str, Any]]] = {name: [] for name in options.maps}
+    was_interrupted = False
+    try:
+        for count, (job, report, was_there) in enumerate(benchmark.run_jobs(jobs, options.jobs), 1):
+            reports[names[job.folder]].append(report)
+            verdict = "passes" if benchmark.passes(report) else "fails"
+            origin = " (was there)" if was_there else ""
+            print(f"[{count}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {verdict}{origin}", file=sys.stderr)
+    except KeyboardInterrupt:
+        was_interrupted = True
+    summaries = {name: benchmark.summary_of(rows) | {"reports": rows} for name, rows in reports.items() if rows}
+    write_json(options.out / "summary.json", summaries)
+    _write_report(options.json, summaries)
+    if str(options.json) != "-":
+        for name, rows in reports.items():
+            if rows:
+                print(f"\n{name}, {options.agent}\n{benchmark.table_of(rows)}")
+    return 130 if was_interrupted else 0
+
+
+def _config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
+    """Defaults, then the file, then the options, then --set."""
+    config = load(options.config) if options.config else EnvConfig()
+    named = {"map": map_name, "robots": options.robots, "max_cycles": steps}
+    config = override(config, {key: value for key, value in named.items() if value is not None})
+    assignments = {}
+    for text in options.set:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise ConfigError(f"--set takes section.key=value, for example odometry.drift=2; got {text!r}")
+        assignments[key] = value
+    return override(config, assignments)
+
+
+def _write_report(place: Path | None, values: dict[str, Any]) -> None:
+    if place is None:
+        return
+    if str(place) == "-":
+        place = Path("/dev/stdout")
+    write_json(place, values)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m agents", description="Scripted teams that explore buildings. Each command has its own --help."
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="explore | benchmark")
+    one = _command(commands, "explore", "run one episode and write a run folder", _EXPLORE_HELP)
+    one.add_argument("--map", help=f"one of {', '.join(map_names())}, or a map file (default: twin-01)")
+    one.add_argument("--seed", type=_natural, default=0, help="of starts, noise and furnishing (default: 0)")
+    one.add_argument("--out", type=Path, help="run folder (default: runs/MAP-AGENT-seedSEED)")
+    one.add_argument("--no-gif", action="store_true", help="do not film the episode")
+    one.set_defaults(run=_explore)
+    many = _command(commands, "benchmark", "run many seeds on several maps", _BENCHMARK_HELP)
+    many.add_argument("--maps", nargs="+", default=["twin-01", "twin-02"], help="names or files (default: both twins)")
+    many.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9 (default: 0-9)")
+    many.add_argument("--out", type=Path, default=Path("runs/benchmark"), help="folder of all runs")
+    many.add_argument("--jobs", type=_natural, default=1, help="processes (default: 1)")
+    many.set_defaults(run=_benchmark)
+    for command in (one, many):
+        command.add_argument("--agent", default="nearest-frontier", help=f"one of {', '.join(policy_names())}")
+        command.add_argument("--robots", type=_natural, help="number of robots (default: 3)")
+        command.add_argument("--steps", type=_natural, help="steps at most (default: 2000)")
+        command.add_argument("--config", type=Path, metavar="FILE", help="TOML or JSON file of settings")
+        command.add_argument(
+            "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change one setting"
+        )
+        command.add_argument(
+            "--json", type=Path, metavar="FILE", help="also write the figures here; - for the terminal"
+        )
+        command.add_argument("--no-pictures", action="store_true", help="write neither map.png nor episode.gif")
+    return parser
+
+
+def _command(commands: Any, name: str, summary: str, text: str) -> argparse.ArgumentParser:
+    return commands.add_parser(
+        name, help=summary, description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def _natural(text: str) -> int:
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0; got {text!r}")
+    return int(text)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

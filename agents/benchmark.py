@@ -1,0 +1,137 @@
+"""Many episodes: several maps, many seeds, one table per map."""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import statistics
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agents.explore import explore, write_run
+from twc_env import ConfigError, EnvConfig, __version__
+from twc_env.config import digest
+
+COLUMNS = (
+    ("merged_robots", "merged", "d"),
+    ("wrong_merges", "wrong", "d"),
+    ("team_ate_m", "ATE m", ".3f"),
+    ("coverage_correct", "mapped", ".3f"),
+    ("odometry_ate_m", "odo ATE m", ".3f"),
+    ("odometry_coverage_correct", "odo mapped", ".3f"),
+    ("env_steps_per_s", "steps/s", ".0f"),
+)
+ATE_PASS_M = 0.30
+COVERAGE_PASS = 0.90
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One episode of a benchmark."""
+
+    config: EnvConfig
+    agent: str
+    seed: int
+    folder: Path
+    pictures: bool = True
+
+
+def passes(report: dict[str, Any]) -> bool:
+    """All robots in one frame, no wrong merge, team ATE of at most 0.30 m, at least 90 % mapped correctly."""
+    return (
+        report["merged_robots"] == report["robots"]
+        and report["wrong_merges"] == 0
+        and report["team_ate_m"] <= ATE_PASS_M
+        and report["coverage_correct"] >= COVERAGE_PASS
+    )
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Seeds of a list such as 0-3,7 -> (0, 1, 2, 3, 7). Raises ConfigError for anything else."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not first.isdigit() or (dash and not last.isdigit()) or (dash and int(last) < int(first)):
+            raise ConfigError(f"seeds must be numbers and ranges such as 0-9 or 1,4,7-9; got {text!r}")
+        seeds += range(int(first), int(last if dash else first) + 1)
+    return tuple(dict.fromkeys(seeds))
+
+
+def run_jobs(jobs: Iterable[Job], processes: int = 1) -> Iterator[tuple[Job, dict[str, Any], bool]]:
+    """Run what has not been run yet; gives (job, report, whether it was there before) as each is done."""
+    waiting = []
+    for job in jobs:
+        report = report_of(job)
+        if report is None:
+            waiting.append(job)
+        else:
+            yield job, report, True
+    if processes <= 1 or len(waiting) <= 1:
+        for job in waiting:
+            yield job, run_job(job), False
+        return
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
+        running = {pool.submit(run_job, job): job for job in waiting}
+        try:
+            for done in as_completed(running):
+                yield running[done], done.result(), False
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def run_job(job: Job) -> dict[str, Any]:
+    """Drive one episode and write its folder. Raises KeyboardInterrupt when it was interrupted."""
+    run = explore(job.config, job.agent, job.seed)
+    if run.was_interrupted:
+        raise KeyboardInterrupt
+    write_run(run, job.folder, job.pictures)
+    return run.report
+
+
+def report_of(job: Job) -> dict[str, Any] | None:
+    """The report of an earlier run of the same job by the same version; None if there is none."""
+    try:
+        report = json.loads((job.folder / "report.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    wanted = {"config_digest": digest(job.config), "version": __version__, "agent": job.agent, "seed": job.seed}
+    is_same = isinstance(report, dict) and all(report.get(key) == value for key, value in wanted.items())
+    return report if is_same else None
+
+
+def summary_of(reports: list[dict[str, Any]]) -> dict[str, Any]:
+    """Mean, standard deviation, least and greatest of each column, and how many seeds pass."""
+    columns = {}
+    for key, _, _ in COLUMNS:
+        values = [float(r[key]) for r in reports if r.get(key) is not None]
+        spread = statistics.stdev(values) if len(values) > 1 else 0.0
+        columns[key] = {
+            "mean": statistics.fmean(values) if values else math.nan,
+            "sd": spread,
+            "min": min(values, default=math.nan),
+            "max": max(values, default=math.nan),
+        }
+    return {"seeds": len(reports), "passed": sum(map(passes, reports)), "figures": columns}
+
+
+def table_of(reports: list[dict[str, Any]]) -> str:
+    """One map's seeds as an aligned table with its statistics below."""
+    reports = sorted(reports, key=lambda r: r["seed"])
+    rows = [["seed", *(title for _, title, _ in COLUMNS), "passes"]]
+    for report in reports:
+        cells = ["-" if report.get(key) is None else f"{report[key]:{form}}" for key, _, form in COLUMNS]
+        rows.append([str(report["seed"]), *cells, "yes" if passes(report) else "no"])
+    summary = summary_of(reports)
+    for name in ("mean", "sd", "min", "max"):
+        cells = [f"{summary['figures'][key][name]:{form.replace('d', '.2f')}}" for key, _, form in COLUMNS]
+        rows.append([name, *cells, ""])
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = ["  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    rule = "-" * max(map(len, lines))
+    lines = [lines[0], rule, *lines[1 : len(reports) + 1], rule, *lines[len(reports) + 1 :]]
+    return "\n".join([*lines, f"{summary['passed']} of {summary['seeds']} seeds pass"])

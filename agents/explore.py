@@ -1,0 +1,196 @@
+"""Run a policy through an episode and leave a run folder behind."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import twc_env
+from agents import picture
+from agents.policy import make_policy
+from twc_env import DataError, EnvConfig, EpisodeResult
+from twc_env.config import to_dict
+from twc_env.datasets.g2o import write_g2o
+from twc_env.datasets.ros_map import write_ros_map
+from twc_env.datasets.tum import write_tum
+
+WARM_UP_STEPS = 10
+"""Steps at the start that the speed figures leave out: compiled code is loaded there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One episode that was driven by a policy."""
+
+    result: EpisodeResult
+    report: dict[str, Any]
+    """The figures of the result, and those only the driver knows: agent, env_steps_per_s, agent_s."""
+    film: picture.Film | None
+    was_interrupted: bool
+
+
+def explore(
+    config: EnvConfig,
+    agent: str,
+    seed: int,
+    film: picture.Film | None = None,
+    watch: Callable[[int], None] | None = None,
+) -> Run:
+    """Drive one episode until the policy is finished, `config.max_cycles` steps are over or Ctrl-C is pressed.
+
+    `watch` is called with the number of steps taken. Raises TwcError for an unknown agent or map.
+    """
+    policy = make_policy(agent, config)
+    env = twc_env.parallel_env(config=config, render_mode="rgb_array" if film else None)
+    env.reset(seed=seed)
+    policy.reset(seed, env.possible_agents)
+    thought_s, env_s, counted, step, was_interrupted = 0.0, 0.0, 0, 0, False
+    try:
+        while env.agents:
+            start = time.perf_counter()
+            beliefs = {name: env.belief(name) for name in env.agents}
+            believed = time.perf_counter()
+            actions = policy.act(beliefs)
+            is_finished = policy.finished(beliefs)
+            thought = time.perf_counter()
+            if is_finished:
+                break
+            env.step(actions)
+            stepped = time.perf_counter()
+            thought_s += thought - believed
+            step += 1
+            if step > WARM_UP_STEPS:
+                env_s, counted = env_s + (believed - start) + (stepped - thought), counted + 1
+            if film is not None and film.wants(step):
+                film.add(step, env.render())
+            if watch is not None:
+                watch(step)
+    except KeyboardInterrupt:
+        was_interrupted = True
+    result = env.result()
+    if film is not None:
+        film.add(step, env.render())
+    env.close()
+    speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
+    return Run(result, _plain({**result.figures, "agent": agent, **speeds}), film, was_interrupted)
+
+
+def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
+    """Write the run folder: config, report, pictures, trajectories, pose graph and maps. The report comes last."""
+    result = run.result
+    try:
+        (folder / "trajectories").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot make the run folder {folder}: {error.strerror}; choose another with --out") from error
+    write_json(folder / "config.json", to_dict(result.config))
+    times_s = np.arange(len(result.true_poses)) * result.config.dynamics.time_step_s
+    for kind in ("true", "estimated", "odometry"):
+        poses = getattr(result, f"{kind}_poses")
+        for robot in range(poses.shape[1]):
+            write_tum(folder / "trajectories" / f"robot_{robot}_{kind}.tum", times_s, poses[:, robot])
+    write_g2o(folder / "pose_graph.g2o", result.graph)
+    for k, grid in enumerate(result.grids):
+        if grid.log_odds.size:
+            write_ros_map(grid, folder, "map" if k == 0 else f"map_{k + 1}")
+    if pictures:
+        picture.draw_map(result, folder / "map.png")
+        if run.film is not None:
+            run.film.write(folder / "episode.gif")
+    write_json(folder / "report.json", run.report)
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Write values as JSON that any reader accepts (no NaN). Raises DataError when the file cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(_plain(values), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
+
+
+def _plain(value: Any) -> Any:
+    """The same with numpy values turned into Python ones and numbers that are not finite into None."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+class Progress:
+    """A progress bar on a terminal, nothing in a pipe: tqdm where installed, else a plain counter."""
+
+    def __init__(self, total: int, label: str):
+        self._total, self._label, self._done = total, label, 0
+        self._is_shown = sys.stderr.isatty()
+        self._bar = None
+        if self._is_shown:
+            try:
+                from tqdm import tqdm
+            except ImportError:
+                return
+            self._bar = tqdm(total=total, desc=label, unit="step", leave=False)
+
+    def __call__(self, done: int) -> None:
+        """So many are done."""
+        if self._bar is not None:
+            self._bar.update(done - self._done)
+        elif self._is_shown and done % 20 == 0:
+            print(f"\r{self._label}: {done}/{self._total}", end="", file=sys.stderr, flush=True)
+        self._done = done
+
+    def close(self) -> None:
+        """Clear the line."""
+        if self._bar is not None:
+            self._bar.close()
+        elif self._is_shown:
+            print("\r" + " " * 60 + "\r", end="", file=sys.stderr, flush=True)
+
+
+FIGURES = (
+    ("steps", "steps", "d"),
+    ("simulated time", "sim_time_s", ".1f s"),
+    ("robots in one map", "merged_robots", "d"),
+    ("wrong merges", "wrong_merges", "d"),
+    ("team ATE", "team_ate_m", ".3f m"),
+    ("odometry alone: ATE", "odometry_ate_m", ".3f m"),
+    ("end point error", "epe_m", ".3f m"),
+    ("correctly mapped", "coverage_correct", ".1% "),
+    ("odometry alone: mapped", "odometry_coverage_correct", ".1% "),
+    ("map IoU", "map_iou", ".3f"),
+    ("path driven", "path_length_m", ".1f m"),
+    ("collisions", "collisions", "d"),
+    ("stuck share", "stuck_share", ".1% "),
+    ("sent over the link", "bytes_sent", ",d bytes"),
+    ("environment speed", "env_steps_per_s", ".0f steps/s"),
+    ("time the agents thought", "agent_s", ".2f s"),
+)
+
+
+def table_of(report: dict[str, Any]) -> str:
+    """The figures of a report as aligned lines."""
+    rows = [(label, _formatted(report.get(key), form)) for label, key, form in FIGURES]
+    closures = report.get("closures") or {}
+    if closures:
+        precision = _formatted(closures.get("precision"), ".1% ")
+        text = f"{closures['accepted']} accepted of {closures['proposed']} proposed, precision {precision}"
+        rows.insert(10, ("loop closures", text))
+    width = max(len(label) for label, _ in rows)
+    return "\n".join(f"{label:<{width}}  {text}" for label, text in rows)
+
+
+def _formatted(value: Any, form: str) -> str:
+    if value is None:
+        return "-"
+    form, _, unit = form.partition(" ")
+    return f"{value:{form}} {unit}".rstrip()

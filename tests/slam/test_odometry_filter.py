@@ -1,0 +1,139 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twc_env.config import OdometryFilterConfig
+from twc_env.geometry import compose, wrap_angle
+from twc_env.slam.odometry_filter import CompiledFilter, FilterpyFilter, make_filter
+
+DT_S = 0.1
+CONFIG = OdometryFilterConfig()
+BOTH = pytest.mark.parametrize("kind", [CompiledFilter, FilterpyFilter])
+
+
+def random_covariance(random) -> np.ndarray:
+    root = random.normal(0, 1, (3, 3)) * (0.05, 0.05, 0.02)
+    return root @ root.T + np.diag([1e-4, 1e-4, 1e-5])
+
+
+@settings(max_examples=8)
+@given(st.integers(0, 10_000))
+def test_the_compiled_filter_equals_filterpy_over_two_hundred_steps(seed):
+    random = np.random.default_rng(seed)
+    compiled, oracle = CompiledFilter(CONFIG), FilterpyFilter(CONFIG)
+    for step in range(200):
+        odometry = random.normal(0, 1, 3) * (0.1, 0.03, 0.15)
+        turn_rate = odometry[2] / DT_S + random.normal(0, 0.2)
+        dt_s = random.uniform(0.05, 0.2)
+        compiled.predict(odometry, turn_rate, dt_s)
+        oracle.predict(odometry, turn_rate, dt_s)
+        if step % 3 == 0:
+            pose = compiled.state[:3] + random.normal(0, 0.05, 3)
+            pose[2] = wrap_angle(pose[2])
+            covariance = random_covariance(random)
+            compiled.update(pose, covariance)
+            oracle.update(pose, covariance)
+        assert compiled.state == pytest.approx(oracle.state, abs=1e-9)
+        assert compiled.covariance == pytest.approx(oracle.covariance, abs=1e-9)
+
+
+@BOTH
+def test_a_straight_drive_ends_where_odometry_says(kind):
+    ekf = kind(CONFIG)
+    for _ in range(50):
+        ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
+    assert ekf.state == pytest.approx(np.array([5.0, 0.0, 0.0, 0.0]), abs=1e-12)
+
+
+@BOTH
+def test_a_circle_ends_where_it_began(kind):
+    ekf, steps = kind(CONFIG), 360
+    for _ in range(steps):
+        ekf.predict(np.array([0.05, 0.0, 2 * np.pi / steps]), 2 * np.pi / steps / DT_S, DT_S)
+    assert ekf.state[:2] == pytest.approx(np.zeros(2), abs=1e-9)
+    assert wrap_angle(ekf.state[2]) == pytest.approx(0.0, abs=1e-9)
+
+
+@BOTH
+def test_the_bias_of_the_gyro_is_learned_from_the_odometry(kind):
+    random, bias = np.random.default_rng(1), 0.03
+    ekf = kind(CONFIG)
+    for _ in range(600):
+        turn = random.normal(0, 0.05)
+        odometry = np.array([0.05, 0.0, turn + random.normal(0, CONFIG.odometry_turn_std_rad)])
+        ekf.predict(odometry, turn / DT_S + bias + random.normal(0, CONFIG.turn_std_rad / DT_S), DT_S)
+    assert ekf.state[3] == pytest.approx(bias, abs=3 * np.sqrt(ekf.covariance[3, 3]))
+    assert np.sqrt(ekf.covariance[3, 3]) < 0.6 * CONFIG.gyro_bias_std_rad_s
+
+
+@BOTH
+def test_the_bias_of_the_gyro_is_learned_from_measured_poses_too(kind):
+    bias, true = 0.03, np.zeros(3)
+    ekf = kind(CONFIG)
+    for _ in range(400):
+        motion = np.array([0.05, 0.0, 0.02])
+        true = compose(true, [0.05 * np.cos(0.01), 0.05 * np.sin(0.01), 0.02])
+        ekf.predict(motion, 0.02 / DT_S + bias, DT_S)
+        ekf.update(true, np.diag([1e-4, 1e-4, 1e-5]))
+    assert ekf.state[3] == pytest.approx(bias, abs=0.004)
+    assert np.hypot(*(ekf.state[:2] - true[:2])) < 0.02
+
+
+@BOTH
+def test_the_covariance_stays_symmetric_and_positive(kind):
+    random, ekf = np.random.default_rng(2), kind(CONFIG)
+    for step in range(500):
+        ekf.predict(random.normal(0, 0.1, 3), random.normal(0, 1), DT_S)
+        if step % 2:
+            ekf.update(ekf.state[:3] + random.normal(0, 0.03, 3), random_covariance(random))
+        assert ekf.covariance == pytest.approx(ekf.covariance.T, abs=1e-12)
+        assert np.linalg.eigvalsh(ekf.covariance).min() > 0
+
+
+@BOTH
+def test_uncertainty_grows_with_motion_and_shrinks_with_a_match(kind):
+    ekf, areas = kind(CONFIG), []
+    for _ in range(30):
+        ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
+        areas.append(np.linalg.det(ekf.covariance[:3, :3]))
+    assert np.all(np.diff(areas) > 0)
+    ekf.update(ekf.state[:3].copy(), np.diag([1e-4, 1e-4, 1e-5]))
+    assert np.linalg.det(ekf.covariance[:3, :3]) < areas[-1]
+
+
+@BOTH
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_measured_heading_across_the_seam_is_taken_the_short_way(kind, side):
+    ekf = kind(CONFIG)
+    for _ in range(31):
+        ekf.predict(np.array([0.0, 0.0, 0.1 * side]), side / 1.0, DT_S)
+    before = ekf.state[2]
+    measured = wrap_angle(before + 0.15 * side)
+    assert measured * side < 0
+    ekf.update(np.array([*ekf.state[:2], measured]), np.diag([1e-4, 1e-4, 1e-6]))
+    assert 0.05 < (ekf.state[2] - before) * side < 0.1501
+
+
+@BOTH
+def test_a_measurement_without_information_changes_nothing(kind):
+    ekf = kind(CONFIG)
+    for _ in range(20):
+        ekf.predict(np.array([0.1, 0.0, 0.02]), 0.2, DT_S)
+    before = ekf.state.copy()
+    ekf.update(before[:3] + [3.0, -2.0, 0.5], np.diag([1e9, 1e9, 1e9]))
+    assert ekf.state == pytest.approx(before, abs=1e-6)
+
+
+@BOTH
+def test_measuring_leaves_the_measurement_alone(kind):
+    ekf, pose, covariance = kind(CONFIG), np.array([0.1, 0.0, 3.0]), np.diag([0.01, 0.01, 0.01])
+    ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
+    ekf.update(pose, covariance)
+    assert pose.tolist() == [0.1, 0.0, 3.0]
+    assert np.array_equal(covariance, np.diag([0.01, 0.01, 0.01]))
+
+
+def test_the_config_names_the_filter():
+    assert isinstance(make_filter(OdometryFilterConfig(backend="compiled")), CompiledFilter)
+    assert isinstance(make_filter(OdometryFilterConfig(backend="filterpy")), FilterpyFilter)

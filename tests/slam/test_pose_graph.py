@@ -1,0 +1,225 @@
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+
+from twc_env.config import PoseGraphConfig
+from twc_env.geometry import between, compose, wrap_angle
+from twc_env.slam import pose_graph
+
+PLAIN = PoseGraphConfig(robust="none", iterations_max=100)
+
+
+def information_of(count: int, std_m: float = 0.05, std_rad: float = 0.02) -> np.ndarray:
+    return np.tile(np.diag([std_m**-2, std_m**-2, std_rad**-2]), (count, 1, 1))
+
+
+def dead_reckoning(edges, measured, count) -> np.ndarray:
+    """Poses along the edges i -> i + 1."""
+    poses = np.zeros((count, 3))
+    for (a, b), z in zip(edges, measured, strict=True):
+        if b == a + 1:
+            poses[b] = compose(poses[a], z)
+    return poses
+
+
+def chi2(poses, edges, measured, information) -> float:
+    return float(pose_graph.squared_errors(poses, edges, measured, information).sum())
+
+
+def random_graph(seed: int, count: int = 12, closures: int = 6):
+    """A noisy walk with closures: true poses, edges, measured, information, is_closure."""
+    random = np.random.default_rng(seed)
+    true = np.zeros((count, 3))
+    for i in range(1, count):
+        true[i] = compose(true[i - 1], [1.0, 0.0, random.normal(0, 0.6)])
+    chain = [(i, i + 1) for i in range(count - 1)]
+    loops = [tuple(sorted(random.choice(count, 2, replace=False))) for _ in range(closures)]
+    edges = np.array(chain + loops)
+    noise = random.normal(0, 1, (len(edges), 3)) * (0.05, 0.05, 0.02)
+    measured = compose(between(true[edges[:, 0]], true[edges[:, 1]]), noise)
+    is_closure = np.arange(len(edges)) >= len(chain)
+    return true, edges, measured, information_of(len(edges)), is_closure
+
+
+@pytest.fixture
+def square():
+    """Twenty steps around a square with a heading drift, and the closure that ends it."""
+    count = 21
+    true = np.zeros((count, 3))
+    for i in range(1, count):
+        true[i] = compose(true[i - 1], [1.0, 0.0, np.pi / 2 if i % 5 == 0 else 0.0])
+    edges = np.array([(i, i + 1) for i in range(count - 1)] + [(0, count - 1)])
+    measured = between(true[edges[:, 0]], true[edges[:, 1]])
+    measured[:-1, 2] += 0.02
+    information = information_of(len(edges))
+    information[-1] *= 100
+    return true, edges, measured, information, np.arange(len(edges)) == count - 1
+
+
+def test_residuals_vanish_where_the_measurements_are_true(square):
+    true, edges, _, _, _ = square
+    exact = between(true[edges[:, 0]], true[edges[:, 1]])
+    assert pose_graph.residuals(true, edges, exact) == pytest.approx(np.zeros((len(edges), 3)), abs=1e-12)
+
+
+def test_a_residual_is_the_measured_pose_undone(square):
+    true, edges, measured, _, _ = square
+    expected = between(measured, between(true[edges[:, 0]], true[edges[:, 1]]))
+    assert pose_graph.residuals(true, edges, measured) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("robust", ["dcs", "cauchy", "none"])
+def test_a_drifting_square_closes(square, robust):
+    true, edges, measured, information, is_closure = square
+    start = dead_reckoning(edges, measured, len(true))
+    assert np.hypot(*(start[-1] - true[-1])[:2]) > 0.5
+    config = PoseGraphConfig(robust=robust, robust_scale=1000.0, iterations_max=50)
+    poses = pose_graph.optimise(start, edges, measured, information, is_closure, config)
+    assert np.hypot(*(poses[-1] - true[-1])[:2]) < 0.05
+    assert np.hypot(*(poses - true)[:, :2].T).max() < np.hypot(*(start - true)[:, :2].T).max() / 3
+
+
+def test_perfect_measurements_change_nothing(square):
+    true, edges, _, information, is_closure = square
+    exact = between(true[edges[:, 0]], true[edges[:, 1]])
+    poses = pose_graph.optimise(true, edges, exact, information, is_closure, PoseGraphConfig())
+    assert np.abs(between(true, poses)).max() < 1e-9
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 10_000))
+def test_small_graphs_agree_with_scipy(seed):
+    true, edges, measured, information, is_closure = random_graph(seed)
+    start = dead_reckoning(edges, measured, len(true))
+    root = np.linalg.cholesky(information)
+
+    def cost(free):
+        poses = np.concatenate([start[:1], free.reshape(-1, 3)])
+        r = pose_graph.residuals(poses, edges, measured)
+        return np.einsum("kji,kj->ki", root, r).ravel()
+
+    best = least_squares(cost, start[1:].ravel(), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN)
+    assert chi2(poses, edges, measured, information) <= 2 * best.cost * (1 + 1e-4) + 1e-6
+    assert np.abs(between(poses[1:], best.x.reshape(-1, 3))).max() < 2e-3
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 10_000))
+def test_optimising_never_raises_the_error(seed):
+    true, edges, measured, information, is_closure = random_graph(seed, closures=3)
+    start = compose(true, np.random.default_rng(seed).normal(0, 0.3, true.shape))
+    poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN)
+    assert chi2(poses, edges, measured, information) <= chi2(start, edges, measured, information)
+
+
+def test_the_fixed_pose_stays_and_the_others_move_with_it():
+    true, edges, measured, information, is_closure = random_graph(3)
+    there = compose(np.array([50.0, -20.0, 2.0]), true)
+    start = compose(there, np.random.default_rng(0).normal(0, 0.1, true.shape))
+    for fixed in (0, 5, len(true) - 1):
+        poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN, fixed=fixed)
+        assert np.array_equal(poses[fixed], start[fixed])
+        reference = pose_graph.optimise(true, edges, measured, information, is_closure, PLAIN)
+        relative = between(between(reference[fixed], reference), between(poses[fixed], poses))
+        assert np.abs(relative).max() < 5e-3
+
+
+def false_closure_error(robust: str) -> float:
+    """How far one false closure among forty moves the poses [m]."""
+    true, edges, measured, information, is_closure = random_graph(7, count=60, closures=40)
+    config = PoseGraphConfig(robust=robust, iterations_max=100)
+    good = pose_graph.optimise(true, edges, measured, information, is_closure, config)
+    edges = np.concatenate([edges, [[5, 55]]])
+    measured = np.concatenate([measured, [compose(between(true[5], true[55]), [6.0, -4.0, 0.8])]])
+    information = np.concatenate([information, information[-1:]])
+    is_closure = np.append(is_closure, True)
+    bad = pose_graph.optimise(true, edges, measured, information, is_closure, config)
+    return float(np.hypot(*(bad - good)[:, :2].T).max())
+
+
+def test_one_false_closure_among_many_does_not_move_the_map_with_dcs():
+    assert false_closure_error("dcs") < 0.02
+
+
+def test_without_a_robust_loss_one_false_closure_bends_the_map():
+    assert false_closure_error("none") > 0.3
+
+
+def test_robust_weights_leave_odometry_alone():
+    squared, is_closure = np.array([0.0, 1e6, 1e6]), np.array([True, True, False])
+    for robust in ("dcs", "cauchy", "none"):
+        weights = pose_graph.robust_weights(squared, is_closure, PoseGraphConfig(robust=robust))
+        assert weights[[0, 2]].tolist() == [1.0, 1.0]
+        assert (weights[1] < 1e-4) == (robust != "none")
+
+
+@pytest.mark.parametrize("robust", ["dcs", "cauchy"])
+def test_robust_weights_fall_with_the_error(robust):
+    squared = np.linspace(0, 200, 50)
+    weights = pose_graph.robust_weights(squared, np.ones(50, bool), PoseGraphConfig(robust=robust))
+    assert np.all(np.diff(weights) <= 0)
+    assert np.all((weights > 0) & (weights <= 1))
+
+
+def test_the_same_graph_gives_the_same_bytes():
+    true, edges, measured, information, is_closure = random_graph(11, count=40, closures=20)
+    start = dead_reckoning(edges, measured, len(true))
+    runs = [
+        pose_graph.optimise(start, edges, measured, information, is_closure, PoseGraphConfig()).tobytes()
+        for _ in range(3)
+    ]
+    assert runs[0] == runs[1] == runs[2]
+
+
+def test_optimising_leaves_its_arguments_alone():
+    true, edges, measured, information, is_closure = random_graph(5)
+    start = dead_reckoning(edges, measured, len(true))
+    arguments = [start, edges, measured, information, is_closure]
+    copies = [a.copy() for a in arguments]
+    pose_graph.optimise(*arguments, PoseGraphConfig())
+    assert all(np.array_equal(a, b) for a, b in zip(arguments, copies, strict=True))
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_poses_without_edges_stay(count):
+    poses = np.arange(3.0 * count).reshape(count, 3) * 0.1
+    none = np.zeros((0, 2), int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, bool)
+    assert np.array_equal(pose_graph.optimise(poses, *none, PoseGraphConfig()), poses)
+
+
+def test_headings_across_the_seam_are_taken_the_short_way():
+    edges, measured = np.array([[0, 1]]), np.array([[1.0, 0.0, 0.1]])
+    start = np.array([[0.0, 0.0, 3.1], [-1.0, 0.0, -3.1]])
+    poses = pose_graph.optimise(start, edges, measured, information_of(1), np.array([False]), PLAIN)
+    assert wrap_angle(poses[1, 2] - 3.2) == pytest.approx(0.0, abs=1e-6)
+
+
+def read_g2o(path: Path):
+    """Edges, measured poses and information matrices of a gzipped g2o file, nodes numbered from 0."""
+    rows = [line.split() for line in gzip.open(path, "rt") if line.startswith("EDGE_SE2 ")]
+    values = np.array([row[1:12] for row in rows], float)
+    ids = values[:, :2].astype(int)
+    _, edges = np.unique(ids, return_inverse=True)
+    upper = values[:, 5:]
+    information = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    return edges.reshape(-1, 2), values[:, 2:5], information
+
+
+@pytest.mark.skipif("TWC_DATA" not in os.environ, reason="real pose graphs lie in the folder TWC_DATA; it is not set")
+@pytest.mark.parametrize(
+    ("name", "chi2_max"),
+    [("intel.g2o.gz", 45.1), ("MIT.g2o.gz", 0.0), ("manhattan.g2o.gz", 0.0)],
+)
+def test_public_pose_graphs_reach_their_known_error_from_odometry(name, chi2_max):
+    edges, measured, information = read_g2o(Path(os.environ["TWC_DATA"]) / "posegraph" / name)
+    start = dead_reckoning(edges, measured, edges.max() + 1)
+    is_closure = edges[:, 1] != edges[:, 0] + 1
+    poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN)
+    assert chi2(poses, edges, measured, information) <= chi2_max

@@ -1,0 +1,173 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twc_env.geometry import between, transform_points
+from twc_env.slam.scan_matching import LineField, scan_points
+
+RANGE_MAX_M = 10.0
+
+
+def field_of(walls, scan, *poses, size_m: float = 26.0):
+    field = LineField(np.zeros(2), size_m, 0.1, RANGE_MAX_M)
+    poses = np.array(poses, float)
+    field.add(poses, np.array([scan(walls, pose) for pose in poses]))
+    return field
+
+
+def points_at(walls, scan, pose):
+    return scan_points(scan(walls, pose), RANGE_MAX_M)
+
+
+def refine(field, points, guess, iterations=20, distance_m=0.5, share=0.04):
+    return field.refine(points, np.asarray(guess, float), distance_m, iterations, share)
+
+
+@pytest.fixture(scope="module")
+def corridor(walls):
+    return walls((-40, -1.2), (40, -1.2), (40, 1.2), (-40, 1.2))
+
+
+def test_scan_points_lie_where_the_beams_ended_and_skip_those_without_return():
+    ranges = np.array([2.0, RANGE_MAX_M, 3.0, 1.0])
+    assert scan_points(ranges, RANGE_MAX_M) == pytest.approx(np.array([[2, 0], [-3, 0], [0, -1]]), abs=1e-12)
+    assert scan_points(np.full(8, RANGE_MAX_M), RANGE_MAX_M).shape == (0, 2)
+
+
+def test_scan_points_of_a_scan_lie_on_the_walls(office, scan):
+    pose = np.array([0.5, 0.6, 0.7])
+    points = transform_points(pose, points_at(office, scan, pose))
+    a, b = office[:, 0], office[:, 1]
+    along = (b - a) / np.linalg.norm(b - a, axis=1, keepdims=True)
+    across = np.abs((points[:, None] - a) @ np.array([[0, -1], [1, 0]]) * along).sum(axis=2)
+    offsets = points[:, None] - a
+    across = np.abs(offsets[..., 0] * along[:, 1] - offsets[..., 1] * along[:, 0])
+    assert across.min(axis=1).max() < 1e-9
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10_000))
+def test_refining_recovers_a_known_offset_to_half_a_centimetre(office, scan, seed):
+    random = np.random.default_rng(seed)
+    true = np.array([*random.uniform((-1.5, -0.3), (0.5, 0.8)), random.uniform(-3, 3)])
+    field = field_of(office, scan, (0.0, 0.5, 0.0), (-1.0, 0.0, 1.0), (-1.5, -1.0, 2.0), (2.5, 1.5, 3.0))
+    guess = true + random.uniform(-1, 1, 3) * (0.15, 0.15, 0.08)
+    match = refine(field, points_at(office, scan, true), guess)
+    assert np.abs(between(true, match.pose)) == pytest.approx(np.zeros(3), abs=0.005)
+    assert not match.is_degenerate
+
+
+def test_refining_from_the_truth_stays_there(office, scan):
+    pose = np.array([0.4, -0.4, 0.3])
+    match = refine(field_of(office, scan, pose), points_at(office, scan, pose), pose)
+    assert match.pose == pytest.approx(pose, abs=1e-3)
+
+
+def test_nothing_is_matched_where_there_are_no_walls(office, scan):
+    field = LineField(np.zeros(2), 20.0, 0.1, RANGE_MAX_M)
+    guess = np.array([0.1, 0.2, 0.3])
+    match = refine(field, points_at(office, scan, np.zeros(3)), guess)
+    assert match.weight < 5
+    assert match.pose == pytest.approx(guess)
+    assert refine(field, np.zeros((0, 2)), guess).weight < 5
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.6, -2.5])
+def test_a_corridor_leaves_its_axis_to_odometry(corridor, scan, heading):
+    field = field_of(corridor, scan, (0.0, 0.1, 0.0), (1.0, -0.2, 0.5), (2.0, 0.0, 0.0))
+    true, guess = np.array([1.0, 0.1, heading]), np.array([1.3, 0.0, heading + 0.05])
+    match = refine(field, points_at(corridor, scan, true), guess)
+    assert match.is_degenerate
+    assert abs(match.direction[0]) == pytest.approx(1.0, abs=1e-3)
+    assert match.pose[0] == pytest.approx(guess[0], abs=2e-3)
+    assert match.pose[1:] == pytest.approx(true[1:], abs=5e-3)
+
+
+def test_a_corridor_match_carries_no_information_along_the_axis(corridor, scan):
+    field = field_of(corridor, scan, (0.0, 0.1, 0.0))
+    match = refine(field, points_at(corridor, scan, np.zeros(3)), np.array([0.2, 0.05, 0.02]))
+    information = match.information(0.04, 8.0)
+    assert abs(information[0]).max() < 1e-3 * information[1, 1]
+    assert information[1, 1] > 100
+    assert information[2, 2] > 100
+
+
+def test_a_turned_corridor_turns_its_free_direction(corridor, scan):
+    angle = 0.7
+    c, s = math.cos(angle), math.sin(angle)
+    turned = corridor @ np.array([[c, s], [-s, c]])
+    match = refine(field_of(turned, scan, np.zeros(3)), points_at(turned, scan, np.zeros(3)), np.zeros(3))
+    assert match.is_degenerate
+    assert abs(match.direction @ [c, s]) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_room_fixes_all_three_directions(office, scan):
+    match = refine(field_of(office, scan, np.zeros(3)), points_at(office, scan, np.zeros(3)), np.zeros(3))
+    information = match.information(0.04, 8.0)
+    assert np.allclose(information, information.T)
+    assert np.linalg.eigvalsh(information).min() > 100
+
+
+def test_information_falls_with_noise_and_correlation(office, scan):
+    match = refine(field_of(office, scan, np.zeros(3)), points_at(office, scan, np.zeros(3)), np.zeros(3))
+    base = match.information(0.04, 8.0)
+    assert match.information(0.08, 8.0) == pytest.approx(base / 4)
+    assert match.information(0.04, 16.0) == pytest.approx(base / 2)
+
+
+@pytest.mark.parametrize("offset", [(1.4, -1.1, 0.45), (-1.5, 0.9, -0.5), (0.0, 1.45, 0.25)])
+def test_the_search_finds_an_offset_too_large_for_refining(office, scan, offset):
+    true = np.array([-0.5, 0.2, 0.4])
+    field = field_of(office, scan, (0.0, 0.5, 0.0), (-1.5, -1.0, 2.0), (2.5, 1.5, 3.0))
+    points = points_at(office, scan, true)
+    guess = true + offset
+    assert np.hypot(*between(true, refine(field, points, guess).pose)[:2]) > 0.1
+    coarse, score = field.correlate(points, guess, (1.6, 0.6), (0.1, 0.05))
+    error = np.abs(between(true, coarse))
+    assert error[:2].max() <= 0.1
+    assert error[2] <= 0.05
+    assert 0.6 < score <= 1.0
+    assert refine(field, points, coarse).pose == pytest.approx(true, abs=5e-3)
+
+
+def test_a_subset_of_the_points_is_enough_for_the_search(office, scan):
+    true = np.array([-0.5, 0.2, 0.4])
+    field, points = field_of(office, scan, (0.0, 0.5, 0.0), (-1.5, -1.0, 2.0)), points_at(office, scan, true)
+    every, _ = field.correlate(points, true + 0.3, (0.6, 0.4), (0.1, 0.05))
+    fourth, _ = field.correlate(points, true + 0.3, (0.6, 0.4), (0.1, 0.05), stride=4)
+    assert np.abs(between(every, fourth)).max() < 0.11
+
+
+def test_the_share_near_walls_is_one_in_place_and_falls_away_from_it(office, scan):
+    pose = np.array([-0.5, 0.2, 0.4])
+    field, points = field_of(office, scan, pose), points_at(office, scan, pose)
+    assert field.share_near(points, pose, 0.15) > 0.97
+    assert field.share_near(points, pose + [0.4, 0.4, 0.3], 0.15) < 0.5
+    assert field.share_near(points, pose + [500.0, 0.0, 0.0], 0.15) == 0.0
+    assert field.share_near(np.zeros((0, 2)), pose, 0.15) == 0.0
+
+
+def test_a_wall_faces_who_looks_at_it(walls, scan):
+    room = walls((-3, -2), (3, -2), (3, 2), (-3, 2))
+    field = field_of(room, scan, np.zeros(3))
+    seen_from = np.array([0.3, 0.2])
+    for position, facing in [((3, 0), math.pi), ((-3, 0), 0.0), ((0, 2), -math.pi / 2), ((0, -2), math.pi / 2)]:
+        found = field.facing_at(np.array(position, float), seen_from)
+        assert abs(math.remainder(found - facing, 2 * math.pi)) < 0.02
+    assert math.isnan(field.facing_at(np.zeros(2), seen_from))
+    assert math.isnan(field.facing_at(np.array([400.0, -400.0]), seen_from))
+
+
+def test_moving_the_field_forgets_the_walls_and_matches_at_the_new_place(office, scan):
+    field = field_of(office, scan, np.zeros(3))
+    shift = np.array([300.0, -200.0])
+    field.reset(shift)
+    pose = np.array([*shift, 0.0])
+    points = points_at(office, scan, np.zeros(3))
+    assert field.share_near(points, pose, 0.15) == 0.0
+    field.add(pose[None], scan(office, np.zeros(3))[None])
+    match = refine(field, points, pose + [0.1, -0.1, 0.05])
+    assert match.pose == pytest.approx(pose, abs=5e-3)

@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+
+from twc_env.config import OdometryConfig
+from twc_env.geometry import compose
+from twc_env.world.odometry import Odometry
+
+
+def loop(steps: int = 1000, speed_m: float = 0.06) -> np.ndarray:
+    """A path of rooms and corridors in miniature: legs of 10 m with turns between, there and back."""
+    poses = [np.zeros(3)]
+    for step in range(steps):
+        turning = (step // 25) % 7 == 6
+        side = 1 if (step // 175) % 2 else -1
+        poses.append(compose(poses[-1], [0.0 if turning else speed_m, 0.0, side * 0.0628 if turning else 0.0]))
+    return np.array(poses)
+
+
+def dead_reckoning(path: np.ndarray, platform: str = "wheeled", drift: float = 1.0, seed: int = 0) -> np.ndarray:
+    odometry = Odometry(OdometryConfig(platform=platform, drift=drift), 0.1, 1, seed)
+    pose = path[:1]
+    for before, now in zip(path[:-1], path[1:], strict=True):
+        pose = compose(pose, odometry.measure(before[None], now[None])[0])
+    return pose[0]
+
+
+@pytest.mark.parametrize("platform", ["wheeled", "legged", "handheld"])
+def test_without_drift_odometry_and_gyro_are_exact(platform):
+    path = loop()
+    assert dead_reckoning(path, platform, drift=0.0) == pytest.approx(path[-1], abs=1e-9)
+    odometry = Odometry(OdometryConfig(platform=platform, drift=0.0), 0.1, 1, 0)
+    _, turn_rate = odometry.measure(np.array([[0.0, 0.0, 3.1]]), np.array([[0.1, 0.0, -3.1]]))
+    assert turn_rate[0] == pytest.approx((2 * np.pi - 6.2) / 0.1)
+
+
+def test_errors_grow_from_wheels_to_legs_to_hand():
+    path = loop()
+    errors = {
+        platform: np.median([np.hypot(*(dead_reckoning(path, platform, seed=s) - path[-1])[:2]) for s in range(40)])
+        for platform in ("wheeled", "legged", "handheld")
+    }
+    assert errors["wheeled"] < errors["legged"] < errors["handheld"]
+
+
+def test_dead_reckoning_on_wheels_ends_metres_off_after_sixty_metres():
+    path = loop(1200)
+    length_m = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum()
+    errors = [np.hypot(*(dead_reckoning(path, seed=s) - path[-1])[:2]) for s in range(60)]
+    assert 1.0 < np.median(errors) * 60 / length_m < 5.0
+
+
+def test_drift_scales_the_error():
+    path = loop(400)
+    half, full = (
+        np.median([np.hypot(*(dead_reckoning(path, drift=d, seed=s) - path[-1])[:2]) for s in range(40)])
+        for d in (0.5, 1.0)
+    )
+    assert half / full == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_robot_at_rest_reports_no_motion_but_its_gyro_drifts():
+    odometry = Odometry(OdometryConfig(), 0.1, 1, 3)
+    pose = np.array([[1.0, 2.0, 0.5]])
+    motions, rates = zip(*(odometry.measure(pose, pose) for _ in range(500)), strict=True)
+    assert np.abs(motions).max() == 0.0
+    assert np.std(rates) == pytest.approx(0.02, rel=0.15)
+    assert abs(np.mean(rates)) > 1e-4
+
+
+def test_robots_have_their_own_errors_that_others_do_not_shift():
+    path = loop(100)
+    one, three = (Odometry(OdometryConfig(), 0.1, n, 5) for n in (1, 3))
+    for before, now in zip(path[:-1], path[1:], strict=True):
+        alone, _ = one.measure(before[None], now[None])
+        team, _ = three.measure(np.tile(before, (3, 1)), np.tile(now, (3, 1)))
+        assert np.array_equal(alone[0], team[0])
+    assert not np.array_equal(team[0], team[1])

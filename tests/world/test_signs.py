@@ -1,0 +1,133 @@
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.config import CameraConfig
+from twc_env.world.floorplan import Floorplan, Sign, validate
+from twc_env.world.signs import SignCamera, misread
+
+CLEAR = {"fragment_probability": 0.0, "character_error_probability": 0.0}
+EXACT = {**CLEAR, "bearing_noise_std_rad": 0.0, "range_noise_std_m": 0.0}
+
+
+def room(inner_walls=(), signs=((0.0, 5.0, 0.0),)) -> Floorplan:
+    walls = [[0, 0, 10, 0], [10, 0, 10, 10], [10, 10, 0, 10], [0, 10, 0, 0], *inner_walls]
+    return validate(
+        Floorplan(
+            "room",
+            np.array(walls, float).reshape(-1, 2, 2),
+            np.full(len(walls), 5.0),
+            signs=[Sign(f"SIGN {i}", np.array([x, y]), facing) for i, (x, y, facing) in enumerate(signs)],
+            interior_m=[[5, 5], [0.5, 5]],
+        )
+    )
+
+
+def camera(plan=None, seed=0, **config) -> SignCamera:
+    return SignCamera(CameraConfig(**{**EXACT, **config}), plan or room(), 0, seed)
+
+
+def towards_sign(x: float, y: float) -> np.ndarray:
+    return np.array([x, y, math.atan2(5.0 - y, -x)])
+
+
+def test_a_sign_ahead_is_read_with_its_true_bearing_and_range():
+    readings, sources = camera().read(np.array([3.0, 5.0, math.pi - 0.5]))
+    assert sources == (0,)
+    assert readings[0].text == "SIGN 0"
+    assert readings[0].bearing_rad == pytest.approx(0.5)
+    assert readings[0].range_m == pytest.approx(2.98)
+
+
+def test_a_sign_behind_a_wall_is_not_read():
+    pose = towards_sign(3.0, 5.0)
+    assert camera().legible(pose) == (0,)
+    assert camera(room([[2, 4, 2, 6]])).legible(pose) == ()
+
+
+def test_a_sign_is_not_read_from_behind():
+    plan = room([[5, 3, 5, 7]], signs=[(5.0, 5.0, 0.0)])
+    assert camera(plan).legible(np.array([7.0, 5.0, math.pi])) == (0,)
+    assert camera(plan).legible(np.array([3.0, 5.0, 0.0])) == ()
+
+
+def test_a_sign_out_of_range_is_not_read():
+    device = camera(range_max_m=3.0)
+    assert device.legible(towards_sign(2.95, 5.0)) == (0,)
+    assert device.legible(towards_sign(3.1, 5.0)) == ()
+
+
+def test_a_sign_seen_too_obliquely_is_not_read():
+    device = camera(incidence_max_rad=1.0)
+    for angle, expected in ((0.95, (0,)), (-0.95, (0,)), (1.05, ()), (-1.05, ())):
+        pose = towards_sign(0.02 + 2 * math.cos(angle), 5.0 + 2 * math.sin(angle))
+        assert device.legible(pose) == expected
+
+
+def test_a_sign_outside_the_field_of_view_is_not_read():
+    device = camera(field_of_view_rad=1.0)
+    for offset, expected in ((0.45, (0,)), (-0.45, (0,)), (0.55, ()), (-0.55, ()), (math.pi, ())):
+        assert device.legible(np.array([3.0, 5.0, math.pi + offset])) == expected
+
+
+def test_several_signs_are_read_at_once_with_their_own_sources():
+    plan = room(signs=[(0.0, 4.0, 0.0), (0.0, 6.0, 0.0), (10.0, 5.0, math.pi)])
+    readings, sources = camera(plan).read(np.array([2.5, 5.0, math.pi]))
+    assert sources == (0, 1)
+    assert [r.text for r in readings] == ["SIGN 0", "SIGN 1"]
+    assert readings[0].bearing_rad > 0 > readings[1].bearing_rad
+
+
+def test_measured_bearing_and_range_scatter_as_configured():
+    device = camera(bearing_noise_std_rad=0.05, range_noise_std_m=0.1)
+    readings = [device.read(np.array([3.0, 5.0, math.pi]))[0][0] for _ in range(2000)]
+    assert np.std([r.bearing_rad for r in readings]) == pytest.approx(0.05, rel=0.06)
+    assert np.std([r.range_m for r in readings]) == pytest.approx(0.1, rel=0.06)
+
+
+def test_clear_sight_reads_every_text_right():
+    random = np.random.default_rng(0)
+    assert all(misread("A301 OPTICS LAB", CameraConfig(**CLEAR), random) == "A301 OPTICS LAB" for _ in range(100))
+
+
+def test_fragments_come_as_often_as_configured_with_10_to_45_percent_of_the_text():
+    config = CameraConfig(fragment_probability=0.2, character_error_probability=0.0)
+    random, text = np.random.default_rng(0), "ABCDEFGHIJKLMNOPQRST"
+    readings = [misread(text, config, random) for _ in range(5000)]
+    fragments = [r for r in readings if r != text]
+    assert len(fragments) / 5000 == pytest.approx(0.2, abs=0.015)
+    assert all(fragment in text for fragment in fragments)
+    assert {len(fragment) for fragment in fragments} <= set(range(2, 10))
+
+
+def test_characters_are_misread_as_often_as_configured():
+    config = CameraConfig(fragment_probability=0.0, character_error_probability=0.05)
+    random, text = np.random.default_rng(1), "X" * 20
+    wrong = longer = shorter = 0
+    for _ in range(4000):
+        reading = misread(text, config, random)
+        longer += len(reading) > 20
+        shorter += len(reading) < 20
+        wrong += sum(character != "X" for character in reading)
+    characters = 4000 * 20
+    assert wrong / characters == pytest.approx(0.05 * 0.85, rel=0.06)
+    assert longer / 4000 == pytest.approx(1 - (1 - 0.05 * 0.15) ** 20, abs=0.025)
+    assert shorter / 4000 == pytest.approx(1 - (1 - 0.05 * 0.15) ** 20, abs=0.025)
+
+
+def test_substitutions_prefer_the_character_that_looks_alike():
+    config = CameraConfig(fragment_probability=0.0, character_error_probability=0.2)
+    random = np.random.default_rng(2)
+    seen = [c for _ in range(3000) for c in misread("OOOO", config, random) if c != "O"]
+    assert seen.count("0") / len(seen) > 0.5
+
+
+def test_a_reading_always_has_its_source_even_when_text_is_lost():
+    config = {"fragment_probability": 0.0, "character_error_probability": 1.0}
+    plan = room()
+    device = SignCamera(CameraConfig(**config), plan, 0, 0)
+    for _ in range(200):
+        readings, sources = device.read(np.array([3.0, 5.0, math.pi]))
+        assert len(readings) == len(sources)
+        assert all(r.text.strip() for r in readings)

@@ -1,0 +1,185 @@
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+
+from twc_env.config import EnvConfig, from_dict
+from twc_env.errors import ConfigError, MapError
+from twc_env.geometry import between, compose
+from twc_env.maps import load_map
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.world import START_CLEARANCE_M, START_SPACING_M, World
+
+TINY = Floorplan(
+    "tiny", [[[0, 0], [2, 0]], [[2, 0], [2, 2]], [[2, 2], [0, 2]], [[0, 2], [0, 0]]], [5.0] * 4, interior_m=[[1, 1]]
+)
+
+
+def world(plan=None, seed=0, starts="random", **settings) -> World:
+    result = World(from_dict(settings), plan or load_map("twin-01"))
+    result.reset(seed, starts)
+    return result
+
+
+def commands(step: int, robots: int = 3) -> np.ndarray:
+    random = np.random.default_rng(step // 10)
+    return np.column_stack([random.uniform(0.2, 1.0, robots), random.uniform(-1.5, 1.5, robots)])
+
+
+def episode(w: World, steps: int = 200) -> list[tuple]:
+    frames = [w.sense()]
+    for step in range(steps):
+        w.step(commands(step, w.config.robots))
+        frames.append(w.sense())
+    return frames
+
+
+def as_bytes(frames) -> bytes:
+    return pickle.dumps([[dataclasses.astuple(frame) for frame in step] for step in frames])
+
+
+def test_one_seed_gives_identical_bytes_and_another_seed_others():
+    first, second, other = (as_bytes(episode(world(seed=s))) for s in (7, 7, 8))
+    assert first == second
+    assert first != other
+
+
+def test_a_world_used_again_gives_the_same_as_a_new_one():
+    used = world(seed=1)
+    episode(used, 50)
+    used.reset(7)
+    assert as_bytes(episode(used)) == as_bytes(episode(world(seed=7)))
+
+
+@pytest.mark.parametrize("name", ["twin-01", "twin-02"])
+def test_a_moved_building_gives_the_same_frames(name):
+    plan = load_map(name)
+    pose = np.array([31.4, -15.9, 2.6])
+    here, there = world(plan, seed=3), world(plan.moved(pose), seed=3)
+    assert as_bytes(episode(here)) == as_bytes(episode(there))
+    assert here.sighted_signs == there.sighted_signs
+    assert there.poses == pytest.approx(compose(pose, here.poses), abs=1e-9)
+    assert np.array_equal(here.contacts, there.contacts)
+
+
+def test_a_building_moved_in_its_file_measures_the_same_to_the_last_figures(tmp_path):
+    """Without a home to return to, the same building drawn elsewhere: only radio's own random field may differ."""
+    plan = load_map("twin-01")
+    pose = np.array([3.0, -2.0, 0.7])
+    drawn_elsewhere = dataclasses.replace(plan.moved(pose), pose_building_home=np.zeros(3))
+    starts = plan.starts[:3]
+    here = world(plan, seed=3, starts=starts)
+    there = world(drawn_elsewhere, seed=3, starts=compose(pose, starts))
+    for a, b in zip(episode(here, 60), episode(there, 60), strict=True):
+        for frame_a, frame_b in zip(a, b, strict=True):
+            assert frame_a.ranges_m == pytest.approx(frame_b.ranges_m, abs=1e-9)
+            assert frame_a.odometry == pytest.approx(frame_b.odometry, abs=1e-9)
+            assert [s.text for s in frame_a.signs] == [s.text for s in frame_b.signs]
+
+
+def test_the_first_frame_reports_no_motion():
+    for frame in world().sense():
+        assert frame.step == 0
+        assert frame.time_s == 0.0
+        assert not frame.odometry.any()
+        assert frame.turn_rate_rad_s == 0.0
+
+
+def test_odometry_without_drift_leads_from_the_start_to_the_true_pose():
+    w = world(odometry={"drift": 0.0})
+    poses = w.start_poses.copy()
+    for frames in episode(w, 100):
+        poses = compose(poses, np.array([frame.odometry for frame in frames]))
+    assert between(poses, w.poses) == pytest.approx(np.zeros((3, 3)), abs=1e-9)
+
+
+def test_robots_start_on_open_floor_clear_of_walls_and_of_each_other():
+    plan = load_map("twin-01")
+    for seed in range(20):
+        w = world(plan, seed=seed, robots=5)
+        places = w.start_poses[:, :2]
+        assert plan.cells().is_free(places).all()
+        assert plan.wall_index.distance_m(places, 1.0).min() >= START_CLEARANCE_M
+        gaps = np.linalg.norm(places[:, None] - places[None], axis=-1) + 9 * np.eye(5)
+        assert gaps.min() >= START_SPACING_M
+        assert np.array_equal(w.poses, w.start_poses)
+
+
+def test_different_seeds_start_in_different_places():
+    assert not np.array_equal(world(seed=0).start_poses, world(seed=1).start_poses)
+
+
+def test_the_plans_own_starts_are_used_when_asked_for():
+    plan = load_map("twin-01")
+    assert np.array_equal(world(plan, starts="map").start_poses, plan.starts[:3])
+
+
+@pytest.mark.parametrize(
+    ("starts", "error", "expected"),
+    [
+        ("here", ConfigError, "'random', 'map' or poses; got 'here'"),
+        (np.zeros((2, 3)), ConfigError, r"starts must be 3 finite poses .* got shape \(2, 3\)"),
+        (np.full((3, 3), -50.0), ConfigError, r"starts\[0\] at \(-50.00, -50.00\) is no open floor"),
+    ],
+)
+def test_impossible_starts_are_refused(starts, error, expected):
+    with pytest.raises(error, match=expected):
+        world(starts=starts)
+
+
+def test_more_robots_than_starts_are_refused():
+    with pytest.raises(MapError, match="4 starts for 5 robots"):
+        world(robots=5, starts="map")
+
+
+def test_a_building_too_small_for_the_team_is_refused():
+    assert world(TINY, robots=2).poses.shape == (2, 3)
+    with pytest.raises(MapError, match="no room for 40 robots; use fewer"):
+        world(TINY, robots=40)
+
+
+def test_sensors_fire_at_their_periods_staggered_over_the_robots():
+    w = world(radio={"scan_period_s": 0.3}, camera={"period_s": 0.5})
+    heard = np.array([[frame.wifi is not None for frame in step] for step in episode(w, 60)])
+    for robot in range(3):
+        assert np.array_equal(np.flatnonzero(heard[:, robot]) % 3, np.full(heard[:, robot].sum(), -robot % 3))
+
+
+def test_true_signs_match_the_readings_one_to_one():
+    w = world(camera={"fragment_probability": 0.0, "character_error_probability": 0.0})
+    seen = 0
+    for step in range(300):
+        w.step(commands(step))
+        for frame, sources in zip(w.sense(), w.sighted_signs, strict=True):
+            assert [reading.text for reading in frame.signs] == [w.plan.signs[s].text for s in sources]
+            seen += len(sources)
+    assert seen > 0
+
+
+def test_frames_hold_no_true_pose():
+    w = world()
+    w.step(commands(0))
+    for frame, pose in zip(w.sense(), w.poses, strict=True):
+        numbers = np.concatenate([frame.odometry, [frame.turn_rate_rad_s], frame.ranges_m])
+        assert not np.isin(pose[:2], numbers).any()
+
+
+def test_robots_stay_on_open_floor():
+    w = world(seed=2)
+    for step in range(400):
+        w.step(commands(step))
+        assert w.plan.cells().is_free(w.poses[:, :2]).all()
+
+
+def test_settings_of_one_sensor_leave_the_noise_of_the_others_alone():
+    plain = episode(world(seed=5), 30)
+    other = episode(world(seed=5, radio={"noise_std_db": 9.0}, camera={"range_noise_std_m": 0.5}), 30)
+    for a, b in zip(plain, other, strict=True):
+        for frame_a, frame_b in zip(a, b, strict=True):
+            assert np.array_equal(frame_a.ranges_m, frame_b.ranges_m)
+            assert np.array_equal(frame_a.odometry, frame_b.odometry)
+
+
+def test_default_settings_build_a_world():
+    assert isinstance(World(EnvConfig(), TINY), World)
