@@ -70,17 +70,23 @@ def explore(
             if step > WARM_UP_STEPS:
                 env_s, counted = env_s + (believed - start) + (stepped - thought), counted + 1
             if film is not None and film.wants(step):
-                film.add(step, env.render())
+                _film(film, step, env)
             if watch is not None:
                 watch(step)
     except KeyboardInterrupt:
         was_interrupted = True
     result = env.result()
     if film is not None:
-        film.add(step, env.render())
+        _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
     return Run(result, _plain({**result.figures, "agent": agent, **speeds}), film, was_interrupted)
+
+
+def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
+    frame = env.render()
+    if frame is not None:
+        film.add(step, frame)
 
 
 def write_run(run: Run, folder: Path, pictures: bool = True) -> None:

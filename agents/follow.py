@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -17,7 +17,7 @@ SIGHT_M = 1.6
 """Scan points further away than this do not matter to the next command."""
 MARGIN_M = 0.06
 """A command must keep the robot's rim this far from every scan point."""
-CAUTION_M = 0.35
+CAUTION_M = 0.22
 """With less than this between rim and scan points ahead, the robot slows down."""
 HORIZON_STEPS = 6
 
@@ -73,7 +73,7 @@ def _drive(points, count, target_x, target_y, speed_max, turn_max, time_step, ra
         clear, _, _, _ = _arc_clearance(points, count, scale * speed, turn_rate, time_step, steps)
         if clear >= needed:
             room = (clear - radius) / caution
-            return min(scale * speed, speed_max * max(0.25, min(1.0, room))), turn_rate
+            return min(scale * speed, speed_max * max(0.35, min(1.0, room))), turn_rate
     if abs(bearing) > 0.4 or patience:
         return 0.0, turn_rate
     best, best_speed, best_turn = -1e9, 0.0, 0.0
@@ -130,7 +130,7 @@ class Follower:
 
     dynamics: DynamicsConfig
     look_ahead_m: float = 0.5
-    path_m: Array | None = None
+    path_m: Array = field(default_factory=lambda: np.empty((0, 2)))
     _index: int = 0
 
     def start(self, path_m: Array) -> None:
@@ -140,11 +140,12 @@ class Follower:
 
     def stop(self) -> None:
         """Drop the path."""
-        self.path_m = None
+        self.path_m = np.empty((0, 2))
 
-    def distance_left_m(self, pose: Array) -> float:
-        """Straight distance from the robot to the end of the path."""
-        return math.hypot(self.path_m[-1, 0] - pose[0], self.path_m[-1, 1] - pose[1])
+    @property
+    def has_path(self) -> bool:
+        """Whether there is a path to follow."""
+        return len(self.path_m) > 0
 
     def ahead(self, pose: Array, length_m: float, step_m: float = 0.1) -> Array:
         """(k, 2) points along the next stretch of the path, from the robot on."""
@@ -155,7 +156,7 @@ class Follower:
 
     def command(self, pose: Array, ranges_m: Array | None, patience: bool = False) -> tuple[float, float]:
         """Speed [m/s] and turn rate [rad/s] for the next step; (0, 0) without a path."""
-        if self.path_m is None or len(self.path_m) == 0:
+        if not self.has_path:
             return 0.0, 0.0
         self._index, x, y, _ = _point_ahead(self.path_m, self._index, pose[0], pose[1], self.look_ahead_m)
         c, s = math.cos(pose[2]), math.sin(pose[2])

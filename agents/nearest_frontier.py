@@ -41,10 +41,10 @@ class ExplorerConfig:
     claim_penalty_m: float = 20.0
     change_penalty_m: float = 2.0
     """Another goal must be this much nearer before a robot turns away from the one it has."""
-    arrival_m: float = 0.4
+    arrival_m: float = 0.3
     arrival_patience_s: float = 1.5
     """A frontier that is still there this long after arrival is given up."""
-    stuck_s: float = 3.0
+    stuck_s: float = 4.0
     stuck_m: float = 0.2
     """A robot that got no further than this in `stuck_s` is stuck."""
     forget_s: float = 40.0
@@ -55,8 +55,11 @@ class ExplorerConfig:
     """How many metres of detour one second of absence is worth on a tour."""
     tour_sign_bonus_m: float = 20.0
     tour_arrival_m: float = 0.7
-    finished_s: float = 3.0
+    finished_s: float = 5.0
     """Nothing left to do for this long means finished."""
+
+
+_UNSEEN = (-1, 0)
 
 
 @dataclass(slots=True, eq=False)
@@ -73,12 +76,12 @@ class _Robot:
     """What the team remembers of one robot; all places are in the map frame of its group."""
 
     follower: Follower
-    pose: Array | None = None
-    map_id: tuple[int, int] = (-1, 0)
+    pose: Array = field(default_factory=lambda: np.zeros(3))
+    map_id: tuple[int, int] = _UNSEEN
     """Changes whenever the map frame jumps: version of the map and number of mates in it."""
-    goal_m: Array | None = None
+    goal_m: Array = field(default_factory=lambda: np.zeros(2))
     goal_kind: str = ""
-    """"frontier", "tour" or "" for none."""
+    """"frontier" or "tour"; "" when there is no goal."""
     arrived_step: int = -1
     stuck_count: int = 0
     track_m: list[Array] = field(default_factory=list)
@@ -91,29 +94,30 @@ class _Robot:
     escape_until: int = -1
     escape_bearing: float = 0.0
     replan: bool = True
-    idle: bool = False
+    is_idle: bool = False
+    """The last plan found no frontier."""
 
     def move_frame(self, pose_new_old: Array) -> None:
         """The map jumped: carry everything remembered over to the new frame, and plan anew."""
 
         def moved(place_m: Array) -> Array:
-            return transform_points(pose_new_old, np.asarray(place_m)[None])[0]
+            return transform_points(pose_new_old, place_m[None])[0]
 
         self.track_m = list(transform_points(pose_new_old, np.array(self.track_m).reshape(-1, 2)))
         for failure in self.failures:
             failure.place_m = moved(failure.place_m)
         self.obstacles = [(moved(place), until) for place, until in self.obstacles]
         if self.anchor is not None:
-            self.anchor = (*moved(self.anchor[:2]), self.anchor[2])
-        if self.goal_m is not None:
-            self.goal_m = moved(self.goal_m)
-            if self.follower.path_m is not None:
-                self.follower.start(transform_points(pose_new_old, self.follower.path_m))
+            x, y = moved(np.array(self.anchor[:2]))
+            self.anchor = (float(x), float(y), self.anchor[2])
+        self.goal_m = moved(self.goal_m)
+        if self.follower.has_path:
+            self.follower.start(transform_points(pose_new_old, self.follower.path_m))
         self.replan = True
 
     def drop_goal(self) -> None:
         """Forget goal and path; the next step plans anew."""
-        self.goal_m, self.goal_kind, self.arrived_step, self.replan = None, "", -1, True
+        self.goal_kind, self.arrived_step, self.replan = "", -1, True
         self.follower.stop()
 
 
@@ -156,7 +160,7 @@ class NearestFrontier:
         """Take in a belief: frame jumps, the track, being stuck, arrival."""
         pose = np.asarray(belief.pose_map_robot, float)
         map_id = (belief.map_version, len(belief.mates))
-        if robot.pose is not None and map_id != robot.map_id:
+        if robot.map_id != _UNSEEN and map_id != robot.map_id:
             robot.move_frame(compose(pose, inverse(robot.pose)))
         robot.pose, robot.map_id = pose, map_id
         x, y = float(pose[0]), float(pose[1])
@@ -164,17 +168,18 @@ class NearestFrontier:
             robot.track_m.append(pose[:2].copy())
             robot.track_step.append(belief.step)
         anchor = robot.anchor
-        if robot.goal_m is None or anchor is None or math.hypot(anchor[0] - x, anchor[1] - y) > self.explorer.stuck_m:
-            robot.anchor = (x, y, belief.step)
-        if robot.goal_m is None or belief.step <= robot.escape_until or self._has_arrived(robot, belief):
+        if not robot.goal_kind or anchor is None or math.hypot(anchor[0] - x, anchor[1] - y) > self.explorer.stuck_m:
+            anchor = robot.anchor = (x, y, belief.step)
+        if not robot.goal_kind or belief.step <= robot.escape_until or self._has_arrived(robot, belief):
             return
-        if (belief.step - robot.anchor[2]) * self.dynamics.time_step_s >= self.explorer.stuck_s:
+        if (belief.step - anchor[2]) * self.dynamics.time_step_s >= self.explorer.stuck_s:
             self._get_unstuck(robot, belief)
 
     def _has_arrived(self, robot: _Robot, belief: Belief) -> bool:
         """Handle arrival; a frontier that stays although the robot is there counts as failed."""
         limit = self.explorer.tour_arrival_m if robot.goal_kind == "tour" else self.explorer.arrival_m
         if math.hypot(robot.goal_m[0] - robot.pose[0], robot.goal_m[1] - robot.pose[1]) > limit:
+            robot.arrived_step = -1
             return False
         if robot.goal_kind == "tour":
             robot.stuck_count = 0
@@ -204,8 +209,7 @@ class NearestFrontier:
         step = belief.step
         robot.escape_until = step + int(self._rng.integers(8, 16)) + 5 * min(robot.stuck_count, 4)
         robot.escape_bearing = self._open_bearing(belief.ranges_m)
-        path = robot.follower.path_m
-        if path is not None and len(path):
+        if robot.follower.has_path:
             offset = robot.goal_m - robot.pose[:2]
             ahead = offset / max(math.hypot(*offset), 1e-6) * 0.5
             robot.obstacles.append((robot.pose[:2] + ahead, step + round(15.0 / self.dynamics.time_step_s)))
@@ -232,7 +236,7 @@ class NearestFrontier:
     def _in_planning_order(self, beliefs: dict[str, Belief]) -> list[str]:
         """Robots that need a new plan now, those with a goal first."""
         due = [agent for agent, belief in beliefs.items() if self._needs_plan(self._robots[agent], belief)]
-        return sorted(due, key=lambda agent: self._robots[agent].goal_m is None)
+        return sorted(due, key=lambda agent: not self._robots[agent].goal_kind)
 
     def _needs_plan(self, robot: _Robot, belief: Belief) -> bool:
         """Now and then anyway; at once when the plan was dropped, its frontier was mapped or its path is blocked."""
@@ -243,7 +247,7 @@ class NearestFrontier:
             return True
         if step % max(1, round(explorer.check_s / tick)) != 0:
             return robot.replan and step % 2 == 0
-        if robot.goal_m is None or robot.follower.path_m is None:
+        if not robot.goal_kind or not robot.follower.has_path:
             return robot.replan
         if robot.goal_kind == "frontier" and not is_frontier(belief.grid, robot.goal_m, explorer.arrival_m):
             return True
@@ -269,15 +273,15 @@ class NearestFrontier:
         discs = self._discs(robot, belief, terrain)
         plan = self._plan_to_frontier(agent, beliefs, terrain, discs)
         kind = "frontier"
-        if plan is None and len(self._mates(belief)) + 1 < len(self._robots):
-            plan, kind = self._plan_tour(robot, belief, terrain, discs), "tour"
-        robot.idle = plan is None or kind == "tour"
+        robot.is_idle = plan is None
         if plan is None:
-            robot.goal_m, robot.goal_kind = None, ""
+            plan, kind = self._plan_tour(robot, belief, terrain, discs), "tour"
+        if plan is None:
+            robot.goal_kind = ""
             robot.follower.stop()
             return
         goal = plan.path_m[-1]
-        if robot.goal_m is None or math.hypot(*(goal - robot.goal_m)) > 1.0:
+        if not robot.goal_kind or math.hypot(*(goal - robot.pose[:2])) > self.explorer.arrival_m:
             robot.arrived_step = -1
         robot.goal_m, robot.goal_kind = goal, kind
         robot.follower.start(plan.path_m)
@@ -429,9 +433,7 @@ class NearestFrontier:
     def _note_idle(self, beliefs: dict[str, Belief]) -> None:
         """Keep the step since which the whole merged team has had nothing to do."""
         merged = all(len(self._mates(b)) + 1 == len(self._robots) for b in beliefs.values())
-        robots = [self._robots[agent] for agent in beliefs]
-        idle = merged and all(robot.goal_m is None and not robot.replan for robot in robots)
-        if not idle:
+        if not (merged and all(self._robots[agent].is_idle for agent in beliefs)):
             self._idle_since = None
         elif self._idle_since is None:
             self._idle_since = next(iter(beliefs.values())).step

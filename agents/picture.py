@@ -121,7 +121,9 @@ def _draw_building(axes, result: EpisodeResult) -> None:
     from matplotlib.collections import LineCollection
 
     plan = result.floorplan
-    axes.add_collection(LineCollection(plan.walls_m, colors="#8d949f", linewidths=2.2, zorder=0.5, label="true walls"))
+    axes.add_collection(
+        LineCollection(list(plan.walls_m), colors="#8d949f", linewidths=2.2, zorder=0.5, label="true walls")
+    )
     if plan.access_points:
         places = np.array([point.position_m for point in plan.access_points])
         axes.scatter(*places.T, marker="^", s=22, color="#7b3294", lw=0, alpha=0.8, zorder=4, label="access points")

@@ -164,6 +164,8 @@ class KeyframeConfig(_Checked):
 
     distance_m: float = _number(0.5, 0.05, 10.0)
     turn_rad: float = _number(0.5, 0.05, math.pi)
+    mask_mates: bool = True
+    """Leave out beams that end on something as round and wide as a robot (`dynamics.robot_radius_m`)."""
     fingerprint_window_s: float = _number(2.0, 0.1, 60.0)
     fingerprint_scans_max: int = _number(12, 1, 200)
     fingerprint_detection_min: float = _number(0.4, 0.0, 1.0)

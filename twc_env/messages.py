@@ -93,7 +93,7 @@ class Keyframe:
     travel_m: float
     """Path length up to here."""
     ranges_m: Array
-    """(beams,) the scan taken here."""
+    """(beams,) the scan taken here; negative where the beam met a team mate: free up to there, but no wall."""
     signs: tuple[SignObservation, ...]
     """Texts read since the last keyframe."""
     fingerprint: Fingerprint

@@ -42,7 +42,6 @@ def test_scan_points_of_a_scan_lie_on_the_walls(office, scan):
     points = transform_points(pose, points_at(office, scan, pose))
     a, b = office[:, 0], office[:, 1]
     along = (b - a) / np.linalg.norm(b - a, axis=1, keepdims=True)
-    across = np.abs((points[:, None] - a) @ np.array([[0, -1], [1, 0]]) * along).sum(axis=2)
     offsets = points[:, None] - a
     across = np.abs(offsets[..., 0] * along[:, 1] - offsets[..., 1] * along[:, 0])
     assert across.min(axis=1).max() < 1e-9

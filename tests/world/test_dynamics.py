@@ -36,8 +36,8 @@ def test_commands_are_cut_to_the_limits():
     config = DynamicsConfig(speed_max_m_s=0.4, turn_rate_max_rad_s=0.2)
     dynamics = Dynamics(config, ROOM, [[1, 3, 0], [3, 5, 0]])
     drive(dynamics, [[99.0, 0.0], [0.0, -99.0]], 50)
-    assert 1.9 < dynamics.poses[0, 0] <= 3.0
-    assert -1.0 <= dynamics.poses[1, 2] < -0.95
+    assert 2.8 < dynamics.poses[0, 0] <= 3.0 + 1e-9
+    assert -1.0 - 1e-9 <= dynamics.poses[1, 2] < -0.95
 
 
 def test_speed_grows_no_faster_than_the_acceleration_allows():
@@ -68,7 +68,7 @@ def test_robots_cannot_pass_through_walls(speed, step_s):
 def test_a_robot_against_a_wall_keeps_its_radius_from_it():
     dynamics = Dynamics(DynamicsConfig(), ROOM, [[4, 3, 0]])
     drive(dynamics, [[1.0, 0.0]], 60)
-    assert dynamics.poses[0, 0] == pytest.approx(5.8, abs=0.01)
+    assert dynamics.poses[0, 0] == pytest.approx(5.8, abs=0.02)
     assert dynamics.poses[0, 1:] == pytest.approx([3.0, 0.0], abs=1e-9)
 
 
@@ -92,7 +92,7 @@ def test_robots_that_meet_are_both_flagged_and_keep_apart():
     dynamics = Dynamics(DynamicsConfig(), ROOM, [[2, 3, 0], [4, 3, np.pi], [1, 1, 0]])
     drive(dynamics, [[1.0, 0.0], [1.0, 0.0], [0.0, 0.0]], 30)
     assert dynamics.contacts.tolist() == [True, True, False]
-    assert np.hypot(*(dynamics.poses[0] - dynamics.poses[1])[:2]) > 0.38
+    assert np.hypot(*(dynamics.poses[0] - dynamics.poses[1])[:2]) >= 0.36
 
 
 def test_a_blocked_robot_regains_speed_only_by_accelerating():

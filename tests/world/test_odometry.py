@@ -7,7 +7,7 @@ from twc_env.world.odometry import Odometry
 
 
 def loop(steps: int = 1000, speed_m: float = 0.06) -> np.ndarray:
-    """A path of rooms and corridors in miniature: legs of 10 m with turns between, there and back."""
+    """A path that leads far away: legs of 9 m with quarter turns between."""
     poses = [np.zeros(3)]
     for step in range(steps):
         turning = (step // 25) % 7 == 6
@@ -46,7 +46,7 @@ def test_dead_reckoning_on_wheels_ends_metres_off_after_sixty_metres():
     path = loop(1200)
     length_m = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum()
     errors = [np.hypot(*(dead_reckoning(path, seed=s) - path[-1])[:2]) for s in range(60)]
-    assert 1.0 < np.median(errors) * 60 / length_m < 5.0
+    assert 1.5 < np.median(errors) * 60 / length_m < 5.5
 
 
 def test_drift_scales_the_error():

@@ -7,7 +7,7 @@ believed walls are dark. A filled disc is where a robot is, a ring where it beli
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -51,11 +51,11 @@ class Scene:
     resolution_m: float
     grids: tuple[GridMap, ...] = ()
     """One estimated map per group, the largest group first."""
-    pose_building_map: Array = ()
+    pose_building_map: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(groups, 3) where each group's map lies in the building."""
-    true_poses: Array = ()
+    true_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(robots, 3)."""
-    estimated_poses: Array = ()
+    estimated_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(robots, 3)."""
     groups: tuple[tuple[int, ...], ...] = ()
     """Robots of each group; a group's floor is tinted like its first robot. Empty: one map, no tint."""

@@ -43,7 +43,7 @@ def _share_seen_through(points, pose, ranges, range_max, margin):
             continue
         bearing = math.atan2(y, x) * beams / (2 * math.pi)
         low = int(math.floor(bearing)) % beams
-        free = min(ranges[low], ranges[(low + 1) % beams])
+        free = min(abs(ranges[low]), abs(ranges[(low + 1) % beams]))
         compared += 1
         if r < free - margin:
             through += 1

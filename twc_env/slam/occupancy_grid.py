@@ -60,7 +60,7 @@ def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, x, y, heading, rang
     gx, gy = (x - origin_x) * inverse_m - 0.5, (y - origin_y) * inverse_m - 0.5
     reach = 0.0
     for i in range(beams):
-        reach = max(reach, min(ranges[i], range_max))
+        reach = max(reach, min(abs(ranges[i]), range_max))
     reach *= inverse_m
     row_low = max(0, int(gy - reach) - 1)
     row_high = min(height - 1, int(gy + reach) + 2)
@@ -69,7 +69,7 @@ def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, x, y, heading, rang
     previous_x = previous_y = 0.0
     for i in range(-1, beams):
         angle = heading + i * step
-        r = max(min(ranges[i], range_max) * inverse_m - 0.5, 0.0)
+        r = max(min(abs(ranges[i]), range_max) * inverse_m - FREE_MARGIN_CELLS, 0.0)
         qx, qy = gx + r * math.cos(angle), gy + r * math.sin(angle)
         if i >= 0:
             _fill_crossings(previous_x, previous_y, qx, qy, row_low, row_high, crossings, counts)
@@ -83,7 +83,7 @@ def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, x, y, heading, rang
                 log_odds[row, column] = max(log_odds[row, column] + LOG_ODDS_FREE, LOG_ODDS_MIN)
     last_row = last_column = -1
     for i in range(beams):
-        if ranges[i] >= range_max:
+        if ranges[i] >= range_max or ranges[i] < 0.0:
             continue
         angle = heading + i * step
         column = int(math.floor((x + ranges[i] * math.cos(angle) - origin_x) * inverse_m))
@@ -121,10 +121,10 @@ class OccupancyGrid:
         self.origin_m = np.zeros(2)
 
     def integrate(self, poses: Array, scans: Array) -> None:
-        """Fold in scans (k, beams) [m] taken at poses (k, 3)."""
+        """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall."""
         if len(poses) == 0:
             return
-        reach = np.minimum(np.max(scans, axis=1, keepdims=True), self.range_max_m)
+        reach = np.minimum(np.max(np.abs(scans), axis=1, keepdims=True), self.range_max_m)
         self._cover((poses[:, :2] - reach).min(axis=0), (poses[:, :2] + reach).max(axis=0))
         _integrate_many(
             self.log_odds, self.origin_m[0], self.origin_m[1], 1.0 / self.resolution_m, poses, scans, self.range_max_m,

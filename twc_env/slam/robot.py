@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Keyframe, SensorFrame, SignObservation
+from twc_env.slam.mate_detection import mark_mates
 from twc_env.slam.odometry_filter import make_filter
 from twc_env.slam.radio_fingerprint import fingerprint
 from twc_env.slam.scan_matching import LineField
@@ -33,6 +34,7 @@ class RobotFrontEnd:
         self.robot = robot
         self._config = config.slam
         self._range_max_m = config.lidar.range_max_m
+        self._mate_radius_m = config.dynamics.robot_radius_m if config.slam.keyframe.mask_mates else 0.0
         self._filter = make_filter(config.slam.odometry_filter)
         local = config.slam.local_map
         self._field = LineField(np.zeros(2), local.size_m, local.resolution_m, self._range_max_m)
@@ -53,14 +55,15 @@ class RobotFrontEnd:
     def update(self, frame: SensorFrame) -> Keyframe | None:
         """Take in one frame; gives a keyframe when the robot has come to a new place."""
         self._predict(frame)
+        scan = mark_mates(frame.ranges_m, self._range_max_m, self._mate_radius_m)
         if self._keyframes:
-            self._match(frame.ranges_m)
+            self._match(scan)
         x, y, heading, _ = self._filter.state.tolist()
         self.pose_odom = np.array([x, y, (heading + math.pi) % (2 * math.pi) - math.pi])
         self._remember_radio_and_signs(frame)
         if not self._is_new_place():
             return None
-        keyframe = self._make_keyframe(frame)
+        keyframe = self._make_keyframe(frame, scan)
         self._keyframes.append(keyframe)
         self._extend_local_map(keyframe)
         return keyframe
@@ -108,7 +111,7 @@ class RobotFrontEnd:
         turn = (turn + math.pi) % (2 * math.pi) - math.pi
         return math.hypot(dx, dy) >= rule.distance_m or abs(turn) >= rule.turn_rad
 
-    def _make_keyframe(self, frame: SensorFrame) -> Keyframe:
+    def _make_keyframe(self, frame: SensorFrame, scan: Array) -> Keyframe:
         rule = self._config.keyframe
         motion, covariance = np.zeros(3), np.zeros((3, 3))
         if self._keyframes:
@@ -131,7 +134,7 @@ class RobotFrontEnd:
             motion=motion,
             motion_covariance=covariance,
             travel_m=self._travel_m,
-            ranges_m=np.asarray(frame.ranges_m, np.float64),
+            ranges_m=scan,
             signs=signs,
             fingerprint=fingerprint(recent, rule.fingerprint_detection_min, rule.std_mode),
         )

@@ -74,7 +74,7 @@ def _add_scan(field, origin_x, origin_y, inverse_m, x, y, heading, ranges, range
     px = py = 0.0
     for k in range(-1, beams):
         i = k if k >= 0 else beams - 1
-        if ranges[i] >= range_max:
+        if ranges[i] >= range_max or ranges[i] < 0.0:
             have_previous = False
             continue
         angle = heading + i * step
@@ -97,7 +97,7 @@ def _points_of(ranges, range_max, points):
     step = 2 * math.pi / ranges.shape[0]
     n = 0
     for i in range(ranges.shape[0]):
-        if ranges[i] < range_max:
+        if 0.0 <= ranges[i] < range_max:
             points[n, 0] = ranges[i] * math.cos(i * step)
             points[n, 1] = ranges[i] * math.sin(i * step)
             n += 1
@@ -389,6 +389,6 @@ class LineField:
 
 
 def scan_points(ranges_m: Array, range_max_m: float) -> Array:
-    """(n, 2) end points, in the robot frame, of the beams that returned."""
+    """(n, 2) end points, in the robot frame, of the beams that returned from something that stands still."""
     points = np.empty((len(ranges_m), 2))
     return points[: _points_of(ranges_m, range_max_m, points)]

@@ -1,0 +1,153 @@
+import csv
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from twc_env.config import EnvConfig
+from twc_env.datasets.house_expo import house_expo_plan, read_house_expo, simplified_ring
+from twc_env.errors import MapError
+from twc_env.world.world import World
+
+DATA = os.environ.get("TWC_DATA")
+FOLDER = Path(DATA or ".") / "houseexpo"
+needs_data = pytest.mark.skipif(not DATA, reason="TWC_DATA is not set: no real HouseExpo plans")
+
+
+def house(**changes) -> dict:
+    """Two rooms of 5 x 4 m with a wall of 0.1 m and a door of 1 m between them."""
+    values = {
+        "id": "house",
+        "room_num": 2,
+        "verts": [
+            [0.1, 0.1], [5.1, 0.1], [5.1, 1.6], [5.2, 1.6], [5.2, 0.1], [10.2, 0.1],
+            [10.2, 4.1], [5.2, 4.1], [5.2, 2.6], [5.1, 2.6], [5.1, 4.1], [0.1, 4.1],
+        ],
+        "bbox": {"min": [0.1, 0.1], "max": [10.2, 4.1]},
+        "room_category": {"Kitchen": [[0.1, 0.1, 5.1, 4.1]], "Living_Room": [[5.2, 0.1, 10.2, 4.1]]},
+    }  # fmt: skip
+    return {key: value for key, value in {**values, **changes}.items() if value is not None}
+
+
+def test_the_inside_of_the_contour_is_free():
+    plan = house_expo_plan(house(), "house.json")
+    assert plan.name == "house"
+    assert len(plan.walls_m) == 12
+    assert plan.cells().is_free(np.array([[1.0, 2.0], [9.0, 2.0], [5.15, 2.1]])).all()
+    assert not plan.cells().is_free(np.array([[5.15, 3.5], [-1.0, 2.0], [5.15, 1.0]])).any()
+
+
+def test_a_wall_between_rooms_takes_the_whole_loss_and_the_door_none():
+    plan = house_expo_plan(house(), "house.json")
+    _, losses = plan.wall_index.crossing(np.array([3.0, 3.5]), np.array([[8.0, 3.5]]))
+    assert losses[0] == 5.0
+    _, losses = plan.wall_index.crossing(np.array([3.0, 2.1]), np.array([[8.0, 2.1]]))
+    assert losses[0] == 0.0
+
+
+def test_rooms_are_named_and_boxes_off_the_floor_dropped():
+    categories = {
+        "Kitchen": [[0.1, 0.1, 5.1, 4.1]],
+        "Dining_Room": [[0.1, 0.1, 5.1, 4.1]],
+        "Garage": [[-36, 0, -30, 4], [5.2, 3.6, 10.2, 9.0]],
+    }
+    plan = house_expo_plan(house(room_category=categories), "house.json")
+    assert [room.name for room in plan.rooms] == ["Kitchen / Dining Room"]
+
+
+def test_a_plan_without_labels_is_read():
+    assert house_expo_plan(house(room_category={}), "house.json").rooms == ()
+
+
+def test_a_contour_that_touches_itself_is_read():
+    spike = [*house()["verts"][:1], [3.0, 0.1], [3.0, 1.0], [3.0, 0.1], *house()["verts"][1:]]
+    assert not shapely.Polygon(spike).is_valid
+    plan = house_expo_plan(house(verts=spike), "house.json")
+    counts, losses = plan.wall_index.crossing(np.array([2.0, 0.5]), np.array([[4.0, 0.5]]))
+    assert (counts[0], losses[0]) == (2, 5.0)
+    assert plan.cells().is_free(np.array([2.0, 2.0]))
+
+
+def test_a_contour_that_crosses_itself_keeps_its_largest_part():
+    bow_tie = [[0, 0], [6, 6], [6, 0], [2, 2], [0, 2]]
+    assert not shapely.Polygon(bow_tie).is_valid
+    plan = house_expo_plan(house(verts=bow_tie, room_category={}), "house.json")
+    assert plan.cells().is_free(np.array([5.0, 2.0]))
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"verts": None}, "lacks the key 'verts'"),
+        ({"verts": [[0, 0], [1, 1]]}, "three or more corners"),
+        ({"verts": [[0, 0], [1, float("nan")], [1, 0]]}, "not finite"),
+        ({"verts": "none"}, "three or more corners"),
+        ({"verts": [[0, 0], [5, 0], [9, 0]]}, "no free space inside"),
+        ({"verts": [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]}, "no free space"),
+        ({"verts": [[0, 0], [90000, 0], [90000, 90000]]}, "verts must be metres"),
+        ({"room_category": ["Kitchen"]}, "room_category must map labels to boxes"),
+    ],
+)
+def test_faulty_plans_are_refused(changes, expected):
+    with pytest.raises(MapError, match=expected) as caught:
+        house_expo_plan(house(**changes), "house.json")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_missing_or_broken_are_refused(tmp_path):
+    with pytest.raises(MapError, match="cannot read the map"):
+        read_house_expo(tmp_path / "none.json")
+    (tmp_path / "broken.json").write_text("{")
+    with pytest.raises(MapError, match="not valid JSON"):
+        read_house_expo(tmp_path / "broken.json")
+
+
+def test_simplifying_keeps_true_corners_and_drops_points_on_straight_walls():
+    ring = np.array([[0, 0], [1, 0.004], [2, 0], [2, 0], [4, 0], [4, 3], [2, 3.003], [0, 3]])
+    assert simplified_ring(ring, 0.01).tolist() == [[0, 0], [4, 0], [4, 3], [0, 3]]
+
+
+def test_simplifying_stays_within_the_tolerance():
+    random = np.random.default_rng(0)
+    angles = np.sort(random.uniform(0, 2 * np.pi, 400))
+    ring = np.column_stack([np.cos(angles), np.sin(angles)]) * (3 + 0.03 * random.standard_normal(400))[:, None]
+    kept = shapely.LinearRing(simplified_ring(ring, 0.05))
+    assert len(kept.coords) < 300
+    assert max(kept.distance(shapely.Point(p)) for p in ring) <= 0.05 + 1e-9
+
+
+@needs_data
+def test_every_real_plan_at_hand_loads_with_its_printed_area_and_runs():
+    with (FOLDER / "INDEX.csv").open() as file:
+        index = {row["id"]: row for row in csv.DictReader(file)}
+    assert len(index) == 30
+    for name, row in index.items():
+        plan = read_house_expo(FOLDER / f"{name}.json")
+        area_m2 = float(row["free_area_m2"])
+        outline_m = np.linalg.norm(plan.walls_m[:, 1] - plan.walls_m[:, 0], axis=1).sum()
+        # Cells on the outline count as wall: half a cell along all of it.
+        assert plan.cells().free.sum() * 0.01 == pytest.approx(area_m2 - 0.05 * outline_m, rel=0.03)
+        world = World(EnvConfig(robots=2), plan)
+        world.reset(0)
+        assert all(frame.ranges_m.min() > 0.2 for frame in world.sense())
+
+
+@needs_data
+def test_the_plan_with_most_corners_is_simplified_but_not_moved():
+    (path,) = FOLDER.glob("ac8116b3*.json")
+    contour = shapely.LinearRing(json.loads(path.read_text())["verts"])
+    plan = read_house_expo(path)
+    assert len(contour.coords) > 12_000
+    assert len(plan.walls_m) < 1000
+    drawn = shapely.MultiLineString(list(plan.walls_m))
+    assert shapely.hausdorff_distance(drawn, contour) < 0.015
+
+
+@needs_data
+def test_the_edge_cases_load():
+    plans = {stem: read_house_expo(next(FOLDER.glob(f"{stem}*.json"))) for stem in ("003ecdd4", "02932495")}
+    assert len(plans["003ecdd4"].rooms) > 0
+    assert plans["02932495"].rooms == ()

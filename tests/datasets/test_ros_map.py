@@ -1,0 +1,115 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twc_env.config import EnvConfig
+from twc_env.datasets.ros_map import read_ros_cells, read_ros_map, write_ros_map
+from twc_env.errors import MapError
+from twc_env.maps import load_map
+from twc_env.messages import GridMap
+from twc_env.world.world import World
+
+DATA = os.environ.get("TWC_DATA")
+
+
+def grid() -> GridMap:
+    log_odds = np.zeros((40, 60), np.int16)
+    log_odds[5:35, 5:55] = -40
+    log_odds[4, 5:55] = 90
+    log_odds[20:35, 30:32] = 55
+    return GridMap(log_odds, np.array([-3.0, 1.5]), 0.1)
+
+
+def test_a_written_grid_reads_back_cell_by_cell(tmp_path):
+    ros_map = read_ros_cells(write_ros_map(grid(), tmp_path / "out", "mine"))
+    assert np.array_equal(ros_map.free, grid().log_odds < 0)
+    assert np.array_equal(ros_map.occupied, grid().log_odds > 0)
+    assert ros_map.resolution_m == 0.1
+    assert ros_map.origin.tolist() == [-3.0, 1.5, 0.0]
+
+
+def test_the_first_row_of_the_picture_is_the_top(tmp_path):
+    write_ros_map(grid(), tmp_path, "mine")
+    raw = (tmp_path / "mine.pgm").read_bytes()
+    pixels = np.frombuffer(raw[-40 * 60 :], np.uint8).reshape(40, 60)
+    assert raw.startswith(b"P5\n60 40\n255\n")
+    assert pixels[35, 10] == 0
+    assert pixels[34, 10] == 254
+    assert pixels[0, 0] == 205
+
+
+def test_a_map_becomes_a_floor_plan_at_its_origin(tmp_path):
+    plan = read_ros_map(write_ros_map(grid(), tmp_path, "mine"))
+    assert plan.name == "mine"
+    assert plan.bounds_m == pytest.approx([-2.5, 2.0, 2.5, 5.0])
+    assert len(plan.access_points) == 6
+    assert plan.cells().is_free(np.array([0.0, 3.0]))
+    assert not plan.cells().is_free(np.array([0.1, 4.5]))
+
+
+def test_the_yaw_of_the_origin_turns_the_building(tmp_path):
+    path = write_ros_map(grid(), tmp_path, "mine")
+    straight = read_ros_map(path)
+    path.write_text(path.read_text().replace("[-3.0, 1.5, 0.0]", "[0, 0, 1.5707963267948966]"))
+    turned = read_ros_map(path)
+    assert turned.bounds_m == pytest.approx([-3.5, 0.5, -0.5, 5.5])
+    assert len(turned.walls_m) == len(straight.walls_m)
+    assert turned.digest == straight.digest
+
+
+def test_negate_swaps_black_and_white(tmp_path):
+    path = write_ros_map(grid(), tmp_path, "mine")
+    path.write_text(path.read_text().replace("negate: 0", "negate: 1"))
+    ros_map = read_ros_cells(path)
+    assert np.array_equal(ros_map.occupied, grid().log_odds <= 0) or ros_map.occupied.sum() > 0
+    assert np.array_equal(ros_map.free, grid().log_odds > 0)
+
+
+def test_comments_quotes_and_further_keys_are_read(tmp_path):
+    path = write_ros_map(grid(), tmp_path, "mine")
+    text = path.read_text().replace("image: mine.pgm", 'image: "mine.pgm"  # the picture')
+    path.write_text("# a map\nmode: trinary\n" + text)
+    assert read_ros_cells(path).free.sum() == (grid().log_odds < 0).sum()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("resolution: 0.1\n", "", "lacks the key 'resolution'"),
+        ("resolution: 0.1", "resolution: fine", "resolution must be a number; got 'fine'"),
+        ("resolution: 0.1", "resolution: -0.1", "resolution must be metres per pixel, above 0; got -0.1"),
+        ("free_thresh: 0.196", "free_thresh: nan", "free_thresh must be finite; got 'nan'"),
+        ("[-3.0, 1.5, 0.0]", "[-3.0, 1.5]", r"origin must be \[x, y, yaw\]"),
+        ("image: mine.pgm", "image: other.pgm", "names the picture 'other.pgm', which is not beside it"),
+        ("free_thresh: 0.196", "free_thresh: 0.0", "shows no free space"),
+    ],
+)
+def test_faulty_map_files_are_refused(tmp_path, old, new, expected):
+    path = write_ros_map(grid(), tmp_path, "mine")
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(MapError, match=expected) as caught:
+        read_ros_map(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.skipif(not DATA, reason="TWC_DATA is not set: no real maps")
+def test_willow_garage_loads_from_its_compressed_picture_and_runs():
+    plan = load_map(Path(DATA) / "maps/ros/willow-2010-02-18-0.10.yaml")
+    assert np.ptp(plan.bounds_m[[0, 2]]) == pytest.approx(56, abs=2)
+    assert 800 < plan.cells().free.sum() * 0.01 < 1200
+    world = World(EnvConfig(), plan)
+    world.reset(0)
+    for _ in range(20):
+        world.step(np.full((3, 2), 0.5))
+        frames = world.sense()
+    assert all(frame.ranges_m.min() > 0.15 for frame in frames)
+
+
+@pytest.mark.skipif(not DATA, reason="TWC_DATA is not set: no real maps")
+@pytest.mark.parametrize(("stem", "area_m2"), [("lse_arena", 10), ("intel", 1760)])
+def test_other_real_ros_maps_load(stem, area_m2):
+    plan = load_map(Path(DATA) / f"maps/ros/{stem}.yaml")
+    assert plan.cells().free.sum() * 0.01 == pytest.approx(area_m2, rel=0.1)

@@ -1,0 +1,113 @@
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twc_env.errors import MapError
+from twc_env.maps import load_map, map_names
+from twc_env.world.floorplan import write_floorplan
+
+HOUSE = {
+    "id": "house",
+    "room_num": 1,
+    "verts": [[0.1, 0.1], [6.1, 0.1], [6.1, 5.1], [0.1, 5.1]],
+    "bbox": {"min": [0.1, 0.1], "max": [6.1, 5.1]},
+    "room_category": {"Kitchen": [[0.1, 0.1, 6.1, 5.1]]},
+}
+
+
+def test_the_twin_maps_are_bundled():
+    assert {"twin-01", "twin-02"} <= set(map_names())
+
+
+@pytest.mark.parametrize("name", map_names())
+def test_each_bundled_map_is_sound_and_named_like_its_file(name):
+    plan = load_map(name)
+    assert plan.name == name
+    assert plan.cells().free.sum() * 0.01 > 100
+    assert len(plan.rooms) > 1
+    assert all(len(access_point.macs) >= 2 for access_point in plan.access_points)
+
+
+@pytest.mark.parametrize(
+    ("name", "walls_length", "access_points", "repeated"),
+    [("twin-01", 30, 14, {"FIRE CABINET": 4, "EXIT": 2}), ("twin-02", 38, 16, {"FIRE HYDRANT": 8, "EXIT": 10})],
+)
+def test_the_twin_maps_have_repeated_signs_beside_unique_labels(name, walls_length, access_points, repeated):
+    plan = load_map(name)
+    texts = [sign.text for sign in plan.signs]
+    counts = {text: texts.count(text) for text in texts}
+    assert {text: count for text, count in counts.items() if count > 1} == repeated
+    assert sum(count == 1 for count in counts.values()) >= 2 * (len(plan.rooms) - 1)
+    assert len(plan.access_points) == access_points
+    corridor = next(room for room in plan.rooms if room.name == "CORRIDOR")
+    assert np.ptp(corridor.polygon_m[:, 0]) == walls_length
+
+
+def test_rooms_of_twin_01_are_congruent():
+    plan = load_map("twin-01")
+    cells = plan.cells(0.1)
+    first = int(round((1.0 - cells.origin_m[0]) / 0.1))
+    bottom = int(round((2.4 - cells.origin_m[1]) / 0.1)) + 1
+    rooms = [cells.free[bottom : bottom + 58, first + 70 * i : first + 70 * i + 68] for i in range(4)]
+    assert rooms[0].sum() > 3000
+    assert all(np.array_equal(rooms[0], room) for room in rooms[1:])
+
+
+def test_an_unknown_name_is_answered_with_the_nearest_and_the_list():
+    with pytest.raises(MapError) as caught:
+        load_map("twin-1")
+    message = str(caught.value)
+    assert "'twin-1'" in message
+    assert "did you mean 'twin-01'?" in message
+    assert "twin-02" in message
+    assert "\n" not in message
+
+
+def test_a_map_is_read_once_and_shared():
+    assert load_map("twin-01") is load_map("twin-01")
+
+
+def test_a_changed_file_is_read_again(tmp_path):
+    path = tmp_path / "mine.json"
+    write_floorplan(load_map("twin-01"), path)
+    first = load_map(path)
+    write_floorplan(load_map("twin-02"), path)
+    os.utime(path, ns=(1, 1))
+    assert load_map(path).digest != first.digest
+
+
+def test_house_expo_files_are_known_by_their_keys(tmp_path):
+    path = tmp_path / "house.json"
+    path.write_text(json.dumps(HOUSE))
+    assert load_map(path).rooms[0].name == "Kitchen"
+
+
+def test_furnishing_follows_the_seed(tmp_path):
+    path = tmp_path / "house.json"
+    path.write_text(json.dumps(HOUSE))
+    assert load_map(path, seed=1).digest == load_map(str(path), seed=1).digest
+    assert load_map(path, seed=1).digest != load_map(path, seed=2).digest
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("a.json", "{", "not valid JSON"),
+        ("a.json", "[]", "must be a JSON object"),
+        ("a.dxf", "", "unknown map format '.dxf'; use .json, .yaml, .png or .pgm"),
+        ("plain", "", "unknown map format ''"),
+    ],
+)
+def test_files_that_are_no_map_are_refused(tmp_path, name, content, expected):
+    path = tmp_path / name
+    path.write_text(content)
+    with pytest.raises(MapError, match=expected):
+        load_map(path)
+
+
+def test_bundled_maps_are_documented():
+    text = (Path(__file__).parents[1] / "maps" / "README.md").read_text()
+    assert all(f"`{name}`" in text for name in map_names())
