@@ -20,6 +20,11 @@ MARGIN_M = 0.06
 CAUTION_M = 0.22
 """With less than this between rim and scan points ahead, the robot slows down."""
 HORIZON_STEPS = 6
+"""A command is checked this many steps ahead."""
+BRAKING_M_S2 = 1.2
+DETOUR_LENGTH_M = 0.5
+DETOUR_STEP_RAD = 0.2
+"""When the straight way is blocked, bearings this far apart are tried on both sides."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -38,7 +43,7 @@ def _near_points(ranges, sight, points):
 
 @njit(cache=True, error_model="numpy")
 def _arc_clearance(points, count, speed, turn_rate, time_step, steps):
-    """Least distance from the robot's centre to any point while it drives an arc, and where the arc ends."""
+    """Least distance from the robot's centre to any point while it drives an arc."""
     x = y = heading = 0.0
     least = 1e9
     for _ in range(steps):
@@ -50,7 +55,46 @@ def _arc_clearance(points, count, speed, turn_rate, time_step, steps):
             away = (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2
             if away < least:
                 least = away
-    return math.sqrt(least), x, y, heading
+    return math.sqrt(least)
+
+
+@njit(cache=True, error_model="numpy")
+def _ray_clearance(points, count, bearing, length):
+    """Least distance of any point to the straight way of `length` toward `bearing`."""
+    c, s = math.cos(bearing), math.sin(bearing)
+    least = 1e9
+    for k in range(count):
+        along = min(max(c * points[k, 0] + s * points[k, 1], 0.0), length)
+        least = min(least, (points[k, 0] - along * c) ** 2 + (points[k, 1] - along * s) ** 2)
+    return math.sqrt(least)
+
+
+@njit(cache=True, error_model="numpy")
+def _way_around(points, count, bearing, needed, length):
+    """The bearing nearest to the wanted one whose straight way is clear; the wanted one when none is."""
+    for k in range(1, 13):
+        left, right = bearing + k * DETOUR_STEP_RAD, bearing - k * DETOUR_STEP_RAD
+        is_left_clear = _ray_clearance(points, count, left, length) >= needed
+        is_right_clear = _ray_clearance(points, count, right, length) >= needed
+        if is_left_clear and (not is_right_clear or abs(left) <= abs(right)):
+            return left
+        if is_right_clear:
+            return right
+    return bearing
+
+
+@njit(cache=True, error_model="numpy")
+def _fastest(points, count, bearing, speed_max, turn_max, time_step, radius, needed, caution, steps):
+    """Turn toward `bearing` and drive as fast as the points allow: (speed, turn rate), speed 0 when nothing goes."""
+    bearing -= 2.0 * math.pi * math.floor((bearing + math.pi) / (2.0 * math.pi))
+    turn_rate = min(max(2.5 * bearing, -turn_max), turn_max)
+    speed = speed_max * math.cos(bearing) ** 3 if abs(bearing) < 1.2 else 0.0
+    for scale in (1.0, 0.7, 0.45, 0.25, 0.12):
+        clear = _arc_clearance(points, count, scale * speed, turn_rate, time_step, steps)
+        if clear >= needed:
+            room = max(0.35, min(1.0, (clear - radius) / caution))
+            return min(scale * speed, speed_max * room), turn_rate
+    return 0.0, turn_rate
 
 
 @njit(cache=True, error_model="numpy")
@@ -60,37 +104,14 @@ def _drive(points, count, target_x, target_y, speed_max, turn_max, time_step, ra
     `patience` True: only slow down for what is in the way; False: also look for a way around it.
     """
     bearing, distance = math.atan2(target_y, target_x), math.hypot(target_x, target_y)
-    least = 1e9
-    for k in range(count):
-        least = min(least, points[k, 0] ** 2 + points[k, 1] ** 2)
-    here = math.sqrt(least)
-    needed = min(radius + margin, here - 0.004)
-    turn_rate = min(max(2.5 * bearing, -turn_max), turn_max)
-    ahead = max(0.0, math.cos(bearing))
-    speed = speed_max * ahead**3 if abs(bearing) < 1.2 else 0.0
-    speed = min(speed, math.sqrt(2.0 * 1.2 * distance))
-    for scale in (1.0, 0.7, 0.45, 0.25, 0.12):
-        clear, _, _, _ = _arc_clearance(points, count, scale * speed, turn_rate, time_step, steps)
-        if clear >= needed:
-            room = (clear - radius) / caution
-            return min(scale * speed, speed_max * max(0.35, min(1.0, room))), turn_rate
-    if abs(bearing) > 0.4 or patience:
-        return 0.0, turn_rate
-    best, best_speed, best_turn = -1e9, 0.0, 0.0
-    for i in range(4):
-        speed = (0.15, 0.3, 0.5, -0.25)[i] * speed_max
-        for j in range(-4, 5):
-            turn = turn_max * j / 4.0
-            clear, x, y, heading = _arc_clearance(points, count, speed, turn, time_step, steps)
-            if clear < needed:
-                continue
-            left = math.hypot(target_x - x, target_y - y)
-            off = abs(math.atan2(target_y - y, target_x - x) - heading)
-            off = abs((off + math.pi) % (2.0 * math.pi) - math.pi)
-            score = -left - 0.1 * off + 0.3 * min(clear - radius, 0.3) - (0.4 if speed < 0.0 else 0.0)
-            if score > best:
-                best, best_speed, best_turn = score, speed, turn
-    return best_speed, best_turn
+    nearest = _ray_clearance(points, count, 0.0, 0.0)
+    needed = min(radius + margin, nearest - 1e-6)
+    speed_max = min(speed_max, math.sqrt(2.0 * BRAKING_M_S2 * distance))
+    length = min(distance, DETOUR_LENGTH_M)
+    if not patience and _ray_clearance(points, count, bearing, length) < needed:
+        bearing = _way_around(points, count, bearing, needed, DETOUR_LENGTH_M)
+        speed_max *= 0.5
+    return _fastest(points, count, bearing, speed_max, turn_max, time_step, radius, needed, caution, steps)
 
 
 @njit(cache=True, error_model="numpy")

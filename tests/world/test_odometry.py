@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ def loop(steps: int = 1000, speed_m: float = 0.06) -> np.ndarray:
 def dead_reckoning(path: np.ndarray, platform: str = "wheeled", drift: float = 1.0, seed: int = 0) -> np.ndarray:
     odometry = Odometry(OdometryConfig(platform=platform, drift=drift), 0.1, 1, seed)
     pose = path[:1]
-    for before, now in zip(path[:-1], path[1:], strict=True):
+    for before, now in pairwise(path):
         pose = compose(pose, odometry.measure(before[None], now[None])[0])
     return pose[0]
 
@@ -70,7 +72,7 @@ def test_a_robot_at_rest_reports_no_motion_but_its_gyro_drifts():
 def test_robots_have_their_own_errors_that_others_do_not_shift():
     path = loop(100)
     one, three = (Odometry(OdometryConfig(), 0.1, n, 5) for n in (1, 3))
-    for before, now in zip(path[:-1], path[1:], strict=True):
+    for before, now in pairwise(path):
         alone, _ = one.measure(before[None], now[None])
         team, _ = three.measure(np.tile(before, (3, 1)), np.tile(now, (3, 1)))
         assert np.array_equal(alone[0], team[0])

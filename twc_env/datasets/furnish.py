@@ -14,6 +14,7 @@ Array = NDArray
 
 AREA_PER_ACCESS_POINT_M2 = 25.0
 ACCESS_POINTS_MIN, ACCESS_POINTS_MAX = 6, 40
+ACCESS_POINT_CLEARANCE_M = 0.4
 AREA_PER_LABEL_M2 = 20.0
 AREA_PER_REPEATED_SIGN_M2 = 40.0
 SIGN_SPACING_M = 1.5
@@ -56,6 +57,8 @@ def place_access_points(plan: Floorplan, random: np.random.Generator) -> tuple[A
     area_m2 = len(rows) * cells.resolution_m**2
     count = int(np.clip(round(area_m2 / AREA_PER_ACCESS_POINT_M2), ACCESS_POINTS_MIN, ACCESS_POINTS_MAX))
     centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
+    gaps_m = plan.wall_index.distance_m(centres, ACCESS_POINT_CLEARANCE_M)
+    centres = centres[gaps_m >= min(ACCESS_POINT_CLEARANCE_M, gaps_m.max())]
     pool = centres[random.permutation(len(centres))[:4000]]
     chosen = _farthest(pool, count)
     boxes = random.choice(1 << 16, size=len(chosen), replace=False)
@@ -98,10 +101,8 @@ def _wall_faces(plan: Floorplan) -> tuple[Array, Array]:
     is_open = cells.is_free(place + SIGN_FRONT_M * normal) & cells.is_free(place + 2 * SIGN_FRONT_M * normal)
     place, normal = place[is_open], normal[is_open]
     fronts, faces = place + 2 * SIGN_FRONT_M * normal, place + SIGN_FACE_M * normal
-    is_seen = [
-        plan.wall_index.crossing(front, face[None])[0][0] == 0 for front, face in zip(fronts, faces, strict=True)
-    ]
-    is_seen = np.array(is_seen, bool)
+    crossed = [plan.wall_index.crossing(front, face[None])[0][0] for front, face in zip(fronts, faces, strict=True)]
+    is_seen = np.array(crossed, int) == 0
     return place[is_seen], np.arctan2(normal[is_seen, 1], normal[is_seen, 0])
 
 

@@ -50,7 +50,7 @@ def house_expo_plan(values: dict, where: str, seed: int = 0) -> Floorplan:
             name=name,
             walls_m=ends,
             wall_loss_db=np.full(len(ends), WALL_LOSS_DB / 2),
-            interior_m=[_interior_point(contour, where)],
+            interior_m=_interior_point(contour, where)[None],
         )
     )
     rooms = _rooms(values.get("room_category", {}), plan.cells(), where)

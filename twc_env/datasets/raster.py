@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ def read_picture(path: str | Path, seed: int = 0, resolution_m: float = PICTURE_
     return validate(furnish(plan_from_free(grey[::-1] > FREE_ABOVE, resolution_m, name), seed))
 
 
-def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Array = (0.0, 0.0)) -> Floorplan:
+def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequence[float] = (0.0, 0.0)) -> Floorplan:
     """Free cells (rows, columns), row 0 the lowest y -> a plan without signs whose walls are the cells' edges.
 
     Only the largest connected part is kept; specks and narrow strips are dropped. Raises MapError when nothing is free.
@@ -50,14 +51,14 @@ def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Array 
             f"map {name!r} shows no free space wider than {STRIP_M} m; free cells must be white, "
             "or check the thresholds and the resolution"
         )
-    origin_m = np.asarray(origin_m, float)
-    walls = free_edges(free) * resolution_m + origin_m
+    origin = np.asarray(origin_m, float)
+    walls = free_edges(free) * resolution_m + origin
     row, column = deepest_cell(free)
     return Floorplan(
         name=name,
         walls_m=walls,
         wall_loss_db=np.full(len(walls), WALL_LOSS_DB / 2),
-        interior_m=[origin_m + (np.array([column, row]) + 0.5) * resolution_m],
+        interior_m=origin + (np.array([[column, row]]) + 0.5) * resolution_m,
     )
 
 
@@ -117,7 +118,8 @@ def _read_with_pillow(path: Path) -> Array:
 
 def _decode_pgm(raw: bytes, where: str) -> Array:
     """P5 (binary) and P2 (text), 8 or 16 bit, comments allowed; values are scaled to 0..255."""
-    fields, at = [], 0
+    fields: list[bytes] = []
+    at = 0
     while len(fields) < 4:
         while raw[at : at + 1].isspace():
             at += 1
@@ -159,8 +161,9 @@ def _runs(edges: Array) -> Array:
 def _without_specks(free: Array, resolution_m: float) -> Array:
     """Fill what is enclosed by free space and too small to be an obstacle."""
     labels, sizes = _label(np.ascontiguousarray(~np.pad(free, 1)), True)
-    small = np.concatenate([[False], np.array(sizes) * resolution_m**2 < SPECK_M2])
-    return free | small[labels][1:-1, 1:-1]
+    small = np.append(False, sizes * resolution_m**2 < SPECK_M2)
+    filled: Array = small[labels]
+    return free | filled[1:-1, 1:-1]
 
 
 def _without_strips(free: Array, resolution_m: float) -> Array:
@@ -169,7 +172,7 @@ def _without_strips(free: Array, resolution_m: float) -> Array:
     window = np.lib.stride_tricks.sliding_window_view
     outside = np.pad(free, side)
     fits = window(window(outside, side, axis=0).all(axis=-1), side, axis=1).all(axis=-1)
-    swept = window(window(fits, side, axis=0).any(axis=-1), side, axis=1).any(axis=-1)
+    swept: Array = window(window(fits, side, axis=0).any(axis=-1), side, axis=1).any(axis=-1)
     return swept[1:-1, 1:-1]
 
 
@@ -179,7 +182,7 @@ def _label(mask, diagonal):
     rows, columns = mask.shape
     labels = np.zeros((rows, columns), np.int32)
     stack = np.empty(rows * columns, np.int64)
-    sizes = []
+    sizes: list[int] = []
     for r0 in range(rows):
         for c0 in range(columns):
             if not mask[r0, c0] or labels[r0, c0] != 0:

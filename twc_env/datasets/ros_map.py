@@ -71,7 +71,7 @@ def write_ros_map(grid: GridMap, folder: str | Path, stem: str) -> Path:
     """Write `stem.pgm` and `stem.yaml` as map_server reads them; returns the path of the yaml."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    shade = np.full(grid.log_odds.shape, _UNKNOWN, np.uint8)
+    shade = np.full_like(grid.log_odds, _UNKNOWN, dtype=np.uint8)
     shade[grid.log_odds < 0] = _FREE
     shade[grid.log_odds > 0] = _OCCUPIED
     rows, columns = shade.shape

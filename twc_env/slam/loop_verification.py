@@ -16,7 +16,7 @@ from twc_env.slam.scan_matching import LineField, scan_points
 
 Array = NDArray
 
-FIELD_CELL_M = 0.1
+FIELD_CELL_M = 0.15
 NEAR_WALL_M = 0.15
 STEP_M, STEP_RAD = 0.15, 0.05
 """Grid of the correlative search; the refinement reaches further than one step."""
@@ -59,6 +59,7 @@ class LoopVerifier:
         self._range_max_m = range_max_m
         size_m = 2 * (range_max_m + config.cloud_reach_m + 1.0)
         self._field = LineField(np.zeros(2), size_m, FIELD_CELL_M, range_max_m)
+        self._drawn: tuple[int, int] | None = None
 
     def verify(
         self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
@@ -89,6 +90,9 @@ class LoopVerifier:
         return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
 
     def _draw_target(self, target: Keyframe, path: Sequence[Keyframe]) -> None:
+        if self._drawn == (target.robot, target.index) and path[-1].travel_m > target.travel_m + self._config.cloud_reach_m:
+            return
+        self._drawn = (target.robot, target.index)
         near = _neighbours(target, path, self._config.cloud_reach_m)
         poses = between(target.pose_odom, np.array([k.pose_odom for k in near]))
         self._field.reset(np.zeros(2))

@@ -45,7 +45,7 @@ def _mark(ranges, range_max, radius, out):
             nearest = min(nearest, ranges[i % beams])
         count = i - first + 1
         i += 1
-        if nearest >= range_max or nearest + radius <= radius:
+        if nearest >= range_max or nearest <= 0.0:
             continue
         widest = 2 * math.asin(min(radius / (nearest + radius), 1.0)) / step + 2
         if count > widest:

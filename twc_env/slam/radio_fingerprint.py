@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.messages import Fingerprint, WifiScan
 
 Array = NDArray
 
+STD_MODES = {"population": 0, "sample": 1, "paper": 2}
 EMPTY = Fingerprint(np.zeros(0, np.int64), np.zeros(0))
 
 
@@ -22,30 +25,46 @@ def fingerprint(scans: Sequence[WifiScan], detection_min: float, std_mode: str =
     """
     if not scans:
         return EMPTY
-    macs, column = np.unique(np.concatenate([scan.macs for scan in scans]), return_inverse=True)
-    if len(macs) == 0:
-        return EMPTY
-    row = np.repeat(np.arange(len(scans)), [len(scan.macs) for scan in scans])
-    level = np.zeros((len(scans), len(macs)))
-    heard = np.zeros((len(scans), len(macs)), bool)
-    level[row, column] = np.concatenate([scan.rssi_dbm for scan in scans])
-    heard[row, column] = True
-    count = heard.sum(axis=0)
-    deviation = np.where(heard, level - level.sum(axis=0) / count, 0.0)
-    spread_squared = (deviation**2).sum(axis=0) / _divisor(count, std_mode)
-    kept = heard & (np.abs(deviation) <= np.sqrt(spread_squared) + 1e-9)
-    kept |= heard & (count == 1)
-    mean = (level * kept).sum(axis=0) / kept.sum(axis=0)
-    often = count >= detection_min * len(scans) - 1e-9
-    return Fingerprint(macs[often], mean[often])
+    macs = np.concatenate([scan.macs for scan in scans])
+    levels = np.concatenate([scan.rssi_dbm for scan in scans])
+    out_macs, out_levels = np.empty(len(macs), np.int64), np.empty(len(macs))
+    count = _clipped_means(macs, levels, detection_min * len(scans) - 1e-9, STD_MODES[std_mode], out_macs, out_levels)
+    return Fingerprint(out_macs[:count].copy(), out_levels[:count].copy())
 
 
-def _divisor(count: Array, std_mode: str) -> Array:
-    if std_mode == "population":
-        return count
-    if std_mode == "sample":
-        return np.maximum(count - 1, 1)
-    return np.ones_like(count)
+@njit(cache=True, error_model="numpy")
+def _clipped_means(macs, levels, count_min, std_mode, out_macs, out_levels):
+    """For each transmitter with enough readings the mean of those within one spread; gives how many there are."""
+    order = np.argsort(macs, kind="mergesort")
+    found = 0
+    first = 0
+    while first < len(order):
+        mac = macs[order[first]]
+        last, total = first, 0.0
+        while last < len(order) and macs[order[last]] == mac:
+            total += levels[order[last]]
+            last += 1
+        n = last - first
+        if n >= count_min:
+            mean = total / n
+            squares = 0.0
+            for k in range(first, last):
+                squares += (levels[order[k]] - mean) ** 2
+            if std_mode == 0:
+                squares /= n
+            elif std_mode == 1:
+                squares /= max(n - 1, 1)
+            limit = math.sqrt(squares) + 1e-9
+            kept, kept_total = 0, 0.0
+            for k in range(first, last):
+                if abs(levels[order[k]] - mean) <= limit:
+                    kept += 1
+                    kept_total += levels[order[k]]
+            out_macs[found] = mac
+            out_levels[found] = kept_total / kept if kept else mean
+            found += 1
+        first = last
+    return found
 
 
 def mac_similarity(a: Fingerprint, b: Fingerprint) -> float:

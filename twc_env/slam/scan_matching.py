@@ -15,8 +15,12 @@ from numpy.typing import NDArray
 
 Array = NDArray
 
-REACH_M = 0.5
+REACH_M = 0.45
 """Cells further from a wall than this know nothing of it."""
+FAR_M = 1e3
+"""Distance of a cell that knows no wall."""
+SIGN_TO_WALL_M = 0.3
+"""A sign hangs on the wall that is at most this far away."""
 WEIGHT_MIN = 5.0
 """With less than this sum of weights nothing was matched."""
 SAME_WALL_M = 0.02
@@ -28,9 +32,9 @@ ROBUST_SCALE_M = 0.08
 
 
 @njit(cache=True, error_model="numpy")
-def _stamp(field, inverse_m, ax, ay, bx, by):
+def _stamp(distance, lines, inverse_m, ax, ay, bx, by):
     """Tell the cells around the wall piece a-b [m from the field's corner] of its line, where it is the nearest."""
-    height, width = field.shape[0], field.shape[1]
+    height, width = distance.shape
     ex, ey = bx - ax, by - ay
     length = math.sqrt(ex * ex + ey * ey)
     if length < 1e-6:
@@ -41,10 +45,11 @@ def _stamp(field, inverse_m, ax, ay, bx, by):
     offset = nx * ax + ny * ay
     mx, my = 0.5 * (ax + bx), 0.5 * (ay + by)
     column, row = int(mx * inverse_m), int(my * inverse_m)
-    if 0 <= row < height and 0 <= column < width and field[row, column, 0] < REACH_M:
-        known = field[row, column]
-        parallel = abs(known[1] * nx + known[2] * ny)
-        if parallel > 0.97 and abs(known[1] * mx + known[2] * my - known[3]) < SAME_WALL_M and known[0] < 1.0 / inverse_m:
+    if 0 <= row < height and 0 <= column < width and distance[row, column] < REACH_M:
+        known = lines[row, column]
+        is_parallel = abs(known[0] * nx + known[1] * ny) > 0.97
+        gap = abs(known[0] * mx + known[1] * my - known[2])
+        if is_parallel and gap < SAME_WALL_M and distance[row, column] < 1.0 / inverse_m:
             return
     cell = 1.0 / inverse_m
     first_column = max(0, int((min(ax, bx) - REACH_M) * inverse_m))
@@ -59,15 +64,15 @@ def _stamp(field, inverse_m, ax, ay, bx, by):
             across = nx * cx + ny * cy - offset
             beyond = max(0.0, max(-along, along - length))
             d = math.sqrt(across * across + beyond * beyond)
-            if d < field[r, c, 0]:
-                field[r, c, 0] = d
-                field[r, c, 1] = nx
-                field[r, c, 2] = ny
-                field[r, c, 3] = offset
+            if d < distance[r, c]:
+                distance[r, c] = d
+                lines[r, c, 0] = nx
+                lines[r, c, 1] = ny
+                lines[r, c, 2] = offset
 
 
 @njit(cache=True, error_model="numpy")
-def _add_scan(field, origin_x, origin_y, inverse_m, x, y, heading, ranges, range_max):
+def _add_scan(distance, lines, origin_x, origin_y, inverse_m, x, y, heading, ranges, range_max):
     beams = ranges.shape[0]
     step = 2 * math.pi / beams
     have_previous = False
@@ -81,14 +86,14 @@ def _add_scan(field, origin_x, origin_y, inverse_m, x, y, heading, ranges, range
         qx = x + ranges[i] * math.cos(angle) - origin_x
         qy = y + ranges[i] * math.sin(angle) - origin_y
         if have_previous and k >= 0 and (qx - px) ** 2 + (qy - py) ** 2 < JUMP_MAX_M**2:
-            _stamp(field, inverse_m, px, py, qx, qy)
+            _stamp(distance, lines, inverse_m, px, py, qx, qy)
         px, py, have_previous = qx, qy, True
 
 
 @njit(cache=True, error_model="numpy")
-def _add_scans(field, origin_x, origin_y, inverse_m, poses, scans, range_max):
+def _add_scans(distance, lines, origin_x, origin_y, inverse_m, poses, scans, range_max):
     for k in range(poses.shape[0]):
-        _add_scan(field, origin_x, origin_y, inverse_m, poses[k, 0], poses[k, 1], poses[k, 2], scans[k], range_max)
+        _add_scan(distance, lines, origin_x, origin_y, inverse_m, poses[k, 0], poses[k, 1], poses[k, 2], scans[k], range_max)
 
 
 @njit(cache=True, error_model="numpy")
@@ -105,9 +110,9 @@ def _points_of(ranges, range_max, points):
 
 
 @njit(cache=True, error_model="numpy")
-def _normal_equations(field, origin_x, origin_y, inverse_m, points, n, x, y, heading, distance_max, h, g):
+def _normal_equations(distance, lines, origin_x, origin_y, inverse_m, points, n, x, y, heading, distance_max, h, g):
     """Sum J^T w J (h: 6 upper entries) and J^T w e (g: 3) over the points; gives the sum of weights."""
-    height, width = field.shape[0], field.shape[1]
+    height, width = distance.shape
     c, s = math.cos(heading), math.sin(heading)
     h[:] = 0.0
     g[:] = 0.0
@@ -118,10 +123,10 @@ def _normal_equations(field, origin_x, origin_y, inverse_m, points, n, x, y, hea
         if qx < 0.0 or qy < 0.0:
             continue
         column, row = int(qx * inverse_m), int(qy * inverse_m)
-        if row >= height or column >= width or field[row, column, 0] > distance_max:
+        if row >= height or column >= width or distance[row, column] > distance_max:
             continue
-        nx, ny = field[row, column, 1], field[row, column, 2]
-        e = nx * qx + ny * qy - field[row, column, 3]
+        nx, ny = lines[row, column, 0], lines[row, column, 1]
+        e = nx * qx + ny * qy - lines[row, column, 2]
         if abs(e) > distance_max:
             continue
         w = 1.0 / (1.0 + (e / ROBUST_SCALE_M) ** 2)
@@ -163,7 +168,7 @@ def _solve3(h, g, damping, out):
 
 @njit(cache=True, error_model="numpy")
 def _refine(
-    field, origin_x, origin_y, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, pose, h
+    distance, lines, origin_x, origin_y, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, pose, h
 ):
     """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
 
@@ -178,7 +183,7 @@ def _refine(
     it = 0
     for it in range(iterations):  # noqa: B007
         total = _normal_equations(
-            field, origin_x, origin_y, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, h, g
+            distance, lines, origin_x, origin_y, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, h, g
         )
         if total < WEIGHT_MIN:
             break
@@ -196,8 +201,8 @@ def _refine(
 
 
 @njit(cache=True, error_model="numpy")
-def _score(field, origin_x, origin_y, inverse_m, points, n, stride, x, y, c, s):
-    height, width = field.shape[0], field.shape[1]
+def _score(distance, origin_x, origin_y, inverse_m, points, n, stride, x, y, c, s):
+    height, width = distance.shape
     total = 0.0
     for i in range(0, n, stride):
         qx = x + c * points[i, 0] - s * points[i, 1] - origin_x
@@ -206,14 +211,14 @@ def _score(field, origin_x, origin_y, inverse_m, points, n, stride, x, y, c, s):
             continue
         column, row = int(qx * inverse_m), int(qy * inverse_m)
         if row < height and column < width:
-            d = field[row, column, 0]
+            d = distance[row, column]
             if d < 0.3:
                 total += 1.0 - d / 0.3
     return total
 
 
 @njit(cache=True, error_model="numpy")
-def _correlate(field, origin_x, origin_y, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best):
+def _correlate(distance, origin_x, origin_y, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best):
     """Brute force over a window around guess, nearest first; writes the best pose, gives its mean score in [0, 1]."""
     best_score = -1.0
     turns = int(window_rad / step_rad)
@@ -224,7 +229,7 @@ def _correlate(field, origin_x, origin_y, inverse_m, points, n, guess, window_m,
         for j in range(-moves, moves + 1):
             for i in range(-moves, moves + 1):
                 score = _score(
-                    field, origin_x, origin_y, inverse_m, points, n, stride,
+                    distance, origin_x, origin_y, inverse_m, points, n, stride,
                     guess[0] + i * step_m, guess[1] + j * step_m, c, s,
                 )  # fmt: skip
                 if score > best_score:
@@ -234,9 +239,9 @@ def _correlate(field, origin_x, origin_y, inverse_m, points, n, guess, window_m,
 
 
 @njit(cache=True, error_model="numpy")
-def _share_near(field, origin_x, origin_y, inverse_m, points, n, pose, near_m):
+def _share_near(distance, origin_x, origin_y, inverse_m, points, n, pose, near_m):
     """Share of the points within near_m of a wall."""
-    height, width = field.shape[0], field.shape[1]
+    height, width = distance.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     count = 0
     for i in range(n):
@@ -245,7 +250,7 @@ def _share_near(field, origin_x, origin_y, inverse_m, points, n, pose, near_m):
         if qx < 0.0 or qy < 0.0:
             continue
         column, row = int(qx * inverse_m), int(qy * inverse_m)
-        if row < height and column < width and field[row, column, 0] <= near_m:
+        if row < height and column < width and distance[row, column] <= near_m:
             count += 1
     return count / max(n, 1)
 
@@ -268,15 +273,16 @@ def _information(h, degenerate, vx, vy, scale, out):
 
 @njit(cache=True, error_model="numpy")
 def _match_scan(
-    field, origin_x, origin_y, inverse_m, ranges, range_max, guess, distance_max, iterations, degenerate_share, scale,
+    distance, lines, origin_x, origin_y, inverse_m, ranges, range_max, guess, distance_max, iterations, degenerate_share, scale,
     points, pose, information,
 ):  # fmt: skip
     """A whole scan against the field; writes pose (3,) and information (3, 3), gives (points, sum of weights)."""
     n = _points_of(ranges, range_max, points)
     h = np.zeros(6)
     _, total, degenerate, vx, vy = _refine(
-        field, origin_x, origin_y, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, pose, h
-    )
+        distance, lines, origin_x, origin_y, inverse_m, points, n, guess, distance_max, iterations, degenerate_share,
+        pose, h,
+    )  # fmt: skip
     _information(h, degenerate, vx, vy, scale, information)
     return n, total
 
@@ -311,26 +317,26 @@ class LineField:
         self.origin_m = np.asarray(centre_m, float)[:2] - 0.5 * cells * resolution_m
         self.range_max_m = range_max_m
         self._inverse_m = 1.0 / resolution_m
-        self.cells = np.empty((cells, cells, 4), np.float32)
+        self._distance = np.empty((cells, cells), np.float32)
+        self._lines = np.zeros((cells, cells, 3), np.float32)
         self._points = np.empty((0, 2))
         self.reset(centre_m)
 
     def reset(self, centre_m: Array) -> None:
         """Forget all walls and move to another centre."""
-        half = 0.5 * self.cells.shape[0] / self._inverse_m
+        half = 0.5 * len(self._distance) / self._inverse_m
         self.origin_m = np.asarray(centre_m, float)[:2] - half
-        self.cells[...] = 0.0
-        self.cells[..., 0] = 1e3
+        self._distance.fill(FAR_M)
 
     def add(self, poses: Array, scans: Array) -> None:
         """Draw the walls seen by scans (k, beams) [m] at poses (k, 3)."""
-        _add_scans(self.cells, *self._frame, poses, scans, self.range_max_m)
+        _add_scans(self._distance, self._lines, *self._frame, poses, scans, self.range_max_m)
 
     def refine(self, points: Array, guess: Array, distance_max_m: float, iterations: int, degenerate_share: float):
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
         pose, h = np.empty(3), np.zeros(6)
         _, weight, degenerate, vx, vy = _refine(
-            self.cells, *self._frame, points, len(points), guess, distance_max_m, iterations, degenerate_share, pose, h
+            self._distance, self._lines, *self._frame, points, len(points), guess, distance_max_m, iterations, degenerate_share, pose, h
         )
         hessian = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
         return Match(pose, hessian, weight, degenerate, np.array([vx, vy]))
@@ -353,7 +359,7 @@ class LineField:
             self._points = np.empty((len(ranges_m), 2))
         pose, information = np.empty(3), np.empty((3, 3))
         count, weight = _match_scan(
-            self.cells, *self._frame, ranges_m, self.range_max_m, guess, distance_max_m, iterations, degenerate_share,
+            self._distance, self._lines, *self._frame, ranges_m, self.range_max_m, guess, distance_max_m, iterations, degenerate_share,
             variance_m2, self._points, pose, information,
         )  # fmt: skip
         return pose, information, weight / count if weight >= WEIGHT_MIN else 0.0
@@ -364,22 +370,22 @@ class LineField:
         """Search a window [m, rad] around guess in steps [m, rad] -> (best pose (3,), mean score in [0, 1])."""
         best = np.array(guess, float)
         score = _correlate(
-            self.cells, *self._frame, points, len(points), np.asarray(guess, float), *window, *step, stride, best
+            self._distance, *self._frame, points, len(points), np.asarray(guess, float), *window, *step, stride, best
         )
         return best, score
 
     def share_near(self, points: Array, pose: Array, near_m: float) -> float:
         """Share of points (n, 2), seen from pose, that lie within near_m of a wall."""
-        return _share_near(self.cells, *self._frame, points, len(points), pose, near_m)
+        return _share_near(self._distance, *self._frame, points, len(points), pose, near_m)
 
     def facing_at(self, position: Array, seen_from: Array) -> float:
         """Outward normal [rad] of the wall at a position, on the side it is seen from; NaN where no wall is near."""
         column, row = ((np.asarray(position) - self.origin_m) * self._inverse_m).astype(int)
-        if not (0 <= row < self.cells.shape[0] and 0 <= column < self.cells.shape[1]):
+        if not (0 <= row < len(self._distance) and 0 <= column < len(self._distance)):
             return math.nan
-        distance, nx, ny, _ = self.cells[row, column]
-        if distance > 0.3:
+        if self._distance[row, column] > SIGN_TO_WALL_M:
             return math.nan
+        nx, ny = self._lines[row, column, :2].tolist()
         towards = nx * (seen_from[0] - position[0]) + ny * (seen_from[1] - position[1])
         return math.atan2(ny, nx) if towards >= 0 else math.atan2(-ny, -nx)
 

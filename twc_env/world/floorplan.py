@@ -102,6 +102,7 @@ class Floorplan:
     """(k, 2) points known to be free: the floor is what is connected to them."""
     pose_building_home: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) how far the building was moved from where it was drawn."""
+    _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         shapes = {
@@ -115,7 +116,6 @@ class Floorplan:
             object.__setattr__(self, key, _frozen_array(getattr(self, key), shape, f"{key} of map {self.name!r}"))
         for key in ("rooms", "signs", "access_points"):
             object.__setattr__(self, key, tuple(getattr(self, key)))
-        object.__setattr__(self, "_cache", {})
 
     @property
     def bounds_m(self) -> Array:

@@ -15,7 +15,7 @@ from twc_env.world.floorplan import SIGN_FACE_M, Floorplan
 
 Array = NDArray
 
-_CONFUSABLE = {a: b for pair in ("O0", "I1", "S5", "B8", "A4", "E3", "Z2") for a, b in (pair, pair[::-1])}
+_CONFUSABLE = dict(zip("OISBAEZ" + "0158432", "0158432" + "OISBAEZ", strict=True))
 _CONFUSABLE_SHARE = 0.7
 """Share of the substitutions that take the look-alike, where there is one."""
 _SUBSTITUTION_SHARE, _DELETION_SHARE = 0.70, 0.15

@@ -149,15 +149,13 @@ def draw_starts(home: Floorplan, robots: int, random: np.random.Generator) -> Ar
     raise MapError(f"map {home.name!r} has no room for {robots} robots; use fewer")
 
 
+@lru_cache(maxsize=8)
 def start_places(home: Floorplan) -> Array:
     """(k, 2) centres of the free cells that keep the start clearance; computed once per plan."""
-    if "start_places" not in home._cache:
-        cells = home.cells()
-        rows, columns = np.nonzero(cells.free)
-        centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
-        gaps_m = home.wall_index.distance_m(centres, START_CLEARANCE_M)
-        home._cache["start_places"] = centres[gaps_m >= START_CLEARANCE_M]
-    return home._cache["start_places"]
+    cells = home.cells()
+    rows, columns = np.nonzero(cells.free)
+    centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
+    return centres[home.wall_index.distance_m(centres, START_CLEARANCE_M) >= START_CLEARANCE_M]
 
 
 def _spaced(places: Array, count: int, spacing_m: float) -> Array:

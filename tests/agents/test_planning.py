@@ -1,0 +1,243 @@
+"""Frontiers, clearance and paths on small maps whose answers are known."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from agents.planning import OPEN_COST, Disc, PathFinder, Terrain, is_frontier, path_is_blocked
+from twc_env.messages import GridMap
+
+CELL_M = 0.1
+
+
+def grid_of(kind):
+    """Grid from 0 unknown, 1 free, 2 wall; origin at (3, -2)."""
+    return GridMap(np.array([0, -8, 10], np.int16)[kind], np.array([3.0, -2.0]), CELL_M)
+
+
+def room(rows=60, columns=80):
+    kind = np.ones((rows, columns), int)
+    kind[[0, -1]] = 2
+    kind[:, [0, -1]] = 2
+    return kind
+
+
+def two_rooms(door_cells):
+    """A wall in the middle with a door of so many cells in the middle of it."""
+    kind = room()
+    kind[:, 40] = 2
+    first = 30 - door_cells // 2
+    kind[first : first + door_cells, 40] = 1
+    return kind
+
+
+def point(row, column):
+    return np.array([3.0 + (column + 0.5) * CELL_M, -2.0 + (row + 0.5) * CELL_M])
+
+
+def goal_labels(terrain, place_m):
+    labels = np.zeros_like(terrain.labels)
+    row, column = np.floor(terrain.to_cells(place_m)).astype(int)
+    labels[row, column] = 1
+    return labels
+
+
+def plan_between(kind, start, goal, discs=(), radius_m=0.2):
+    terrain = Terrain(grid_of(kind), radius_m)
+    finder = PathFinder()
+    return terrain, finder.cheapest(terrain, start, goal_labels(terrain, goal), np.zeros(2), discs)
+
+
+def test_open_cells_are_those_with_enough_exact_clearance():
+    rng = np.random.default_rng(0)
+    kind = np.where(rng.random((70, 90)) < 0.01, 2, 1)
+    terrain = Terrain(grid_of(kind), 0.2)
+    distance = ndimage.distance_transform_edt(terrain.kind != 2)
+    expected = (distance >= 2.3) & (terrain.kind == 1)
+    assert np.array_equal(terrain.cost > 0, expected)
+    assert np.all(terrain.cost[expected & (distance >= 6)] == OPEN_COST)
+
+
+def test_a_straight_way_in_the_open_is_straight_and_as_long_as_it_is():
+    _, plan = plan_between(room(), point(30, 20), point(30, 60))
+    assert plan.length_m == pytest.approx(4.0, abs=0.01)
+    assert len(plan.path_m) == 2
+    assert np.allclose(plan.path_m, [point(30, 20), point(30, 60)])
+
+
+@pytest.mark.parametrize(("door_cells", "is_passable"), [(9, True), (7, True), (5, True), (3, False)])
+def test_a_robot_passes_doors_wider_than_itself_only(door_cells, is_passable):
+    _, plan = plan_between(two_rooms(door_cells), point(20, 15), point(40, 65))
+    assert (plan is not None) == is_passable
+
+
+def test_a_path_goes_through_the_middle_of_a_door():
+    terrain, plan = plan_between(two_rooms(9), point(10, 15), point(50, 65))
+    at_door = np.interp(point(30, 40)[0], plan.path_m[:, 0], plan.path_m[:, 1])
+    assert abs(at_door - point(30, 40)[1]) < 0.16
+    assert terrain.is_open(plan.path_m).all()
+
+
+def test_a_path_keeps_its_distance_from_walls_where_there_is_room():
+    kind = room()
+    kind[1:40, 40] = 2
+    _, plan = plan_between(kind, point(10, 15), point(10, 65))
+    corner = point(39, 40)
+    along = np.linspace(0, 1, 50)[:, None]
+    points = np.concatenate([a + along * (b - a) for a, b in zip(plan.path_m[:-1], plan.path_m[1:], strict=True)])
+    assert np.hypot(*(points - corner).T).min() > 0.38
+
+
+def test_the_frontier_of_a_half_known_room_is_one_line():
+    kind = room()
+    kind[:, 50:] = 0
+    terrain = Terrain(grid_of(kind), 0.2)
+    assert len(terrain.frontier_sizes) == 2
+    assert terrain.frontier_centres_m[1] == pytest.approx(point(29.5, 49), abs=0.06)
+    assert terrain.label_near(point(30, 47), 0.3) == 1
+    assert terrain.label_near(point(30, 20), 0.3) == 0
+
+
+def test_unknown_cells_in_and_behind_walls_are_no_frontier():
+    kind = room()
+    kind[0, 10:70:3] = 0
+    kind[0, 30:33] = 0
+    assert len(Terrain(grid_of(kind), 0.2).frontier_sizes) == 1
+
+
+def test_a_known_room_has_no_frontier_and_an_empty_grid_none_either():
+    assert len(Terrain(grid_of(room()), 0.2).frontier_sizes) == 1
+    empty = Terrain(grid_of(np.zeros((0, 0), int)), 0.2)
+    assert len(empty.frontier_sizes) == 1
+    assert PathFinder().cheapest(empty, np.zeros(2), empty.labels, np.zeros(1)) is None
+
+
+def test_the_nearest_goal_by_path_wins_over_the_nearest_by_air():
+    kind = two_rooms(0)
+    kind[52:57, 40] = 1
+    terrain = Terrain(grid_of(kind), 0.2)
+    labels = goal_labels(terrain, point(10, 44))
+    labels += 2 * goal_labels(terrain, point(10, 10))
+    plan = PathFinder().cheapest(terrain, point(10, 36), labels, np.zeros(3))
+    assert plan.label == 2
+
+
+def test_penalties_count_as_path_length_and_infinite_ones_ban():
+    terrain = Terrain(grid_of(room()), 0.2)
+    labels = goal_labels(terrain, point(30, 30)) + 2 * goal_labels(terrain, point(30, 60))
+    finder, start = PathFinder(), point(30, 20)
+    assert finder.cheapest(terrain, start, labels, np.array([0, 0, 0])).label == 1
+    assert finder.cheapest(terrain, start, labels, np.array([0, 3.5, 0])).label == 2
+    assert finder.cheapest(terrain, start, labels, np.array([0, 2.5, 0])).label == 1
+    assert finder.cheapest(terrain, start, labels, np.array([0, np.inf, 0])).label == 2
+    assert finder.cheapest(terrain, start, labels, np.array([0, np.inf, np.inf])) is None
+
+
+def test_a_finder_used_before_gives_the_same_plan_as_a_fresh_one():
+    rng = np.random.default_rng(1)
+    finder = PathFinder()
+    for _ in range(20):
+        kind = room(int(rng.integers(30, 70)), int(rng.integers(30, 90)))
+        kind[rng.random(kind.shape) < 0.008] = 2
+        terrain = Terrain(grid_of(kind), 0.2)
+        start, goal = (point(*rng.integers(5, 25, 2)) for _ in range(2))
+        plans = [f.cheapest(terrain, start, goal_labels(terrain, goal), np.zeros(2)) for f in (finder, PathFinder())]
+        assert (plans[0] is None) == (plans[1] is None)
+        if plans[0] is not None:
+            assert np.array_equal(plans[0].path_m, plans[1].path_m)
+
+
+def test_path_costs_equal_those_of_a_plain_dijkstra():
+    kind = two_rooms(8)
+    kind[20:22, 50:60] = 2
+    terrain, plan = plan_between(kind, point(20, 15), point(40, 70))
+    assert plan.length_m == pytest.approx(dijkstra_m(terrain.cost, (21, 16), (41, 71)), abs=1e-6)
+
+
+def dijkstra_m(cost, start, goal):
+    import heapq
+
+    best, queue = {start: 0}, [(0, start)]
+    while queue:
+        spent, (r, c) = heapq.heappop(queue)
+        if (r, c) == goal:
+            return spent / 10 * CELL_M
+        if spent > best[r, c]:
+            continue
+        for dr, dc in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)]:
+            there = (r + dr, c + dc)
+            if cost[there] == 0 or (dr and dc and (cost[r + dr, c] == 0 or cost[r, c + dc] == 0)):
+                continue
+            through = spent + (7 if dr and dc else 5) * int(cost[there])
+            if through < best.get(there, 10**9):
+                best[there] = through
+                heapq.heappush(queue, (through, there))
+    return None
+
+
+def test_a_disc_is_driven_around_and_leaves_the_terrain_as_it_was():
+    terrain = Terrain(grid_of(room()), 0.2)
+    before = terrain.cost.copy()
+    disc = Disc(*point(30, 40), 0.5, 40)
+    plan = PathFinder().cheapest(terrain, point(30, 20), goal_labels(terrain, point(30, 60)), np.zeros(2), [disc])
+    assert np.hypot(*(plan.path_m - point(30, 40)).T).min() > 0.45
+    assert np.array_equal(terrain.cost, before)
+
+
+def test_ghost_walls_under_a_robot_are_taken_away():
+    kind = room()
+    kind[29:32, 29:32] = 2
+    assert Terrain(grid_of(kind), 0.2).is_open(point(30, 30)[None])[0] == np.False_
+    assert Terrain(grid_of(kind), 0.2, point(30, 30)[None]).is_open(point(30, 30)[None])[0] == np.True_
+
+
+def test_a_robot_beside_a_wall_still_finds_a_way():
+    _, plan = plan_between(room(), point(1, 20), point(30, 60))
+    assert plan is not None
+
+
+def test_points_far_outside_the_map_are_harmless():
+    terrain = Terrain(grid_of(room()), 0.2)
+    far = np.array([1e4, -1e4])
+    assert not terrain.is_open(far[None])[0]
+    assert terrain.label_near(far, 0.5) == 0
+    assert PathFinder().cheapest(terrain, far, terrain.labels, np.zeros(1)) is None
+    assert not is_frontier(grid_of(room()), far, 0.3)
+    assert not path_is_blocked(grid_of(room()), far[None], 0.2)
+
+
+def test_a_frontier_ends_when_the_unknown_beside_it_becomes_known():
+    kind = room()
+    kind[:, 50:] = 0
+    assert is_frontier(grid_of(kind), point(30, 49), 0.3)
+    assert not is_frontier(grid_of(kind), point(30, 30), 0.3)
+    assert not is_frontier(grid_of(room()), point(30, 49), 0.3)
+
+
+def test_a_new_wall_on_the_path_blocks_it():
+    kind = room()
+    path = np.linspace(point(30, 20), point(30, 60), 40)
+    assert not path_is_blocked(grid_of(kind), path, 0.2)
+    kind[31, 40] = 2
+    assert path_is_blocked(grid_of(kind), path, 0.2)
+
+
+def test_planning_on_a_large_map_stays_within_a_few_milliseconds():
+    import time
+
+    rng = np.random.default_rng(2)
+    kind = np.ones((300, 400), int)
+    kind[::60], kind[:, ::80] = 2, 2
+    for row in range(0, 300, 60):
+        for column in range(0, 400, 80):
+            kind[row + 25 : row + 35, column] = 1
+            kind[row, column + 35 : column + 45] = 1
+    kind[rng.random(kind.shape) < 0.0005] = 0
+    terrain, finder = Terrain(grid_of(kind), 0.2), PathFinder()
+    labels = goal_labels(terrain, point(280, 380))
+    finder.cheapest(terrain, point(20, 20), labels, np.zeros(2))
+    start = time.process_time()
+    for _ in range(5):
+        Terrain(grid_of(kind), 0.2)
+        finder.cheapest(terrain, point(20, 20), labels, np.zeros(2))
+    assert (time.process_time() - start) / 5 < 0.05

@@ -1,0 +1,126 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twc_env.config import OdometryFilterConfig, VerificationConfig
+from twc_env.geometry import between, compose
+from twc_env.messages import LoopCandidate
+from twc_env.slam.loop_verification import LoopVerifier
+
+RANGE_MAX_M = 10.0
+FIRST = [(-2.5, -1.0, 0.0), (-1.5, -1.0, 0.2), (-0.5, -0.6, 0.6), (0.0, 0.3, 1.2)]
+SECOND = [(2.5, 2.0, 3.0), (1.5, 1.8, -2.9), (0.5, 1.2, -2.5), (-0.3, 0.6, -2.2)]
+
+
+def verify(target_path, source_path, guess, target=-1, source=-1, recogniser="twc", **rule):
+    verifier = LoopVerifier(VerificationConfig(**rule), OdometryFilterConfig(), RANGE_MAX_M)
+    ends = (0, target % len(target_path)), (1, source % len(source_path))
+    return verifier.verify(LoopCandidate(*ends, np.asarray(guess, float), recogniser), target_path, source_path)
+
+
+@settings(max_examples=25)
+@given(st.floats(-0.45, 0.45), st.floats(-0.45, 0.45), st.floats(-0.12, 0.12))
+def test_a_true_pair_is_accepted_and_measured_to_three_centimetres(office, path_of, x, y, turn):
+    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+    closure = verify(path_of(0, office, FIRST), path_of(1, office, SECOND), compose(true, [x, y, turn]))
+    assert (closure.status, closure.reason) == ("accepted", "")
+    error = between(true, closure.pose_target_source)
+    assert math.hypot(error[0], error[1]) < 0.03
+    assert abs(error[2]) < 0.01
+    assert closure.overlap > 0.8
+
+
+def test_two_scans_alone_are_enough_when_they_overlap(office, path_of):
+    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+    closure = verify(path_of(0, office, FIRST), path_of(1, office, SECOND), true, cloud_reach_m=0.0)
+    assert closure.status == "accepted"
+    assert np.abs(between(true, closure.pose_target_source))[:2].max() < 0.03
+
+
+def test_another_room_is_refused_with_a_reason(office, hall, path_of):
+    paths = path_of(0, office, FIRST), path_of(1, hall, [(-3.0, 1.0, 0.0), (-2.0, 1.0, 0.0), (-1.0, 1.2, 0.3)])
+    for guess in [(0, 0, 0), (0.5, -0.4, 1.5), (-0.5, 0.5, -3.0)]:
+        closure = verify(*paths, guess)
+        assert closure.status == "rejected"
+        assert "overlap" in closure.reason or "contradiction" in closure.reason
+
+
+def test_a_true_pair_guessed_at_a_wrong_place_is_not_accepted_there(office, path_of):
+    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+    for offset in [(2.5, 1.5, 0.0), (0.0, 0.0, math.pi), (-2.0, 0.5, 1.5)]:
+        closure = verify(path_of(0, office, FIRST), path_of(1, office, SECOND), compose(true, offset))
+        is_right = np.hypot(*between(true, closure.pose_target_source)[:2]) < 0.1
+        assert closure.status == "rejected" or is_right
+
+
+def test_the_reason_names_the_figure_and_its_limit(office, path_of):
+    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+    paths = path_of(0, office, FIRST), path_of(1, office, SECOND)
+    closure = verify(*paths, true, overlap_min=1.0)
+    assert closure.status == "rejected"
+    assert closure.reason.startswith("overlap ")
+    assert closure.reason.endswith("< 1")
+
+
+def test_walls_that_stand_in_seen_free_space_are_a_contradiction(walls, path_of):
+    room = walls((-4, -3), (4, -3), (4, 3), (-4, 3))
+    changed = np.concatenate([room, walls((-0.9, 0.9), (0.9, 0.9), (0.9, 1.2), (-0.9, 1.2))])
+    poses = [(0.0, 0.0, 0.1), (0.2, -1.0, 0.3)]
+    closure = verify(path_of(0, room, poses), path_of(1, changed, poses), (0, 0, 0), overlap_min=0.3)
+    assert closure.status == "rejected"
+    assert closure.reason.startswith("contradiction ")
+
+
+def test_alike_rooms_pass_geometry_so_text_and_radio_must_tell_them_apart(office, path_of):
+    """The known limit of this check: it cannot know that a copy of a room is another room."""
+    elsewhere = office + np.array([30.0, 0.0])
+    moved = [(x + 30.0, y, heading) for x, y, heading in SECOND]
+    guess = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+    closure = verify(path_of(0, office, FIRST), path_of(1, elsewhere, moved), guess)
+    assert closure.status == "accepted"
+
+
+def test_a_corridor_closure_says_that_its_axis_is_uncertain(walls, path_of):
+    corridor = walls((-40, -1.2), (40, -1.2), (40, 1.2), (-40, 1.2))
+    paths = path_of(0, corridor, [(0, 0, 0), (1, 0.1, 0)]), path_of(1, corridor, [(3, 0.2, 0), (4, 0.1, 0)])
+    closure = verify(*paths, (0.4, 0.0, 0.0), recogniser="proximity")
+    along, across = closure.covariance[0, 0], closure.covariance[1, 1]
+    assert closure.status == "accepted"
+    assert math.sqrt(along) > 1.0
+    assert math.sqrt(across) < 0.1
+
+
+def test_a_shared_sign_says_more_about_the_axis_than_nearness_does(walls, path_of):
+    corridor = walls((-40, -1.2), (40, -1.2), (40, 1.2), (-40, 1.2))
+    paths = path_of(0, corridor, [(0, 0, 0), (1, 0.1, 0)]), path_of(1, corridor, [(3, 0.2, 0), (4, 0.1, 0)])
+    along = {r: verify(*paths, (0.4, 0.0, 0.0), recogniser=r).covariance[0, 0] for r in ("twc", "proximity")}
+    assert along["twc"] < along["proximity"] / 10
+
+
+def test_the_covariance_of_a_closure_is_symmetric_and_positive(office, path_of):
+    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+    closure = verify(path_of(0, office, FIRST), path_of(1, office, SECOND), true)
+    assert closure.covariance == pytest.approx(closure.covariance.T)
+    assert np.linalg.eigvalsh(closure.covariance).min() > 0
+    assert np.sqrt(np.diag(closure.covariance))[:2].max() < 0.1
+
+
+def test_verifying_twice_gives_the_same_bytes(office, hall, path_of):
+    verifier = LoopVerifier(VerificationConfig(), OdometryFilterConfig(), RANGE_MAX_M)
+    first, second = path_of(0, office, FIRST), path_of(1, office, SECOND)
+    other = path_of(1, hall, [(-3.0, 1.0, 0.0), (-2.0, 1.0, 0.0)])
+    guess = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+    candidate = LoopCandidate((0, 3), (1, 3), guess, "twc")
+    before = verifier.verify(candidate, first, second)
+    verifier.verify(LoopCandidate((0, 3), (1, 1), np.zeros(3), "twc"), first, other)
+    after = verifier.verify(candidate, first, second)
+    assert before.pose_target_source.tobytes() == after.pose_target_source.tobytes()
+    assert before.covariance.tobytes() == after.covariance.tobytes()
+
+
+def test_scans_without_any_return_are_refused(keyframe):
+    blind = [keyframe(0, 0, ranges_m=np.full(180, RANGE_MAX_M))]
+    assert verify(blind, blind, (0, 0, 0)).status == "rejected"

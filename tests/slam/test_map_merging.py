@@ -1,0 +1,173 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twc_env.config import MergingConfig
+from twc_env.geometry import between, compose, inverse
+from twc_env.messages import Fingerprint
+from twc_env.slam.map_merging import largest_agreement, wall_contradiction, wifi_agrees
+from twc_env.slam.occupancy_grid import OccupancyGrid
+
+TRUE_A_B = np.array([12.0, -7.0, 2.2])
+
+
+def closures(seed: int, count: int, noise_m: float = 0.05, pose_a_b=TRUE_A_B, spread_m: float = 8.0):
+    """Targets in a, sources in b and measured poses of closures that all say the same, up to noise."""
+    random = np.random.default_rng(seed)
+    sources = np.column_stack([random.uniform(-spread_m, spread_m, (count, 2)), random.uniform(-3, 3, count)])
+    targets = compose(compose(pose_a_b, sources), random.normal(0, 0.5, (count, 3)))
+    measured = compose(between(targets, compose(pose_a_b, sources)), random.normal(0, 1, (count, 3)) * noise_m)
+    return targets, sources, measured
+
+
+def joined(*parts):
+    return tuple(np.concatenate(columns) for columns in zip(*parts, strict=True))
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10_000))
+def test_the_majority_is_found_among_false_closures(seed):
+    random = np.random.default_rng(seed)
+    lies = [
+        closures(seed + i, 1, pose_a_b=np.append(random.uniform(-30, 30, 2), random.uniform(-3, 3))) for i in range(8)
+    ]
+    proposal = largest_agreement(*joined(closures(seed, 5), *lies), MergingConfig())
+    assert proposal is not None
+    assert proposal.support[:5].sum() >= 3
+    assert proposal.support[5:].sum() <= 1
+    error = between(TRUE_A_B, proposal.pose_a_b)
+    assert np.hypot(error[0], error[1]) < 1.5
+    assert abs(error[2]) < 0.25
+
+
+def test_exact_closures_give_the_exact_pose():
+    proposal = largest_agreement(*closures(1, 6, noise_m=0.0), MergingConfig())
+    assert between(TRUE_A_B, proposal.pose_a_b) == pytest.approx(np.zeros(3), abs=1e-9)
+    assert proposal.support.all()
+
+
+def test_the_larger_of_two_agreeing_parties_wins():
+    lie = np.array([-3.0, 4.0, 0.5])
+    parts = closures(2, 3, pose_a_b=lie, noise_m=0.01), closures(3, 5, noise_m=0.01)
+    proposal = largest_agreement(*joined(*parts), MergingConfig())
+    assert proposal.support.tolist() == [False] * 3 + [True] * 5
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_too_few_closures_prove_nothing(count):
+    assert largest_agreement(*closures(4, count, noise_m=0.0), MergingConfig(closures_min=3)) is None
+
+
+def test_closures_that_disagree_prove_nothing():
+    random = np.random.default_rng(5)
+    lies = [
+        closures(i, 1, pose_a_b=np.append(random.uniform(-40, 40, 2), random.uniform(-3, 3))) for i in range(6)
+    ]
+    assert largest_agreement(*joined(*lies), MergingConfig()) is None
+
+
+def test_closures_from_one_spot_prove_nothing():
+    spot = closures(6, 6, noise_m=0.0, spread_m=0.4)
+    assert largest_agreement(*spot, MergingConfig(spread_min_m=1.5)) is None
+    assert largest_agreement(*spot, MergingConfig(spread_min_m=0.2)) is not None
+
+
+def test_two_spots_of_the_same_wrong_copy_are_still_outvoted():
+    copy = np.array([5.0, 5.0, 0.0])
+    proposal = largest_agreement(
+        *joined(closures(7, 2, pose_a_b=copy, noise_m=0.0), closures(8, 4, noise_m=0.0)), MergingConfig()
+    )
+    assert proposal.support.tolist() == [False, False, True, True, True, True]
+
+
+def grid_of(room, scan, poses, frame=(0.0, 0.0, 0.0)):
+    """The map of a room in a frame that lies at `frame` in the building."""
+    grid = OccupancyGrid(0.1, 10.0, 360)
+    local = between(np.array(frame), np.array(poses, float))
+    scans = np.array([scan(room, pose, 360) for pose in poses])
+    for _ in range(4):  # seen often enough to be certain
+        grid.integrate(local, scans)
+    return grid.snapshot()
+
+
+POSES = [(-2.5, -1.0, 0.0), (-0.5, -0.6, 0.6), (0.0, 1.5, 1.2), (2.5, 2.0, 3.0)]
+
+
+def test_identical_maps_do_not_contradict_each_other(office, scan):
+    grid = grid_of(office, scan, POSES)
+    assert wall_contradiction(grid, grid, np.zeros(3)) == 0.0
+
+
+@pytest.mark.parametrize("frame", [(3.0, -2.0, 0.0), (1.0, 5.0, np.pi / 2), (-4.0, 2.0, 0.7)])
+def test_one_room_mapped_in_two_frames_hardly_contradicts_itself(office, scan, frame):
+    a, b = grid_of(office, scan, POSES), grid_of(office, scan, POSES, frame)
+    assert wall_contradiction(a, b, np.array(frame)) < 0.05
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0, np.pi / 4), (1.5, 1.0, 0.0), (0.5, -0.8, 0.3)])
+def test_shifted_maps_contradict_each_other(office, scan, shift):
+    grid = grid_of(office, scan, POSES)
+    assert wall_contradiction(grid, grid, np.array(shift)) > 0.2
+
+
+def test_the_contradiction_does_not_depend_on_who_is_asked_first(office, hall, scan):
+    a, b = grid_of(office, scan, POSES), grid_of(hall, scan, [(0.0, 1.0, 0.0)])
+    pose = np.array([0.4, -0.3, 0.5])
+    assert wall_contradiction(a, b, pose) == pytest.approx(wall_contradiction(b, a, inverse(pose)))
+
+
+def test_maps_far_apart_cannot_contradict_each_other(office, scan):
+    grid = grid_of(office, scan, POSES)
+    assert wall_contradiction(grid, grid, np.array([200.0, 0.0, 0.0])) == 0.0
+
+
+def radio_survey(random, positions, noise_db=1.0, offset_db=0.0, shift=(0.0, 0.0)):
+    """Fingerprints of places in a field of eight transmitters."""
+    sources = np.random.default_rng(99).uniform(-15, 15, (8, 2))
+    prints = []
+    for position in positions:
+        distance = np.maximum(np.linalg.norm(sources - position - np.array(shift), axis=1), 0.5)
+        level = -35 - 23 * np.log10(distance) + offset_db + random.normal(0, noise_db, 8)
+        prints.append(Fingerprint(np.arange(8), level))
+    return prints
+
+
+def wifi_verdict(claimed_shift, noise_db=1.0, offset_db=0.0, count=40):
+    """Robot 1 walked the path of robot 0; the merge claims that robot 1 was `claimed_shift` away from where it was."""
+    random = np.random.default_rng(0)
+    path = np.stack([np.linspace(-8, 8, count), 2 * np.sin(np.linspace(0, 6, count))], axis=1)
+    travel = np.linspace(0, 18, count)
+    true_b = path + np.array(claimed_shift)
+    prints = radio_survey(random, path, noise_db) + radio_survey(random, true_b, noise_db, offset_db)
+    positions = np.concatenate([path, path + 0.1])
+    robots = np.repeat([0, 1], count)
+    return wifi_agrees(positions, robots, np.tile(travel, 2), prints, robots == 1)
+
+
+def test_radio_agrees_where_two_robots_walked_the_same_path():
+    assert wifi_verdict((0.0, 0.0)) is True
+
+
+def test_radio_forgives_receivers_that_read_differently():
+    assert wifi_verdict((0.0, 0.0), offset_db=8.0) is True
+
+
+def test_radio_objects_when_the_second_robot_was_elsewhere():
+    assert wifi_verdict((11.0, 9.0)) is False
+
+
+def test_radio_says_nothing_when_the_paths_never_meet():
+    random = np.random.default_rng(0)
+    path = np.stack([np.linspace(-8, 8, 40), np.zeros(40)], axis=1)
+    positions = np.concatenate([path, path + [0.0, 30.0]])
+    robots = np.repeat([0, 1], 40)
+    prints = radio_survey(random, positions)
+    assert wifi_agrees(positions, robots, np.tile(np.linspace(0, 16, 40), 2), prints, robots == 1) is None
+
+
+def test_radio_says_nothing_where_nothing_is_heard():
+    empty = [Fingerprint(np.zeros(0, np.int64), np.zeros(0))] * 20
+    positions = np.tile(np.stack([np.arange(10.0), np.zeros(10)], axis=1), (2, 1))
+    robots = np.repeat([0, 1], 10)
+    assert wifi_agrees(positions, robots, np.tile(np.arange(10.0), 2), empty, robots == 1) is None

@@ -1,0 +1,196 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twc_env.config import PlaceRecognitionConfig
+from twc_env.geometry import between, inverse, transform_points, wrap_angle
+from twc_env.messages import SignObservation
+from twc_env.slam.place_recognition import ProposalFilter, TextWifiRecogniser
+
+MACS = (1, 2, 3, 4, 5)
+LEVELS_DBM = (-40.0, -50.0, -60.0, -70.0, -80.0)
+
+
+def sign(text="EXIT", position=(2.0, 0.0), facing=math.pi) -> SignObservation:
+    return SignObservation(text, np.array(position, float), facing)
+
+
+@pytest.fixture
+def place(keyframe):
+    """A keyframe that read one sign amid five transmitters."""
+
+    def make(robot=0, index=0, text="EXIT", macs=MACS, rssi_dbm=LEVELS_DBM, **rest):
+        return keyframe(robot, index, signs=[sign(text)], macs=macs, rssi_dbm=rssi_dbm, **rest)
+
+    return make
+
+
+def candidates(first, second, **rule):
+    recogniser = TextWifiRecogniser(PlaceRecognitionConfig(**rule))
+    assert recogniser.propose(first) == []
+    return recogniser.propose(second)
+
+
+def test_like_text_and_like_radio_make_a_candidate(place):
+    (found,) = candidates(place(0, 4), place(1, 7))
+    assert (found.target, found.source, found.recogniser) == ((0, 4), (1, 7), "twc")
+    assert (found.text_similarity, found.mac_similarity, found.rssi_similarity) == (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(("alpha", "count"), [(0.75, 1), (0.7501, 0)])
+def test_a_text_exactly_at_its_threshold_passes(place, alpha, count):
+    assert len(candidates(place(0, text="EXIT"), place(1, text="EX1T"), text_similarity_min=alpha)) == count
+
+
+@pytest.mark.parametrize(("beta", "count"), [(0.8, 1), (0.8001, 0)])
+def test_shared_transmitters_exactly_at_their_threshold_pass(place, beta, count):
+    other = place(1, macs=MACS[:4], rssi_dbm=LEVELS_DBM[:4])
+    assert len(candidates(place(0), other, mac_similarity_min=beta)) == count
+
+
+def test_identical_transmitters_pass_the_strictest_threshold(place):
+    assert len(candidates(place(0), place(1), mac_similarity_min=1.0)) == 1
+
+
+@pytest.mark.parametrize(("offset_db", "count"), [(5.0, 1), (6.25, 1), (6.26, 0)])
+def test_strengths_exactly_at_their_threshold_pass(place, offset_db, count):
+    other = place(1, rssi_dbm=np.array(LEVELS_DBM) - offset_db)
+    assert len(candidates(place(0), other, rssi_similarity_min=0.8)) == count
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"text": "A301 OPTICS"}, {"macs": (6, 7, 8, 9, 10)}, {"rssi_dbm": LEVELS_DBM[::-1]}, {"macs": (), "rssi_dbm": ()}],
+)
+def test_each_cue_alone_can_refuse(place, change):
+    assert candidates(place(0), place(1, **change)) == []
+
+
+def test_nothing_is_compared_without_a_sign(keyframe, place):
+    blank = keyframe(1, macs=MACS, rssi_dbm=LEVELS_DBM)
+    assert candidates(place(0), blank) == []
+    assert candidates(blank, place(0)) == []
+
+
+class Untouchable:
+    """A fingerprint of which only some parts may be read."""
+
+    def __init__(self, **allowed):
+        self.__dict__.update(allowed)
+
+    def __getattr__(self, name):
+        raise AssertionError(f"{name} was read although an earlier cue had refused")
+
+
+def with_fingerprint(keyframe, fingerprint):
+    values = {name: getattr(keyframe, name) for name in type(keyframe).__slots__}
+    return type(keyframe)(**{**values, "fingerprint": fingerprint})
+
+
+def test_cues_are_asked_in_the_order_text_transmitters_strengths(place):
+    unlike_text = with_fingerprint(place(1, text="A301 OPTICS"), Untouchable())
+    assert candidates(place(0), unlike_text) == []
+    unlike_macs = with_fingerprint(place(1), Untouchable(macs=np.array([7, 8, 9])))
+    assert candidates(place(0), unlike_macs) == []
+
+
+def test_the_guard_on_the_order_sees_a_cue_asked_too_early(place):
+    like_in_all = with_fingerprint(place(1), Untouchable(macs=np.array(MACS)))
+    with pytest.raises(AssertionError, match="rssi_dbm was read"):
+        candidates(place(0), like_in_all)
+
+
+@pytest.mark.parametrize(("travel_m", "count"), [(11.9, 0), (12.0, 1), (40.0, 1)])
+def test_a_robot_meets_its_own_places_only_after_enough_path(place, travel_m, count):
+    assert len(candidates(place(0, 0), place(0, 1, travel_m=travel_m))) == count
+
+
+def test_robots_meet_each_other_at_once(place):
+    assert len(candidates(place(0, travel_m=0.0), place(1, travel_m=0.0))) == 1
+
+
+def test_a_keyframe_is_never_its_own_candidate(keyframe):
+    twice = keyframe(0, signs=[sign(), sign()], macs=MACS, rssi_dbm=LEVELS_DBM)
+    rule = PlaceRecognitionConfig(revisit_travel_m=0.0)
+    assert TextWifiRecogniser(rule).propose(twice) == []
+
+
+def test_the_better_of_two_texts_speaks_for_a_pair(keyframe):
+    first = keyframe(0, signs=[sign("ROOM A301"), sign("ROOM A302", (0.0, 3.0))], macs=MACS, rssi_dbm=LEVELS_DBM)
+    second = keyframe(1, signs=[sign("ROOM A302", (0.0, 1.0))], macs=MACS, rssi_dbm=LEVELS_DBM)
+    (found,) = candidates(first, second)
+    assert found.text_similarity == 1.0
+    assert found.guess == pytest.approx(np.array([0.0, 2.0, 0.0]), abs=1e-12)
+
+
+def test_each_earlier_place_gives_its_own_candidate(place):
+    recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
+    for index in range(3):
+        assert recogniser.propose(place(0, index)) == []
+    found = recogniser.propose(place(1, 0))
+    assert sorted(c.target for c in found) == [(0, 0), (0, 1), (0, 2)]
+
+
+def test_the_printed_rule_accepts_large_distances_and_refuses_small_ones(place):
+    far = place(1, rssi_dbm=np.array(LEVELS_DBM) - 20.0)
+    near = place(1)
+    (found,) = candidates(place(0), far, rssi_mode="paper", rssi_similarity_min=1.0)
+    assert found.rssi_similarity == pytest.approx(20.0 * math.sqrt(5))
+    assert candidates(place(0), near, rssi_mode="paper", rssi_similarity_min=1.0) == []
+    assert candidates(place(0), far, rssi_similarity_min=1.0) == []
+    assert len(candidates(place(0), near, rssi_similarity_min=1.0)) == 1
+
+
+def test_the_printed_rule_needs_a_shared_transmitter(place):
+    apart = place(1, macs=(7, 8, 9, 10, 11))
+    rule = {"rssi_mode": "paper", "mac_similarity_min": 0.0, "rssi_similarity_min": 0.0}
+    assert candidates(place(0), apart, **rule) == []
+    assert len(candidates(place(0), place(1), **rule)) == 1
+
+
+def test_case_and_spaces_matter_only_where_they_are_asked_to(place):
+    loud, quiet = place(0, text="FIRE  CABINET "), place(1, text="fire cabinet")
+    assert len(candidates(loud, quiet, text_similarity_min=1.0)) == 1
+    assert candidates(loud, quiet, text_similarity_min=1.0, normalise_text=False) == []
+
+
+def test_blank_texts_match_nothing(place):
+    assert candidates(place(0, text="  "), place(1, text="  "), text_similarity_min=0.0) == []
+    assert candidates(place(0, text=""), place(1, text="EXIT"), text_similarity_min=0.1) == []
+
+
+def test_a_sign_on_no_known_wall_gives_no_guess_and_no_candidate(keyframe, place):
+    adrift = keyframe(1, signs=[sign(facing=math.nan)], macs=MACS, rssi_dbm=LEVELS_DBM)
+    assert candidates(place(0), adrift) == []
+    assert candidates(adrift, place(0)) == []
+
+
+poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.1, 3.1)).map(np.array)
+
+
+@given(poses, poses, poses)
+def test_two_views_of_one_sign_give_the_exact_pose_between_them(keyframe, first, second, wall):
+    views = []
+    for robot, pose in enumerate((first, second)):
+        position = transform_points(inverse(pose), wall[None, :2])[0]
+        seen = sign(position=position, facing=float(wrap_angle(wall[2] - pose[2])))
+        views.append(keyframe(robot, signs=[seen], macs=MACS, rssi_dbm=LEVELS_DBM))
+    (found,) = candidates(*views)
+    assert between(between(first, second), found.guess) == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+def test_a_place_is_tried_again_only_when_an_end_has_moved_on(keyframe):
+    tried = ProposalFilter()
+
+    def at(robot, travel_m):
+        return keyframe(robot, travel_m=travel_m)
+
+    assert tried.is_new(at(0, 5.0), at(1, 8.0), 2.0)
+    assert not tried.is_new(at(0, 6.9), at(1, 8.0), 2.0)
+    assert not tried.is_new(at(1, 9.5), at(0, 5.5), 2.0)
+    assert tried.is_new(at(0, 5.0), at(1, 10.0), 2.0)
+    assert tried.is_new(at(0, 7.0), at(1, 8.0), 2.0)
+    assert tried.is_new(at(0, 5.0), at(2, 8.0), 2.0)
