@@ -15,7 +15,7 @@ Array = NDArray
 
 SIGHT_M = 1.6
 """Scan points further away than this do not matter to the next command."""
-MARGIN_M = 0.06
+MARGIN_M = 0.04
 """A command must keep the robot's rim this far from every scan point."""
 CAUTION_M = 0.22
 """With less than this between rim and scan points ahead, the robot slows down."""

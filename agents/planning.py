@@ -131,48 +131,60 @@ def _price(kind, squared, price_of_squared, cost):
 
 @njit(cache=True, error_model="numpy")
 def _frontiers(kind, cost, labels, cells):
-    """Label the clusters (8-neighbours) of enterable cells beside unknown ones.
+    """Label clusters (8-neighbours) of free cells beside unknown ones; only cells a robot may enter keep their label.
 
-    labels (h, w) int32 must come zeroed; cells (k, 2) is scratch. Returns per cluster its size, mean row and mean
-    column, shape (clusters + 1, 3), index 0 unused.
+    labels (h, w) int32 must come zeroed; cells (k, 2) is scratch. Returns per cluster its size, and mean row and mean
+    column of its enterable cells, shape (clusters + 1, 3), index 0 unused. Clusters without any are left out.
     """
     height, width = kind.shape
     found = 0
     for r in range(1, height - 1):
         for c in range(1, width - 1):
-            if cost[r, c] > 0 and (
-                kind[r - 1, c] == UNKNOWN or kind[r + 1, c] == UNKNOWN or kind[r, c - 1] == UNKNOWN
+            if kind[r, c] == FREE and (
+                kind[r - 1, c] == UNKNOWN
+                or kind[r + 1, c] == UNKNOWN
+                or kind[r, c - 1] == UNKNOWN
                 or kind[r, c + 1] == UNKNOWN
-            ) and found < cells.shape[0]:  # fmt: skip
+            ):
+                if found == cells.shape[0]:
+                    break
                 labels[r, c] = -1
                 cells[found, 0], cells[found, 1] = r, c
                 found += 1
-    stack = np.empty((found, 2), np.int32)
     clusters = np.zeros((found + 1, 3))
     count = 0
     for k in range(found):
-        if labels[cells[k, 0], cells[k, 1]] != -1:
+        if labels[cells[k, 0], cells[k, 1]] != -1 or cost[cells[k, 0], cells[k, 1]] == 0:
             continue
         count += 1
-        labels[cells[k, 0], cells[k, 1]] = count
-        stack[0] = cells[k]
-        depth = 1
-        while depth:
-            depth -= 1
-            r, c = stack[depth, 0], stack[depth, 1]
-            clusters[count, 0] += 1
-            clusters[count, 1] += r
-            clusters[count, 2] += c
-            for i in range(max(r - 1, 0), min(r + 2, height)):
-                for j in range(max(c - 1, 0), min(c + 2, width)):
-                    if labels[i, j] == -1:
-                        labels[i, j] = count
-                        stack[depth, 0], stack[depth, 1] = i, j
-                        depth += 1
-    for k in range(1, count + 1):
-        clusters[k, 1] /= clusters[k, 0]
-        clusters[k, 2] /= clusters[k, 0]
+        _gather(cost, labels, cells[k, 0], cells[k, 1], count, clusters)
+    for k in range(found):
+        if cost[cells[k, 0], cells[k, 1]] == 0:
+            labels[cells[k, 0], cells[k, 1]] = 0
     return clusters[: count + 1]
+
+
+@njit(cache=True, error_model="numpy")
+def _gather(cost, labels, row, column, label, clusters):
+    """Flood one cluster of cells labelled -1 from (row, column) and sum it up in clusters[label]."""
+    height, width = labels.shape
+    stack = [(row, column)]
+    labels[row, column] = label
+    enterable = 0
+    while stack:
+        r, c = stack.pop()
+        clusters[label, 0] += 1
+        if cost[r, c] > 0:
+            enterable += 1
+            clusters[label, 1] += r
+            clusters[label, 2] += c
+        for i in range(max(r - 1, 0), min(r + 2, height)):
+            for j in range(max(c - 1, 0), min(c + 2, width)):
+                if labels[i, j] == -1:
+                    labels[i, j] = label
+                    stack.append((i, j))
+    clusters[label, 1] /= enterable
+    clusters[label, 2] /= enterable
 
 
 @njit(cache=True, error_model="numpy")
@@ -373,11 +385,9 @@ class Terrain:
 
     FREE_BELOW = 0
     WALL_ABOVE = 0
-    MARGIN_M = 0.03
-    """Added to the radius: nearer to a wall than this no path is planned."""
     COMFORT_M = 0.6
     """Beyond this clearance open floor costs no more."""
-    WALL_PRICE = 12
+    WALL_PRICE = 30
     """Cost factor right at the nearest allowed clearance."""
 
     def __init__(self, grid: GridMap, robot_radius_m: float, robots_m: Array | None = None):
@@ -395,7 +405,7 @@ class Terrain:
         squared = np.empty(shape, np.float32)
         _squared_clearance(self.kind, reach, np.empty(shape, np.float32), squared)
         self.cost = np.empty(shape, np.int16)
-        limit = (robot_radius_m + self.MARGIN_M) / cell
+        limit = robot_radius_m / cell - 1e-6
         _price(self.kind, squared, _prices(limit, reach), self.cost)
         self.labels = np.zeros(shape, np.int32)
         self.clusters = _frontiers(self.kind, self.cost, self.labels, np.empty((self.kind.size // 2 + 1, 2), np.int32))
@@ -524,5 +534,5 @@ def _prices(limit_cells: float, reach_cells: int) -> Array:
     """Cost factor by squared clearance in cells: 0 below the limit, falling to OPEN_COST at the reach."""
     distance = np.sqrt(np.arange(reach_cells * reach_cells + 1))
     near = np.clip((reach_cells - distance) / max(reach_cells - limit_cells, 1e-9), 0.0, 1.0)
-    price = OPEN_COST + (Terrain.WALL_PRICE - OPEN_COST) * near**2
+    price = OPEN_COST + (Terrain.WALL_PRICE - OPEN_COST) * near**3
     return np.where(distance < limit_cells, 0, np.round(price)).astype(np.int16)

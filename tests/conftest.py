@@ -2,8 +2,31 @@
 
 import os
 
+import numpy as np
+import pytest
 from hypothesis import settings
+
+from twc_env.geometry import wrap_angle
 
 # The first call of a kernel compiles it, which no deadline should judge; CI draws the same examples in every run.
 settings.register_profile("twc_env", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("twc_env")
+
+
+def wander_by_scan(ranges_m: np.ndarray, step: int = 0, robot: int = 0) -> np.ndarray:
+    """Action (2,) that drives towards open space: a driver that knows its latest scan and nothing else."""
+    beams = len(ranges_m)
+    bearing = wrap_angle(np.arange(beams) * 2 * np.pi / beams)
+    near = np.minimum(ranges_m, 4.0)
+    width = beams // 18
+    clear = np.min([np.roll(near, k) for k in range(-width, width + 1)], axis=0)
+    score = np.where(np.abs(bearing) > 2.2, -np.inf, clear - 0.6 * np.abs(bearing))
+    goal = bearing[np.argmax(score)] + 0.3 * np.sin(0.02 * step + 2 * robot)
+    ahead = near[np.abs(bearing) < 0.5].min()
+    speed = np.clip((ahead - 0.35) / 0.8, 0.0, 1.0) * max(np.cos(goal), 0.0)
+    return np.array([speed, np.clip(1.5 * goal, -1.0, 1.0)], np.float32)
+
+
+@pytest.fixture(scope="session")
+def wander():
+    return wander_by_scan

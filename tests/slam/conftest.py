@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from twc_env.config import EnvConfig
 from twc_env.geometry import between
-from twc_env.messages import Fingerprint, Keyframe
+from twc_env.maps import load_map
+from twc_env.messages import Fingerprint, Keyframe, SensorFrame
+from twc_env.world.world import World
 
 RANGE_MAX_M = 10.0
 
@@ -97,3 +100,29 @@ def hall():
             polygon_walls((3.0, 1.0), (3.5, 1.0), (3.5, 1.6), (3.0, 1.6)),
         ]
     )
+
+
+def record_frames(config: EnvConfig, wander, steps: int, seed: int = 0) -> tuple[list[tuple[SensorFrame, ...]], np.ndarray]:
+    """Frames of every step of a team that wanders, and the true poses (steps + 1, robots, 3)."""
+    world = World(config, load_map(config.map))
+    world.reset(seed, "map")
+    frames, poses = [world.sense()], [world.poses]
+    maxima = (config.dynamics.speed_max_m_s, config.dynamics.turn_rate_max_rad_s)
+    for step in range(steps):
+        actions = [wander(frame.ranges_m, step, frame.robot) for frame in frames[-1]]
+        world.step(np.array(actions, float) * maxima)
+        frames.append(world.sense())
+        poses.append(world.poses)
+    return frames, np.array(poses)
+
+
+@pytest.fixture(scope="session")
+def record(wander):
+    return lambda config, steps, seed=0: record_frames(config, wander, steps, seed)
+
+
+@pytest.fixture(scope="session")
+def recorded(record):
+    """A team of three in twin-01 for 500 steps: config, frames, true poses."""
+    config = EnvConfig(map="twin-01", robots=3)
+    return config, *record(config, 500)

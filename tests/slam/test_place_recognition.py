@@ -158,7 +158,7 @@ def test_case_and_spaces_matter_only_where_they_are_asked_to(place):
 
 
 def test_blank_texts_match_nothing(place):
-    assert candidates(place(0, text="  "), place(1, text="  "), text_similarity_min=0.0) == []
+    assert candidates(place(0, text="  "), place(1, text="  "), text_similarity_min=0.1) == []
     assert candidates(place(0, text=""), place(1, text="EXIT"), text_similarity_min=0.1) == []
 
 

@@ -65,7 +65,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     Versions: v0, first release.
     """
 
-    metadata = {"name": "twc_env_explore_v0", "render_modes": ["rgb_array"], "is_parallelizable": True, "render_fps": 10}
+    metadata = {
+        "name": "twc_env_explore_v0",
+        "render_modes": ["rgb_array"],
+        "is_parallelizable": True,
+        "render_fps": 10,
+    }
 
     def __init__(
         self,

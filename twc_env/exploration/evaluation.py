@@ -70,7 +70,7 @@ class EpisodeRecord:
         self.count = 0
         self._true = np.zeros((max_steps + 1, robots, 3))
         self._odom = np.zeros((max_steps + 1, robots, 3))
-        self._reckoned = np.zeros((max_steps + 1, robots, 3))
+        self._odometry = np.zeros((max_steps + 1, robots, 3))
         self.contact_count = 0
         self._touching = np.zeros(robots, bool)
         self.wrong_pairs: set[tuple[int, int]] = set()
@@ -78,8 +78,7 @@ class EpisodeRecord:
     def append(self, true_poses: Array, odom_poses: Array, odometry: Array, contacts: Array) -> None:
         """Note one step: truth, front-end poses, measured motion, and contacts, one row per robot."""
         t = self.count
-        self._true[t], self._odom[t] = true_poses, odom_poses
-        self._reckoned[t] = compose(self._reckoned[t - 1], odometry) if t else true_poses
+        self._true[t], self._odom[t], self._odometry[t] = true_poses, odom_poses, odometry
         self.contact_count += int((contacts & ~self._touching).sum())
         self._touching = contacts.copy()
         self.count += 1
@@ -94,10 +93,13 @@ class EpisodeRecord:
         """(steps + 1, robots, 3) front-end estimate, each in its robot's odom frame."""
         return self._odom[: self.count]
 
-    @property
     def odometry_poses(self) -> Array:
         """(steps + 1, robots, 3) dead reckoning from the true start, building frame."""
-        return self._reckoned[: self.count]
+        poses = np.empty((self.count, *self._true.shape[1:]))
+        poses[0] = self._true[0]
+        for t in range(1, self.count):
+            poses[t] = compose(poses[t - 1], self._odometry[t])
+        return poses
 
 
 def judge_group(engine: CooperativeSlam, group: int, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
@@ -170,7 +172,8 @@ def evaluate(
     score = _score(engine.team.grid_of(group), best.pose_building_map, cells)
     closures = _closures(engine, record, alignment)
     counted = metrics.score_closures([c["correct"] for c in closures], [c["status"] == "accepted" for c in closures])
-    by_odometry = _score_odometry(engine, record, config, cells)
+    reckoned = record.odometry_poses()
+    by_odometry = _score_odometry(engine, reckoned, true, config, cells)
     robots = range(true.shape[1])
     figures = {
         "map": config.map,
@@ -188,7 +191,7 @@ def evaluate(
         "team_ate_m": float(np.sqrt((error**2).sum(axis=-1).mean())),
         "per_robot_ate_m": [metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in robots],
         "epe_m": float(np.mean([metrics.end_point_error_m(estimated[:, r], true[:, r]) for r in robots])),
-        "odometry_ate_m": _position_rmse(record.odometry_poses, true),
+        "odometry_ate_m": metrics.absolute_trajectory_error_m(reckoned, true),
         "odometry_coverage_correct": by_odometry.coverage_correct,
         "odometry_map_iou": by_odometry.map_iou,
         "odometry_wall_iou": by_odometry.wall_iou,
@@ -216,7 +219,7 @@ def evaluate(
         figures=figures,
         true_poses=true.copy(),
         estimated_poses=estimated,
-        odometry_poses=record.odometry_poses.copy(),
+        odometry_poses=reckoned,
         groups=tuple(v.robots for v in verdicts),
         grids=tuple(engine.team.grid_of(engine.team.group_index(v.robots[0])) for v in verdicts),
         pose_building_map=np.array([v.pose_building_map for v in verdicts]),
@@ -227,11 +230,6 @@ def evaluate(
 
 def _or_none(value: float) -> float | None:
     return None if math.isnan(value) else value
-
-
-def _position_rmse(estimated: Array, true: Array) -> float:
-    """One rigid alignment of all robots together; their true relative starts are given away."""
-    return metrics.absolute_trajectory_error_m(estimated, true)
 
 
 def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.MapScore:
@@ -268,11 +266,10 @@ def _seen_share(grid: GridMap, cells: Cells) -> float:
 
 
 def _score_odometry(
-    engine: CooperativeSlam, record: EpisodeRecord, config: EnvConfig, cells: Cells
+    engine: CooperativeSlam, reckoned: Array, true: Array, config: EnvConfig, cells: Cells
 ) -> metrics.MapScore:
     """The map that dead reckoning alone would give, its true relative starts given away, after one alignment."""
-    alignment = metrics.align_team(record.odometry_poses, record.true_poses)
-    return _score(_map_at(engine, record.odometry_poses, config), alignment, cells)
+    return _score(_map_at(engine, reckoned, config), metrics.align_team(reckoned, true), cells)
 
 
 def _closures(engine: CooperativeSlam, record: EpisodeRecord, alignment: Array) -> list[dict]:

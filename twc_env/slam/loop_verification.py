@@ -90,7 +90,10 @@ class LoopVerifier:
         return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
 
     def _draw_target(self, target: Keyframe, path: Sequence[Keyframe]) -> None:
-        if self._drawn == (target.robot, target.index) and path[-1].travel_m > target.travel_m + self._config.cloud_reach_m:
+        if (
+            self._drawn == (target.robot, target.index)
+            and path[-1].travel_m > target.travel_m + self._config.cloud_reach_m
+        ):
             return
         self._drawn = (target.robot, target.index)
         near = _neighbours(target, path, self._config.cloud_reach_m)

@@ -38,8 +38,7 @@ def _predict(x, p, odometry, turn_rate, dt, config):
     odometry_turn_std_rad, gyro_bias_walk_rad_s.
     """
     turn = (turn_rate - x[3]) * dt
-    middle = x[2] + 0.5 * turn
-    c, s = math.cos(middle), math.sin(middle)
+    c, s = math.cos(x[2]), math.sin(x[2])  # odometry is given in the robot frame of the last frame
     dx, dy = odometry[0], odometry[1]
     mx, my = c * dx - s * dy, s * dx + c * dy
     x[0] += mx
@@ -48,14 +47,14 @@ def _predict(x, p, odometry, turn_rate, dt, config):
     noise = np.empty(3)
     _motion_noise(dx, dy, config, noise)
     # P <- F P F^T with F = I + rows 0-2: d/d heading and d/d bias
-    f02, f12, f03, f13, f23 = -my, mx, 0.5 * my * dt, -0.5 * mx * dt, -dt
+    f02, f12, f23 = -my, mx, -dt
     for j in range(4):
-        p[0, j] += f02 * p[2, j] + f03 * p[3, j]
-        p[1, j] += f12 * p[2, j] + f13 * p[3, j]
+        p[0, j] += f02 * p[2, j]
+        p[1, j] += f12 * p[2, j]
         p[2, j] += f23 * p[3, j]
     for i in range(4):
-        p[i, 0] += f02 * p[i, 2] + f03 * p[i, 3]
-        p[i, 1] += f12 * p[i, 2] + f13 * p[i, 3]
+        p[i, 0] += f02 * p[i, 2]
+        p[i, 1] += f12 * p[i, 2]
         p[i, 2] += f23 * p[i, 3]
     p[0, 0] += noise[0]
     p[1, 1] += noise[1]
@@ -124,6 +123,46 @@ def _process_values(config: OdometryFilterConfig) -> Array:
     )
 
 
+@njit(cache=True, error_model="numpy")
+def _motion_covariance(variance, heading, matched, covariance_min, out):
+    """Covariance of a motion from odometry's variances (3,), sharpened by the information (3, 3) of its last match.
+
+    `matched` is in the odom frame, the motion in the frame of a keyframe with that heading.
+    """
+    c, s = math.cos(heading), math.sin(heading)
+    information, turned = np.zeros((3, 3)), np.empty((3, 3))
+    for i in range(3):  # turned = matched @ R, information = R^T turned
+        turned[i, 0] = matched[i, 0] * c + matched[i, 1] * s
+        turned[i, 1] = matched[i, 1] * c - matched[i, 0] * s
+        turned[i, 2] = matched[i, 2]
+    for j in range(3):
+        information[0, j] = c * turned[0, j] + s * turned[1, j]
+        information[1, j] = c * turned[1, j] - s * turned[0, j]
+        information[2, j] = turned[2, j]
+        information[j, j] += 1.0 / max(variance[j], 1e-9)
+    _invert3(information, out)
+    for j in range(3):
+        out[j, j] += covariance_min[j]
+
+
+def motion_covariance(variance: Array, heading_rad: float, matched: Array, std_min: Array) -> Array:
+    """(3, 3) covariance of the motion since a keyframe, in that keyframe's frame.
+
+    variance (3,): odometry's, gathered on the way; matched (3, 3): information of the pose now, in the odom frame
+    (zeros when nothing was matched); std_min (3,): nothing is known better than this.
+    """
+    out = np.empty((3, 3))
+    _motion_covariance(variance, heading_rad, matched, np.square(std_min), out)
+    return out
+
+
+def invert_symmetric(matrix: Array) -> Array:
+    """Inverse of a symmetric (3, 3) matrix, without the overhead of LAPACK."""
+    out = np.empty((3, 3))
+    _invert3(matrix, out)
+    return out
+
+
 class CompiledFilter:
     """The filter of the hot path."""
 
@@ -168,12 +207,12 @@ class FilterpyFilter:
         """Move by one frame's odometry (3,) and gyro."""
         ekf, (dx, dy, turn_odometry) = self._ekf, odometry
         turn = (turn_rate_rad_s - ekf.x[3]) * dt_s
-        c, s = math.cos(ekf.x[2] + 0.5 * turn), math.sin(ekf.x[2] + 0.5 * turn)
+        c, s = math.cos(ekf.x[2]), math.sin(ekf.x[2])
         mx, my = c * dx - s * dy, s * dx + c * dy
         noise = np.empty(3)
         _motion_noise(dx, dy, self._values, noise)
         ekf.F = np.eye(4)
-        ekf.F[:3, 2:] += np.array([[-my, 0.5 * my * dt_s], [mx, -0.5 * mx * dt_s], [0.0, -dt_s]])
+        ekf.F[:3, 2:] += np.array([[-my, 0.0], [mx, 0.0], [0.0, -dt_s]])
         ekf.Q = np.diag([*noise, self._config.gyro_bias_walk_rad_s**2 * dt_s])
         moved = ekf.x + np.array([mx, my, turn, 0.0])
         ekf.predict()

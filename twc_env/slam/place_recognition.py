@@ -16,8 +16,8 @@ from twc_env.slam.text_similarity import normalise, text_similarities
 
 Array = NDArray
 
-SAME_PLACE_M = 1.0
-"""Two proposals whose ends are both nearer than this along the paths say the same thing."""
+SAME_PLACE_M = 0.5
+"""The same text read again within this path length is not remembered twice."""
 
 
 class TextWifiRecogniser:
@@ -30,6 +30,7 @@ class TextWifiRecogniser:
     def __init__(self, config: PlaceRecognitionConfig):
         self._config = config
         self._texts: list[str] = []
+        self._last_read_m: dict[tuple[int, str], float] = {}
         self._places: list[tuple[Keyframe, SignObservation]] = []
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
@@ -55,15 +56,28 @@ class TextWifiRecogniser:
                 if held is None or candidate.text_similarity > held.text_similarity:
                     best[candidate.target] = candidate
         for text, sign in readings:
-            self._texts.append(text)
-            self._places.append((keyframe, sign))
+            self._remember(text, keyframe, sign)
         return list(best.values())
+
+    def _remember(self, text: str, keyframe: Keyframe, sign: SignObservation) -> None:
+        """Keep a reading, unless the same robot read the same just before."""
+        last_m = self._last_read_m.get((keyframe.robot, text), -math.inf)
+        if keyframe.travel_m - last_m < SAME_PLACE_M:
+            return
+        self._last_read_m[keyframe.robot, text] = keyframe.travel_m
+        self._texts.append(text)
+        self._places.append((keyframe, sign))
 
     def _key(self, text: str) -> str:
         return normalise(text) if self._config.normalise_text else text
 
     def _compare(
-        self, target: Keyframe, target_sign: SignObservation, source: Keyframe, source_sign: SignObservation, text: float
+        self,
+        target: Keyframe,
+        target_sign: SignObservation,
+        source: Keyframe,
+        source_sign: SignObservation,
+        text: float,
     ) -> LoopCandidate | None:
         rule = self._config
         if math.isnan(target_sign.facing_rad) or math.isnan(source_sign.facing_rad):

@@ -12,7 +12,7 @@ from twc_env.config import EnvConfig
 from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Keyframe, SensorFrame, SignObservation
 from twc_env.slam.mate_detection import mark_mates
-from twc_env.slam.odometry_filter import make_filter
+from twc_env.slam.odometry_filter import make_filter, motion_covariance
 from twc_env.slam.radio_fingerprint import fingerprint
 from twc_env.slam.scan_matching import LineField
 
@@ -25,6 +25,9 @@ MATCHED_SHARE_MIN = 0.3
 """Nor is one that explains fewer of the beams."""
 MOTION_STD_MIN = np.array([0.01, 0.01, 0.003])
 """Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""
+
+
+NOTHING_MATCHED = np.zeros((3, 3))
 
 
 class RobotFrontEnd:
@@ -48,7 +51,7 @@ class RobotFrontEnd:
         self._travel_m = 0.0
         self._time_s = 0.0
         self._motion_variance = np.zeros(3)
-        self._match_information: Array | None = None
+        self._match_information = NOTHING_MATCHED
         self.pose_odom = np.zeros(3)
         """(3,) the estimate after the latest frame."""
 
@@ -88,7 +91,7 @@ class RobotFrontEnd:
             self._match_variance_m2,
         )  # fmt: skip
         jump_x, jump_y, turn = (pose - guess).tolist()
-        self._match_information = None
+        self._match_information = NOTHING_MATCHED
         if share < MATCHED_SHARE_MIN or math.hypot(jump_x, jump_y) > INNOVATION_MAX_M or abs(turn) > INNOVATION_MAX_RAD:
             return
         self._match_information = information
@@ -116,7 +119,9 @@ class RobotFrontEnd:
         motion, covariance = np.zeros(3), np.zeros((3, 3))
         if self._keyframes:
             motion = between(self._keyframes[-1].pose_odom, self.pose_odom)
-            covariance = self._motion_covariance(self._keyframes[-1].pose_odom[2])
+            covariance = motion_covariance(
+                self._motion_variance, self._keyframes[-1].pose_odom[2], 0.5 * self._match_information, MOTION_STD_MIN
+            )
         recent = [scan for time_s, scan in self._scans if time_s > frame.time_s - rule.fingerprint_window_s]
         robot_odom = inverse(self.pose_odom)
         signs = tuple(
@@ -138,16 +143,6 @@ class RobotFrontEnd:
             signs=signs,
             fingerprint=fingerprint(recent, rule.fingerprint_detection_min, rule.std_mode),
         )
-
-    def _motion_covariance(self, heading_rad: float) -> Array:
-        """Odometry's covariance since the last keyframe, sharpened by what the local map fixes."""
-        information = np.diag(1.0 / np.maximum(self._motion_variance, 1e-9))
-        if self._match_information is not None:
-            c, s = math.cos(heading_rad), math.sin(heading_rad)
-            turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-            information += turn.T @ (0.5 * self._match_information) @ turn
-        covariance = np.linalg.inv(information)
-        return covariance + np.diag(MOTION_STD_MIN**2)
 
     def _extend_local_map(self, keyframe: Keyframe) -> None:
         position = keyframe.pose_odom[:2]

@@ -93,7 +93,9 @@ def _add_scan(distance, lines, origin_x, origin_y, inverse_m, x, y, heading, ran
 @njit(cache=True, error_model="numpy")
 def _add_scans(distance, lines, origin_x, origin_y, inverse_m, poses, scans, range_max):
     for k in range(poses.shape[0]):
-        _add_scan(distance, lines, origin_x, origin_y, inverse_m, poses[k, 0], poses[k, 1], poses[k, 2], scans[k], range_max)
+        _add_scan(
+            distance, lines, origin_x, origin_y, inverse_m, poses[k, 0], poses[k, 1], poses[k, 2], scans[k], range_max
+        )
 
 
 @njit(cache=True, error_model="numpy")
@@ -168,7 +170,19 @@ def _solve3(h, g, damping, out):
 
 @njit(cache=True, error_model="numpy")
 def _refine(
-    distance, lines, origin_x, origin_y, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, pose, h
+    distance,
+    lines,
+    origin_x,
+    origin_y,
+    inverse_m,
+    points,
+    n,
+    guess,
+    distance_max,
+    iterations,
+    degenerate_share,
+    pose,
+    h,
 ):
     """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
 
@@ -218,7 +232,9 @@ def _score(distance, origin_x, origin_y, inverse_m, points, n, stride, x, y, c, 
 
 
 @njit(cache=True, error_model="numpy")
-def _correlate(distance, origin_x, origin_y, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best):
+def _correlate(
+    distance, origin_x, origin_y, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best
+):
     """Brute force over a window around guess, nearest first; writes the best pose, gives its mean score in [0, 1]."""
     best_score = -1.0
     turns = int(window_rad / step_rad)
@@ -336,7 +352,17 @@ class LineField:
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
         pose, h = np.empty(3), np.zeros(6)
         _, weight, degenerate, vx, vy = _refine(
-            self._distance, self._lines, *self._frame, points, len(points), guess, distance_max_m, iterations, degenerate_share, pose, h
+            self._distance,
+            self._lines,
+            *self._frame,
+            points,
+            len(points),
+            guess,
+            distance_max_m,
+            iterations,
+            degenerate_share,
+            pose,
+            h,
         )
         hessian = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
         return Match(pose, hessian, weight, degenerate, np.array([vx, vy]))

@@ -16,6 +16,7 @@ from twc_env.messages import GridMap, Keyframe, KnownSign, LoopCandidate, LoopCl
 from twc_env.slam import map_merging, pose_graph
 from twc_env.slam.loop_verification import LoopVerifier
 from twc_env.slam.occupancy_grid import OccupancyGrid
+from twc_env.slam.odometry_filter import invert_symmetric
 from twc_env.slam.place_recognition import ProposalFilter, TextWifiRecogniser
 
 Array = NDArray
@@ -96,6 +97,7 @@ class TeamMapper:
         self._dirty: dict[int, bool] = {}
         """Groups with closures that came since the last optimisation; True where one of them is urgent."""
         self._last_optimised_step = -(10**9)
+        self._travels = [_Growing() for _ in range(robot_count)]
         self._signs_read = [0] * robot_count
         self._signs: dict[int, tuple[tuple[int, int], tuple[KnownSign, ...]]] = {}
 
@@ -187,13 +189,14 @@ class TeamMapper:
         self._map_odom[robot] = None
         self.keyframes[robot].append(keyframe)
         self._steps[robot].append(keyframe.step)
+        self._travels[robot].append(keyframe.travel_m)
         self._signs_read[robot] += len(keyframe.signs)
         self.groups[self._group_of[robot]].grid.integrate(pose[None], keyframe.ranges_m[None])
 
     def _add_edge(self, first: int, second: int, measured: Array, covariance: Array, is_closure: bool) -> None:
         self._edges.append((first, second))
         self._measured.append(measured)
-        self._information.append(np.linalg.inv(covariance))
+        self._information.append(invert_symmetric(covariance))
         self._is_closure.append(is_closure)
 
     def _propose(self, keyframe: Keyframe) -> None:
@@ -220,13 +223,12 @@ class TeamMapper:
         here = self._poses.rows[self._nodes[keyframe.robot][-1]]
         best, best_m = None, rule.proximity_m
         for robot in self.groups[self._group_of[keyframe.robot]].robots:
-            path = self.keyframes[robot]
+            count = len(self.keyframes[robot])
             if robot == keyframe.robot:
-                horizon = keyframe.travel_m - rule.revisit_travel_m
-                path = path[: np.searchsorted([k.travel_m for k in path], horizon)]
-            if not path:
+                count = int(np.searchsorted(self._travels[robot].rows, keyframe.travel_m - rule.revisit_travel_m))
+            if count == 0:
                 continue
-            away = np.linalg.norm(self.poses_of(robot)[: len(path), :2] - here[:2], axis=1)
+            away = np.linalg.norm(self.poses_of(robot)[:count, :2] - here[:2], axis=1)
             nearest = int(np.argmin(away))
             if away[nearest] < best_m:
                 best, best_m = (robot, nearest), away[nearest]
@@ -327,11 +329,11 @@ class TeamMapper:
                 poses = compose(pose_a_b, poses) if group == b else poses
                 positions.append(poses[:, :2])
                 robots += [robot] * len(poses)
-                travels += [k.travel_m for k in self.keyframes[robot]]
+                travels.append(self._travels[robot].rows)
                 prints += [k.fingerprint for k in self.keyframes[robot]]
                 is_b += [group == b] * len(poses)
         verdict = map_merging.wifi_agrees(
-            np.concatenate(positions), np.array(robots), np.array(travels), prints, np.array(is_b)
+            np.concatenate(positions), np.array(robots), np.concatenate(travels), prints, np.array(is_b)
         )
         return bool(verdict)
 

@@ -1,0 +1,204 @@
+import hashlib
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twc_env.config import EnvConfig, override
+from twc_env.geometry import align_rigidly, between, compose
+from twc_env.slam.engine import CooperativeSlam
+
+REPLAY = """
+import pickle, sys
+with open(sys.argv[1], "rb") as file:
+    config, frames = pickle.load(file)
+from twc_env.slam.engine import CooperativeSlam
+engine = CooperativeSlam(config, config.robots)
+for step in frames:
+    engine.update(step)
+engine.finish()
+loaded = sorted(name for name in sys.modules if name.startswith(("twc_env.world", "twc_env.random_streams", "pymunk")))
+print(",".join(loaded))
+print(b"".join(engine.team.poses_of(robot).tobytes() for robot in range(config.robots)).hex())
+"""
+
+
+def replay(config, frames) -> CooperativeSlam:
+    engine = CooperativeSlam(config, config.robots)
+    for step in frames:
+        engine.update(step)
+    return engine
+
+
+def digest_of(engine) -> str:
+    """Every pose and every cell."""
+    robots = range(len(engine.robots))
+    parts = [engine.robots[r].pose_odom for r in robots] + [engine.team.poses_of(r) for r in robots]
+    for group in range(len(engine.team.groups)):
+        grid = engine.team.grid_of(group)
+        parts += [grid.log_odds, grid.origin_m]
+    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+
+
+@pytest.fixture(scope="module")
+def engine(recorded):
+    config, frames, _ = recorded
+    return replay(config, frames)
+
+
+def test_replaying_the_frames_gives_the_same_poses_and_grids(recorded, engine):
+    config, frames, _ = recorded
+    assert digest_of(replay(config, frames)) == digest_of(engine)
+
+
+def test_the_digest_sees_one_millimetre_in_one_frame(recorded, engine):
+    config, frames, _ = recorded
+    first, *others = frames[100]
+    odometry = first.odometry + [0.001, 0.0, 0.0]
+    changed = [*frames[:100], (replace(first, odometry=odometry), *others), *frames[101:]]
+    assert digest_of(replay(config, changed)) != digest_of(engine)
+
+
+def test_replaying_changes_no_frame(recorded):
+    config, frames, _ = recorded
+    before = hashlib.sha256(pickle.dumps(frames[:150])).hexdigest()
+    replay(config, frames[:150])
+    assert hashlib.sha256(pickle.dumps(frames[:150])).hexdigest() == before
+
+
+def test_the_engine_runs_in_a_process_that_never_loads_a_world(recorded, tmp_path):
+    config, frames, _ = recorded
+    path = tmp_path / "frames.pickle"
+    path.write_bytes(pickle.dumps((config, frames[:200])))
+    run = subprocess.run([sys.executable, "-c", REPLAY, str(path)], capture_output=True, text=True, check=True)
+    loaded, poses = run.stdout.splitlines()
+    here = replay(config, frames[:200])
+    here.finish()
+    assert loaded == ""
+    assert poses == b"".join(here.team.poses_of(robot).tobytes() for robot in range(config.robots)).hex()
+
+
+def test_a_front_end_does_not_depend_on_its_mates(recorded):
+    config, frames, _ = recorded
+    alone = CooperativeSlam(config, 1)
+    together = CooperativeSlam(config, 3)
+    for step in frames[:200]:
+        alone.track(step[:1])
+        together.track(step[::-1])
+        assert alone.robots[0].pose_odom.tobytes() == together.robots[0].pose_odom.tobytes()
+
+
+def test_three_robots_find_each_other_and_agree_with_the_truth(recorded, engine):
+    _, frames, true_poses = recorded
+    merged = max((group.robots for group in engine.team.groups), key=len)
+    assert len(merged) >= 2
+    steps = [engine.team.keyframe_steps(r) for r in merged]
+    true = np.concatenate([true_poses[s, r] for s, r in zip(steps, merged, strict=True)])
+    estimated = np.concatenate([engine.team.poses_of(r) for r in merged])
+    aligned = compose(align_rigidly(estimated[:, :2], true[:, :2]), estimated)
+    assert np.hypot(*(aligned - true)[:, :2].T).max() < 0.5
+    assert np.sqrt(((aligned - true)[:, :2] ** 2).sum(axis=1).mean()) < 0.2
+    assert len(frames) == len(true_poses)
+
+
+def test_mates_of_a_group_appear_in_each_others_belief(engine):
+    for robot in range(3):
+        group = engine.team.groups[engine.team.group_index(robot)].robots
+        belief = engine.belief(robot)
+        assert set(belief.mates) == set(group) - {robot}
+        assert belief.pose_map_robot.tobytes() == engine.pose_map_robot(robot).tobytes()
+        for mate, pose in belief.mates.items():
+            assert pose.tobytes() == engine.pose_map_robot(mate).tobytes()
+            assert engine.belief(mate).grid.log_odds is belief.grid.log_odds
+
+
+def test_a_believed_text_stands_once_per_place(engine):
+    signs = engine.belief(0).signs
+    assert len(signs) > 0
+    for i, sign in enumerate(signs):
+        assert all(s.text != sign.text or np.hypot(*(s.position_m - sign.position_m)) > 0.9 for s in signs[:i])
+
+
+def test_before_the_first_frame_every_robot_is_its_own_map():
+    engine = CooperativeSlam(EnvConfig(), 2)
+    for robot in range(2):
+        belief = engine.belief(robot)
+        assert (belief.mates, belief.signs, belief.grid.log_odds.size) == ({}, (), 0)
+        assert belief.pose_map_robot.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_both_filters_give_the_same_poses(recorded):
+    config, frames, _ = recorded
+    engines = [
+        replay(override(config, {"slam.odometry_filter.backend": backend}), [step[:1] for step in frames[:120]])
+        for backend in ("compiled", "filterpy")
+    ]
+    first, second = (engine.team.poses_of(0) for engine in engines)
+    assert len(first) > 5
+    assert np.abs(between(first, second)).max() < 1e-6
+
+
+def test_perfect_sensors_give_a_trajectory_without_drift(record):
+    config = override(EnvConfig(robots=2), {"odometry.drift": 0.0, "lidar.range_noise_std_m": 0.0})
+    frames, true_poses = record(config, 200)
+    engine = CooperativeSlam(config, 2)
+    for t, step in enumerate(frames):
+        engine.track(step)
+        for robot in range(2):
+            error = between(between(true_poses[0, robot], true_poses[t, robot]), engine.robots[robot].pose_odom)
+            assert np.hypot(error[0], error[1]) < 0.03
+            assert abs(error[2]) < 0.01
+
+
+def test_scan_matching_beats_dead_reckoning(recorded):
+    config, frames, true_poses = recorded
+    engine = CooperativeSlam(config, 3)
+    reckoned = np.zeros((3, 3))
+    for step in frames:
+        engine.track(step)
+        reckoned = compose(reckoned, np.array([frame.odometry for frame in step]))
+    true = between(true_poses[0], true_poses[-1])
+    matched = np.array([robot.pose_odom for robot in engine.robots])
+    error_matched, error_reckoned = (np.hypot(*(p - true)[:, :2].T).mean() for p in (matched, reckoned))
+    assert error_matched < 0.5 * error_reckoned
+
+
+def test_a_robot_without_signs_or_radio_still_maps(recorded):
+    config, frames, _ = recorded
+    blind = [tuple(replace(frame, wifi=None, signs=()) for frame in step) for step in frames[:150]]
+    engine = replay(config, blind)
+    assert [group.robots for group in engine.team.groups] == [(0,), (1,), (2,)]
+    assert engine.belief(0).signs == ()
+    assert np.count_nonzero(engine.belief(0).grid.log_odds < 0) > 1000
+
+
+def test_keyframes_that_arrive_late_end_in_the_same_map_of_one_robot(recorded):
+    config, frames, _ = recorded
+    prompt, late = CooperativeSlam(config, 1), CooperativeSlam(config, 1)
+    waiting = []
+    for step in frames[:150]:
+        prompt.update(step[:1])
+        waiting += late.track(step[:1])
+        if len(waiting) > 4:
+            late.absorb(step[0].step, waiting)
+            waiting = []
+    late.absorb(150, waiting)
+    for engine in (prompt, late):
+        engine.finish()
+    assert len(late.team.poses_of(0)) == len(prompt.team.poses_of(0))
+    assert np.abs(between(prompt.team.poses_of(0), late.team.poses_of(0)))[:, :2].max() < 0.05
+
+
+def test_the_pose_graph_has_one_chain_per_robot_and_every_accepted_closure(engine):
+    graph, team = engine.team.graph(), engine.team
+    counts = [len(team.keyframes[r]) for r in range(3)]
+    kinds = graph["edges_kind"]
+    assert len(graph["nodes"]) == sum(counts)
+    assert kinds.count("odometry") == sum(count - 1 for count in counts)
+    assert kinds.count("closure") == sum(c.status == "accepted" for c in team.closures)
+    for kind, (a, b) in zip(kinds, graph["edges_ij"], strict=True):
+        (robot_a, index_a), (robot_b, index_b) = graph["node_ids"][a], graph["node_ids"][b]
+        assert kind == "closure" or (robot_a == robot_b and index_b == index_a + 1)
