@@ -385,9 +385,11 @@ class Terrain:
 
     FREE_BELOW = 0
     WALL_ABOVE = 0
+    MARGIN_M = 0.03
+    """Added to the radius: nearer to a wall than this no path is planned."""
     COMFORT_M = 0.6
     """Beyond this clearance open floor costs no more."""
-    WALL_PRICE = 30
+    WALL_PRICE = 20
     """Cost factor right at the nearest allowed clearance."""
 
     def __init__(self, grid: GridMap, robot_radius_m: float, robots_m: Array | None = None):
@@ -405,7 +407,7 @@ class Terrain:
         squared = np.empty(shape, np.float32)
         _squared_clearance(self.kind, reach, np.empty(shape, np.float32), squared)
         self.cost = np.empty(shape, np.int16)
-        limit = robot_radius_m / cell - 1e-6
+        limit = (robot_radius_m + self.MARGIN_M) / cell
         _price(self.kind, squared, _prices(limit, reach), self.cost)
         self.labels = np.zeros(shape, np.int32)
         self.clusters = _frontiers(self.kind, self.cost, self.labels, np.empty((self.kind.size // 2 + 1, 2), np.int32))

@@ -1,8 +1,8 @@
 """Measure speed: environment steps per second of the world alone and of the whole step with SLAM inside.
 
 The robots wander by reflex (the driver's time is not counted), through whole episodes, so that keyframes, loop
-closures, merges, optimisation and redrawing are all paid for. The team's trajectory error is printed beside the speed, because an
-engine that has lost track can be fast.
+closures, merges, optimisation and redrawing are all paid for. The team's trajectory error is printed beside the
+speed, because an engine that has lost track can be fast.
 """
 
 from __future__ import annotations

@@ -131,6 +131,7 @@ def test_each_kind_of_pgm_is_read(tmp_path, name, kind, white):
     plan = read_picture(path, seed=3, resolution_m=0.1)
     assert plan.name == "m"
     assert plan.cells().free.sum() * 0.01 == pytest.approx(40.5, abs=3)
+    assert plan.cells().is_free(np.array([[4.75, 2.5], [4.75, 3.5]])).tolist() == [True, False]
 
 
 @pytest.mark.parametrize(

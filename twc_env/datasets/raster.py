@@ -172,8 +172,8 @@ def _without_strips(free: Array, resolution_m: float) -> Array:
     window = np.lib.stride_tricks.sliding_window_view
     outside = np.pad(free, side)
     fits = window(window(outside, side, axis=0).all(axis=-1), side, axis=1).all(axis=-1)
-    swept: Array = window(window(fits, side, axis=0).any(axis=-1), side, axis=1).any(axis=-1)
-    return swept[1:-1, 1:-1]
+    swept = window(window(fits, side, axis=0).any(axis=-1), side, axis=1).any(axis=-1)
+    return np.asarray(swept)[1:-1, 1:-1]
 
 
 @njit(cache=True, error_model="numpy")

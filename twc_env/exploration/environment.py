@@ -16,7 +16,6 @@ from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards
 from twc_env.exploration.observations import ObservationBuilder, observation_space
-from twc_env.geometry import compose
 from twc_env.maps import load_map
 from twc_env.messages import Belief, Keyframe, SensorFrame
 from twc_env.random_streams import random_stream
@@ -48,7 +47,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `lidar` | (beams,) | [0, 1] | range over maximum range; beam 0 ahead, counter-clockwise |
     | `map` | (3, 64, 64) uint8 | 0, 255 | merged map around the robot, it looks along +column: free, wall, mates |
     | `pose` | (4,) | m, m, -, - | x, y, cos, sin of the heading estimated in the map frame of the robot's group |
-    | `wifi` | (16,) | [0, 1] | strength of each transmitter, -100..-20 dBm; a slot keeps its transmitter; 0: not heard |
+    | `wifi` | (16,) | [0, 1] | strength per transmitter, -100..-20 dBm; a slot keeps its transmitter; 0: not heard |
     | `signs` | (4, 3) | [-1, 1] | texts read in this step, nearest first: present, bearing / pi, range / maximum |
     | `team` | (n-1, 4) | [-1, 1] | per mate: shares my map, bearing / pi, distance d / (d + 10 m), heading / pi |
 
@@ -65,7 +64,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     Versions: v0, first release.
     """
 
-    metadata = {
+    metadata = {  # noqa: RUF012
         "name": "twc_env_explore_v0",
         "render_modes": ["rgb_array"],
         "is_parallelizable": True,
@@ -84,7 +83,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         EzPickle.__init__(self, map, robots, max_cycles, config, render_mode, floorplan)
         self.metadata = dict(type(self).metadata)
         self.config = _resolve(config, {"map": map, "robots": robots, "max_cycles": max_cycles})
-        if render_mode not in (None, *self.metadata["render_modes"]):
+        if render_mode not in (None, "rgb_array"):
             raise ConfigError(f"render_mode must be 'rgb_array' or None; got {render_mode!r}")
         self.render_mode = render_mode
         self.floorplan = floorplan if floorplan is not None else load_map(self.config.map)

@@ -125,7 +125,7 @@ def _pose(belief: Belief) -> Array:
 def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     """Egocentric view, robot in the middle and looking along +column: out[0] free, out[1] wall (255 or 0).
 
-    Each cell takes two samples on one of its diagonals, by turns, so that a wall one map cell thick hardly slips through.
+    Each cell takes two samples on one of its diagonals, by turns, so that a thin wall hardly slips through.
     """
     height, width = log_odds.shape
     size = out.shape[1]

@@ -243,4 +243,4 @@ class FilterpyFilter:
 
 def make_filter(config: OdometryFilterConfig) -> CompiledFilter | FilterpyFilter:
     """The filter that `config.backend` names."""
-    return {"compiled": CompiledFilter, "filterpy": FilterpyFilter}[config.backend](config)
+    return FilterpyFilter(config) if config.backend == "filterpy" else CompiledFilter(config)

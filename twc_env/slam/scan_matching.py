@@ -289,8 +289,8 @@ def _information(h, degenerate, vx, vy, scale, out):
 
 @njit(cache=True, error_model="numpy")
 def _match_scan(
-    distance, lines, origin_x, origin_y, inverse_m, ranges, range_max, guess, distance_max, iterations, degenerate_share, scale,
-    points, pose, information,
+    distance, lines, origin_x, origin_y, inverse_m, ranges, range_max, guess, distance_max, iterations,
+    degenerate_share, scale, points, pose, information,
 ):  # fmt: skip
     """A whole scan against the field; writes pose (3,) and information (3, 3), gives (points, sum of weights)."""
     n = _points_of(ranges, range_max, points)
@@ -385,8 +385,8 @@ class LineField:
             self._points = np.empty((len(ranges_m), 2))
         pose, information = np.empty(3), np.empty((3, 3))
         count, weight = _match_scan(
-            self._distance, self._lines, *self._frame, ranges_m, self.range_max_m, guess, distance_max_m, iterations, degenerate_share,
-            variance_m2, self._points, pose, information,
+            self._distance, self._lines, *self._frame, ranges_m, self.range_max_m, guess, distance_max_m, iterations,
+            degenerate_share, variance_m2, self._points, pose, information,
         )  # fmt: skip
         return pose, information, weight / count if weight >= WEIGHT_MIN else 0.0
 

@@ -43,7 +43,7 @@ class _Growing:
     """Rows of numbers that grow one at a time without copying each time."""
 
     def __init__(self, *shape: int, dtype: type = np.float64):
-        self._data = np.zeros((64, *shape), dtype)
+        self._data: Array = np.zeros((64, *shape), dtype)
         self.count = 0
 
     def append(self, row) -> None:
