@@ -60,6 +60,17 @@ def test_a_circle_ends_where_it_began(kind):
 
 
 @BOTH
+def test_perfect_odometry_is_followed_exactly(kind):
+    random, ekf, true = np.random.default_rng(3), kind(CONFIG), np.zeros(3)
+    for _ in range(300):
+        motion = random.normal(0, 1, 3) * (0.1, 0.02, 0.15)
+        ekf.predict(motion, motion[2] / DT_S, DT_S)
+        true = compose(true, motion)
+        assert ekf.state[:2] == pytest.approx(true[:2], abs=1e-9)
+    assert wrap_angle(ekf.state[2] - true[2]) == pytest.approx(0.0, abs=1e-9)
+
+
+@BOTH
 def test_the_bias_of_the_gyro_is_learned_from_the_odometry(kind):
     random, bias = np.random.default_rng(1), 0.03
     ekf = kind(CONFIG)
@@ -77,7 +88,7 @@ def test_the_bias_of_the_gyro_is_learned_from_measured_poses_too(kind):
     ekf = kind(CONFIG)
     for _ in range(400):
         motion = np.array([0.05, 0.0, 0.02])
-        true = compose(true, [0.05 * np.cos(0.01), 0.05 * np.sin(0.01), 0.02])
+        true = compose(true, motion)
         ekf.predict(motion, 0.02 / DT_S + bias, DT_S)
         ekf.update(true, SHARP)
     assert ekf.state[3] == pytest.approx(bias, abs=0.004)

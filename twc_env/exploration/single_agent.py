@@ -15,7 +15,7 @@ from twc_env.messages import Belief
 class SingleRobotEnv(gymnasium.Env):
     """`ExplorationEnv` with one robot: same observation, action and reward, without the dictionaries per agent."""
 
-    metadata = {  # noqa: RUF012"render_modes": ["rgb_array"], "render_fps": 10}
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
 
     def __init__(
         self,
