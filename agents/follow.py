@@ -17,6 +17,8 @@ SIGHT_M = 1.6
 """Scan points further away than this do not matter to the next command."""
 MARGIN_M = 0.04
 """A command must keep the robot's rim this far from every scan point."""
+SLACK_M = 0.01
+"""A robot that is nearer to something than the margin may still come nearer by this much, but no nearer than this."""
 CAUTION_M = 0.22
 """With less than this between rim and scan points ahead, the robot slows down."""
 HORIZON_STEPS = 6
@@ -105,7 +107,7 @@ def _drive(points, count, target_x, target_y, speed_max, turn_max, time_step, ra
     """
     bearing, distance = math.atan2(target_y, target_x), math.hypot(target_x, target_y)
     nearest = _ray_clearance(points, count, 0.0, 0.0)
-    needed = min(radius + margin, nearest - 1e-6)
+    needed = max(min(radius + margin, nearest - SLACK_M), min(nearest - 1e-6, radius + SLACK_M))
     speed_max = min(speed_max, math.sqrt(2.0 * BRAKING_M_S2 * distance))
     length = min(distance, DETOUR_LENGTH_M)
     if not patience and _ray_clearance(points, count, bearing, length) < needed:

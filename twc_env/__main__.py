@@ -1,4 +1,4 @@
-"""Command line: python -m twc_env maps | bench | replay."""
+"""Command line: python -m twc_env maps | bench | replay | reproduce."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from twc_env.errors import ConfigError, TwcError
+from twc_env.reproduce.runner import TABLES, add_parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -62,6 +63,8 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("--out", type=Path, metavar="DIR", help="write merged maps (map_server) and pose_graph.g2o")
     replay.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     replay.set_defaults(run=_replay)
+    if TABLES:
+        add_parser(commands)
     return parser
 
 

@@ -1,0 +1,199 @@
+import gymnasium
+import numpy as np
+import pettingzoo
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import (
+    api_test,
+    max_cycles_test,
+    parallel_api_test,
+    parallel_seed_test,
+    render_test,
+    seed_test,
+    state_test,
+)
+
+import twc_env
+
+ID = "twc_env/Explore-v0"
+ROBOTS = [1, 2, 3]
+
+
+def still(env) -> dict:
+    return {agent: np.zeros(2, np.float32) for agent in env.agents}
+
+
+@pytest.mark.parametrize("robots", ROBOTS)
+def test_pettingzoo_accepts_the_parallel_environment(robots):
+    parallel_api_test(twc_env.parallel_env(robots=robots, max_cycles=40), num_cycles=100)
+
+
+@pytest.mark.parametrize("robots", ROBOTS)
+def test_pettingzoo_accepts_the_turn_based_environment(robots):
+    api_test(twc_env.env(robots=robots, max_cycles=40), num_cycles=60)
+
+
+def test_pettingzoo_finds_equal_seeds_equal():
+    seed_test(lambda: twc_env.env(max_cycles=30), num_cycles=30)
+    parallel_seed_test(lambda: twc_env.parallel_env(max_cycles=30), num_cycles=30)
+
+
+def test_pettingzoo_finds_the_episode_as_long_as_asked_for():
+    max_cycles_test(twc_env)
+
+
+def test_pettingzoo_accepts_the_pictures():
+    def make(render_mode):  # the test asks for "human" whatever the environment offers
+        modes = twc_env.ExplorationEnv.metadata["render_modes"]
+        return twc_env.env(render_mode=render_mode if render_mode in modes else None)
+
+    render_test(make)
+
+
+def test_pettingzoo_accepts_the_state():
+    state_test(twc_env.env(max_cycles=30), twc_env.parallel_env(max_cycles=30), num_cycles=20)
+
+
+def test_gymnasium_accepts_the_view_of_one_robot():
+    check_env(gymnasium.make(ID, max_cycles=40).unwrapped, skip_render_check=True)
+
+
+def test_gymnasium_accepts_the_pictures_of_one_robot():
+    env = gymnasium.make(ID, max_cycles=10, render_mode="rgb_array")
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.dtype == np.uint8
+    assert picture.ndim == 3
+    assert picture.std() > 0
+
+
+def test_stable_baselines_accepts_the_view_of_one_robot():
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra 'train'")
+    checker.check_env(gymnasium.make(ID, max_cycles=40).unwrapped, warn=False, skip_render_check=True)
+
+
+def test_both_registries_make_the_environment_by_its_id():
+    parallel = pettingzoo.make("parallel", ID, robots=2, max_cycles=5)
+    turns = pettingzoo.make("aec", ID, robots=2, max_cycles=5)
+    assert parallel.possible_agents == turns.possible_agents == ["robot_0", "robot_1"]
+    observations, _ = parallel.reset(seed=3)
+    turns.reset(seed=3)
+    for agent in parallel.possible_agents:
+        assert np.array_equal(turns.observe(agent)["lidar"], observations[agent]["lidar"])
+    parallel_api_test(parallel, num_cycles=10)
+
+
+def test_the_single_view_shows_what_the_team_of_one_sees(same):
+    single = gymnasium.make(ID, max_cycles=20)
+    team = twc_env.parallel_env(robots=1, max_cycles=20)
+    action = np.array([0.7, 0.2], np.float32)
+    assert same(single.reset(seed=4)[0], team.reset(seed=4)[0]["robot_0"])
+    for _ in range(20):
+        seen, reward, terminated, truncated, _ = single.step(action)
+        observations, rewards, terminations, truncations, _ = team.step({"robot_0": action})
+        assert same(seen, observations["robot_0"])
+        assert (reward, terminated, truncated) == (
+            rewards["robot_0"],
+            terminations["robot_0"],
+            truncations["robot_0"],
+        )
+    assert truncated
+
+
+@pytest.mark.parametrize("robots", ROBOTS)
+def test_every_observation_lies_in_its_space(robots, explore):
+    log = explore(60, robots=robots)
+    for observations in log.observations:
+        for agent, observation in observations.items():
+            assert log.env.observation_space(agent).contains(observation)
+
+
+def test_spaces_are_the_same_objects_for_every_agent_and_call():
+    env = twc_env.parallel_env(robots=3)
+    for space in (env.observation_space, env.action_space):
+        assert len({id(space(agent)) for agent in env.possible_agents for _ in range(2)}) == 1
+
+
+def test_all_agents_live_until_the_last_step_and_leave_together():
+    env = twc_env.parallel_env(robots=2, max_cycles=6)
+    env.reset(seed=0)
+    for step in range(6):
+        assert env.agents == env.possible_agents
+        observations, rewards, terminations, truncations, infos = env.step(still(env))
+        for values in (observations, rewards, terminations, truncations, infos):
+            assert list(values) == env.possible_agents
+        assert not any(terminations.values())
+        assert set(truncations.values()) == {step == 5}
+    assert env.agents == []
+
+
+def test_a_step_after_the_end_says_what_to_do():
+    env = twc_env.parallel_env(robots=1, max_cycles=1)
+    env.reset(seed=0)
+    env.step(still(env))
+    with pytest.raises(twc_env.TwcError, match="call reset") as caught:
+        env.step({})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("call", ["step", "result", "belief", "state"])
+def test_a_call_before_the_first_reset_says_what_to_do(call):
+    env = twc_env.parallel_env(robots=1)
+    arguments = {"step": ({"robot_0": np.zeros(2)},), "belief": ("robot_0",)}.get(call, ())
+    with pytest.raises(twc_env.TwcError, match="reset"):
+        getattr(env, call)(*arguments)
+
+
+def test_an_episode_can_be_left_early_and_begun_again(same):
+    env = twc_env.parallel_env(robots=2, max_cycles=50)
+    first, _ = env.reset(seed=1)
+    for _ in range(7):
+        env.step(still(env))
+    again, _ = env.reset(seed=1)
+    assert env.agents == env.possible_agents
+    assert all(same(first[agent], again[agent]) for agent in first)
+    twice, _ = env.reset(seed=1)
+    assert all(same(first[agent], twice[agent]) for agent in first)
+
+
+def test_without_a_seed_episodes_differ_and_follow_from_the_first(same):
+    env, twin = twc_env.parallel_env(robots=1), twc_env.parallel_env(robots=1)
+    first, second = env.reset(seed=5)[0], env.reset()[0]
+    assert not same(first["robot_0"], second["robot_0"])
+    twin.reset(seed=5)
+    assert same(second["robot_0"], twin.reset()[0]["robot_0"])
+
+
+@pytest.mark.parametrize("options", [None, {}, {"unknown": 1}, {"starts": "map"}, {"starts": "random"}])
+def test_options_that_mean_nothing_here_are_tolerated(options):
+    observations, infos = twc_env.parallel_env(robots=2).reset(seed=0, options=options)
+    assert list(observations) == list(infos) == ["robot_0", "robot_1"]
+
+
+def test_starts_that_are_no_starts_are_refused():
+    with pytest.raises(twc_env.ConfigError, match="starts must be"):
+        twc_env.parallel_env(robots=2).reset(seed=0, options={"starts": "anywhere"})
+
+
+def test_a_render_mode_that_does_not_exist_is_refused():
+    with pytest.raises(twc_env.ConfigError, match="rgb_array"):
+        twc_env.parallel_env(render_mode="ascii")
+
+
+def test_rendering_does_not_change_the_episode(explore, same):
+    plain, drawn = explore(1), explore(1, render_mode="rgb_array")
+    for step in range(30):
+        actions = {agent: np.array([0.8, 0.3 * (step % 3)], np.float32) for agent in plain.env.agents}
+        picture = drawn.env.render()
+        assert plain.env.render() is None
+        assert picture.dtype == np.uint8
+        a, b = plain.env.step(actions), drawn.env.step(actions)
+        assert all(same(a[0][agent], b[0][agent]) for agent in a[0])
+        assert a[1] == b[1]
+
+
+def test_every_render_mode_that_is_announced_works():
+    for mode in twc_env.ExplorationEnv.metadata["render_modes"]:
+        env = twc_env.parallel_env(robots=2, render_mode=mode)
+        env.reset(seed=0)
+        assert env.render().shape[2] == 3

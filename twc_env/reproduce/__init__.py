@@ -1,0 +1,9 @@
+"""One file per published table: `python -m twc_env reproduce NAME --json FILE` runs it and prints it beside the print.
+
+A table is a module with `SUMMARY` (one line), `add_arguments(parser)` and `rows(options, runner)`, which gives the rows as
+flat dictionaries. `Runner` shows progress and resumes after an interruption.
+"""
+
+from twc_env.reproduce.runner import TABLES, Runner, main
+
+__all__ = ["TABLES", "Runner", "main"]

@@ -1,0 +1,135 @@
+"""What all tables share: progress, resuming after an interruption, printing and writing rows."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from twc_env._version import __version__
+from twc_env.errors import ConfigError, DataError
+
+TABLES: dict[str, str] = {}
+"""Name on the command line -> module of this package."""
+
+
+class Runner:
+    """Runs the parts of a table one by one, keeps what is finished on disk, and says how far it is."""
+
+    def __init__(self, name: str, folder: Path, settings: dict):
+        digest = hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode()).hexdigest()[:12]
+        self._folder = folder / f"{name}-{__version__}-{digest}"
+        self._started = time.monotonic()
+
+    def each(self, parts: Sequence, work: Callable[..., object], label: Callable[..., str] = str) -> list:
+        """`work(part)` for every part, in order; a part that an earlier run finished is read back instead.
+
+        What `work` gives must survive JSON; `label` names a part uniquely.
+        """
+        results = []
+        for count, part in enumerate(parts):
+            self._say(f"{count}/{len(parts)} {label(part)}")
+            results.append(self._once(label(part), lambda part=part: work(part)))
+        self._say(f"{len(parts)}/{len(parts)}", end="\n")
+        return results
+
+    def _once(self, key: str, work: Callable[[], object]):
+        path = self._folder / (hashlib.sha256(key.encode()).hexdigest()[:16] + ".json")
+        if path.is_file():
+            return json.loads(path.read_text())
+        result = plain(work())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(f".{os.getpid()}")
+        partial.write_text(json.dumps(result))
+        partial.replace(path)
+        return result
+
+    def _say(self, text: str, end: str = "") -> None:
+        elapsed = time.monotonic() - self._started
+        print(f"\r[{elapsed:5.0f} s] {text[:100]:<100}", end=end, file=sys.stderr, flush=True)
+
+
+def plain(value):
+    """A value with numpy's numbers and arrays turned into Python's, and NaN into None, ready for JSON."""
+    if isinstance(value, dict):
+        return {key: plain(v) for key, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def print_rows(rows: Iterable[dict]) -> None:
+    """An aligned table; the columns are the keys of the first row."""
+    rows = list(rows)
+    if not rows:
+        print("no rows")
+        return
+    columns = list(rows[0])
+    cells = [[_cell(row.get(column)) for column in columns] for row in rows]
+    widths = [max(len(column), *(len(line[k]) for line in cells)) for k, column in enumerate(columns)]
+    print("  ".join(column.ljust(w) for column, w in zip(columns, widths, strict=True)).rstrip())
+    for line in cells:
+        print("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip())
+
+
+def _cell(value) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def data_folder() -> Path:
+    """The folder with real data that the environment variable TWC_DATA names; DataError when it is not set."""
+    folder = os.environ.get("TWC_DATA")
+    if not folder or not Path(folder).is_dir():
+        raise DataError(f"this table needs real data: set TWC_DATA to its folder (now {folder!r})")
+    return Path(folder)
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds of a command line: a count ("20": 0 to 19) or a range ("0-9")."""
+    try:
+        first, dash, last = text.partition("-")
+        return list(range(int(first), int(last) + 1)) if dash else list(range(int(first)))
+    except ValueError:
+        raise ConfigError(f"--seeds takes a count like 20 or a range like 0-9; got {text!r}") from None
+
+
+def add_parser(commands) -> None:
+    """The `reproduce` command of `python -m twc_env`."""
+    parser = commands.add_parser("reproduce", help="run a published table and print it beside the print")
+    tables = parser.add_subparsers(required=True, metavar="TABLE")
+    for name, module_name in TABLES.items():
+        module = import_module(f"twc_env.reproduce.{module_name}")
+        table = tables.add_parser(name, help=module.SUMMARY, description=module.__doc__)
+        module.add_arguments(table)
+        table.add_argument("--json", type=Path, metavar="FILE", help="write the rows")
+        table.add_argument(
+            "--cache", type=Path, default=Path("runs/reproduce"), help="finished parts (default: %(default)s)"
+        )
+        table.set_defaults(run=lambda options, name=name, module=module: main(name, module, options))
+
+
+def main(name: str, module, options: argparse.Namespace) -> None:
+    """Run one table, print it, write it."""
+    settings = {k: v for k, v in vars(options).items() if k not in ("run", "json", "cache", "out")}
+    rows = plain(module.rows(options, Runner(name, options.cache, settings)))
+    print_rows(rows)
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(rows, indent=2) + "\n")
