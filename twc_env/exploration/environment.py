@@ -80,9 +80,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         render_mode: str | None = None,
         floorplan: Floorplan | None = None,
     ):
-        EzPickle.__init__(self, map, robots, max_cycles, config, render_mode, floorplan)
-        self.metadata = dict(type(self).metadata)
         self.config = _resolve(config, {"map": map, "robots": robots, "max_cycles": max_cycles})
+        # Copies are made from the resolved values: a dict may be changed by its owner later.
+        EzPickle.__init__(self, config=self.config, render_mode=render_mode, floorplan=floorplan)
+        self.metadata = dict(type(self).metadata)
         if render_mode not in (None, "rgb_array"):
             raise ConfigError(f"render_mode must be 'rgb_array' or None; got {render_mode!r}")
         self.render_mode = render_mode
@@ -93,8 +94,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         shared_observation, shared_action = observation_space(self.config, count), action_blocks.velocity_space()
         self.observation_spaces = dict.fromkeys(self.possible_agents, shared_observation)
         self.action_spaces = dict.fromkeys(self.possible_agents, shared_action)
-        self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (count, 6), np.float32)
+        self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (6 * count,), np.float32)
         self._world = World(self.config, self.floorplan)
+        self._engine: CooperativeSlam | None = None
         self._seed: int | None = None
         self._cells = self.floorplan.cells()
 
@@ -112,7 +114,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         starts = (options or {}).get("starts", "random")
         self._world.reset(self._seed, starts)
         count = self.config.robots
-        self.engine = CooperativeSlam(self.config, count)
+        self._engine = CooperativeSlam(self.config, count)
         self._link = Link(self.config.link, count, random_stream(self._seed, "link"))
         self._builders = [ObservationBuilder(self.config, count) for _ in range(count)]
         self._record = evaluation.EpisodeRecord(count, self.config.max_cycles)
@@ -150,6 +152,13 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         )
 
     @property
+    def engine(self) -> CooperativeSlam:
+        """The SLAM engine of this episode. Raises TwcError before the first `reset`."""
+        if self._engine is None:
+            raise TwcError("no episode has begun: call reset() first")
+        return self._engine
+
+    @property
     def frames(self) -> tuple[SensorFrame, ...]:
         """What each robot sensed in the last step; `twc_env.datasets.write_frame_log` records them."""
         return self._frames
@@ -159,10 +168,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self.engine.belief(self.possible_agents.index(agent))
 
     def state(self) -> Array:
-        """(robots, 6) float32 for centralised critics; holds truth: true pose and estimated pose of each robot."""
+        """(6 robots,) float32 for centralised critics; holds truth: each robot's true, then its estimated pose."""
         estimated = [self.engine.pose_map_robot(r) for r in range(self.config.robots)]
         both = np.concatenate([self._world.poses, np.array(estimated)], axis=1)
-        return np.clip(both, -STATE_LIMIT, STATE_LIMIT).astype(np.float32)
+        return np.clip(both, -STATE_LIMIT, STATE_LIMIT).astype(np.float32).ravel()
 
     def result(self) -> evaluation.EpisodeResult:
         """Judge the episode so far against the truth; call it before the next `reset`."""

@@ -38,15 +38,15 @@ class Runner:
         results = []
         for count, part in enumerate(parts):
             self._say(f"{count}/{len(parts)} {label(part)}")
-            results.append(self._once(label(part), lambda part=part: work(part)))
+            results.append(self._once(label(part), work, part))
         self._say(f"{len(parts)}/{len(parts)}", end="\n")
         return results
 
-    def _once(self, key: str, work: Callable[[], object]):
+    def _once(self, key: str, work: Callable[..., object], part):
         path = self._folder / (hashlib.sha256(key.encode()).hexdigest()[:16] + ".json")
         if path.is_file():
             return json.loads(path.read_text())
-        result = plain(work())
+        result = plain(work(part))
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_suffix(f".{os.getpid()}")
         partial.write_text(json.dumps(result))

@@ -1,0 +1,199 @@
+"""The team explores, spreads out, gives up what it cannot reach, seeks its mates, and knows when it is done."""
+
+import math
+
+import numpy as np
+import pytest
+
+from agents.nearest_frontier import ExplorerConfig, NearestFrontier
+from twc_env import EnvConfig
+from twc_env.messages import Belief, GridMap, KnownSign
+
+CELL_M = 0.1
+
+
+class Maze:
+    """Robots with perfect senses in a building drawn as text; what they have seen is free, wall, or unknown."""
+
+    def __init__(self, rows, starts, merged=True, seed=0):
+        picture = np.array([list(row) for row in rows[::-1]])
+        self.wall = np.kron(picture == "#", np.ones((5, 5), bool))
+        self.seen = [np.zeros(self.wall.shape, np.int16)] * len(starts) if merged else None
+        if not merged:
+            self.seen = [np.zeros(self.wall.shape, np.int16) for _ in starts]
+        self.poses = [np.array(start, float) for start in starts]
+        self.merged, self.step, self.version, self.bumps = merged, 0, 0, 0
+        self.agents = [f"robot_{i}" for i in range(len(starts))]
+        self.policy = NearestFrontier(EnvConfig(robots=len(starts)))
+        self.policy.reset(seed, self.agents)
+        self.signs: tuple[KnownSign, ...] = ()
+        self.look()
+
+    def look(self):
+        self.ranges = []
+        for i, pose in enumerate(self.poses):
+            self.ranges.append(self.scan(i, pose))
+
+    def scan(self, robot, pose, beams=120, reach_m=8.0):
+        ranges = np.full(beams, reach_m)
+        seen = self.seen[robot]
+        mates = [p for j, p in enumerate(self.poses) if j != robot]
+        for k in range(beams):
+            angle = pose[2] + 2 * math.pi * k / beams
+            for r in np.arange(0.0, reach_m, 0.05):
+                x, y = pose[0] + r * math.cos(angle), pose[1] + r * math.sin(angle)
+                row, column = int(y / CELL_M), int(x / CELL_M)
+                if any(math.hypot(p[0] - x, p[1] - y) < 0.2 for p in mates):
+                    ranges[k] = r
+                    break
+                if self.wall[row, column]:
+                    ranges[k] = r
+                    seen[row, column] = 20
+                    break
+                seen[row, column] = -20
+        return ranges
+
+    def beliefs(self):
+        grid = [GridMap(seen, np.zeros(2), CELL_M) for seen in self.seen]
+        return {
+            agent: Belief(
+                i, self.step, self.poses[i].copy(), grid[i],
+                {j: p.copy() for j, p in enumerate(self.poses) if j != i and self.merged},
+                self.signs, self.ranges[i], self.version,
+            )
+            for i, agent in enumerate(self.agents)
+        }  # fmt: skip
+
+    def advance(self):
+        actions = self.policy.act(self.beliefs())
+        for i, agent in enumerate(self.agents):
+            speed, turn_rate = actions[agent] * [1.0, 1.5]
+            pose = self.poses[i]
+            heading = pose[2] + 0.05 * turn_rate
+            x, y = pose[0] + 0.1 * speed * math.cos(heading), pose[1] + 0.1 * speed * math.sin(heading)
+            if self.is_free(i, x, y):
+                pose[:2] = x, y
+            else:
+                self.bumps += 1
+            pose[2] = math.remainder(pose[2] + 0.1 * turn_rate, 2 * math.pi)
+        self.step += 1
+        if self.step % 4 == 0:
+            self.look()
+
+    def is_free(self, robot, x, y):
+        angles = np.linspace(0, 2 * np.pi, 16)
+        rows, columns = ((v / CELL_M).astype(int) for v in (y + 0.18 * np.sin(angles), x + 0.18 * np.cos(angles)))
+        others = [p for j, p in enumerate(self.poses) if j != robot]
+        return not self.wall[rows, columns].any() and all(math.hypot(p[0] - x, p[1] - y) > 0.4 for p in others)
+
+    def run(self, steps):
+        for _ in range(steps):
+            self.advance()
+            if self.policy.finished(self.beliefs()):
+                return True
+        return False
+
+
+TWO_ROOMS = [
+    "####################",
+    "#        #         #",
+    "#        #         #",
+    "#        #         #",
+    "#                  #",
+    "#                  #",
+    "#        #         #",
+    "#        #         #",
+    "####################",
+]
+
+
+def floor_seen(maze):
+    free = ~maze.wall
+    return (maze.seen[0][free] < 0).mean()
+
+
+def test_one_robot_explores_both_rooms_and_says_so():
+    maze = Maze(TWO_ROOMS, [(1.5, 1.5, 2.0)])
+    assert maze.run(500)
+    assert floor_seen(maze) > 0.97
+    assert maze.bumps == 0
+
+
+def test_two_robots_go_to_different_rooms():
+    corridor = [
+        "##############################",
+        "#         #        #         #",
+        "#         #        #         #",
+        "#                            #",
+        "#                            #",
+        "#         #        #         #",
+        "#         #        #         #",
+        "##############################",
+    ]
+    maze = Maze(corridor, [(7.0, 1.9, 1.5), (7.8, 1.9, 1.5)])
+    ends = []
+    for _ in range(120):
+        maze.advance()
+        ends.append([p[0] for p in maze.poses])
+    reach = np.array(ends)
+    assert reach.min() < 4.9
+    assert reach.max() > 9.6
+    assert maze.bumps == 0
+
+
+def test_what_lies_behind_a_narrow_gap_is_given_up():
+    rows = [row.replace("#                  #", "#        #         #") for row in TWO_ROOMS]
+    maze = Maze(rows, [(1.5, 1.5, 0.0)])
+    row = maze.wall.shape[0] // 2
+    maze.wall[row : row + 3, 45:50] = False
+    maze.look()
+    assert maze.run(700)
+    assert maze.poses[0][0] < 4.6
+
+
+def test_a_robot_alone_in_its_map_tours_the_signs_and_never_calls_it_done():
+    maze = Maze(TWO_ROOMS, [(1.5, 1.5, 0.0), (8.0, 3.0, 0.0)], merged=False)
+    maze.signs = (KnownSign("EXIT", np.array([0.5, 3.5])), KnownSign("LAB", np.array([9.4, 1.0])))
+    nearest = np.full((2, 2), np.inf)
+    for _ in range(900):
+        maze.advance()
+        if maze.step > 300:
+            for i, pose in enumerate(maze.poses):
+                away = [math.hypot(*(pose[:2] - sign.position_m)) for sign in maze.signs]
+                nearest[i] = np.minimum(nearest[i], away)
+    assert nearest.max() < 1.5
+    assert not maze.policy.finished(maze.beliefs())
+
+
+def test_a_jump_of_the_map_frame_is_followed():
+    maze = Maze(TWO_ROOMS, [(1.5, 1.5, 0.0)])
+    for _ in range(40):
+        maze.advance()
+    robot = maze.policy._robots["robot_0"]
+    goal, pose = robot.goal_m.copy(), maze.poses[0].copy()
+    distance = math.hypot(*(goal - pose[:2]))
+    belief = maze.beliefs()["robot_0"]
+    turned = np.array([-pose[1], pose[0], pose[2] + math.pi / 2])
+    maze.policy._observe(robot, Belief(0, maze.step, turned, belief.grid, {}, (), None, 1))
+    assert math.hypot(*(robot.goal_m - turned[:2])) == pytest.approx(distance, abs=1e-6)
+    assert np.allclose(robot.goal_m, [-goal[1], goal[0]])
+    assert robot.replan
+
+
+def test_a_robot_that_cannot_move_tries_something_else_and_then_another_goal():
+    maze = Maze(TWO_ROOMS, [(1.5, 1.5, 0.0)])
+    maze.is_free = lambda robot, x, y: False
+    for _ in range(400):
+        maze.advance()
+    robot = maze.policy._robots["robot_0"]
+    assert len(robot.failures) >= 1
+    assert all(failure.until_step > 0 for failure in robot.failures)
+
+
+def test_an_empty_map_and_no_scan_are_survived():
+    policy = NearestFrontier(EnvConfig(robots=1), ExplorerConfig())
+    policy.reset(0, ["robot_0"])
+    for step in range(100):
+        belief = Belief(0, step, np.zeros(3), GridMap(np.zeros((0, 0), np.int16), np.zeros(2), CELL_M))
+        action = policy.act({"robot_0": belief})["robot_0"]
+        assert np.isfinite(action).all()
