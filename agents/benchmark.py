@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import twc_env
 from agents.explore import explore, write_run
-from twc_env import ConfigError, EnvConfig, __version__
+from twc_env import ConfigError, EnvConfig
 from twc_env.config import digest
 
 COLUMNS = (
@@ -99,7 +100,7 @@ def report_of(job: Job) -> dict[str, Any] | None:
         report = json.loads((job.folder / "report.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    wanted = {"config_digest": digest(job.config), "version": __version__, "agent": job.agent, "seed": job.seed}
+    wanted = {"config_digest": digest(job.config), "version": twc_env.__version__, "agent": job.agent, "seed": job.seed}
     is_same = isinstance(report, dict) and all(report.get(key) == value for key, value in wanted.items())
     return report if is_same else None
 

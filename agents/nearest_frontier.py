@@ -55,6 +55,8 @@ class ExplorerConfig:
     """How many metres of detour one second of absence is worth on a tour."""
     tour_sign_bonus_m: float = 20.0
     tour_arrival_m: float = 0.7
+    squeeze: float = 0.6
+    """A robot that its map shuts in plans as if it were this many times as wide."""
     finished_s: float = 5.0
     """Nothing left to do for this long means finished."""
 
@@ -134,7 +136,7 @@ class NearestFrontier:
         """Forget everything; the seed only breaks ties when robots are stuck."""
         self._rng = np.random.default_rng(seed)
         self._robots = {agent: _Robot(Follower(self.dynamics)) for agent in agents}
-        self._terrains: dict[tuple[int, ...], tuple[int, Terrain]] = {}
+        self._terrains: dict[tuple[float, ...], tuple[int, Terrain]] = {}
         self._idle_since: int | None = None
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
@@ -253,29 +255,26 @@ class NearestFrontier:
             return True
         return path_is_blocked(belief.grid, robot.follower.ahead(robot.pose, 3.0), self.dynamics.robot_radius_m)
 
-    def _terrain(self, agent: str, beliefs: dict[str, Belief]) -> Terrain:
-        """The group's map as this step's planning sees it, shared by its robots."""
+    def _terrain(self, agent: str, beliefs: dict[str, Belief], squeeze: float = 1.0) -> Terrain:
+        """The group's map as this step's planning sees it for robots `squeeze` times as wide, shared in the group."""
         belief = beliefs[agent]
-        members = tuple(sorted({belief.robot, *belief.mates}))
-        if members in self._terrains and self._terrains[members][0] == belief.step:
-            return self._terrains[members][1]
+        key = (squeeze, *sorted({belief.robot, *belief.mates}))
+        if key in self._terrains and self._terrains[key][0] == belief.step:
+            return self._terrains[key][1]
         poses = [belief.pose_map_robot, *belief.mates.values()]
-        terrain = Terrain(belief.grid, self.dynamics.robot_radius_m, np.array(poses)[:, :2])
+        terrain = Terrain(belief.grid, squeeze * self.dynamics.robot_radius_m, np.array(poses)[:, :2])
         self._terrains = {k: v for k, v in self._terrains.items() if v[0] == belief.step}
-        self._terrains[members] = (belief.step, terrain)
+        self._terrains[key] = (belief.step, terrain)
         return terrain
 
     def _plan(self, agent: str, beliefs: dict[str, Belief]) -> None:
-        """Choose goal and path of one robot."""
-        belief, robot = beliefs[agent], self._robots[agent]
-        terrain = self._terrain(agent, beliefs)
+        """Choose goal and path of one robot: a frontier, else a tour, else anything through the narrowest gaps."""
+        robot = self._robots[agent]
         robot.replan = False
-        discs = self._discs(robot, belief, terrain)
-        plan = self._plan_to_frontier(agent, beliefs, terrain, discs)
-        kind = "frontier"
-        robot.is_idle = plan is None
-        if plan is None:
-            plan, kind = self._plan_tour(robot, belief, terrain, discs), "tour"
+        plan, kind = self._best_plan(agent, beliefs, self._terrain(agent, beliefs))
+        robot.is_idle = kind != "frontier"
+        if plan is None:  # shut in, by the map at least: gaps that noise has narrowed may be wide enough
+            plan, kind = self._best_plan(agent, beliefs, self._terrain(agent, beliefs, self.explorer.squeeze))
         if plan is None:
             robot.goal_kind = ""
             robot.follower.stop()
@@ -285,6 +284,16 @@ class NearestFrontier:
             robot.arrived_step = -1
         robot.goal_m, robot.goal_kind = goal, kind
         robot.follower.start(plan.path_m)
+
+    def _best_plan(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> tuple[Plan | None, str]:
+        """The plan to a frontier, or if there is none on a tour; and which of both it is ("" for no plan)."""
+        belief, robot = beliefs[agent], self._robots[agent]
+        discs = self._discs(robot, belief, terrain)
+        plan = self._plan_to_frontier(agent, beliefs, terrain, discs)
+        if plan is not None:
+            return plan, "frontier"
+        plan = self._plan_tour(robot, belief, terrain, discs)
+        return plan, "tour" if plan is not None else ""
 
     def _mates(self, belief: Belief) -> list[int]:
         return [mate for mate in belief.mates if mate != belief.robot]

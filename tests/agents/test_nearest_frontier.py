@@ -170,7 +170,7 @@ def test_a_jump_of_the_map_frame_is_followed():
     for _ in range(40):
         maze.advance()
     robot = maze.policy._robots["robot_0"]
-    goal, pose = robot.goal_m.copy(), maze.poses[0].copy()
+    goal, pose = robot.goal_m.copy(), robot.pose.copy()
     distance = math.hypot(*(goal - pose[:2]))
     belief = maze.beliefs()["robot_0"]
     turned = np.array([-pose[1], pose[0], pose[2] + math.pi / 2])

@@ -28,7 +28,9 @@ def test_pettingzoo_accepts_the_parallel_environment(robots):
     parallel_api_test(twc_env.parallel_env(robots=robots, max_cycles=40), num_cycles=100)
 
 
-@pytest.mark.filterwarnings("ignore:Observation is not a NumPy array")  # it is a Dict, which PettingZoo allows
+@pytest.mark.filterwarnings(  # the observation is a Dict, which PettingZoo allows
+    "ignore:Observation is not a NumPy array", "ignore:Observation space for each agent probably should be"
+)
 @pytest.mark.parametrize("robots", ROBOTS)
 def test_pettingzoo_accepts_the_turn_based_environment(robots):
     api_test(twc_env.env(robots=robots, max_cycles=40), num_cycles=60)

@@ -27,10 +27,10 @@ def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config:
     Raises ActionError when an agent has no action, or an action is not two finite numbers in [-1, 1].
     """
     try:
-        commands = np.array([actions[agent] for agent in agents], float)
+        commands = np.array([actions[agent] for agent in agents])
     except (KeyError, TypeError, ValueError):
         commands = _one_by_one(actions, agents)
-    if commands.shape != (len(agents), 2):
+    if commands.shape != (len(agents), 2) or commands.dtype.kind not in "fiu":
         commands = _one_by_one(actions, agents)
     if not np.abs(commands).max() <= 1.0 + TOLERANCE:  # also true for NaN
         row = int(np.argmax(~np.all(np.abs(commands) <= 1.0 + TOLERANCE, axis=1)))
@@ -48,9 +48,10 @@ def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
         if agent not in actions:
             raise ActionError(f"no action for {agent!r}: step() needs one for each of {list(agents)}")
         try:
-            if np.shape(actions[agent]) != (2,):
+            action = np.asarray(actions[agent])
+            if action.shape != (2,) or action.dtype.kind not in "fiu":
                 raise ValueError
-            commands[row] = actions[agent]
+            commands[row] = action
         except (TypeError, ValueError):
             raise ActionError(
                 f"action of {agent!r} must be 2 numbers (forward speed, turn rate) in [-1, 1]; got {actions[agent]!r}"

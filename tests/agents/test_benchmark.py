@@ -1,0 +1,115 @@
+"""Benchmarks resume where they stopped, and their tables say what was measured."""
+
+import json
+
+import pytest
+
+from agents import benchmark
+from agents.__main__ import main
+from twc_env import ConfigError, EnvConfig
+
+
+def some_report(seed=0, **changes):
+    return {
+        "robots": 3, "seed": seed, "merged_robots": 3, "wrong_merges": 0, "team_ate_m": 0.09 * (1 + seed),
+        "coverage_correct": 0.95, "odometry_ate_m": 2.0, "odometry_coverage_correct": 0.8, "env_steps_per_s": 900.0,
+        **changes,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict"),
+    [
+        ({}, True),
+        ({"merged_robots": 2}, False),
+        ({"wrong_merges": 1}, False),
+        ({"team_ate_m": 0.31}, False),
+        ({"team_ate_m": 0.30, "coverage_correct": 0.90}, True),
+        ({"coverage_correct": 0.89}, False),
+    ],
+)
+def test_a_seed_passes_only_when_every_criterion_holds(changes, verdict):
+    assert benchmark.passes(some_report(**changes)) == verdict
+
+
+def test_seeds_are_numbers_and_ranges():
+    assert benchmark.parse_seeds("0-3,7, 9-9,2") == (0, 1, 2, 3, 7, 9)
+
+
+@pytest.mark.parametrize("text", ["", "a", "3-1", "-2", "1;2"])
+def test_other_seeds_are_refused(text):
+    with pytest.raises(ConfigError, match="seeds must be"):
+        benchmark.parse_seeds(text)
+
+
+def test_the_summary_is_mean_deviation_and_extremes():
+    summary = benchmark.summary_of([some_report(seed) for seed in range(4)])
+    ate = summary["figures"]["team_ate_m"]
+    assert ate["mean"] == pytest.approx(0.225)
+    assert ate["sd"] == pytest.approx(0.11618950)
+    assert (ate["min"], ate["max"]) == pytest.approx((0.09, 0.36))
+    assert (summary["passed"], summary["seeds"]) == (3, 4)
+
+
+def test_the_table_has_a_row_per_seed_and_counts_the_passes():
+    lines = benchmark.table_of([some_report(seed) for seed in (2, 0, 3)]).splitlines()
+    assert [line.split()[0] for line in lines[2:5]] == ["0", "2", "3"]
+    assert lines[2].endswith("yes")
+    assert lines[4].endswith("no")
+    assert [line.split()[0] for line in lines[6:10]] == ["mean", "sd", "min", "max"]
+    assert lines[-1] == "2 of 3 seeds pass"
+    assert len({line.index("0.950") for line in lines[2:5]}) == 1
+
+
+def test_a_finished_run_is_not_run_again_but_one_with_other_settings_is(tmp_path, capsys):
+    arguments = ["benchmark", "--maps", "twin-01", "--seeds", "0-1", "--robots", "2", "--no-pictures"]
+    arguments += ["--out", str(tmp_path), "--json", str(tmp_path / "all.json"), "--steps"]
+    assert main([*arguments, "30"]) == 0
+    report = tmp_path / "twin-01" / "seed-1" / "report.json"
+    written = report.stat().st_mtime_ns
+    assert "was there" not in capsys.readouterr().err
+    assert main([*arguments, "30"]) == 0
+    assert capsys.readouterr().err.count("was there") == 2
+    assert report.stat().st_mtime_ns == written
+    assert main([*arguments, "31"]) == 0
+    assert "was there" not in capsys.readouterr().err
+    summary = json.loads((tmp_path / "all.json").read_text())
+    assert [r["steps"] for r in summary["twin-01"]["reports"]] == [31, 31]
+    assert json.loads((tmp_path / "summary.json").read_text()) == summary
+
+
+def test_a_broken_report_counts_as_not_run(tmp_path):
+    job = benchmark.Job(EnvConfig(), "random", 0, tmp_path)
+    assert benchmark.report_of(job) is None
+    (tmp_path / "report.json").write_text("{")
+    assert benchmark.report_of(job) is None
+    (tmp_path / "report.json").write_text("[]")
+    assert benchmark.report_of(job) is None
+
+
+def test_two_processes_give_the_reports_of_one(tmp_path):
+    config = EnvConfig(map="twin-01", robots=2, max_cycles=15)
+    reports = []
+    for processes in (1, 2):
+        jobs = [benchmark.Job(config, "random", seed, tmp_path / f"{processes}-{seed}", False) for seed in (0, 1)]
+        done = {job.seed: report for job, report, _ in benchmark.run_jobs(jobs, processes)}
+        for report in done.values():
+            del report["env_steps_per_s"], report["agent_s"]
+        reports.append(done)
+    assert reports[0] == reports[1]
+
+
+def test_an_interrupted_benchmark_still_writes_its_summary(tmp_path, monkeypatch):
+    real, calls = benchmark.run_job, []
+
+    def impatient(job):
+        calls.append(job.seed)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return real(job)
+
+    monkeypatch.setattr(benchmark, "run_job", impatient)
+    code = main(f"benchmark --maps twin-01 --seeds 0-2 --steps 12 --no-pictures --out {tmp_path}".split())
+    assert code == 130
+    assert calls == [0, 1]
+    assert json.loads((tmp_path / "summary.json").read_text())["twin-01"]["seeds"] == 1

@@ -1,0 +1,175 @@
+"""The command line drives an episode, leaves a complete run folder, and explains itself when it cannot."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from agents import explore as explore_module
+from agents.__main__ import main
+from agents.explore import explore, table_of, write_json
+from agents.picture import Film
+from twc_env import ConfigError, EnvConfig
+from twc_env.config import digest, from_dict
+from twc_env.datasets.g2o import read_g2o
+from twc_env.datasets.tum import read_tum
+
+DOCUMENTED = {
+    "map", "agent", "robots", "seed", "steps", "sim_time_s", "coverage_believed", "coverage_true", "coverage_correct",
+    "map_iou", "merged_robots", "wrong_merges", "team_ate_m", "per_robot_ate_m", "epe_m", "odometry_ate_m",
+    "odometry_coverage_correct", "closures", "bytes_sent", "path_length_m", "collisions", "stuck_share",
+    "env_steps_per_s", "agent_s", "config_digest", "version",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    code = main(
+        f"explore --map twin-01 --robots 2 --steps 60 --seed 4 --out {folder}/run --json {folder}/extra.json".split()
+    )
+    assert code == 0
+    return folder
+
+
+def test_a_run_folder_holds_everything_promised(run_folder):
+    pytest.importorskip("matplotlib", reason="pictures need the viz extra")
+    names = {str(path.relative_to(run_folder / "run")) for path in (run_folder / "run").rglob("*") if path.is_file()}
+    assert names >= {
+        "report.json", "config.json", "map.png", "episode.gif", "pose_graph.g2o", "map.pgm", "map.yaml",
+        "trajectories/robot_0_true.tum", "trajectories/robot_1_estimated.tum", "trajectories/robot_1_odometry.tum",
+    }  # fmt: skip
+
+
+def test_the_report_has_every_documented_key_and_no_number_that_json_cannot_hold(run_folder):
+    text = (run_folder / "run" / "report.json").read_text()
+    report = json.loads(text)
+    assert set(report) >= DOCUMENTED
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    assert json.loads((run_folder / "extra.json").read_text()) == report
+
+
+def test_the_config_on_disk_is_the_one_the_report_names(run_folder):
+    config = from_dict(json.loads((run_folder / "run" / "config.json").read_text()))
+    assert config.robots == 2
+    assert digest(config) == json.loads((run_folder / "run" / "report.json").read_text())["config_digest"]
+
+
+def test_trajectories_have_one_pose_per_step_and_the_graph_its_keyframes(run_folder):
+    times_s, poses = read_tum(run_folder / "run" / "trajectories" / "robot_1_true.tum")
+    assert len(poses) == 61
+    assert times_s[-1] == pytest.approx(6.0)
+    assert len(read_g2o(run_folder / "run" / "pose_graph.g2o")["nodes"]) >= 4
+
+
+def test_the_picture_shows_more_than_paper(run_folder):
+    image_module = pytest.importorskip("PIL.Image", reason="pictures need the viz extra")
+    with image_module.open(run_folder / "run" / "map.png") as image:
+        colours = np.unique(np.asarray(image.convert("RGB")).reshape(-1, 3), axis=0)
+    with image_module.open(run_folder / "run" / "episode.gif") as film:
+        frames = film.n_frames
+    assert len(colours) > 50
+    assert frames >= 10
+
+
+def test_the_same_seed_gives_the_same_figures():
+    config = EnvConfig(map="twin-01", robots=2, max_cycles=80)
+    reports = [explore(config, "nearest-frontier", 1).report for _ in range(2)]
+    for report in reports:
+        del report["env_steps_per_s"], report["agent_s"]
+    assert reports[0] == reports[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("explore --map twin-1", "did you mean 'twin-01'"),
+        ("explore --agent nearest", "did you mean 'nearest-frontier'"),
+        ("explore --set lidar.beam_cout=3", "did you mean 'beam_count'"),
+        ("explore --set lidar.beam_count", "section.key=value"),
+        ("explore --set lidar.beam_count=many", "must be of type int"),
+        ("explore --config nowhere.toml", "nowhere.toml"),
+        ("benchmark --maps twin-3 --seeds 0", "twin-0"),
+        ("benchmark --seeds 3-1", "seeds must be"),
+    ],
+)
+def test_wrong_input_is_one_line_and_exit_code_two(arguments, message, capsys, tmp_path):
+    assert main([*arguments.split(), "--out", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1
+    assert message in error
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("command", ["explore", "benchmark"])
+def test_help_teaches_by_example(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0
+    assert f"python -m agents {command} --map" in capsys.readouterr().out
+
+
+def test_missing_drawing_libraries_are_named_before_the_episode(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("agents.picture.find_spec", lambda name: None)
+    assert main(["explore", "--steps", "5", "--out", str(tmp_path / "run")]) == 2
+    assert "pip install twc_env[viz]" in capsys.readouterr().err
+    assert main(["explore", "--steps", "5", "--no-pictures", "--out", str(tmp_path / "run")]) == 0
+    assert not (tmp_path / "run" / "map.png").exists()
+
+
+def test_an_interrupted_run_writes_what_it_has(monkeypatch, capsys, tmp_path):
+    class Impatient:
+        def __init__(self, total, label):
+            pass
+
+        def __call__(self, done):
+            if done == 12:
+                raise KeyboardInterrupt
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr("agents.__main__.Progress", Impatient)
+    assert main(["explore", "--steps", "50", "--no-pictures", "--out", str(tmp_path / "run")]) == 130
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["steps"] == 12
+    assert "interrupted after 12 steps" in capsys.readouterr().err
+
+
+def test_the_table_is_aligned_and_shows_a_dash_for_what_is_unknown():
+    report = {"steps": 3, "closures": {"accepted": 0, "proposed": 0, "precision": None}, "env_steps_per_s": None}
+    lines = table_of(report).splitlines()
+    assert "steps                    3" in lines
+    assert any(line.startswith("loop closures") and line.endswith("precision -") for line in lines)
+    assert any(line.startswith("environment speed") and line.endswith(" -") for line in lines)
+
+
+def test_json_never_holds_nan(tmp_path):
+    write_json(tmp_path / "a.json", {"a": np.float64("nan"), "b": [np.int64(2), float("inf")], "c": np.arange(2)})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": [2, None], "c": [0, 1]}
+
+
+def test_a_film_of_any_length_keeps_a_bounded_number_of_even_frames():
+    pytest.importorskip("PIL", reason="films need the viz extra")
+    film = Film(every=1)
+    for step in range(1000):
+        if film.wants(step):
+            film.add(step, np.full((8, 8, 3), step % 250, np.uint8))
+    assert 80 <= len(film._steps) <= 161
+    assert len(set(np.diff(film._steps))) == 1
+
+
+def test_progress_is_silent_in_a_pipe(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
+    progress = explore_module.Progress(10, "x")
+    for done in range(10):
+        progress(done)
+    progress.close()
+    assert capsys.readouterr().err == ""
+
+
+def test_an_unknown_agent_is_an_error_before_anything_runs():
+    with pytest.raises(ConfigError, match="unknown agent 'none'"):
+        explore(EnvConfig(), "none", 0)

@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import twc_env
+from twc_env.config import DynamicsConfig
+from twc_env.errors import ActionError
+from twc_env.exploration.actions import decode_velocity, velocity_space
+
+AGENTS = ["robot_0", "robot_1"]
+LIMITS = DynamicsConfig(speed_max_m_s=1.2, turn_rate_max_rad_s=2.0)
+FINE = np.array([0.5, -0.5], np.float32)
+
+BAD = {
+    "NaN": np.array([np.nan, 0.0]),
+    "infinity": np.array([0.0, np.inf]),
+    "too fast": np.array([1.5, 0.0]),
+    "too fast backwards": np.array([0.0, -1.01]),
+    "one number too many": np.array([0.1, 0.2, 0.3]),
+    "one number too few": np.array([0.7]),
+    "a bare number": 0.7,
+    "a row instead of a pair": np.array([[0.1, 0.2]]),
+    "no numbers": "forward",
+    "nothing": None,
+    "an empty array": np.array([]),
+}
+
+
+@given(st.floats(-1, 1), st.floats(-1, 1))
+def test_an_action_is_a_share_of_the_maxima(forward, turn):
+    commands = decode_velocity({"robot_0": (forward, turn), "robot_1": FINE}, AGENTS, LIMITS)
+    assert commands == pytest.approx(np.array([[1.2 * forward, 2.0 * turn], [0.6, -1.0]]))
+
+
+def test_rounding_beyond_one_is_forgiven_and_cut():
+    commands = decode_velocity({"robot_0": (1 + 5e-7, -1 - 5e-7)}, ["robot_0"], LIMITS)
+    assert commands.tolist() == [[1.2, -2.0]]
+
+
+def test_every_action_of_the_space_is_accepted():
+    space = velocity_space()
+    space.seed(0)
+    for action in [space.low, space.high, *(space.sample() for _ in range(20))]:
+        assert np.isfinite(decode_velocity({"robot_0": action}, ["robot_0"], LIMITS)).all()
+
+
+@pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
+def test_a_bad_action_is_refused_in_one_line_that_names_agent_value_and_remedy(bad):
+    with pytest.raises(ActionError) as caught:
+        decode_velocity({"robot_0": FINE, "robot_1": bad}, AGENTS, LIMITS)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert "'robot_1'" in text
+    assert repr(bad) in text
+    assert "[-1, 1]" in text
+    assert any(word in text for word in ("must be", "clip"))
+
+
+def test_the_first_bad_action_of_several_is_named():
+    with pytest.raises(ActionError, match="'robot_0'"):
+        decode_velocity({"robot_0": np.array([3.0, 0.0]), "robot_1": np.array([np.nan, 0.0])}, AGENTS, LIMITS)
+
+
+def test_a_missing_agent_is_named_with_all_that_are_needed():
+    with pytest.raises(ActionError) as caught:
+        decode_velocity({"robot_0": FINE, "robot_7": FINE}, AGENTS, LIMITS)
+    text = str(caught.value)
+    assert "no action for 'robot_1'" in text
+    assert str(AGENTS) in text
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize("bad", [BAD["NaN"], BAD["too fast"], BAD["a bare number"]], ids=["NaN", "range", "shape"])
+def test_a_refused_action_leaves_the_episode_as_it_was(bad, same):
+    tried, untouched = (twc_env.parallel_env(robots=2, max_cycles=20) for _ in range(2))
+    for env in (tried, untouched):
+        env.reset(seed=0)
+    for _ in range(5):
+        with pytest.raises(ActionError):
+            tried.step({"robot_0": FINE, "robot_1": bad})
+        a, b = (env.step(dict.fromkeys(AGENTS, FINE)) for env in (tried, untouched))
+        assert all(same(a[0][agent], b[0][agent]) for agent in AGENTS)
+
+
+def test_both_other_views_refuse_bad_actions_too():
+    import gymnasium
+
+    single = gymnasium.make("twc_env/Explore-v0", disable_env_checker=True)
+    single.reset(seed=0)
+    with pytest.raises(ActionError, match="robot_0"):
+        single.step(BAD["NaN"])
+    turns = twc_env.env(robots=1)
+    turns.reset(seed=0)
+    with pytest.raises(ActionError, match="robot_0"):
+        turns.step(BAD["too fast"])

@@ -1,0 +1,205 @@
+import json
+import math
+
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env.geometry import compose, inverse, transform_points
+from twc_env.messages import GridMap
+
+KEYS = {
+    "map", "robots", "seed", "steps", "sim_time_s", "coverage_believed", "coverage_true", "coverage_correct", "map_iou",
+    "merged_robots", "wrong_merges", "team_ate_m", "per_robot_ate_m", "epe_m", "odometry_ate_m",
+    "odometry_coverage_correct", "closures", "bytes_sent", "path_length_m", "collisions", "stuck_share",
+    "config_digest", "version",
+}  # fmt: skip
+CLOSURE_KEYS = {"proposed", "accepted", "correct", "precision", "recall"}
+STEPS = 500
+
+
+@pytest.fixture(scope="module")
+def log(explore):
+    return explore(STEPS, max_cycles=STEPS)
+
+
+@pytest.fixture(scope="module")
+def result(log):
+    return log.env.result()
+
+
+@pytest.fixture(scope="module")
+def perfect(explore):
+    """One robot whose sensors make no error."""
+    settings = {"odometry.drift": 0.0, "lidar.range_noise_std_m": 0.0}
+    return explore(STEPS, robots=1, max_cycles=STEPS, config=settings).env.result()
+
+
+def test_the_report_has_every_figure_under_its_name(result):
+    assert set(result.figures) >= KEYS
+    assert set(result.figures["closures"]) == CLOSURE_KEYS
+
+
+def test_the_figures_are_plain_finite_values(result, perfect):
+    for figures in (result.figures, perfect.figures):
+        text = json.dumps(figures, allow_nan=False)
+        assert set(json.loads(text)) == set(figures)
+
+
+def test_a_share_that_was_never_measured_is_empty_and_not_zero():
+    env = twc_env.parallel_env(robots=1, max_cycles=5)
+    env.reset(seed=0)
+    closures = env.result().figures["closures"]
+    assert closures == {"proposed": 0, "accepted": 0, "correct": 0, "precision": None, "recall": None}
+
+
+def test_what_was_asked_for_stands_in_the_report(log, result):
+    figures = result.figures
+    assert (figures["map"], figures["robots"], figures["seed"], figures["steps"]) == ("twin-01", 3, 0, STEPS)
+    assert figures["sim_time_s"] == pytest.approx(STEPS * 0.1)
+    assert figures["version"] == twc_env.__version__
+    assert result.config == log.env.config
+
+
+def test_perfect_sensors_give_a_nearly_perfect_report(perfect):
+    figures = perfect.figures
+    assert figures["odometry_ate_m"] < 1e-6
+    assert figures["team_ate_m"] < 0.03
+    assert figures["epe_m"] < 0.06
+    assert figures["per_robot_ate_m"] == pytest.approx([figures["team_ate_m"]], abs=0.01)
+    assert figures["coverage_correct"] == pytest.approx(figures["coverage_true"], abs=0.01)
+    assert figures["coverage_correct"] > 0.3
+    assert figures["merged_robots"] == 1
+    assert figures["wrong_merges"] == 0
+    assert figures["closures"]["precision"] in (None, 1.0)
+
+
+def test_shares_lie_between_zero_and_one(result):
+    for key in ("coverage_believed", "coverage_true", "coverage_correct", "map_iou", "stuck_share"):
+        assert 0.0 <= result.figures[key] <= 1.05, key
+    assert result.figures["coverage_correct"] <= result.figures["coverage_believed"] + 1e-9
+
+
+def test_odometry_alone_is_visibly_worse(result):
+    assert result.figures["odometry_ate_m"] > 2 * result.figures["team_ate_m"]
+    assert result.figures["odometry_ate_m"] > 0.2
+
+
+def test_the_paths_have_one_pose_per_robot_and_step(log, result):
+    for poses in (result.true_poses, result.estimated_poses, result.odometry_poses):
+        assert poses.shape == (STEPS + 1, 3, 3)
+        assert np.isfinite(poses).all()
+    assert result.odometry_poses[0] == pytest.approx(result.true_poses[0])
+    assert result.true_poses[-1] == pytest.approx(log.env.state().reshape(3, 6)[:, :3], abs=1e-4)
+    walked = np.hypot(*np.diff(result.true_poses[..., :2], axis=0).transpose(2, 0, 1)).sum()
+    assert result.figures["path_length_m"] == pytest.approx(walked)
+
+
+def test_every_robot_is_in_one_group_and_every_group_has_a_map(result):
+    assert sorted(robot for group in result.groups for robot in group) == [0, 1, 2]
+    assert len(result.groups) == len(result.grids) == len(result.pose_building_map)
+    sizes = [len(group) for group in result.groups]
+    assert sizes == sorted(sizes, reverse=True)
+    assert result.figures["merged_robots"] == sizes[0]
+
+
+def test_the_alignment_lays_the_estimate_on_the_truth(result):
+    for group, pose in zip(result.groups, result.pose_building_map, strict=True):
+        for robot in group:
+            aligned = compose(pose, result.estimated_poses[:, robot])
+            error = np.hypot(*(aligned - result.true_poses[:, robot])[:, :2].T)
+            assert np.sqrt((error**2).mean()) < 0.3
+
+
+def test_the_alignment_lays_believed_walls_on_true_walls(result):
+    grid, pose = result.grids[0], result.pose_building_map[0]
+    walls = transform_points(pose, grid.centre_of(np.argwhere(grid.log_odds > 20)))
+    assert len(walls) > 200
+    assert np.mean(result.floorplan.wall_index.distance_m(walls, 0.5) < 0.2) > 0.9
+
+
+def test_closures_are_counted_as_they_are_listed(result):
+    figures, rows = result.figures["closures"], result.closures
+    accepted = [row for row in rows if row["status"] == "accepted"]
+    assert figures["proposed"] == len(rows) > 0
+    assert figures["accepted"] == len(accepted)
+    assert figures["correct"] == sum(row["correct"] for row in accepted)
+    assert figures["precision"] == pytest.approx(figures["correct"] / len(accepted))
+    for row in rows:
+        assert row["status"] in ("accepted", "pending", "rejected")
+        assert (row["reason"] == "") == (row["status"] == "accepted")
+
+
+def test_the_ends_of_a_right_closure_lie_near_each_other_in_the_building(result):
+    rows = [row for row in result.closures if row["status"] == "accepted" and row["correct"]]
+    assert rows
+    for row in rows:
+        assert math.dist(row["target_m"], row["source_m"]) < 6.0
+        assert result.floorplan.cells().is_free(np.array([row["target_m"], row["source_m"]])).all()
+
+
+def test_judging_twice_and_in_between_changes_nothing(explore, log, result):
+    again = log.env.result()
+    assert again.figures == result.figures
+    watched = twc_env.parallel_env(robots=3, max_cycles=40)
+    plain = explore(40, max_cycles=40)
+    watched.reset(seed=0, options={"starts": "map"})
+    for actions, rewards in zip(plain.actions, plain.rewards, strict=True):
+        watched.result()
+        assert watched.step(actions)[1] == rewards
+    assert watched.result().figures == plain.env.result().figures
+
+
+def test_a_result_is_not_changed_by_what_comes_after(explore):
+    log = explore(30)
+    result = log.env.result()
+    before = [grid.log_odds.copy() for grid in result.grids]
+    poses, nodes = result.true_poses.copy(), result.graph["nodes"].copy()
+    for _ in range(30):
+        log.env.step(dict.fromkeys(log.env.agents, np.array([1.0, 0.4], np.float32)))
+    assert all(np.array_equal(grid.log_odds, old) for grid, old in zip(result.grids, before, strict=True))
+    assert np.array_equal(result.true_poses, poses)
+    assert np.array_equal(result.graph["nodes"], nodes)
+
+
+def test_a_result_right_after_reset_is_already_a_report():
+    env = twc_env.parallel_env(robots=2, max_cycles=5)
+    env.reset(seed=0)
+    result = env.result()
+    assert (result.figures["steps"], result.figures["path_length_m"]) == (0, 0.0)
+    assert 0.0 < result.figures["coverage_correct"] < 1.0
+    assert all(isinstance(grid, GridMap) for grid in result.grids)
+
+
+def test_a_moved_building_gets_the_same_report(explore, log, result):
+    plan = log.env.floorplan.moved(np.array([12.0, -30.0, 0.8]))
+    moved = explore(STEPS, max_cycles=STEPS, floorplan=plan).env.result()
+    for key in ("team_ate_m", "odometry_ate_m", "epe_m", "path_length_m"):
+        assert moved.figures[key] == pytest.approx(result.figures[key], abs=1e-3), key
+    for key in ("merged_robots", "wrong_merges", "bytes_sent", "collisions"):
+        assert moved.figures[key] == result.figures[key], key
+    assert moved.figures["coverage_correct"] == pytest.approx(result.figures["coverage_correct"], abs=0.02)
+    turned = compose(inverse(result.pose_building_map[0]), inverse(np.array([12.0, -30.0, 0.8])))
+    assert compose(turned, moved.pose_building_map[0]) == pytest.approx(np.zeros(3), abs=1e-3)
+
+
+def test_a_lossy_link_costs_bytes_and_delays_but_breaks_nothing(explore, result):
+    lossy = explore(STEPS, max_cycles=STEPS, config={"link.loss_probability": 0.5}).env.result()
+    assert lossy.figures["bytes_sent"] > 1.5 * result.figures["bytes_sent"]
+    assert lossy.figures["wrong_merges"] == 0
+    assert lossy.figures["team_ate_m"] < 0.3
+
+
+def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore):
+    from twc_env.slam import map_merging
+
+    def agree(targets, sources, measured, config):
+        return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool))
+
+    monkeypatch.setattr(map_merging, "largest_agreement", agree)
+    monkeypatch.setattr(map_merging, "wall_contradiction", lambda *_: 0.0)
+    monkeypatch.setattr(map_merging, "wifi_agrees", lambda *_: True)
+    figures = explore(STEPS, max_cycles=STEPS).env.result().figures
+    assert figures["wrong_merges"] >= 1
+    assert figures["merged_robots"] >= 2
+    assert figures["team_ate_m"] > 1.0

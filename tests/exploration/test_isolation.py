@@ -1,0 +1,178 @@
+import copy
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env.config import EnvConfig, override
+
+SETTINGS = {"lidar.beam_count": 90, "robots": 2, "max_cycles": 60, "odometry.drift": 0.5, "reward.collision": -0.25}
+COPIES = [copy.deepcopy, copy.copy, lambda env: pickle.loads(pickle.dumps(env))]
+copied = pytest.mark.parametrize("copy_of", COPIES, ids=["deepcopy", "copy", "pickle"])
+
+
+def play(env, steps: int = 15, seed: int = 0) -> list:
+    """Observations and rewards of a short episode."""
+    env.reset(seed=seed)
+    return [go_on(env, step) for step in range(steps)]
+
+
+def go_on(env, step: int):
+    action = np.array([0.8, 0.5 * np.sin(0.4 * step)], np.float32)
+    return env.step(dict.fromkeys(env.agents, action))[:2]
+
+
+def equal(a, b, same) -> bool:
+    return all(
+        all(same(x[0][agent], y[0][agent]) for agent in x[0]) and x[1] == y[1] for x, y in zip(a, b, strict=True)
+    )
+
+
+@copied
+def test_a_copy_keeps_config_and_behaviour(copy_of, same):
+    env = twc_env.parallel_env(map="twin-02", config=SETTINGS, render_mode="rgb_array")
+    twin = copy_of(env)
+    assert twin.config == env.config
+    assert twin.config.lidar.beam_count == 90
+    assert (twin.render_mode, twin.possible_agents) == (env.render_mode, env.possible_agents)
+    assert twin.floorplan.digest == env.floorplan.digest
+    assert twin.observation_space("robot_0") == env.observation_space("robot_0")
+    assert equal(play(env), play(twin), same)
+
+
+@copied
+def test_a_copy_keeps_a_building_given_as_a_value(copy_of, same):
+    plan = twc_env.load_map("twin-01").moved(np.array([4.0, 3.0, 0.5]))
+    env = twc_env.parallel_env(floorplan=plan, robots=1)
+    twin = copy_of(env)
+    assert np.array_equal(twin.floorplan.walls_m, plan.walls_m)
+    assert equal(play(env), play(twin), same)
+
+
+@copied
+def test_copying_in_the_middle_of_an_episode_does_not_disturb_it(copy_of, same):
+    env, untouched = (twc_env.parallel_env(config=SETTINGS) for _ in range(2))
+    play(env, 10)
+    play(untouched, 10)
+    twin = copy_of(env)
+    play(twin, 5, seed=9)
+    assert equal([go_on(env, s) for s in range(10)], [go_on(untouched, s) for s in range(10)], same)
+
+
+@copied
+def test_a_copy_does_not_follow_later_changes_of_the_settings_it_was_made_from(copy_of):
+    settings = {"lidar": {"beam_count": 90}, "robots": 2}
+    env = twc_env.parallel_env(config=settings)
+    settings["robots"] = 5
+    settings["lidar"]["beam_count"] = 8
+    assert env.config.robots == 2
+    assert copy_of(env).config == env.config
+
+
+def test_wrapped_environments_can_be_copied_too(same):
+    single = gymnasium.make("twc_env/Explore-v0", max_cycles=30, config={"lidar.beam_count": 90})
+    twin = copy.deepcopy(single)
+    assert same(single.reset(seed=1)[0], twin.reset(seed=1)[0])
+    turns = twc_env.env(config=SETTINGS)
+    other = pickle.loads(pickle.dumps(turns))
+    for env in (turns, other):
+        env.reset(seed=1)
+    assert same(turns.observe("robot_0"), other.observe("robot_0"))
+
+
+def test_one_config_value_serves_many_environments():
+    config = override(EnvConfig(), SETTINGS)
+    before = copy.deepcopy(config)
+    play(twc_env.parallel_env(config=config))
+    play(twc_env.parallel_env(config=config, robots=1))
+    assert config == before
+
+
+def test_a_dict_of_settings_is_read_not_changed():
+    settings = {"lidar": {"beam_count": 90}, "odometry.drift": 0.5}
+    before = copy.deepcopy(settings)
+    twc_env.parallel_env(config=settings, robots=1)
+    assert settings == before
+
+
+def test_building_and_running_another_environment_changes_nothing(same):
+    alone = twc_env.parallel_env(config=SETTINGS)
+    expected = play(alone)
+    env = twc_env.parallel_env(config=SETTINGS)
+    env.reset(seed=0)
+    found = []
+    for step in range(15):
+        other = twc_env.parallel_env(map="twin-01", robots=1 + step % 3, config={"lidar.beam_count": 45})
+        other.reset(seed=step)
+        go_on(other, step)
+        found.append(go_on(env, step))
+    assert equal(expected, found, same)
+
+
+def test_metadata_belongs_to_one_environment():
+    first, second = twc_env.parallel_env(robots=1), twc_env.parallel_env(robots=1)
+    first.metadata["render_fps"] = 99
+    first.metadata["render_modes"].append("planted")
+    third = twc_env.parallel_env(robots=1)
+    for metadata in (second.metadata, third.metadata, twc_env.ExplorationEnv.metadata):
+        assert metadata["render_fps"] != 99
+        assert "planted" not in metadata["render_modes"]
+
+
+def test_spaces_belong_to_one_environment():
+    first, second = twc_env.parallel_env(robots=1), twc_env.parallel_env(robots=1)
+    for name in ("action_space", "observation_space"):
+        assert getattr(first, name)("robot_0") is not getattr(second, name)("robot_0")
+        assert getattr(first, name)("robot_0") == getattr(second, name)("robot_0")
+
+
+def test_a_building_is_the_same_after_an_episode():
+    plan = twc_env.load_map("twin-01")
+    before = pickle.dumps(plan)
+    play(twc_env.parallel_env(floorplan=plan, robots=2))
+    assert pickle.dumps(plan) == before
+
+
+def test_scribbling_on_observations_and_actions_changes_nothing(same):
+    env, untouched = (twc_env.parallel_env(config=SETTINGS) for _ in range(2))
+    first = env.reset(seed=0)[0]
+    untouched.reset(seed=0)
+    seen = first
+    for step in range(15):
+        for observation in seen.values():
+            for array in observation.values():
+                array[...] = 1
+        action = np.array([0.8, 0.2], np.float32)
+        seen, rewards, *_ = env.step(dict.fromkeys(env.agents, action))
+        expected, expected_rewards, *_ = untouched.step(
+            dict.fromkeys(untouched.agents, np.array([0.8, 0.2], np.float32))
+        )
+        action[...] = -1
+        assert all(same(seen[agent], expected[agent]) for agent in seen), step
+        assert rewards == expected_rewards
+
+
+def test_observations_kept_from_earlier_steps_do_not_change():
+    env = twc_env.parallel_env(config=SETTINGS)
+    kept = [env.reset(seed=0)[0]]
+    before = [copy.deepcopy(kept[0])]
+    for step in range(12):
+        observations, _ = go_on(env, step)
+        kept.append(observations)
+        before.append(copy.deepcopy(observations))
+    for now, then in zip(kept, before, strict=True):
+        for agent in now:
+            assert all(np.array_equal(now[agent][key], then[agent][key]) for key in now[agent])
+
+
+def test_scribbling_on_a_belief_is_refused_or_changes_nothing(same):
+    env, untouched = (twc_env.parallel_env(config=SETTINGS) for _ in range(2))
+    play(env, 8)
+    play(untouched, 8)
+    belief = env.belief("robot_0")
+    for array in (belief.grid.log_odds, belief.grid.origin_m, belief.pose_map_robot, belief.ranges_m):
+        if array.flags.writeable:
+            array[...] = 7
+    assert equal([go_on(env, s) for s in range(8)], [go_on(untouched, s) for s in range(8)], same)

@@ -1,0 +1,199 @@
+"""Truth reaches neither the estimates nor the observations; each check is shown a leak that it must find."""
+
+import dataclasses
+import gc
+import pickle
+import types
+
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env.exploration.observations import ObservationBuilder
+from twc_env.messages import Belief, SensorFrame
+from twc_env.slam.engine import CooperativeSlam
+
+STEPS = 150
+MOTION = np.array([37.3, -81.9, 1.1])
+
+
+class LeakyEnv(twc_env.ExplorationEnv):
+    """Shows each robot its true position."""
+
+    def step(self, actions):
+        result = super().step(actions)
+        for observation, true in zip(result[0].values(), self.state().reshape(-1, 6), strict=True):
+            observation["pose"][:2] = true[:2]
+        return result
+
+
+def keyframes_of(env) -> list[tuple]:
+    """(robot, step, pose) of every keyframe."""
+    return [(k.robot, k.step, *k.pose_odom.tolist()) for path in env.engine.team.keyframes for k in path]
+
+
+def largest_difference(first, second) -> float:
+    """Between all observations of two logs; a map counts the share of its cells that differ."""
+    worst = 0.0
+    for a, b in zip(first.observations, second.observations, strict=True):
+        for agent in a:
+            for key in a[agent]:
+                difference = np.abs(a[agent][key].astype(float) - b[agent][key].astype(float))
+                worst = max(worst, (difference > 0).mean() if key == "map" else difference.max())
+    return worst
+
+
+@pytest.fixture(scope="module")
+def here(explore):
+    return explore(STEPS)
+
+
+@pytest.fixture(scope="module")
+def moved(explore, here):
+    return explore(STEPS, floorplan=here.env.floorplan.moved(MOTION))
+
+
+def test_moving_and_turning_the_building_changes_no_observation(here, moved):
+    assert np.abs(here.env.state() - moved.env.state()).max() > 30
+    assert largest_difference(here, moved) < 1e-4
+
+
+def test_moving_the_building_changes_no_keyframe_and_hardly_the_area(here, moved):
+    gains = [sum(rewards["robot_0"] for rewards in log.rewards) for log in (here, moved)]
+    assert gains[0] > 20
+    assert gains[1] == pytest.approx(gains[0], rel=0.03)  # the building's own cells lie elsewhere
+    assert len(keyframes_of(here.env)) > 20
+    assert np.array(keyframes_of(moved.env)) == pytest.approx(np.array(keyframes_of(here.env)), abs=1e-6)
+
+
+def test_the_guard_sees_a_planted_leak_when_the_building_moves(explore, here):
+    plans = here.env.floorplan, here.env.floorplan.moved(MOTION)
+    first, second = (explore(5, env=LeakyEnv(robots=3, floorplan=plan)) for plan in plans)
+    assert largest_difference(first, second) > 1.0
+
+
+def rebuild_errors(env, steps: int, wander) -> int:
+    """Observations that do not follow from frames and beliefs alone."""
+    observations, _ = env.reset(seed=0, options={"starts": "map"})
+    builders = [ObservationBuilder(env.config, env.config.robots) for _ in env.possible_agents]
+    wrong = 0
+    for step in range(steps):
+        for agent, builder, frame in zip(env.possible_agents, builders, env.frames, strict=True):
+            frame, belief = pickle.loads(pickle.dumps((frame, env.belief(agent))))
+            built = builder.build(frame, belief)
+            wrong += any(not np.array_equal(built[key], observations[agent][key]) for key in built)
+        actions = {a: wander(o["lidar"] * 10, step, int(a[-1])) for a, o in observations.items()}
+        observations = env.step(actions)[0]
+    return wrong
+
+
+def test_each_observation_follows_from_the_frame_and_the_belief(wander):
+    assert rebuild_errors(twc_env.parallel_env(robots=3), 60, wander) == 0
+
+
+def test_the_guard_sees_a_planted_leak_when_observations_are_rebuilt(wander):
+    assert rebuild_errors(LeakyEnv(robots=3), 5, wander) == 4 * 3
+
+
+def replay_errors(env, steps: int, wander) -> int:
+    """Observations that a fresh engine, fed with the recorded frames alone, would not have given."""
+    observations, _ = env.reset(seed=0, options={"starts": "map"})
+    engine = CooperativeSlam(env.config, env.config.robots)
+    builders = [ObservationBuilder(env.config, env.config.robots) for _ in env.possible_agents]
+    wrong = 0
+    for step in range(steps):
+        frames = pickle.loads(pickle.dumps(env.frames))
+        engine.update(frames)
+        for agent, builder, frame in zip(env.possible_agents, builders, frames, strict=True):
+            built = builder.build(frame, engine.belief(frame.robot))
+            wrong += any(not np.array_equal(built[key], observations[agent][key]) for key in built)
+        actions = {a: wander(o["lidar"] * 10, step, int(a[-1])) for a, o in observations.items()}
+        observations = env.step(actions)[0]
+    return wrong
+
+
+def test_a_fresh_engine_gives_the_same_observations_from_the_recorded_frames(wander):
+    assert replay_errors(twc_env.parallel_env(robots=3), 350, wander) == 0
+
+
+def test_the_guard_sees_a_planted_leak_when_frames_are_replayed(wander, monkeypatch):
+    env = twc_env.parallel_env(robots=3)
+    honest = CooperativeSlam.belief
+
+    def belief_near_the_truth(engine, robot, with_signs=True):
+        belief = honest(engine, robot, with_signs)
+        if engine is not env.engine:
+            return belief
+        true = env.state().reshape(-1, 6)[robot, :3]
+        return dataclasses.replace(belief, pose_map_robot=belief.pose_map_robot + 1e-3 * true)
+
+    monkeypatch.setattr(CooperativeSlam, "belief", belief_near_the_truth)
+    assert replay_errors(env, 5, wander) > 0
+
+
+def test_beliefs_are_the_same_wherever_the_building_stands(here, moved):
+    for agent in here.env.possible_agents:
+        a, b = here.env.belief(agent), moved.env.belief(agent)
+        assert a.pose_map_robot == pytest.approx(b.pose_map_robot, abs=1e-6)
+        assert a.mates.keys() == b.mates.keys()
+        assert [s.text for s in a.signs] == [s.text for s in b.signs]
+        assert np.array([s.position_m for s in a.signs]) == pytest.approx(np.array([s.position_m for s in b.signs]))
+        assert np.mean(a.grid.log_odds != b.grid.log_odds) < 1e-3
+
+
+def test_every_robot_begins_at_the_origin_of_its_own_map(here):
+    for observation in here.observations[0].values():
+        assert observation["pose"].tolist() == [0.0, 0.0, 1.0, 0.0]
+        assert not observation["team"].any()
+
+
+SKIPPED = (type, types.ModuleType, types.FunctionType, types.BuiltinFunctionType, types.FrameType)
+
+
+def packages_within_reach(root: object) -> set[str]:
+    """twc_env's modules whose objects can be reached from an object by following references."""
+    seen, waiting, modules = {id(root)}, [root], set()
+    while waiting:
+        item = waiting.pop()
+        module = type(item).__module__
+        if module.startswith("numba"):
+            continue
+        if module.startswith("twc_env"):
+            modules.add(module)
+        for other in gc.get_referents(item):
+            if id(other) not in seen and not isinstance(other, SKIPPED):
+                seen.add(id(other))
+                waiting.append(other)
+    return modules
+
+
+def strangers(root: object) -> set[str]:
+    """Of those, the ones that hold truth."""
+    return {m for m in packages_within_reach(root) if m.startswith(("twc_env.world", "twc_env.exploration"))}
+
+
+def test_no_reference_leads_from_engine_belief_or_frame_to_the_world(here):
+    env = here.env
+    assert strangers(env.engine) == set()
+    for agent, frame in zip(env.possible_agents, env.frames, strict=True):
+        assert strangers(env.belief(agent)) == set()
+        assert strangers(frame) == set()
+
+
+def test_the_guard_sees_a_planted_reference_to_the_world(here):
+    planted = CooperativeSlam(here.env.config, 1)
+    planted.robots[0].notes = {"deep": [here.env]}
+    assert "twc_env.world.world" in strangers(planted)
+
+
+@pytest.mark.parametrize("record", [Belief, SensorFrame])
+def test_the_records_that_agents_see_have_no_field_for_truth(record):
+    names = [f.name for f in dataclasses.fields(record)]
+    assert not any("true" in name or "truth" in name or "building" in name for name in names)
+
+
+def test_infos_hold_reward_terms_and_nothing_else(here):
+    assert all(info == {} for info in here.infos[0].values())
+    for infos in here.infos[1:]:
+        for info in infos.values():
+            assert set(info) == {"reward_terms"}
