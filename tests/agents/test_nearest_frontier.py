@@ -197,3 +197,21 @@ def test_an_empty_map_and_no_scan_are_survived():
         belief = Belief(0, step, np.zeros(3), GridMap(np.zeros((0, 0), np.int16), np.zeros(2), CELL_M))
         action = policy.act({"robot_0": belief})["robot_0"]
         assert np.isfinite(action).all()
+
+
+def test_a_robot_that_its_map_shuts_in_squeezes_out():
+    kind = np.full((60, 100), -20, np.int16)
+    kind[[0, -1]] = kind[:, [0, -1]] = 20
+    kind[:, 14] = kind[20, :15] = 20
+    kind[8:12, 14] = -20
+    policy = NearestFrontier(EnvConfig(robots=1))
+    policy.reset(0, ["robot_0"])
+    belief = Belief(0, 0, np.array([0.7, 1.0, 0.0]), GridMap(kind, np.zeros(2), CELL_M))
+    policy.act({"robot_0": belief})
+    robot = policy._robots["robot_0"]
+    assert robot.goal_kind == "tour"
+    assert robot.goal_m[0] > 1.5
+    kind[8:12, 14] = 20
+    policy.reset(0, ["robot_0"])
+    policy.act({"robot_0": belief})
+    assert policy._robots["robot_0"].goal_kind == ""

@@ -23,6 +23,7 @@ BAD = {
     "a row instead of a pair": np.array([[0.1, 0.2]]),
     "no numbers": "forward",
     "nothing": None,
+    "complex numbers": np.array([1j, 0.0]),
     "an empty array": np.array([]),
 }
 

@@ -102,7 +102,10 @@ def hall():
     )
 
 
-def record_frames(config: EnvConfig, wander, steps: int, seed: int = 0) -> tuple[list[tuple[SensorFrame, ...]], np.ndarray]:
+Frames = list[tuple[SensorFrame, ...]]
+
+
+def record_frames(config: EnvConfig, wander, steps: int, seed: int = 0) -> tuple[Frames, np.ndarray]:
     """Frames of every step of a team that wanders, and the true poses (steps + 1, robots, 3)."""
     world = World(config, load_map(config.map))
     world.reset(seed, "map")

@@ -61,9 +61,7 @@ def test_too_few_closures_prove_nothing(count):
 
 def test_closures_that_disagree_prove_nothing():
     random = np.random.default_rng(5)
-    lies = [
-        closures(i, 1, pose_a_b=np.append(random.uniform(-40, 40, 2), random.uniform(-3, 3))) for i in range(6)
-    ]
+    lies = [closures(i, 1, pose_a_b=np.append(random.uniform(-40, 40, 2), random.uniform(-3, 3))) for i in range(6)]
     assert largest_agreement(*joined(*lies), MergingConfig()) is None
 
 

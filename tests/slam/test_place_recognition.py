@@ -129,9 +129,30 @@ def test_the_better_of_two_texts_speaks_for_a_pair(keyframe):
 def test_each_earlier_place_gives_its_own_candidate(place):
     recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
     for index in range(3):
-        assert recogniser.propose(place(0, index)) == []
+        assert recogniser.propose(place(0, index, travel_m=3.0 * index)) == []
     found = recogniser.propose(place(1, 0))
     assert sorted(c.target for c in found) == [(0, 0), (0, 1), (0, 2)]
+
+
+def test_a_text_read_from_keyframe_to_keyframe_is_remembered_once(place):
+    recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
+    for index in range(3):
+        recogniser.propose(place(0, index, travel_m=0.2 * index))
+    assert [c.target for c in recogniser.propose(place(1, 0))] == [(0, 0)]
+
+
+def test_a_reading_on_no_known_wall_does_not_hide_the_next_one(keyframe, place):
+    recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
+    recogniser.propose(keyframe(0, 0, signs=[sign(facing=math.nan)], macs=MACS, rssi_dbm=LEVELS_DBM))
+    recogniser.propose(place(0, 1, travel_m=0.3))
+    assert [c.target for c in recogniser.propose(place(1, 0))] == [(0, 1)]
+
+
+def test_robots_that_are_skipped_give_no_candidate_but_are_remembered(place):
+    recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
+    recogniser.propose(place(0, 0))
+    assert recogniser.propose(place(1, 0), skipped_robots=(0,)) == []
+    assert sorted(c.target for c in recogniser.propose(place(2, 0))) == [(0, 0), (1, 0)]
 
 
 def test_the_printed_rule_accepts_large_distances_and_refuses_small_ones(place):

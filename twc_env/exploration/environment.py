@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from typing import Any
 
@@ -83,7 +84,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self.config = _resolve(config, {"map": map, "robots": robots, "max_cycles": max_cycles})
         # Copies are made from the resolved values: a dict may be changed by its owner later.
         EzPickle.__init__(self, config=self.config, render_mode=render_mode, floorplan=floorplan)
-        self.metadata = dict(type(self).metadata)
+        self.metadata = copy.deepcopy(type(self).metadata)
         if render_mode not in (None, "rgb_array"):
             raise ConfigError(f"render_mode must be 'rgb_array' or None; got {render_mode!r}")
         self.render_mode = render_mode

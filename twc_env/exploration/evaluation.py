@@ -221,11 +221,15 @@ def evaluate(
         estimated_poses=estimated,
         odometry_poses=reckoned,
         groups=tuple(v.robots for v in verdicts),
-        grids=tuple(engine.team.grid_of(engine.team.group_index(v.robots[0])) for v in verdicts),
+        grids=tuple(_copy(engine.team.grid_of(engine.team.group_index(v.robots[0]))) for v in verdicts),
         pose_building_map=np.array([v.pose_building_map for v in verdicts]),
         closures=closures,
         graph=engine.team.graph(),
     )
+
+
+def _copy(grid: GridMap) -> GridMap:
+    return GridMap(grid.log_odds.copy(), grid.origin_m.copy(), grid.resolution_m)
 
 
 def _or_none(value: float) -> float | None:

@@ -47,6 +47,8 @@ class CooperativeSlam:
         self._poses_map_robot = [
             compose(self.team.pose_map_odom(robot), front_end.pose_odom) for robot, front_end in enumerate(self.robots)
         ]
+        for pose in self._poses_map_robot:
+            pose.flags.writeable = False  # beliefs show it to planners
 
     def finish(self) -> None:
         """Work off all that waits in the team's mapper (end of an episode or log)."""

@@ -119,6 +119,7 @@ class OccupancyGrid:
         """Forget everything."""
         self.log_odds = np.zeros((0, 0), np.int16)
         self.origin_m = np.zeros(2)
+        self._snapshot: GridMap | None = None
 
     def integrate(self, poses: Array, scans: Array) -> None:
         """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall."""
@@ -133,7 +134,12 @@ class OccupancyGrid:
 
     def snapshot(self) -> GridMap:
         """A read-only view of the cells as they are now; valid until the next `integrate`."""
-        return GridMap(self.log_odds, self.origin_m, self.resolution_m)
+        if self._snapshot is None:
+            views = self.log_odds.view(), self.origin_m.view()
+            for view in views:
+                view.flags.writeable = False
+            self._snapshot = GridMap(*views, self.resolution_m)
+        return self._snapshot
 
     def _cover(self, low_m: Array, high_m: Array) -> None:
         """Make the grid hold the box low_m..high_m."""
@@ -152,6 +158,6 @@ class OccupancyGrid:
         if rows:
             c, r = np.round(self.origin_m / self.resolution_m - first).astype(int)
             grown[r : r + rows, c : c + columns] = self.log_odds
-        self.log_odds, self.origin_m = grown, first * self.resolution_m
+        self.log_odds, self.origin_m, self._snapshot = grown, first * self.resolution_m, None
         self._crossings = np.zeros((shape[0] + 4, self._crossings.shape[1]), np.int32)
         self._counts = np.zeros(shape[0] + 4, np.int32)

@@ -60,7 +60,9 @@ class TextWifiRecogniser:
         return list(best.values())
 
     def _remember(self, text: str, keyframe: Keyframe, sign: SignObservation) -> None:
-        """Keep a reading, unless the same robot read the same just before."""
+        """Keep a reading, unless no wall is known behind it or the same robot read the same just before."""
+        if math.isnan(sign.facing_rad):
+            return
         last_m = self._last_read_m.get((keyframe.robot, text), -math.inf)
         if keyframe.travel_m - last_m < SAME_PLACE_M:
             return
