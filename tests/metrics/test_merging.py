@@ -8,15 +8,21 @@ from twc_env.errors import DataError
 from twc_env.metrics import implied_frames, wrong_pairs
 
 
-def team(seed: int, robots: int = 3) -> np.ndarray:
+ROBOT_OF = np.repeat([0, 1, 2], [50, 20, 30])
+
+
+def team(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    return np.cumsum(rng.normal(0, 0.3, (50, robots, 3)), axis=0) + rng.normal(0, 10, (1, robots, 3))
+    starts = rng.normal(0, 10, (3, 3))
+    return np.concatenate(
+        [start + np.cumsum(rng.normal(0, 0.3, (n, 3)), axis=0) for start, n in zip(starts, (50, 20, 30), strict=True)]
+    )
 
 
 @given(st.integers(0, 1000), st.floats(-30, 30), st.floats(-30, 30), st.floats(-3, 3))
 def test_a_perfect_merge_has_one_frame_and_no_wrong_pair(seed, x, y, heading):
     estimated, frame = team(seed), np.array([x, y, heading])
-    frames = implied_frames(estimated, geometry.compose(frame, estimated))
+    frames = implied_frames(estimated, geometry.compose(frame, estimated), ROBOT_OF)
     assert geometry.between(frame, frames) == pytest.approx(np.zeros((3, 3)), abs=1e-6)
     assert wrong_pairs(frames) == []
 
@@ -24,8 +30,8 @@ def test_a_perfect_merge_has_one_frame_and_no_wrong_pair(seed, x, y, heading):
 def test_a_robot_put_two_metres_off_is_wrong_with_each_of_the_others():
     estimated = team(1)
     true = estimated.copy()
-    true[:, 1, :2] += [2.0, 0.0]
-    assert wrong_pairs(implied_frames(estimated, true)) == [(0, 1), (1, 2)]
+    true[ROBOT_OF == 1, :2] += [2.0, 0.0]
+    assert wrong_pairs(implied_frames(estimated, true, ROBOT_OF)) == [(0, 1), (1, 2)]
 
 
 def test_a_robot_turned_by_a_quarter_is_wrong_even_where_its_place_is_right():
@@ -42,4 +48,4 @@ def test_a_small_turn_is_judged_amid_the_paths_not_at_the_origin_of_the_frame():
 
 def test_paths_of_unequal_shape_are_refused():
     with pytest.raises(DataError, match="equal shape"):
-        implied_frames(np.zeros((4, 2, 3)), np.zeros((4, 3, 3)))
+        implied_frames(np.zeros((4, 3)), np.zeros((5, 3)), np.zeros(4, int))

@@ -118,7 +118,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._engine = CooperativeSlam(self.config, count)
         self._link = Link(self.config.link, count, random_stream(self._seed, "link"))
         self._builders = [ObservationBuilder(self.config, count) for _ in range(count)]
-        self._record = evaluation.EpisodeRecord(count, self.config.max_cycles)
+        self._record = evaluation.EpisodeRecord(count)
         self._area_m2 = 0.0
         self._steps = 0
         self.agents = self.possible_agents[:]

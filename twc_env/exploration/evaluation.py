@@ -66,19 +66,20 @@ class EpisodeResult:
 class EpisodeRecord:
     """What happened so far, step by step, kept for judging."""
 
-    def __init__(self, robots: int, max_steps: int):
+    def __init__(self, robots: int):
         self.count = 0
-        self._true = np.zeros((max_steps + 1, robots, 3))
-        self._odom = np.zeros((max_steps + 1, robots, 3))
-        self._odometry = np.zeros((max_steps + 1, robots, 3))
+        self._poses = np.zeros((256, 3, robots, 3))
+        """True pose, front-end pose and measured motion of each step; grows."""
         self.contact_count = 0
         self._touching = np.zeros(robots, bool)
         self.wrong_pairs: set[tuple[int, int]] = set()
 
     def append(self, true_poses: Array, odom_poses: Array, odometry: Array, contacts: Array) -> None:
         """Note one step: truth, front-end poses, measured motion, and contacts, one row per robot."""
-        t = self.count
-        self._true[t], self._odom[t], self._odometry[t] = true_poses, odom_poses, odometry
+        if self.count == len(self._poses):
+            self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
+        now = self._poses[self.count]
+        now[0], now[1], now[2] = true_poses, odom_poses, odometry
         self.contact_count += int((contacts & ~self._touching).sum())
         self._touching = contacts.copy()
         self.count += 1
@@ -86,19 +87,18 @@ class EpisodeRecord:
     @property
     def true_poses(self) -> Array:
         """(steps + 1, robots, 3) building frame."""
-        return self._true[: self.count]
+        return self._poses[: self.count, 0]
 
     @property
     def odom_poses(self) -> Array:
         """(steps + 1, robots, 3) front-end estimate, each in its robot's odom frame."""
-        return self._odom[: self.count]
+        return self._poses[: self.count, 1]
 
     def odometry_poses(self) -> Array:
         """(steps + 1, robots, 3) dead reckoning from the true start, building frame."""
-        poses = np.empty((self.count, *self._true.shape[1:]))
-        poses[0] = self._true[0]
+        poses = self.true_poses.copy()
         for t in range(1, self.count):
-            poses[t] = compose(poses[t - 1], self._odometry[t])
+            poses[t] = compose(poses[t - 1], self._poses[t, 2])
         return poses
 
 
@@ -106,18 +106,17 @@ def judge_group(engine: CooperativeSlam, group: int, record: EpisodeRecord, cell
     """Lay a group's map on the building and measure it."""
     team = engine.team
     robots = team.groups[group].robots
-    estimated = [team.poses_of(r) for r in robots]
-    true = [record.true_poses[team.keyframe_steps(r), r] for r in robots]
-    if not any(len(e) for e in estimated):
+    counts = [len(team.keyframes[r]) for r in robots]
+    if not any(counts):
         return GroupVerdict(robots, np.zeros(3), (), 0.0)
-    pose = metrics.align_team(np.concatenate(estimated), np.concatenate(true))
+    estimated = np.concatenate([team.poses_of(r) for r in robots])
+    true = np.concatenate([record.true_poses[team.keyframe_steps(r), r] for r in robots])
+    pose = metrics.align_team(estimated, true)
     wrong: tuple[tuple[int, int], ...] = ()
     if len(robots) > 1:
-        frames = np.array(
-            [metrics.implied_frames(e[:, None], t[:, None])[0] for e, t in zip(estimated, true, strict=True)]
-        )
-        centre = np.concatenate(estimated)[:, :2].mean(axis=0)
-        wrong = tuple((robots[i], robots[j]) for i, j in metrics.wrong_pairs(frames, centre))
+        frames = metrics.implied_frames(estimated, true, np.repeat(np.arange(len(robots)), counts))
+        pairs = metrics.wrong_pairs(frames, estimated[:, :2].mean(axis=0))
+        wrong = tuple((robots[i], robots[j]) for i, j in pairs)
     grid = team.grid_of(group)
     area = metrics.correct_area_m2(
         grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m

@@ -16,7 +16,7 @@ from twc_env.slam.scan_matching import LineField, scan_points
 
 Array = NDArray
 
-FIELD_CELL_M = 0.15
+FIELD_CELL_M = 0.2
 NEAR_WALL_M = 0.15
 STEP_M, STEP_RAD = 0.15, 0.05
 """Grid of the correlative search; the refinement reaches further than one step."""

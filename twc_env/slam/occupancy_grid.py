@@ -125,8 +125,8 @@ class OccupancyGrid:
         """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall."""
         if len(poses) == 0:
             return
-        reach = np.minimum(np.max(np.abs(scans), axis=1, keepdims=True), self.range_max_m)
-        self._cover((poses[:, :2] - reach).min(axis=0), (poses[:, :2] + reach).max(axis=0))
+        reach = min(float(np.abs(scans).max()), self.range_max_m)
+        self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
         _integrate_many(
             self.log_odds, self.origin_m[0], self.origin_m[1], 1.0 / self.resolution_m, poses, scans, self.range_max_m,
             self._crossings, self._counts,

@@ -27,6 +27,8 @@ MOTION_STD_MIN = np.array([0.01, 0.01, 0.003])
 """Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""
 
 
+REDRAW_SPACING_M = 0.9
+"""When the local map moves on, of the older keyframes every one this far along the path is drawn again."""
 NOTHING_MATCHED = np.zeros((3, 3))
 
 
@@ -152,5 +154,10 @@ class RobotFrontEnd:
         self._centre_m = position
         self._field.reset(position)
         horizon = keyframe.travel_m - self._config.local_map.memory_m
-        recent = [k for k in self._keyframes[-200:] if k.travel_m >= horizon]
+        recent = [keyframe]
+        for old in reversed(self._keyframes[:-1]):
+            if old.travel_m < horizon:
+                break
+            if recent[-1].travel_m - old.travel_m >= REDRAW_SPACING_M:
+                recent.append(old)
         self._field.add(np.array([k.pose_odom for k in recent]), np.array([k.ranges_m for k in recent]))
