@@ -229,7 +229,7 @@ class MergingConfig(_Checked):
     closures_min: int = _number(3, 1, 100)
     """Mutually consistent closures needed."""
     spread_min_m: float = _number(1.5, 0.0, 100.0)
-    """The closures must come from places at least this far apart."""
+    """The closures must stem from signs at least this far apart (0: one sign is enough)."""
     consistency_m: float = _number(0.6, 0.01, 10.0)
     consistency_rad: float = _number(0.15, 0.01, math.pi)
     contradiction_max: float = _number(0.10, 0.0, 1.0)

@@ -110,6 +110,8 @@ class LoopCandidate:
     """(3,) first guess of the source's pose in the target's frame."""
     recogniser: str
     """Who proposed it: "twc" (text and WiFi) or "proximity" (near in the present estimate)."""
+    sign_m: Array | None = None
+    """(2,) the sign that both saw, in the target's frame; None when no sign is meant."""
     text_similarity: float = float("nan")
     mac_similarity: float = float("nan")
     rssi_similarity: float = float("nan")

@@ -94,6 +94,21 @@ def test_a_corridor_match_carries_no_information_along_the_axis(corridor, scan):
     assert information[2, 2] > 100
 
 
+def test_two_beams_on_a_pillar_do_not_fix_the_axis(corridor, walls, scan):
+    pillar = walls((2.0, -1.2), (2.2, -1.2), (2.2, -0.9), (2.0, -0.9))
+    both = np.concatenate([corridor, pillar])
+    field = field_of(both, scan, np.zeros(3))
+    match = refine(field, points_at(both, scan, np.zeros(3)), np.array([0.2, 0.05, 0.02]))
+    axis, information = match.direction, match.information(0.04, 8.0)
+    assert match.is_degenerate
+    assert match.hessian[0, 0] > 0.5, "the pillar was not seen at all"
+    assert abs(axis @ (match.pose[:2] - [0.2, 0.05])) < 2e-3
+    assert abs(information @ [*axis, 0.0]).max() < 1e-6 * information[1, 1]
+    fixed = refine(field, points_at(both, scan, np.zeros(3)), np.array([0.2, 0.05, 0.02]), share=0.0)
+    assert not fixed.is_degenerate
+    assert abs(fixed.pose[0]) < 0.05
+
+
 def test_a_turned_corridor_turns_its_free_direction(corridor, scan):
     angle = 0.7
     c, s = math.cos(angle), math.sin(angle)

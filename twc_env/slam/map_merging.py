@@ -42,10 +42,14 @@ class MergeProposal:
     """(closures,) bool: which of the closures agree."""
 
 
-def largest_agreement(targets: Array, sources: Array, measured: Array, config: MergingConfig) -> MergeProposal | None:
-    """The pose of b in a on which most closures agree; None while too few do or all come from one spot.
+def largest_agreement(
+    targets: Array, sources: Array, measured: Array, signs_m: Array, config: MergingConfig
+) -> MergeProposal | None:
+    """The pose of b in a on which most closures agree; None while too few do or all stem from one sign.
 
-    targets (k, 3) keyframes in map a, sources (k, 3) in map b, measured (k, 3) source in the target's frame.
+    targets (k, 3) keyframes in map a, sources (k, 3) in map b, measured (k, 3) source in the target's frame, signs_m
+    (k, 2) the sign behind each closure, in its own map: a single sign may have a twin elsewhere, so at least two that
+    lie apart must agree.
     """
     if len(targets) < config.closures_min:
         return None
@@ -56,7 +60,8 @@ def largest_agreement(targets: Array, sources: Array, measured: Array, config: M
     distance = np.linalg.norm(sources[:, None, :2] - sources[None, :, :2], axis=2)
     agrees = np.linalg.norm(error[..., :2], axis=2) <= config.consistency_m + DRIFT_PER_M * distance
     agrees &= np.abs(error[..., 2]) <= config.consistency_rad
-    spread = np.where(agrees, distance, 0.0).max(axis=1)
+    between_signs = np.linalg.norm(signs_m[:, None] - signs_m[None, :], axis=2)
+    spread = np.array([between_signs[np.ix_(row, row)].max() for row in agrees])
     votes = np.where(spread >= config.spread_min_m, agrees.sum(axis=1), 0)
     seed = int(np.argmax(votes))
     if votes[seed] < config.closures_min:

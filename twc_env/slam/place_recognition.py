@@ -100,6 +100,7 @@ class TextWifiRecogniser:
             source=(source.robot, source.index),
             guess=_meet_at_sign(target_sign, source_sign),
             recogniser="twc",
+            sign_m=target_sign.position_m,
             text_similarity=text,
             mac_similarity=macs,
             rssi_similarity=rssi,

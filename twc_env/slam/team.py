@@ -291,9 +291,10 @@ class TeamMapper:
     def _try_merge(self, a: int, b: int) -> None:
         """Put group b into the map of group a if enough speaks for it and nothing against."""
         pending = [c for c in self.closures if c.status == "pending" and self._groups_of(c) == {a, b}]
-        targets, sources, measured = self._as_a_to_b(pending, a)
         rule = self._config.merging
-        proposal = map_merging.largest_agreement(targets, sources, measured, rule)
+        if len(pending) < rule.closures_min:
+            return
+        proposal = map_merging.largest_agreement(*self._as_a_to_b(pending, a), rule)
         if proposal is None:
             return
         if rule.wifi_check and not self._wifi_agrees(a, b, proposal.pose_a_b):
@@ -309,17 +310,23 @@ class TeamMapper:
     def _groups_of(self, closure: LoopClosure) -> set[int]:
         return {self._group_of[closure.candidate.target[0]], self._group_of[closure.candidate.source[0]]}
 
-    def _as_a_to_b(self, closures: list[LoopClosure], a: int) -> tuple[Array, Array, Array]:
-        """Keyframe poses in a, in b, and the measured pose of the latter in the former; each (k, 3)."""
-        in_a, in_b, measured = [], [], []
+    def _as_a_to_b(self, closures: list[LoopClosure], a: int) -> tuple[Array, Array, Array, Array]:
+        """Keyframe poses in a, in b, the measured pose of the latter in the former (k, 3), and the signs in a (k, 2).
+
+        A sign is placed by the keyframe of a, so that signs are compared in one frame.
+        """
+        in_a, in_b, measured, signs = [], [], [], []
         for closure in closures:
             target, source, z = closure.candidate.target, closure.candidate.source, closure.pose_target_source
+            sign = closure.candidate.sign_m if closure.candidate.sign_m is not None else np.zeros(2)
             if self._group_of[target[0]] != a:
+                sign = compose(inverse(z), [*sign, 0.0])[:2]
                 target, source, z = source, target, inverse(z)
+            signs.append(compose(self._poses.rows[self._node(target)], [*sign, 0.0])[:2])
             in_a.append(self._poses.rows[self._node(target)])
             in_b.append(self._poses.rows[self._node(source)])
             measured.append(z)
-        return np.array(in_a), np.array(in_b), np.array(measured)
+        return np.array(in_a), np.array(in_b), np.array(measured), np.array(signs)
 
     def _wifi_agrees(self, a: int, b: int, pose_a_b: Array) -> bool:
         positions, robots, travels, prints, is_b = [], [], [], [], []

@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+
+from twc_env.slam.mate_detection import mark_mates
+
+RANGE_MAX_M, RADIUS_M = 10.0, 0.2
+
+
+def disc(scan: np.ndarray, centre, radius_m: float = RADIUS_M, pose=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
+    """The scan with a disc in front of it, and which beams met the disc."""
+    angles = pose[2] + np.arange(len(scan)) * 2 * np.pi / len(scan)
+    away = np.asarray(centre, float) - pose[:2]
+    along = away @ np.array([np.cos(angles), np.sin(angles)])
+    inside = radius_m**2 - (away @ away - along**2)
+    with np.errstate(invalid="ignore"):
+        distance = np.where((inside > 0) & (along > 0), along - np.sqrt(inside), np.inf)
+    return np.minimum(scan, distance), distance < scan
+
+
+@pytest.fixture
+def room(walls, scan):
+    return scan(walls((-4, -3), (5, -3), (5, 3), (-4, 3)), (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "centre", [(1.5, 0.4), (2.0, 0.0), (2.0, -0.02), (-1.2, 1.0), (0.6, -0.5), (3.0, 1.5), (-3.2, -2)]
+)
+def test_a_mate_in_the_open_is_marked_and_nothing_else(room, centre):
+    ranges, is_mate = disc(room, centre)
+    marked = mark_mates(ranges, RANGE_MAX_M, RADIUS_M)
+    assert is_mate.sum() >= 2
+    assert np.abs(marked) == pytest.approx(ranges)
+    assert np.array_equal(marked < 0, is_mate)
+
+
+def test_two_mates_are_both_marked(room):
+    ranges, first = disc(room, (1.5, 0.4))
+    ranges, second = disc(ranges, (-1.0, -1.2))
+    assert np.array_equal(mark_mates(ranges, RANGE_MAX_M, RADIUS_M) < 0, first | second)
+
+
+def test_an_empty_room_has_no_mates(room, office, scan):
+    assert np.all(mark_mates(room, RANGE_MAX_M, RADIUS_M) >= 0)
+    assert np.all(mark_mates(np.full(180, RANGE_MAX_M), RANGE_MAX_M, RADIUS_M) >= 0)
+    assert np.all(mark_mates(np.full(180, 1.0), RANGE_MAX_M, RADIUS_M) >= 0)
+
+
+def test_a_pillar_of_another_size_stays_a_wall(room):
+    ranges, _ = disc(room, (1.5, 0.4), radius_m=0.5)
+    assert np.all(mark_mates(ranges, RANGE_MAX_M, RADIUS_M) >= 0)
+
+
+def test_a_square_pillar_stays_a_wall(walls, scan):
+    both = np.concatenate(
+        [walls((-4, -3), (5, -3), (5, 3), (-4, 3)), walls((0.8, -0.35), (1.5, -0.35), (1.5, 0.35), (0.8, 0.35))]
+    )
+    assert np.all(mark_mates(scan(both, (0.0, 0.0, 0.0)), RANGE_MAX_M, RADIUS_M) >= 0)
+
+
+def test_a_radius_of_zero_marks_nothing(room):
+    ranges, _ = disc(room, (1.5, 0.4))
+    assert np.array_equal(mark_mates(ranges, RANGE_MAX_M, 0.0), ranges)
+
+
+def test_marking_leaves_the_scan_alone(room):
+    ranges, _ = disc(room, (1.5, 0.4))
+    before = ranges.copy()
+    mark_mates(ranges, RANGE_MAX_M, RADIUS_M)
+    assert np.array_equal(ranges, before)
