@@ -22,8 +22,10 @@ COLUMNS = (
     ("wrong_merges", "wrong", "d"),
     ("team_ate_m", "ATE m", ".3f"),
     ("coverage_correct", "mapped", ".3f"),
+    ("wall_iou", "wall IoU", ".3f"),
     ("odometry_ate_m", "odo ATE m", ".3f"),
-    ("odometry_coverage_correct", "odo mapped", ".3f"),
+    ("odometry_wall_iou", "odo wall IoU", ".3f"),
+    ("stuck_share", "stuck", ".3f"),
     ("env_steps_per_s", "steps/s", ".0f"),
 )
 ATE_PASS_M = 0.30

@@ -18,9 +18,11 @@ from agents import picture
 from agents.policy import make_policy
 from twc_env import DataError, EnvConfig, EpisodeResult
 from twc_env.config import to_dict
+from twc_env.datasets.frame_log import write_frame_log
 from twc_env.datasets.g2o import write_g2o
 from twc_env.datasets.ros_map import write_ros_map
 from twc_env.datasets.tum import write_tum
+from twc_env.messages import SensorFrame
 
 WARM_UP_STEPS = 10
 """Steps at the start that the speed figures leave out: compiled code is loaded there."""
@@ -35,6 +37,8 @@ class Run:
     """The figures of the result, and those only the driver knows: agent, env_steps_per_s, agent_s."""
     film: picture.Film | None
     was_interrupted: bool
+    frames: list[tuple[SensorFrame, ...]]
+    """What every robot sensed, step by step; `python -m twc_env replay` runs the engine on them again."""
 
 
 def explore(
@@ -52,6 +56,7 @@ def explore(
     env = twc_env.parallel_env(config=config, render_mode="rgb_array" if film else None)
     env.reset(seed=seed)
     policy.reset(seed, env.possible_agents)
+    frames = [env.frames]
     thought_s, env_s, counted, step, was_interrupted = 0.0, 0.0, 0, 0, False
     try:
         while env.agents:
@@ -65,6 +70,7 @@ def explore(
                 break
             env.step(actions)
             stepped = time.perf_counter()
+            frames.append(env.frames)
             thought_s += thought - believed
             step += 1
             if step > WARM_UP_STEPS:
@@ -80,7 +86,7 @@ def explore(
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
-    return Run(result, _plain({**result.figures, "agent": agent, **speeds}), film, was_interrupted)
+    return Run(result, _plain({**result.figures, "agent": agent, **speeds}), film, was_interrupted, frames)
 
 
 def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
@@ -90,7 +96,7 @@ def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
 
 
 def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
-    """Write the run folder: config, report, pictures, trajectories, pose graph and maps. The report comes last."""
+    """Write the run folder: config, report, frames, pictures, trajectories, pose graph and maps. The report comes last."""
     result = run.result
     try:
         (folder / "trajectories").mkdir(parents=True, exist_ok=True)
@@ -102,6 +108,7 @@ def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
         poses = getattr(result, f"{kind}_poses")
         for robot in range(poses.shape[1]):
             write_tum(folder / "trajectories" / f"robot_{robot}_{kind}.tum", times_s, poses[:, robot])
+    write_frame_log(folder / "frames.npz", result.config, run.frames)
     write_g2o(folder / "pose_graph.g2o", result.graph)
     for k, grid in enumerate(result.grids):
         if grid.log_odds.size:
@@ -171,9 +178,12 @@ FIGURES = (
     ("team ATE", "team_ate_m", ".3f m"),
     ("odometry alone: ATE", "odometry_ate_m", ".3f m"),
     ("end point error", "epe_m", ".3f m"),
-    ("correctly mapped", "coverage_correct", ".1% "),
-    ("odometry alone: mapped", "odometry_coverage_correct", ".1% "),
+    ("floor seen", "coverage_true", ".1% "),
+    ("floor mapped rightly", "coverage_correct", ".1% "),
     ("map IoU", "map_iou", ".3f"),
+    ("odometry alone: map IoU", "odometry_map_iou", ".3f"),
+    ("wall IoU", "wall_iou", ".3f"),
+    ("odometry alone: wall IoU", "odometry_wall_iou", ".3f"),
     ("path driven", "path_length_m", ".1f m"),
     ("collisions", "collisions", "d"),
     ("stuck share", "stuck_share", ".1% "),
@@ -190,7 +200,7 @@ def table_of(report: dict[str, Any]) -> str:
     if closures:
         precision = _formatted(closures.get("precision"), ".1% ")
         text = f"{closures['accepted']} accepted of {closures['proposed']} proposed, precision {precision}"
-        rows.insert(10, ("loop closures", text))
+        rows.insert(13, ("loop closures", text))
     width = max(len(label) for label, _ in rows)
     return "\n".join(f"{label:<{width}}  {text}" for label, text in rows)
 

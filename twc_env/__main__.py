@@ -107,7 +107,8 @@ def _replay(options: argparse.Namespace) -> None:
         engine.update(frames)
         if sys.stderr.isatty() and count % 50 == 0:
             print(f"\r{count}/{len(steps)} steps", end="", file=sys.stderr)
-    engine.finish()
+    if steps[-1][0].step >= config.max_cycles:  # the episode was played to its end, where the mapper clears its desk
+        engine.finish()
     if sys.stderr.isatty():
         print(file=sys.stderr)
     team = engine.team

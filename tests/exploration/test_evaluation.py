@@ -193,7 +193,7 @@ def test_a_lossy_link_costs_bytes_and_delays_but_breaks_nothing(explore, result)
 def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore):
     from twc_env.slam import map_merging
 
-    def agree(targets, sources, measured, config):
+    def agree(targets, *_):
         return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool))
 
     monkeypatch.setattr(map_merging, "largest_agreement", agree)

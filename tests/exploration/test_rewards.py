@@ -117,7 +117,7 @@ def test_a_wrongly_merged_group_counts_nothing():
 def wrong_merges(monkeypatch):
     """The first closure between two robots is believed at once, and laid down at a wrong place."""
 
-    def agree(targets, sources, measured, config):
+    def agree(targets, *_):
         return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool))
 
     monkeypatch.setattr(map_merging, "largest_agreement", agree)

@@ -13,12 +13,13 @@ TRUE_A_B = np.array([12.0, -7.0, 2.2])
 
 
 def closures(seed: int, count: int, noise_m: float = 0.05, pose_a_b=TRUE_A_B, spread_m: float = 8.0):
-    """Targets in a, sources in b and measured poses of closures that all say the same, up to noise."""
+    """Targets in a, sources in b, measured poses and signs of closures that all say the same, up to noise."""
     random = np.random.default_rng(seed)
     sources = np.column_stack([random.uniform(-spread_m, spread_m, (count, 2)), random.uniform(-3, 3, count)])
     targets = compose(compose(pose_a_b, sources), random.normal(0, 0.5, (count, 3)))
     measured = compose(between(targets, compose(pose_a_b, sources)), random.normal(0, 1, (count, 3)) * noise_m)
-    return targets, sources, measured
+    signs_m = targets[:, :2] + random.normal(0, 0.3, (count, 2))
+    return targets, sources, measured, signs_m
 
 
 def joined(*parts):
@@ -65,10 +66,18 @@ def test_closures_that_disagree_prove_nothing():
     assert largest_agreement(*joined(*lies), MergingConfig()) is None
 
 
-def test_closures_from_one_spot_prove_nothing():
-    spot = closures(6, 6, noise_m=0.0, spread_m=0.4)
+def test_closures_from_signs_at_one_spot_prove_nothing():
+    spot = closures(6, 6, noise_m=0.0, spread_m=0.1)
     assert largest_agreement(*spot, MergingConfig(spread_min_m=1.5)) is None
     assert largest_agreement(*spot, MergingConfig(spread_min_m=0.2)) is not None
+
+
+def test_closures_from_many_places_that_share_one_sign_prove_nothing():
+    targets, sources, measured, _ = closures(6, 6, noise_m=0.0)
+    one_sign = np.tile([3.0, 4.0], (6, 1))
+    assert largest_agreement(targets, sources, measured, one_sign, MergingConfig()) is None
+    one_sign[0] = [3.0, 9.0]
+    assert largest_agreement(targets, sources, measured, one_sign, MergingConfig()) is not None
 
 
 def test_two_spots_of_the_same_wrong_copy_are_still_outvoted():

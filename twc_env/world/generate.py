@@ -602,7 +602,7 @@ def _furnish_rooms(drawing: _Drawing, doors: dict[int, tuple[_Edge, int]], at_ti
             far = edge.line + room.into * room.depth
             wall = next((e for e in at_tile[number] if e.axis == edge.axis and e.line == far), None)
             if wall is not None and drawing.is_clear(wall, edge.begin + 5):
-                drawing.hang(style.repeated, wall.point_m(edge.begin + 5), edge.facing_rad(number))
+                drawing.hang(style.repeated, wall.point_m(edge.begin + 5), wall.facing_rad(number))
 
 
 @dataclass(frozen=True, slots=True)
@@ -666,10 +666,8 @@ def _repeat_signs(drawing: _Drawing, edges: list[_Edge], random: np.random.Gener
                 continue
             steps = range(edge.begin + 5, edge.end - 3, 40) if edge.length > 12 else [(edge.begin + edge.end) / 2]
             places += [(edge, number, along) for along in steps]
-    wanted = {"EXIT": max(2, len(places) // 6), "FIRE EXTINGUISHER": max(2, len(places) // 6)}
-    texts = [text for text, count in wanted.items() for _ in range(count)]
-    order = random.permutation(len(places))
-    spots = iter(places[i] for i in order)
+    texts = ("FIRE EXTINGUISHER", "EXIT") * max(2, len(places) // 6)
+    spots = iter([places[i] for i in random.permutation(len(places))])
     for text in texts:
         for edge, number, along in spots:
             if drawing.is_clear(edge, along):
@@ -711,7 +709,7 @@ def _access_points(
     """Spread over rooms, corridors and closed blocks, each as far as possible from those before it."""
     pool = []
     for tile in drawing.tiles:
-        columns, rows = max(1, (tile.x1 - tile.x0) // 60), max(1, (tile.y1 - tile.y0) // 60)
+        columns, rows = max(1, (tile.x1 - tile.x0) // 40), max(1, (tile.y1 - tile.y0) // 40)
         xs = tile.x0 + (np.arange(columns) + 0.5) * (tile.x1 - tile.x0) / columns
         ys = tile.y0 + (np.arange(rows) + 0.5) * (tile.y1 - tile.y0) / rows
         pool.append(np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2) / 10)

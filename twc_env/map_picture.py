@@ -1,0 +1,109 @@
+"""A floor plan as a picture: walls, rooms, signs, access points and how strong the best signal is. Needs matplotlib."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import RadioConfig
+from twc_env.errors import MapError
+from twc_env.world.floorplan import Floorplan
+
+Array = NDArray
+
+LABELS_MAX = 60
+"""With more rooms or signs than this, names are left out: they would lie on top of each other."""
+_SIGNAL_POINTS = 6000
+_SIGNAL_CLIP_DBM = (-90.0, -30.0)
+
+
+def strongest_signal_dbm(plan: Floorplan, points_m: Array, config: RadioConfig | None = None) -> Array:
+    """(k, 2) places -> (k,) mean strength of the best access point: path loss and walls, without shadowing."""
+    config = config or RadioConfig()
+    best = np.full(len(points_m), -np.inf)
+    for access_point in plan.access_points:
+        losses_db = plan.wall_index.crossing(access_point.position_m, points_m)[1]
+        distance_m = np.linalg.norm(points_m - access_point.position_m, axis=1)
+        path_loss_db = 10 * config.path_loss_exponent * np.log10(np.maximum(distance_m, config.distance_min_m))
+        best = np.maximum(best, config.power_at_1m_dbm - path_loss_db - losses_db)
+    return best
+
+
+def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = None, with_signal: bool = True) -> Path:
+    """Write the picture; returns its path. Raises MapError when matplotlib is missing or the path cannot be written."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.collections import LineCollection, PolyCollection
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MapError("drawing a map needs matplotlib; run `pip install twc_env[viz]`") from error
+    x0, y0, x1, y1 = plan.bounds_m
+    width = 12.0
+    # The height follows the building; a legend and a colour bar need a few centimetres more.
+    figure = Figure(figsize=(width, float(np.clip(width * (y1 - y0) / (x1 - x0), 3.0, 24.0)) + 1.0), dpi=110)
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    if with_signal and plan.access_points:
+        _draw_signal(axes, figure, plan, config)
+    axes.add_collection(
+        PolyCollection([r.polygon_m for r in plan.rooms], facecolors="none", edgecolors="tab:green", linewidths=0.5)
+    )
+    losses = np.asarray(plan.wall_loss_db)
+    axes.add_collection(LineCollection(list(plan.walls_m), colors="black", linewidths=0.5 + 0.15 * losses.clip(0, 12)))
+    if len(plan.rooms) <= LABELS_MAX:
+        for room in plan.rooms:
+            x, y = np.asarray(room.polygon_m).mean(axis=0)
+            axes.text(x, y, room.name, fontsize=5, color="darkgreen", ha="center", va="center", clip_on=True)
+    _draw_signs(axes, plan)
+    if plan.access_points:
+        places = np.array([a.position_m for a in plan.access_points])
+        axes.plot(*places.T, "^", color="tab:purple", markersize=5, label=f"access points ({len(places)})")
+    margin = 0.02 * max(x1 - x0, y1 - y0)
+    axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin), aspect="equal")
+    axes.set(xlabel="x [m]", ylabel="y [m]")
+    cells = plan.cells()
+    area_m2 = cells.free.sum() * cells.resolution_m**2
+    axes.set_title(f"{plan.name}: {area_m2:,.0f} m2 of floor, {len(plan.rooms)} rooms, {len(plan.signs)} signs")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=3, fontsize=8, frameon=False)
+    figure.tight_layout()
+    try:
+        figure.savefig(path)
+    except (OSError, ValueError) as error:
+        raise MapError(f"cannot write the picture {path}: {error}; name a .png in an existing folder") from error
+    return Path(path)
+
+
+def _draw_signs(axes, plan: Floorplan) -> None:
+    texts = [sign.text for sign in plan.signs]
+    repeated = np.array([texts.count(text) > 1 for text in texts], bool)
+    places = np.array([s.position_m for s in plan.signs]).reshape(-1, 2)
+    facing = np.array([s.facing_rad for s in plan.signs])
+    for mask, colour, label in ((repeated, "tab:red", "repeated signs"), (~repeated, "tab:blue", "unique signs")):
+        if mask.any():
+            x, y = places[mask].T
+            u, v = np.cos(facing[mask]), np.sin(facing[mask])
+            axes.quiver(
+                x, y, u, v, color=colour, angles="xy", scale_units="dots", units="dots", scale=0.1, width=1.5,
+                headwidth=4, label=f"{label} ({mask.sum()})",
+            )  # fmt: skip
+    if len(plan.signs) <= LABELS_MAX:
+        for sign, (x, y), angle in zip(plan.signs, places, facing, strict=True):
+            at = (x + 0.15 * np.cos(angle), y + 0.15 * np.sin(angle))
+            axes.annotate(sign.text, at, fontsize=4, color="0.2", ha="center", va="center", clip_on=True)
+
+
+def _draw_signal(axes, figure, plan: Floorplan, config: RadioConfig | None) -> None:
+    x0, y0, x1, y1 = plan.bounds_m
+    step_m = max(0.1, float(np.sqrt((x1 - x0) * (y1 - y0) / _SIGNAL_POINTS)))
+    xs, ys = np.arange(x0 + step_m / 2, x1, step_m), np.arange(y0 + step_m / 2, y1, step_m)
+    points = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
+    signal = strongest_signal_dbm(plan, points, config)
+    signal[~plan.cells().is_free(points)] = np.nan
+    low, high = _SIGNAL_CLIP_DBM
+    image = axes.imshow(
+        signal.reshape(len(ys), len(xs)), origin="lower", extent=(x0, x0 + step_m * len(xs), y0, y0 + step_m * len(ys)),
+        cmap="viridis", vmin=low, vmax=high, alpha=0.55,
+    )  # fmt: skip
+    figure.colorbar(image, ax=axes, label="mean strength of the best access point [dBm]", shrink=0.8, pad=0.02)
