@@ -92,14 +92,14 @@ class _Edge:
         return self.end - self.begin
 
 
-@dataclass(frozen=True, slots=True)
-class _Style:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Style:
     """What one building repeats in all its rooms."""
 
     door: int
     repeated: str
     """Hangs at the same place in every second room."""
-    furniture: tuple[int, int]
+    furniture: tuple[int, int] = (0, 0)
     """Depth and width of what stands in the corner of each room; (0, 0) for none."""
     washrooms: bool = False
     two_doors_from: int = 80
@@ -107,14 +107,17 @@ class _Style:
     """Share of neighbours with a door between them."""
     outer_db: float = _OUTER_DB
     void_db: float = _INNER_DB
+    floor_name: str = "CORRIDOR"
+    along_floor: tuple[str, str] = ("FIRE EXTINGUISHER", "EXIT")
+    """Hang along the walls of open floor; the second also at the ends of corridors."""
     label: Callable[[int], str] = lambda number: f"R{number}"
 
 
 @dataclass(slots=True)
-class _Drawing:
-    """A building while it is drawn."""
+class Drawing:
+    """A building while it is drawn: tiles first, then `finish`."""
 
-    style: _Style
+    style: Style
     tiles: list[_Tile] = field(default_factory=list)
     walls: list[tuple[float, ...]] = field(default_factory=list)
     """x1, y1, x2, y2 [dm], loss [dB]."""
@@ -123,15 +126,18 @@ class _Drawing:
     signs: list[Sign] = field(default_factory=list)
     rooms: list[Room] = field(default_factory=list)
 
-    def tile(self, x0: int, y0: int, x1: int, y1: int, use: str) -> None:
+    def add(self, x0: int, y0: int, x1: int, y1: int, use: str) -> None:
+        """A tile [dm] that is "room", "open" or "void"; one without area is left out."""
         if x1 > x0 and y1 > y0:
             self.tiles.append(_Tile(x0, y0, x1, y1, use))
 
     def box(self, x0: float, y0: float, x1: float, y1: float, loss_db: float) -> None:
+        """An obstacle: four walls."""
         corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
         self.walls += [(*a, *b, loss_db) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
 
     def hang(self, text: str, position_m: Array, facing_rad: float) -> None:
+        """A sign."""
         self.signs.append(Sign(text, position_m, float(facing_rad)))
 
     def is_clear(self, edge: _Edge, along: float, gap: float = 4) -> bool:
@@ -160,7 +166,7 @@ def generate(kind: str, area_m2: float, seed: int, check: bool = True) -> Floorp
         raise MapError(f"the seed of a building must be 0 or more; got {seed}")
     random = random_stream(seed, f"generate-{kind}-{area_m2:g}")
     drawing = _KINDS[kind](area_m2, random)
-    plan = _finish(drawing, f"gen:{kind}:{area_m2:g}:{seed}", random)
+    plan = finish(drawing, f"gen:{kind}:{area_m2:g}:{seed}", random)
     return check_reachable(validate(plan)) if check else plan
 
 
@@ -281,29 +287,29 @@ def _parts(name: str, rest: str) -> tuple[str, float, int]:
 # --- kinds -----------------------------------------------------------------------------------------------------------
 
 
-def _office(area_m2: float, random: np.random.Generator) -> _Drawing:
+def _office(area_m2: float, random: np.random.Generator) -> Drawing:
     """Rooms on both sides of parallel corridors, which cross corridors join to loops."""
-    style = _Style(_door(random), "FIRE EXTINGUISHER", _furniture(random), connecting_share=0.15, label=_room_label)
-    drawing = _Drawing(style)
+    style = Style(door=_door(random), repeated="FIRE EXTINGUISHER", furniture=_furniture(random), connecting_share=0.15, label=room_label)
+    drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.5, 0.8), 68)
-    _bands(drawing, width, height, _between(random, 16, 24), _between(random, 42, 62), _between(random, 30, 48), random)
+    bands(drawing, width, height, _between(random, 16, 24), _between(random, 42, 62), _between(random, 30, 48), random)
     return drawing
 
 
-def _ward(area_m2: float, random: np.random.Generator) -> _Drawing:
+def _ward(area_m2: float, random: np.random.Generator) -> Drawing:
     """A racetrack: two corridors or more around service rooms, patient rooms with washrooms outside."""
-    style = _Style(_between(random, 11, 14), "HAND WASH", (8, 16), washrooms=True, label=_ward_label)
-    drawing = _Drawing(style)
+    style = Style(door=_between(random, 11, 14), repeated="HAND WASH", furniture=(8, 16), washrooms=True, label=_ward_label)
+    drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.55, 0.85), 107)
     corridor = 16 if height < 130 else _between(random, 18, 26)
-    _bands(drawing, width, height, corridor, _between(random, 46, 58), _between(random, 38, 46), random, count_min=2)
+    bands(drawing, width, height, corridor, _between(random, 46, 58), _between(random, 38, 46), random, count_min=2)
     return drawing
 
 
-def _ring(area_m2: float, random: np.random.Generator) -> _Drawing:
+def _ring(area_m2: float, random: np.random.Generator) -> Drawing:
     """Rooms inside and outside ring corridors, one within the other."""
-    style = _Style(_door(random), "NO SMOKING", _furniture(random), connecting_share=0.15, label=_room_label)
-    drawing = _Drawing(style)
+    style = Style(door=_door(random), repeated="NO SMOKING", furniture=_furniture(random), connecting_share=0.15, label=room_label)
+    drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.75, 1.0), 84)
     corridor = 14 if height < 110 else _between(random, 16, 26)
     depth = min(_between(random, 40, 60), max(_ROOM_MIN, (height - 2 * corridor) // 4))
@@ -311,10 +317,10 @@ def _ring(area_m2: float, random: np.random.Generator) -> _Drawing:
     return drawing
 
 
-def _mall(area_m2: float, random: np.random.Generator) -> _Drawing:
+def _mall(area_m2: float, random: np.random.Generator) -> Drawing:
     """Shops along a wide ring concourse with kiosks."""
-    style = _Style(_between(random, 12, 14), "SALE", (0, 0), label=_shop_label(random))
-    drawing = _Drawing(style)
+    style = Style(door=_between(random, 12, 14), repeated="SALE", floor_name="CONCOURSE", label=_shop_label(random))
+    drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.7, 0.95), 94)
     corridor = int(np.clip(round(height * random.uniform(0.09, 0.13)), 18, 90))
     depth = int(np.clip(round(height * random.uniform(0.16, 0.22)), _ROOM_MIN, 150))
@@ -325,15 +331,15 @@ def _mall(area_m2: float, random: np.random.Generator) -> _Drawing:
     return drawing
 
 
-def _warehouse(area_m2: float, random: np.random.Generator) -> _Drawing:
+def _warehouse(area_m2: float, random: np.random.Generator) -> Drawing:
     """One hall of alike racks with aisles between them, offices along one side."""
-    style = _Style(_door(random), "FIRE EXTINGUISHER", (0, 0), label=_room_label)
-    drawing = _Drawing(style)
+    style = Style(door=_door(random), repeated="FIRE EXTINGUISHER", floor_name="HALL", label=room_label)
+    drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.55, 0.9), 75)
     strip = _between(random, 26, 40) if width >= 110 else 0
     for y0, y1 in _split(0, height, _between(random, 30, 50)) if strip else []:
-        drawing.tile(0, y0, strip, y1, "room")
-    drawing.tile(strip, 0, width, height, "open")
+        drawing.add(0, y0, strip, y1, "room")
+    drawing.add(strip, 0, width, height, "open")
     aisle, cross, depth = _between(random, 14, 30), _between(random, 16, 34), _between(random, 8, 14)
     length = int(np.clip(_between(random, 60, 160), 20, max(20, (width - strip - 3 * cross) // 2)))
     rows = max(1, (height - 2 * cross + aisle) // (depth + aisle))
@@ -349,8 +355,8 @@ def _warehouse(area_m2: float, random: np.random.Generator) -> _Drawing:
     return drawing
 
 
-def _bands(
-    drawing: _Drawing,
+def bands(
+    drawing: Drawing,
     width: int,
     height: int,
     corridor: int,
@@ -369,11 +375,11 @@ def _bands(
     y = _row(drawing, 0, width, 0, depth, module)
     for number in range(count):
         top = height - depth if number == count - 1 else y + corridor
-        drawing.tile(0, y, width, top, "open")
+        drawing.add(0, y, width, top, "open")
         y = top
         if number < count - 1:
             for x in cross:
-                drawing.tile(x, y, x + corridor, y + inner, "open")
+                drawing.add(x, y, x + corridor, y + inner, "open")
             begins, ends = [0, *(x + corridor for x in cross)], [*cross, width]
             rows = [(y, y + inner // 2), (y + inner // 2, y + inner)] if inner >= 2 * _ROOM_MIN else [(y, y + inner)]
             for low, high in rows:
@@ -383,7 +389,7 @@ def _bands(
     _row(drawing, 0, width, y, height, module)
 
 
-def _rings(drawing: _Drawing, box: tuple[int, int, int, int], depth: int, corridor: int, module: int, is_inner: bool):
+def _rings(drawing: Drawing, box: tuple[int, int, int, int], depth: int, corridor: int, module: int, is_inner: bool):
     """Rooms around, a ring corridor within, and inside it more rooms, a smaller ring or a closed core."""
     x0, y0, x1, y1 = box
     if min(x1 - x0, y1 - y0) < (2 * depth + 2 * corridor + _ROOM_MIN if is_inner else 0):
@@ -394,31 +400,31 @@ def _rings(drawing: _Drawing, box: tuple[int, int, int, int], depth: int, corrid
     corner = 0 if is_inner else depth
     for low, high in ((y0, y0 + depth), (y1 - depth, y1)):
         _row(drawing, x0, middle_x, low, high, module, first_extra=corner)
-        drawing.tile(middle_x, low, middle_x + passage, high, "open")
+        drawing.add(middle_x, low, middle_x + passage, high, "open")
         _row(drawing, middle_x + passage, x1, low, high, module, last_extra=corner)
     for left, right in ((x0, x0 + depth), (x1 - depth, x1)):
         _column(drawing, left, right, y0 + depth, middle_y, module)
-        drawing.tile(left, middle_y, right, middle_y + passage, "open")
+        drawing.add(left, middle_y, right, middle_y + passage, "open")
         _column(drawing, left, right, middle_y + passage, y1 - depth, module)
     x0, y0, x1, y1 = x0 + depth, y0 + depth, x1 - depth, y1 - depth
-    drawing.tile(x0, y0, x1, y0 + corridor, "open")
-    drawing.tile(x0, y1 - corridor, x1, y1, "open")
-    drawing.tile(x0, y0 + corridor, x0 + corridor, y1 - corridor, "open")
-    drawing.tile(x1 - corridor, y0 + corridor, x1, y1 - corridor, "open")
+    drawing.add(x0, y0, x1, y0 + corridor, "open")
+    drawing.add(x0, y1 - corridor, x1, y1, "open")
+    drawing.add(x0, y0 + corridor, x0 + corridor, y1 - corridor, "open")
+    drawing.add(x1 - corridor, y0 + corridor, x1, y1 - corridor, "open")
     core = (x0 + corridor, y0 + corridor, x1 - corridor, y1 - corridor)
     _rings(drawing, core, depth, corridor, module, is_inner=True)
 
 
-def _core(drawing: _Drawing, box: tuple[int, int, int, int], corridor: int, depth: int, module: int) -> None:
+def _core(drawing: Drawing, box: tuple[int, int, int, int], corridor: int, depth: int, module: int) -> None:
     """The middle of a ring: one or two rows of rooms, or a closed shaft where no room fits."""
     x0, y0, x1, y1 = box
     if min(x1 - x0, y1 - y0) < _ROOM_MIN:
-        drawing.tile(*box, "void")
+        drawing.add(*box, "void")
         return
     cross = (x0 + x1 - corridor) // 2
     halves = [(x0, x1)] if x1 - x0 < 2 * module + 2 * depth + corridor else [(x0, cross), (cross + corridor, x1)]
     if len(halves) == 2:
-        drawing.tile(cross, y0, cross + corridor, y1, "open")
+        drawing.add(cross, y0, cross + corridor, y1, "open")
     middle = (y0 + y1) // 2
     rows = [(y0, middle), (middle, y1)] if y1 - y0 >= 2 * _ROOM_MIN else [(y0, y1)]
     for low, high in rows:
@@ -426,15 +432,15 @@ def _core(drawing: _Drawing, box: tuple[int, int, int, int], corridor: int, dept
             _row(drawing, left, right, low, high, module)
 
 
-def _row(drawing: _Drawing, x0: int, x1: int, y0: int, y1: int, module: int, first_extra=0, last_extra=0) -> int:
+def _row(drawing: Drawing, x0: int, x1: int, y0: int, y1: int, module: int, first_extra=0, last_extra=0) -> int:
     for begin, end in _split(x0, x1, module, first_extra, last_extra):
-        drawing.tile(begin, y0, end, y1, "room" if end - begin >= _ROOM_MIN else "void")
+        drawing.add(begin, y0, end, y1, "room" if end - begin >= _ROOM_MIN else "void")
     return y1
 
 
-def _column(drawing: _Drawing, x0: int, x1: int, y0: int, y1: int, module: int) -> None:
+def _column(drawing: Drawing, x0: int, x1: int, y0: int, y1: int, module: int) -> None:
     for begin, end in _split(y0, y1, module):
-        drawing.tile(x0, begin, x1, end, "room" if end - begin >= _ROOM_MIN else "void")
+        drawing.add(x0, begin, x1, end, "room" if end - begin >= _ROOM_MIN else "void")
 
 
 def _split(begin: int, end: int, module: int, first_extra: int = 0, last_extra: int = 0) -> list[tuple[int, int]]:
@@ -450,7 +456,7 @@ def _split(begin: int, end: int, module: int, first_extra: int = 0, last_extra: 
     return list(zip(cuts, [*cuts[1:], end], strict=True))
 
 
-def _kiosks(drawing: _Drawing, side: int, pitch: int) -> None:
+def _kiosks(drawing: Drawing, side: int, pitch: int) -> None:
     """Alike boxes along the middle of every open tile."""
     for tile in list(drawing.tiles):
         width, height = tile.x1 - tile.x0, tile.y1 - tile.y0
@@ -465,8 +471,8 @@ def _kiosks(drawing: _Drawing, side: int, pitch: int) -> None:
 # --- from tiles to a plan --------------------------------------------------------------------------------------------
 
 
-def _finish(
-    drawing: _Drawing, name: str, random: np.random.Generator, access_points: int | None = None, macs: int | None = None
+def finish(
+    drawing: Drawing, name: str, random: np.random.Generator, access_points: int | None = None, macs: int | None = None
 ) -> Floorplan:
     """Doors, walls, names, signs, furniture and access points for the tiles of a drawing."""
     edges = _edges(drawing.tiles)
@@ -515,7 +521,7 @@ def _owner(spans: list[tuple[int, int, int]], begin: int) -> int:
     return next((number for first, last, number in spans if first <= begin < last), -1)
 
 
-def _place_doors(drawing: _Drawing, at_tile: dict, random: np.random.Generator) -> dict[int, tuple[_Edge, int]]:
+def _place_doors(drawing: Drawing, at_tile: dict, random: np.random.Generator) -> dict[int, tuple[_Edge, int]]:
     """A door for every room, onto open floor where it can; (edge, begin) of each room's own door."""
     tiles, style = drawing.tiles, drawing.style
     doors: dict[int, tuple[_Edge, int]] = {}
@@ -543,7 +549,7 @@ def _place_doors(drawing: _Drawing, at_tile: dict, random: np.random.Generator) 
     return doors
 
 
-def _connect_neighbours(drawing: _Drawing, at_tile: dict, doors: dict, random: np.random.Generator) -> None:
+def _connect_neighbours(drawing: Drawing, at_tile: dict, doors: dict, random: np.random.Generator) -> None:
     """Doors between rooms side by side: further loops; one at least, so that the smallest building has a loop."""
     style, pairs = drawing.style, []
     if not style.connecting_share:
@@ -566,7 +572,7 @@ def _connect_neighbours(drawing: _Drawing, at_tile: dict, doors: dict, random: n
             drawing.doors[edge.axis, edge.line].append((begin, begin + 10))
 
 
-def _name_rooms(drawing: _Drawing, doors: dict[int, tuple[_Edge, int]]) -> None:
+def _name_rooms(drawing: Drawing, doors: dict[int, tuple[_Edge, int]]) -> None:
     """Rooms get unique names and a plate beside the door; open floors are named too."""
     rooms = opens = 0
     for number, tile in enumerate(drawing.tiles):
@@ -575,7 +581,7 @@ def _name_rooms(drawing: _Drawing, doors: dict[int, tuple[_Edge, int]]) -> None:
         corners = np.array([(tile.x0, tile.y0), (tile.x1, tile.y0), (tile.x1, tile.y1), (tile.x0, tile.y1)]) / 10
         if tile.use == "open":
             opens += 1
-            drawing.rooms.append(Room(f"CORRIDOR {opens}", corners))
+            drawing.rooms.append(Room(f"{drawing.style.floor_name} {opens}", corners))
             continue
         name = drawing.style.label(rooms)
         rooms += 1
@@ -587,7 +593,7 @@ def _name_rooms(drawing: _Drawing, doors: dict[int, tuple[_Edge, int]]) -> None:
                 break
 
 
-def _furnish_rooms(drawing: _Drawing, doors: dict[int, tuple[_Edge, int]], at_tile: dict) -> None:
+def _furnish_rooms(drawing: Drawing, doors: dict[int, tuple[_Edge, int]], at_tile: dict) -> None:
     """The same corner piece, washroom and sign at the same place in every room."""
     style = drawing.style
     for number, (edge, begin) in doors.items():
@@ -628,7 +634,7 @@ class _Corner:
         return tile.x1 - tile.x0 if self.edge.axis == 0 else tile.y1 - tile.y0
 
     def enclose(
-        self, drawing: _Drawing, depths: tuple[int, int], width: int, loss_db: float, door: int = 0
+        self, drawing: Drawing, depths: tuple[int, int], width: int, loss_db: float, door: int = 0
     ) -> None:
         """Walls off the corner at the end of the span, from depth to depth; the room's own walls close it."""
         begin, end = self.span[1] - width, self.span[1]
@@ -644,13 +650,13 @@ class _Corner:
         else:
             self._wall(drawing, (low, begin), (high, begin), loss_db)
 
-    def _wall(self, drawing: _Drawing, a: tuple[int, int], b: tuple[int, int], loss_db: float) -> None:
+    def _wall(self, drawing: Drawing, a: tuple[int, int], b: tuple[int, int], loss_db: float) -> None:
         (ax, ay), (bx, by) = (a, b) if self.edge.axis == 0 else (a[::-1], b[::-1])
         drawing.walls.append((ax, ay, bx, by, loss_db))
 
 
-def _repeat_signs(drawing: _Drawing, edges: list[_Edge], random: np.random.Generator) -> None:
-    """EXIT at the ends of corridors, EXIT and FIRE EXTINGUISHER along them: about one of each per 15 m of wall."""
+def _repeat_signs(drawing: Drawing, edges: list[_Edge], random: np.random.Generator) -> None:
+    """EXIT at the ends of corridors, EXIT and FIRE EXTINGUISHER along them: one of each per 24 m of wall."""
     tiles = drawing.tiles
     places = []
     for edge in edges:
@@ -662,11 +668,11 @@ def _repeat_signs(drawing: _Drawing, edges: list[_Edge], random: np.random.Gener
             tile = tiles[number]
             across = tile.y1 - tile.y0 if edge.axis == 0 else tile.x1 - tile.x0
             if other < 0 and across == edge.length < 100:
-                drawing.hang("EXIT", edge.point_m((edge.begin + edge.end) / 2), edge.facing_rad(number))
+                drawing.hang(drawing.style.along_floor[1], edge.point_m((edge.begin + edge.end) / 2), edge.facing_rad(number))
                 continue
             steps = range(edge.begin + 5, edge.end - 3, 40) if edge.length > 12 else [(edge.begin + edge.end) / 2]
             places += [(edge, number, along) for along in steps]
-    texts = ("FIRE EXTINGUISHER", "EXIT") * max(2, len(places) // 6)
+    texts = drawing.style.along_floor * max(2, len(places) // 6)
     spots = iter([places[i] for i in random.permutation(len(places))])
     for text in texts:
         for edge, number, along in spots:
@@ -675,7 +681,7 @@ def _repeat_signs(drawing: _Drawing, edges: list[_Edge], random: np.random.Gener
                 break
 
 
-def _draw_walls(drawing: _Drawing, edges: list[_Edge]) -> None:
+def _draw_walls(drawing: Drawing, edges: list[_Edge]) -> None:
     """Edges between tiles that are not both open become walls, joined along straight lines and cut by doors."""
     runs: dict[tuple[int, int, float], list[list[int]]] = defaultdict(list)
     for edge in edges:
@@ -704,7 +710,7 @@ def _draw_walls(drawing: _Drawing, edges: list[_Edge]) -> None:
 
 
 def _access_points(
-    drawing: _Drawing, random: np.random.Generator, count: int | None, macs: int | None
+    drawing: Drawing, random: np.random.Generator, count: int | None, macs: int | None
 ) -> tuple[AccessPoint, ...]:
     """Spread over rooms, corridors and closed blocks, each as far as possible from those before it."""
     pool = []
@@ -734,7 +740,7 @@ def _shares(total: int, count: int) -> list[int]:
     return [total // count + (i < total % count) for i in range(count)]
 
 
-def _clear_point(drawing: _Drawing, tile: _Tile) -> Array:
+def _clear_point(drawing: Drawing, tile: _Tile) -> Array:
     """A point of an open tile that lies on no box: near its lower left corner, half a metre off its walls."""
     return np.array([[tile.x0 + 5.5, tile.y0 + 5.5]]) / 10
 
@@ -764,7 +770,8 @@ def _letters(number: int) -> str:
     return chr(65 + number % 26) if number < 26 else _letters(number // 26 - 1) + chr(65 + number % 26)
 
 
-def _room_label(number: int) -> str:
+def room_label(number: int) -> str:
+    """"A101 ARCHIVE", "A102 HERBARIUM", ...: every number another text."""
     wing, place = divmod(number, 40)
     noun = _NOUNS[(number * 7 + wing) % len(_NOUNS)]
     return f"{_letters(wing)}{101 + place} {noun}"
@@ -790,7 +797,7 @@ def _shop_label(random: np.random.Generator) -> Callable[[int], str]:
     return label
 
 
-_KINDS: dict[str, Callable[[float, np.random.Generator], _Drawing]] = {
+_KINDS: dict[str, Callable[[float, np.random.Generator], Drawing]] = {
     "office": _office,
     "ring": _ring,
     "mall": _mall,
