@@ -715,7 +715,7 @@ def _access_points(
     """Spread over rooms, corridors and closed blocks, each as far as possible from those before it."""
     pool = []
     for tile in drawing.tiles:
-        columns, rows = max(1, (tile.x1 - tile.x0) // 40), max(1, (tile.y1 - tile.y0) // 40)
+        columns, rows = max(1, (tile.x1 - tile.x0) // 30), max(1, (tile.y1 - tile.y0) // 30)
         xs = tile.x0 + (np.arange(columns) + 0.5) * (tile.x1 - tile.x0) / columns
         ys = tile.y0 + (np.arange(rows) + 0.5) * (tile.y1 - tile.y0) / rows
         pool.append(np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2) / 10)
