@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from twc_env.slam.mate_detection import mark_mates
+from twc_env.slam.mate_detection import StillDiscs, mark_mates
 
 RANGE_MAX_M, RADIUS_M = 10.0, 0.2
 
@@ -27,7 +27,7 @@ def room(walls, scan):
 )
 def test_a_mate_in_the_open_is_marked_and_nothing_else(room, centre):
     ranges, is_mate = disc(room, centre)
-    marked = mark_mates(ranges, RANGE_MAX_M, RADIUS_M)
+    marked, _ = mark_mates(ranges, RANGE_MAX_M, RADIUS_M)
     assert is_mate.sum() >= 2
     assert np.abs(marked) == pytest.approx(ranges)
     assert np.array_equal(marked < 0, is_mate)
@@ -36,34 +36,47 @@ def test_a_mate_in_the_open_is_marked_and_nothing_else(room, centre):
 def test_two_mates_are_both_marked(room):
     ranges, first = disc(room, (1.5, 0.4))
     ranges, second = disc(ranges, (-1.0, -1.2))
-    assert np.array_equal(mark_mates(ranges, RANGE_MAX_M, RADIUS_M) < 0, first | second)
+    assert np.array_equal(mark_mates(ranges, RANGE_MAX_M, RADIUS_M)[0] < 0, first | second)
 
 
 def test_an_empty_room_has_no_mates(room, office, scan):
-    assert np.all(mark_mates(room, RANGE_MAX_M, RADIUS_M) >= 0)
-    assert np.all(mark_mates(np.full(180, RANGE_MAX_M), RANGE_MAX_M, RADIUS_M) >= 0)
-    assert np.all(mark_mates(np.full(180, 1.0), RANGE_MAX_M, RADIUS_M) >= 0)
+    assert np.all(mark_mates(room, RANGE_MAX_M, RADIUS_M)[0] >= 0)
+    assert np.all(mark_mates(np.full(180, RANGE_MAX_M), RANGE_MAX_M, RADIUS_M)[0] >= 0)
+    assert np.all(mark_mates(np.full(180, 1.0), RANGE_MAX_M, RADIUS_M)[0] >= 0)
 
 
 def test_a_pillar_of_another_size_stays_a_wall(room):
     ranges, _ = disc(room, (1.5, 0.4), radius_m=0.5)
-    assert np.all(mark_mates(ranges, RANGE_MAX_M, RADIUS_M) >= 0)
+    assert np.all(mark_mates(ranges, RANGE_MAX_M, RADIUS_M)[0] >= 0)
 
 
 def test_a_square_pillar_stays_a_wall(walls, scan):
     both = np.concatenate(
         [walls((-4, -3), (5, -3), (5, 3), (-4, 3)), walls((0.8, -0.35), (1.5, -0.35), (1.5, 0.35), (0.8, 0.35))]
     )
-    assert np.all(mark_mates(scan(both, (0.0, 0.0, 0.0)), RANGE_MAX_M, RADIUS_M) >= 0)
+    assert np.all(mark_mates(scan(both, (0.0, 0.0, 0.0)), RANGE_MAX_M, RADIUS_M)[0] >= 0)
 
 
 def test_a_radius_of_zero_marks_nothing(room):
     ranges, _ = disc(room, (1.5, 0.4))
-    assert np.array_equal(mark_mates(ranges, RANGE_MAX_M, 0.0), ranges)
+    assert np.array_equal(mark_mates(ranges, RANGE_MAX_M, 0.0)[0], ranges)
 
 
 def test_marking_leaves_the_scan_alone(room):
     ranges, _ = disc(room, (1.5, 0.4))
     before = ranges.copy()
-    mark_mates(ranges, RANGE_MAX_M, RADIUS_M)
+    mark_mates(ranges, RANGE_MAX_M, RADIUS_M)[0]
     assert np.array_equal(ranges, before)
+
+
+def test_a_disc_that_stays_where_it_is_becomes_a_wall_again_and_a_moving_one_does_not():
+    def seen_again(shift_m):
+        still, scan = StillDiscs(), np.full(180, -1.0)
+        for k in range(4):
+            disc = np.array([[3.0 - 0.6 * k + shift_m * k, 0.0, 178.0, 5.0]])
+            scan = np.full(180, -1.0)
+            still.unmark(scan, disc, np.array([0.6 * k, 0.0, 0.0]), travel_m=0.8 * k, time_s=2.0 * k)
+        return np.flatnonzero(scan > 0)
+
+    assert seen_again(0.0).tolist() == [0, 1, 2, 178, 179]
+    assert seen_again(0.5).tolist() == []

@@ -111,7 +111,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     def reset(self, seed: int | None = None, options: dict | None = None):
         """Begin an episode. The same seed gives the same episode; without one, the next seed after the last is used."""
-        self._seed = self._next_seed() if seed is None else int(seed)
+        self._seed = self._next_seed() if seed is None else _checked_seed(seed)
         starts = (options or {}).get("starts", "random")
         self._world.reset(self._seed, starts)
         count = self.config.robots
@@ -197,6 +197,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def _think(self, frames: tuple[SensorFrame, ...]) -> None:
         """Front ends, link and team mapper take in one set of frames."""
         self._frames = frames
+        for frame in frames:
+            frame.ranges_m.flags.writeable = False  # beliefs and logs share it
         for keyframe in self.engine.track(frames):
             self._send(keyframe)
         self.engine.absorb(self._steps, self._link.deliver())
@@ -231,6 +233,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             agent: builder.build(frame, self.engine.belief(frame.robot, with_signs=False))
             for agent, builder, frame in zip(self.agents, self._builders, frames, strict=True)
         }
+
+
+def _checked_seed(seed: int) -> int:
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise ConfigError(f"seed must be a whole number from 0 on; got {seed!r}")
+    return int(seed)
 
 
 def _resolve(config: EnvConfig | Mapping[str, Any] | None, shortcuts: dict[str, Any]) -> EnvConfig:

@@ -13,6 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.geometry import compose
+
 Array = NDArray
 
 STEP_MAX_M = 0.15
@@ -22,10 +24,17 @@ BACKGROUND_MIN_M = 0.25
 SHAPE_TOLERANCE_M = 0.035
 FEW_BEAMS = 4
 """With fewer beams than this the shape is not judged."""
+DISCS_MAX = 32
+STILL_M, STILL_S, STILL_TRAVEL_M = 0.2, 5.0, 2.0
+"""A disc met again this near after so long, from that much further along the path, stands there for good."""
+MEMORY = 100
+"""Discs remembered."""
 
 
 @njit(cache=True, error_model="numpy")
-def _mark(ranges, range_max, radius, out):
+def _mark(ranges, range_max, radius, out, discs):
+    """Write the marked scan to out and a row (x, y, first beam, beams) for each disc; gives how many there are."""
+    found = 0
     beams = ranges.shape[0]
     step = 2 * math.pi / beams
     out[:] = ranges
@@ -35,7 +44,7 @@ def _mark(ranges, range_max, radius, out):
             start = i
             break
     if start < 0:
-        return
+        return found
     i = start
     while i < start + beams:
         first = i
@@ -66,14 +75,37 @@ def _mark(ranges, range_max, radius, out):
         if is_disc:
             for k in range(first, i):
                 out[k % beams] = -ranges[k % beams]
+            if found < discs.shape[0]:
+                discs[found, 0], discs[found, 1], discs[found, 2], discs[found, 3] = cx, cy, first % beams, count
+                found += 1
+    return found
 
 
-def mark_mates(ranges_m: Array, range_max_m: float, radius_m: float) -> Array:
+def mark_mates(ranges_m: Array, range_max_m: float, radius_m: float) -> tuple[Array, Array]:
     """A scan (beams,) in which the beams that met a mate are negative: free up to there, but no wall.
 
-    radius_m is that of a robot; 0 marks nothing.
+    radius_m is that of a robot; 0 marks nothing. Also gives a row (x [m], y [m], first beam, beams) for each mate, its
+    centre in the robot frame.
     """
-    marked = np.array(ranges_m, np.float64)
-    if radius_m > 0:
-        _mark(ranges_m, range_max_m, radius_m, marked)
-    return marked
+    marked, discs = np.array(ranges_m, np.float64), np.empty((DISCS_MAX, 4))
+    count = _mark(ranges_m, range_max_m, radius_m, marked, discs) if radius_m > 0 else 0
+    return marked, discs[:count]
+
+
+class StillDiscs:
+    """Remembers where discs were seen, so that a pillar as wide as a robot is drawn after all: it never moves."""
+
+    def __init__(self):
+        self._seen: list[tuple[Array, float, float]] = []
+        """Centre in the odom frame, travel and time when it was first seen there."""
+
+    def unmark(self, scan: Array, discs: Array, pose_odom: Array, travel_m: float, time_s: float) -> None:
+        """Make the beams (beams,) on discs that stood still for long, seen from more than one place, walls again."""
+        for x, y, first, count in discs.tolist():
+            centre = compose(pose_odom, [x, y, 0.0])[:2]
+            held = next((s for s in self._seen if math.dist(s[0], centre) < STILL_M), None)
+            if held is None:
+                self._seen = [*self._seen[-MEMORY:], (centre, travel_m, time_s)]
+            elif time_s - held[2] >= STILL_S and travel_m - held[1] >= STILL_TRAVEL_M:
+                beams = (int(first) + np.arange(int(count))) % len(scan)
+                scan[beams] = np.abs(scan[beams])

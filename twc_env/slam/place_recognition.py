@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,7 +18,9 @@ from twc_env.slam.text_similarity import normalise, text_similarities
 Array = NDArray
 
 SAME_PLACE_M = 0.5
-"""The same text read again within this path length is not remembered twice."""
+"""The same text read again within this path length ..."""
+SAME_SIGN_M = 1.0
+"""... at a place nearer than this is not remembered twice."""
 
 
 class TextWifiRecogniser:
@@ -30,7 +33,7 @@ class TextWifiRecogniser:
     def __init__(self, config: PlaceRecognitionConfig):
         self._config = config
         self._texts: list[str] = []
-        self._last_read_m: dict[tuple[int, str], float] = {}
+        self._recent: dict[tuple[int, str], deque[tuple[float, Array]]] = {}
         self._places: list[tuple[Keyframe, SignObservation]] = []
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
@@ -63,10 +66,12 @@ class TextWifiRecogniser:
         """Keep a reading, unless no wall is known behind it or the same robot read the same just before."""
         if math.isnan(sign.facing_rad):
             return
-        last_m = self._last_read_m.get((keyframe.robot, text), -math.inf)
-        if keyframe.travel_m - last_m < SAME_PLACE_M:
-            return
-        self._last_read_m[keyframe.robot, text] = keyframe.travel_m
+        position = compose(keyframe.pose_odom, [*sign.position_m, 0.0])[:2]
+        for travel_m, other in self._recent.get((keyframe.robot, text), ()):
+            if keyframe.travel_m - travel_m < SAME_PLACE_M and math.dist(position, other) < SAME_SIGN_M:
+                return
+        recent = self._recent.setdefault((keyframe.robot, text), deque(maxlen=4))
+        recent.append((keyframe.travel_m, position))
         self._texts.append(text)
         self._places.append((keyframe, sign))
 

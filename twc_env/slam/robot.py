@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Keyframe, SensorFrame, SignObservation
-from twc_env.slam.mate_detection import mark_mates
+from twc_env.slam.mate_detection import StillDiscs, mark_mates
 from twc_env.slam.odometry_filter import make_filter, motion_covariance
 from twc_env.slam.radio_fingerprint import fingerprint
 from twc_env.slam.scan_matching import LineField
@@ -39,7 +39,10 @@ class RobotFrontEnd:
         self.robot = robot
         self._config = config.slam
         self._range_max_m = config.lidar.range_max_m
-        self._mate_radius_m = config.dynamics.robot_radius_m if config.slam.keyframe.mask_mates else 0.0
+        self._mate_radius_m = (
+            config.dynamics.robot_radius_m if config.slam.keyframe.mask_mates and config.robots > 1 else 0.0
+        )
+        self._still = StillDiscs()
         self._filter = make_filter(config.slam.odometry_filter)
         local = config.slam.local_map
         self._field = LineField(np.zeros(2), local.size_m, local.resolution_m, self._range_max_m)
@@ -60,7 +63,7 @@ class RobotFrontEnd:
     def update(self, frame: SensorFrame) -> Keyframe | None:
         """Take in one frame; gives a keyframe when the robot has come to a new place."""
         self._predict(frame)
-        scan = mark_mates(frame.ranges_m, self._range_max_m, self._mate_radius_m)
+        scan, discs = mark_mates(frame.ranges_m, self._range_max_m, self._mate_radius_m)
         if self._keyframes:
             self._match(scan)
         x, y, heading, _ = self._filter.state.tolist()
@@ -68,6 +71,7 @@ class RobotFrontEnd:
         self._remember_radio_and_signs(frame)
         if not self._is_new_place():
             return None
+        self._still.unmark(scan, discs, self.pose_odom, self._travel_m, frame.time_s)
         keyframe = self._make_keyframe(frame, scan)
         self._keyframes.append(keyframe)
         self._extend_local_map(keyframe)

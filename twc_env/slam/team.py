@@ -36,6 +36,8 @@ DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
 """A closure inside one map may disagree with the present estimate by this much."""
 MOVED_M, MOVED_RAD = 0.03, 0.005
 """The map is drawn anew when a keyframe has moved by more than this."""
+RETRY_STEPS = 50
+"""Merges that lacked evidence are tried again this often, whether or not another closure came."""
 SAME_SIGN_M = 1.0
 
 
@@ -96,7 +98,7 @@ class TeamMapper:
         self._tied_m = [-np.inf] * robot_count
         self._dirty: dict[int, bool] = {}
         """Groups with closures that came since the last optimisation; True where one of them is urgent."""
-        self._last_optimised_step = -(10**9)
+        self._last_optimised_step = self._last_retried_step = 0
         self._travels = [_Growing() for _ in range(robot_count)]
         self._signs_read = [0] * robot_count
         self._signs: dict[int, tuple[tuple[int, int], tuple[KnownSign, ...]]] = {}
@@ -107,6 +109,9 @@ class TeamMapper:
             self._add(keyframe)
             self._propose(keyframe)
         self._verify_some()
+        if step - self._last_retried_step >= RETRY_STEPS:
+            self._last_retried_step = step
+            self._retry_merges()
         waited = step - self._last_optimised_step
         period = self._config.pose_graph.period_steps
         if waited >= period and (any(self._dirty.values()) or (self._dirty and waited >= PATIENCE_PERIODS * period)):
@@ -119,6 +124,7 @@ class TeamMapper:
         """Work off everything that still waits (end of an episode or log)."""
         while any(self._waiting.values()):
             self._verify_some()
+        self._retry_merges()
         for group in range(len(self.groups)):
             self._optimise(group)
         self._dirty.clear()
@@ -306,6 +312,18 @@ class TeamMapper:
         for closure in pending:
             self._judge_inside_map(closure)
         self._optimise(a)
+
+    def _retry_merges(self) -> None:
+        """Try all groups with pending closures: new keyframes, walls or merges may have made the case for them."""
+        while True:
+            pairs = {tuple(sorted(self._groups_of(c))) for c in self.closures if c.status == "pending"}
+            count = len(self.groups)
+            for a, b in sorted(pairs):
+                self._try_merge(a, b)
+                if len(self.groups) < count:
+                    break  # the groups were numbered anew
+            else:
+                return
 
     def _groups_of(self, closure: LoopClosure) -> set[int]:
         return {self._group_of[closure.candidate.target[0]], self._group_of[closure.candidate.source[0]]}

@@ -46,7 +46,26 @@ _WARD_NOUNS = (
     "BURNS", "CARDIOLOGY", "DIALYSIS", "ENDOSCOPY", "FRACTURES", "GENETICS", "HAND CLINIC", "INFUSION", "LINEN",
     "MATERNITY", "NEUROLOGY", "ONCOLOGY", "PHARMACY", "RECOVERY", "SURGERY", "TRAUMA", "UROLOGY", "VISITORS",
 )  # fmt: skip
-_SYLLABLES = ("BA", "CO", "DE", "FI", "GU", "HO", "JA", "KE", "LU", "MI", "NO", "PA", "RE", "SO", "TI", "VE", "WI", "ZA")
+_SYLLABLES = (
+    "BA",
+    "CO",
+    "DE",
+    "FI",
+    "GU",
+    "HO",
+    "JA",
+    "KE",
+    "LU",
+    "MI",
+    "NO",
+    "PA",
+    "RE",
+    "SO",
+    "TI",
+    "VE",
+    "WI",
+    "ZA",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,7 +308,13 @@ def _parts(name: str, rest: str) -> tuple[str, float, int]:
 
 def _office(area_m2: float, random: np.random.Generator) -> Drawing:
     """Rooms on both sides of parallel corridors, which cross corridors join to loops."""
-    style = Style(door=_door(random), repeated="FIRE EXTINGUISHER", furniture=_furniture(random), connecting_share=0.15, label=room_label)
+    style = Style(
+        door=_door(random),
+        repeated="FIRE EXTINGUISHER",
+        furniture=_furniture(random),
+        connecting_share=0.15,
+        label=room_label,
+    )
     drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.5, 0.8), 68)
     bands(drawing, width, height, _between(random, 16, 24), _between(random, 42, 62), _between(random, 30, 48), random)
@@ -298,7 +323,9 @@ def _office(area_m2: float, random: np.random.Generator) -> Drawing:
 
 def _ward(area_m2: float, random: np.random.Generator) -> Drawing:
     """A racetrack: two corridors or more around service rooms, patient rooms with washrooms outside."""
-    style = Style(door=_between(random, 11, 14), repeated="HAND WASH", furniture=(8, 16), washrooms=True, label=_ward_label)
+    style = Style(
+        door=_between(random, 11, 14), repeated="HAND WASH", furniture=(8, 16), washrooms=True, label=_ward_label
+    )
     drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.55, 0.85), 107)
     corridor = 16 if height < 130 else _between(random, 18, 26)
@@ -308,7 +335,9 @@ def _ward(area_m2: float, random: np.random.Generator) -> Drawing:
 
 def _ring(area_m2: float, random: np.random.Generator) -> Drawing:
     """Rooms inside and outside ring corridors, one within the other."""
-    style = Style(door=_door(random), repeated="NO SMOKING", furniture=_furniture(random), connecting_share=0.15, label=room_label)
+    style = Style(
+        door=_door(random), repeated="NO SMOKING", furniture=_furniture(random), connecting_share=0.15, label=room_label
+    )
     drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.75, 1.0), 84)
     corridor = 14 if height < 110 else _between(random, 16, 26)
@@ -351,7 +380,9 @@ def _warehouse(area_m2: float, random: np.random.Generator) -> Drawing:
             x, y = left + column * (length + cross), bottom + row * (depth + aisle)
             drawing.box(x, y, x + length, y + depth, _RACK_DB)
             for end, facing, side in ((x, math.pi, "W"), (x + length, 0.0, "E")):
-                drawing.hang(f"RACK {_letters(column)}{row + 1:02d} {side}", np.array([end, y + depth / 2]) / 10, facing)
+                drawing.hang(
+                    f"RACK {_letters(column)}{row + 1:02d} {side}", np.array([end, y + depth / 2]) / 10, facing
+                )
     return drawing
 
 
@@ -633,9 +664,7 @@ class _Corner:
         tile = self.tile
         return tile.x1 - tile.x0 if self.edge.axis == 0 else tile.y1 - tile.y0
 
-    def enclose(
-        self, drawing: Drawing, depths: tuple[int, int], width: int, loss_db: float, door: int = 0
-    ) -> None:
+    def enclose(self, drawing: Drawing, depths: tuple[int, int], width: int, loss_db: float, door: int = 0) -> None:
         """Walls off the corner at the end of the span, from depth to depth; the room's own walls close it."""
         begin, end = self.span[1] - width, self.span[1]
         along_from = self.edge.line + self.into * depths[0]
@@ -668,7 +697,9 @@ def _repeat_signs(drawing: Drawing, edges: list[_Edge], random: np.random.Genera
             tile = tiles[number]
             across = tile.y1 - tile.y0 if edge.axis == 0 else tile.x1 - tile.x0
             if other < 0 and across == edge.length < 100:
-                drawing.hang(drawing.style.along_floor[1], edge.point_m((edge.begin + edge.end) / 2), edge.facing_rad(number))
+                drawing.hang(
+                    drawing.style.along_floor[1], edge.point_m((edge.begin + edge.end) / 2), edge.facing_rad(number)
+                )
                 continue
             steps = range(edge.begin + 5, edge.end - 3, 40) if edge.length > 12 else [(edge.begin + edge.end) / 2]
             places += [(edge, number, along) for along in steps]
@@ -702,7 +733,9 @@ def _draw_walls(drawing: Drawing, edges: list[_Edge]) -> None:
                 if first >= end or (last > begin and first < end):
                     piece = (begin, min(first, end))
                     if piece[1] > piece[0]:
-                        a, b = ((line, piece[0]), (line, piece[1])) if axis == 0 else ((piece[0], line), (piece[1], line))
+                        a, b = (
+                            ((line, piece[0]), (line, piece[1])) if axis == 0 else ((piece[0], line), (piece[1], line))
+                        )
                         drawing.walls.append((*a, *b, loss_db))
                     begin = max(begin, last)
                     if first >= end:
@@ -771,7 +804,7 @@ def _letters(number: int) -> str:
 
 
 def room_label(number: int) -> str:
-    """"A101 ARCHIVE", "A102 HERBARIUM", ...: every number another text."""
+    """ "A101 ARCHIVE", "A102 HERBARIUM", ...: every number another text."""
     wing, place = divmod(number, 40)
     noun = _NOUNS[(number * 7 + wing) % len(_NOUNS)]
     return f"{_letters(wing)}{101 + place} {noun}"
