@@ -25,7 +25,9 @@ ALLOWED = {
     "twc_env.slam": LEAVES,
     "twc_env.metrics": LEAVES,
     "twc_env.datasets": LEAVES | RANDOM | {"twc_env.world.floorplan"},
-    "twc_env.maps": LEAVES | RANDOM | {"twc_env.world.floorplan", "twc_env.datasets"},
+    "twc_env.maps": LEAVES
+    | RANDOM
+    | {"twc_env.world.floorplan", "twc_env.world.generate", "twc_env.world.twins", "twc_env.datasets"},
     "twc_env.exploration": LEAVES
     | RANDOM
     | {"twc_env.world", "twc_env.slam", "twc_env.metrics", "twc_env.maps", "twc_env.datasets"},

@@ -42,7 +42,11 @@ def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = No
     x0, y0, x1, y1 = plan.bounds_m
     width = 12.0
     # The height follows the building; a legend and a colour bar need a few centimetres more.
-    figure = Figure(figsize=(width, float(np.clip(width * (y1 - y0) / (x1 - x0), 3.0, 24.0)) + 1.0), dpi=110)
+    figure = Figure(
+        figsize=(width, float(np.clip(0.82 * width * (y1 - y0) / (x1 - x0), 3.0, 24.0)) + 1.0),
+        dpi=110,
+        layout="constrained",
+    )
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     if with_signal and plan.access_points:
@@ -66,8 +70,7 @@ def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = No
     cells = plan.cells()
     area_m2 = cells.free.sum() * cells.resolution_m**2
     axes.set_title(f"{plan.name}: {area_m2:,.0f} m2 of floor, {len(plan.rooms)} rooms, {len(plan.signs)} signs")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=3, fontsize=8, frameon=False)
-    figure.tight_layout()
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:

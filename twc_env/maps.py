@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import difflib
-import json
 from functools import lru_cache
 from pathlib import Path
 
 from twc_env.errors import MapError
-from twc_env.world.floorplan import Floorplan, floorplan_from_values, read_floorplan, validate
+from twc_env.world.floorplan import Floorplan, floorplan_from_values, load_json, read_floorplan, validate
 
 _FOLDERS = (Path(__file__).parent / "maps", Path(__file__).parent.parent / "maps")
 """Where the bundled maps lie: in an installed package, and in a checkout."""
 
 
 def map_names() -> tuple[str, ...]:
-    """Names of the bundled maps."""
-    return tuple(sorted(_bundled()))
+    """Names of the bundled maps: files, and twins that are drawn by code."""
+    from twc_env.world.twins import RADIO_TWINS
+
+    return tuple(sorted((*_bundled(), *RADIO_TWINS)))
 
 
 def load_map(name_or_path: str | Path, seed: int = 0) -> Floorplan:
-    """A bundled map by name, or a file: twc_env or HouseExpo .json, ROS .yaml, .png or .pgm (.gz) picture.
+    """A map by name or from a file.
 
+    Names: a bundled map (`twin-01`), a generated building (`gen:office:800:7`: kind, floor area in m2, seed) or one
+    of a fixed split (`train/0007`). Files: twc_env or HouseExpo .json, ROS .yaml, indoor .geojson (`FILE#LEVEL` for
+    one level), .png or .pgm picture; all but .yaml also packed as .gz.
     Formats without signs and access points are furnished by `seed`. Plans are cached and shared: they are read-only.
     Raises MapError for an unknown name, an unknown suffix or a plan no robot can explore.
     """
@@ -29,14 +33,52 @@ def load_map(name_or_path: str | Path, seed: int = 0) -> Floorplan:
     bundled = _bundled()
     if name in bundled:
         return _read_native(bundled[name], bundled[name].stat().st_mtime_ns)
-    path = Path(name)
-    if not path.is_file():
-        near = difflib.get_close_matches(name, bundled, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise MapError(
-            f"no map named {name!r} and no such file; {hint}bundled maps: {', '.join(sorted(bundled)) or 'none'}"
-        )
-    return _read_file(path, path.stat().st_mtime_ns, seed)
+    plan = _drawn_by_code(name)
+    if plan is not None:
+        return plan
+    path, level = _file(name)
+    if path is None:
+        raise MapError(_unknown(name))
+    try:
+        return _read_file(path, path.stat().st_mtime_ns, seed, level)
+    except (RecursionError, MemoryError) as error:
+        raise MapError(f"{path.name} is too deeply nested or too large to be a map; export it again") from error
+
+
+def schema() -> dict:
+    """The JSON schema of the native format, `twc_env/floorplan-1`."""
+    values = load_json(Path(__file__).parent / "floorplan.schema.json")
+    assert isinstance(values, dict)
+    return values
+
+
+def _drawn_by_code(name: str) -> Floorplan | None:
+    from twc_env.world.generate import generate_by_name
+    from twc_env.world.twins import RADIO_TWINS, radio_twin
+
+    return radio_twin(name) if name in RADIO_TWINS else generate_by_name(name)
+
+
+def _file(name: str) -> tuple[Path | None, str | None]:
+    """A file and the level asked for; (None, None) when there is no such file."""
+    base, _, level = name.rpartition("#")
+    for text, asked in ((name, None), (base, level)):
+        try:
+            if text and Path(text).is_file():
+                return Path(text), asked
+        except (OSError, ValueError):  # no file can have that name
+            continue
+    return None, None
+
+
+def _unknown(name: str) -> str:
+    names = map_names()
+    near = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return (
+        f"no map named {name!r} and no such file; {hint}bundled maps: {', '.join(names)}; "
+        "generated ones: gen:office:800:7, train/0007"
+    )
 
 
 def _bundled() -> dict[str, Path]:
@@ -50,11 +92,13 @@ def _read_native(path: Path, modified: int) -> Floorplan:
 
 
 @lru_cache(maxsize=8)
-def _read_file(path: Path, modified: int, seed: int) -> Floorplan:
+def _read_file(path: Path, modified: int, seed: int, level: str | None) -> Floorplan:
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
     suffix = suffixes[-1] if suffixes else ""
-    if suffix == ".json":
-        return _read_json(path, seed)
+    if suffix in (".json", ".geojson"):
+        return _read_json(path, seed, level)
+    if level is not None:
+        raise MapError(f"{path.name}#{level}: only .geojson maps have levels; leave #{level} out")
     if suffix in (".yaml", ".yml"):
         from twc_env.datasets.ros_map import read_ros_map
 
@@ -63,14 +107,17 @@ def _read_file(path: Path, modified: int, seed: int) -> Floorplan:
         from twc_env.datasets.raster import read_picture
 
         return read_picture(path, seed)
-    raise MapError(f"{path.name}: unknown map format {suffix!r}; use .json, .yaml, .png or .pgm (.gz)")
+    raise MapError(f"{path.name}: unknown map format {suffix!r}; use .json, .yaml, .png, .pgm or .geojson (.gz)")
 
 
-def _read_json(path: Path, seed: int) -> Floorplan:
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise MapError(f"{path} is not valid JSON: {error}; fix it or export it again") from error
+def _read_json(path: Path, seed: int, level: str | None) -> Floorplan:
+    values = load_json(path)
+    if isinstance(values, dict) and values.get("type") == "FeatureCollection":
+        from twc_env.datasets.geojson import geojson_plan
+
+        return geojson_plan(values, path, seed, "0" if level is None else level)
+    if level is not None:
+        raise MapError(f"{path.name}#{level}: only .geojson maps have levels; leave #{level} out")
     if isinstance(values, dict) and "verts" in values:
         from twc_env.datasets.house_expo import house_expo_plan
 

@@ -75,7 +75,7 @@ def test_the_guard_sees_a_planted_leak_when_the_building_moves(explore, here):
 def rebuild_errors(env, steps: int, wander) -> int:
     """Observations that do not follow from frames and beliefs alone."""
     observations, _ = env.reset(seed=0, options={"starts": "map"})
-    builders = [ObservationBuilder(env.config, env.config.robots) for _ in env.possible_agents]
+    builders = [ObservationBuilder(env.config, robot) for robot in range(env.config.robots)]
     wrong = 0
     for step in range(steps):
         for agent, builder, frame in zip(env.possible_agents, builders, env.frames, strict=True):
@@ -99,7 +99,7 @@ def replay_errors(env, steps: int, wander) -> int:
     """Observations that a fresh engine, fed with the recorded frames alone, would not have given."""
     observations, _ = env.reset(seed=0, options={"starts": "map"})
     engine = CooperativeSlam(env.config, env.config.robots)
-    builders = [ObservationBuilder(env.config, env.config.robots) for _ in env.possible_agents]
+    builders = [ObservationBuilder(env.config, robot) for robot in range(env.config.robots)]
     wrong = 0
     for step in range(steps):
         frames = pickle.loads(pickle.dumps(env.frames))

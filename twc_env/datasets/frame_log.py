@@ -52,7 +52,7 @@ def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame,
     Raises DataError when the file is missing, cut off or no frame log.
     """
     try:
-        with np.load(path) as data:
+        with Path(path).open("rb") as file, np.load(file) as data:
             log = {key: data[key] for key in data.files}
     except OSError as error:
         raise DataError(f"cannot read the frame log {path}: {error.strerror or error}") from error

@@ -21,6 +21,8 @@ SIGN_SPACING_M = 1.5
 REPEATED = ("EXIT", "FIRE EXTINGUISHER")
 """Texts that hang in several places, as in every building: the trap of text-only place recognition."""
 _WALL_STEP_M = 0.5
+_POOL_MAX = 300_000
+"""Of larger floors only every second, third ... cell can hold an access point."""
 _NOUNS = (
     "ARCHIVE", "BAKERY", "CERAMICS", "DARKROOM", "ELECTRONICS", "FOUNDRY", "GREENHOUSE", "HERBARIUM", "INTAKE",
     "JOINERY", "KITCHEN", "LIBRARY", "MAILROOM", "NURSERY", "OPTICS", "PHARMACY", "QUIET STUDY", "RECORDS", "SEMINAR",
@@ -50,12 +52,20 @@ def place_signs(plan: Floorplan, random: np.random.Generator) -> tuple[Sign, ...
     return tuple(Sign(text, places[i], float(facings[i])) for text, i in zip(texts, order, strict=False))
 
 
-def place_access_points(plan: Floorplan, random: np.random.Generator) -> tuple[AccessPoint, ...]:
-    """Access points far from each other over the free space: one per 25 m2, 6 to 40, with 2 or 3 addresses each."""
+def place_access_points(
+    plan: Floorplan, random: np.random.Generator, count: int | None = None
+) -> tuple[AccessPoint, ...]:
+    """Access points far from each other over the free space, with 2 or 3 addresses each.
+
+    As many as said, or one per 25 m2, 6 to 40.
+    """
     cells = plan.cells()
     rows, columns = np.nonzero(cells.free)
     area_m2 = len(rows) * cells.resolution_m**2
-    count = int(np.clip(round(area_m2 / AREA_PER_ACCESS_POINT_M2), ACCESS_POINTS_MIN, ACCESS_POINTS_MAX))
+    if count is None:
+        count = int(np.clip(round(area_m2 / AREA_PER_ACCESS_POINT_M2), ACCESS_POINTS_MIN, ACCESS_POINTS_MAX))
+    thin = 1 + len(rows) // _POOL_MAX
+    rows, columns = rows[::thin], columns[::thin]
     centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
     gaps_m = plan.wall_index.distance_m(centres, ACCESS_POINT_CLEARANCE_M)
     centres = centres[gaps_m >= min(ACCESS_POINT_CLEARANCE_M, gaps_m.max())]

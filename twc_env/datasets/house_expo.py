@@ -7,7 +7,6 @@ room boxes can lie anywhere: neither is trusted.
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from twc_env.datasets.furnish import furnish
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
-from twc_env.world.floorplan import Cells, Floorplan, Room, validate
+from twc_env.world.floorplan import CELLS_MAX, COORDINATE_MAX_M, Cells, Floorplan, Room, load_json, validate
 
 Array = NDArray
 
@@ -31,17 +30,13 @@ _FILL_RESOLUTION_M = 0.05
 def read_house_expo(path: str | Path, seed: int = 0) -> Floorplan:
     """Read one HouseExpo JSON file; signs and access points are placed by seed."""
     path = Path(path)
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MapError(f"cannot read the map {path}: {error.strerror or error}; check the path") from error
-    except ValueError as error:
-        raise MapError(f"{path} is not valid JSON: {error}; download it again") from error
-    return house_expo_plan(values, path.name, seed)
+    return house_expo_plan(load_json(path), path.name, seed)
 
 
-def house_expo_plan(values: dict, where: str, seed: int = 0) -> Floorplan:
+def house_expo_plan(values: object, where: str, seed: int = 0) -> Floorplan:
     """Build a plan from the values of a HouseExpo file; `where` names the file in errors."""
+    if not isinstance(values, dict):
+        raise MapError(f"{where} must be a JSON object with 'verts'; got {type(values).__name__}")
     contour = simplified_ring(_contour(values, where), SIMPLIFY_M)
     ends = np.stack([contour, np.roll(contour, -1, axis=0)], axis=1)
     name = str(values.get("id", Path(where).stem))
@@ -50,7 +45,7 @@ def house_expo_plan(values: dict, where: str, seed: int = 0) -> Floorplan:
             name=name,
             walls_m=ends,
             wall_loss_db=np.full(len(ends), WALL_LOSS_DB / 2),
-            interior_m=_interior_point(contour, where)[None],
+            interior_m=interior_point(contour, where)[None],
         )
     )
     rooms = _rooms(values.get("room_category", {}), plan.cells(), where)
@@ -77,23 +72,25 @@ def _contour(values: dict, where: str) -> Array:
         contour = np.array(values["verts"], dtype=float)
     except KeyError:
         raise MapError(f"{where} lacks the key 'verts', the contour of a HouseExpo plan; add it") from None
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         contour = np.zeros(0)
     if contour.ndim != 2 or contour.shape[1] != 2 or len(contour) < 3:
         raise MapError(f"{where}: verts must be three or more corners [x, y]; got {str(values['verts'])[:60]}")
     if not np.isfinite(contour).all():
         raise MapError(f"{where}: verts holds a value that is not finite (NaN or infinity); give plain numbers")
+    if np.abs(contour).max() > COORDINATE_MAX_M:
+        raise MapError(f"{where}: verts reach {np.abs(contour).max():.3g} m from the origin; verts must be metres")
     return contour
 
 
-def _interior_point(contour: Array, where: str) -> Array:
-    """A point deep in the largest part of the inside, whether or not the contour touches itself."""
+def interior_point(contour: Array, where: str) -> Array:
+    """(2,) a point deep in the largest part of the inside, whether or not the contour touches itself."""
     low = contour.min(axis=0) - _FILL_RESOLUTION_M
     columns, rows = (np.ceil((contour.max(axis=0) - low) / _FILL_RESOLUTION_M).astype(int) + 2).tolist()
-    if rows * columns > 100_000_000:
+    if rows * columns > CELLS_MAX:
         raise MapError(f"{where} spans {columns * _FILL_RESOLUTION_M:.0f} m; verts must be metres")
     inside = np.zeros((rows, columns), np.bool_)
-    _fill_even_odd(np.ascontiguousarray(contour - low), _FILL_RESOLUTION_M, inside)
+    fill_ring(np.ascontiguousarray(contour - low), _FILL_RESOLUTION_M, inside)
     part = largest_part(inside)
     if not part.any():
         raise MapError(f"{where} has no free space inside its contour; verts must go around the floor")
@@ -107,8 +104,8 @@ def _rooms(categories: object, cells: Cells, where: str) -> tuple[Room, ...]:
         raise MapError(f"{where}: room_category must map labels to boxes; got {type(categories).__name__}")
     labels: dict[tuple[float, ...], list[str]] = {}
     for label, boxes in categories.items():
-        for box in boxes:
-            labels.setdefault(tuple(float(value) for value in box), []).append(str(label))
+        for box in _boxes(boxes, f"{where}: room_category[{label!r}]"):
+            labels.setdefault(box, []).append(str(label))
     rooms = []
     for (x1, y1, x2, y2), names in labels.items():
         if _free_share(cells, x1, y1, x2, y2) >= ROOM_FREE_SHARE_MIN:
@@ -117,10 +114,22 @@ def _rooms(categories: object, cells: Cells, where: str) -> tuple[Room, ...]:
     return tuple(rooms)
 
 
+def _boxes(boxes: object, where: str) -> list[tuple[float, ...]]:
+    try:
+        table = np.array(boxes, dtype=float)
+        if table.size and (table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all()):
+            raise ValueError
+    except (TypeError, ValueError, OverflowError):
+        raise MapError(f"{where} must be a list of boxes [x1, y1, x2, y2] in metres; got {str(boxes)[:60]}") from None
+    return [tuple(row) for row in table.reshape(-1, 4).tolist()]
+
+
 def _free_share(cells: Cells, x1: float, y1: float, x2: float, y2: float) -> float:
-    xs = np.arange(min(x1, x2) + 0.05, max(x1, x2), 0.1)
-    ys = np.arange(min(y1, y2) + 0.05, max(y1, y2), 0.1)
-    points = np.stack(np.meshgrid(xs, ys), axis=-1)
+    x1, x2, y1, y2 = min(x1, x2), max(x1, x2), min(y1, y2), max(y1, y2)
+    size_m = np.array(cells.free.shape[::-1]) * cells.resolution_m
+    if x2 - x1 > 2 * size_m[0] or y2 - y1 > 2 * size_m[1]:
+        return 0.0  # more than half of it is off the plan
+    points = np.stack(np.meshgrid(np.arange(x1 + 0.05, x2, 0.1), np.arange(y1 + 0.05, y2, 0.1)), axis=-1)
     return float(cells.is_free(points).mean()) if points.size else 0.0
 
 
@@ -145,8 +154,8 @@ def _keep_corners(points, begin, end, tolerance, keep):
 
 
 @njit(cache=True, error_model="numpy")
-def _fill_even_odd(ring, resolution, inside):
-    """Cells whose centre lies inside the ring (k, 2): each edge flips what is right of it."""
+def fill_ring(ring, resolution, inside):
+    """Flip the cells whose centre lies inside the ring (k, 2): each edge flips what is right of it."""
     rows, columns = inside.shape
     for k in range(ring.shape[0]):
         x1, y1 = ring[k - 1, 0], ring[k - 1, 1]

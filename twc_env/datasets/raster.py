@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import gzip
+import io
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from twc_env.datasets.furnish import furnish
 from twc_env.errors import MapError
-from twc_env.world.floorplan import Floorplan, validate
+from twc_env.world.floorplan import CELLS_MAX, Floorplan, load_bytes, validate
 
 Array = NDArray
 
@@ -91,27 +92,26 @@ def read_grey(path: Path) -> Array:
 
     Raises MapError when the file cannot be read or is too large.
     """
-    names = [suffix.lower() for suffix in path.suffixes]
-    try:
-        if ".pgm" in names[-2:]:
-            raw = path.read_bytes()
-            return _decode_pgm(gzip.decompress(raw) if names[-1] == ".gz" else raw, path.name)
-    except OSError as error:
-        raise MapError(f"cannot read the picture {path}: {error.strerror or error}; check the file") from error
-    return _read_with_pillow(path)
+    raw = load_bytes(path)
+    if ".pgm" in [suffix.lower() for suffix in path.suffixes][-2:]:
+        return _decode_pgm(raw, path.name)
+    return _decode_with_pillow(raw, path)
 
 
-def _read_with_pillow(path: Path) -> Array:
+def _decode_with_pillow(raw: bytes, path: Path) -> Array:
     try:
-        from PIL import Image, UnidentifiedImageError
+        from PIL import Image
     except ImportError as error:
         raise MapError(f"reading {path.name} needs Pillow; run `pip install twc_env[viz]`, or use .pgm") from error
     try:
-        with Image.open(path) as picture:
+        with warnings.catch_warnings(), Image.open(io.BytesIO(raw), formats=("PNG", "PPM")) as picture:
+            warnings.simplefilter("error")
+            if picture.width * picture.height > CELLS_MAX:
+                raise ValueError(f"{picture.width} x {picture.height} pixels are too many")
             if picture.mode in ("L", "RGB", "1"):
                 return np.asarray(picture.convert("L"))
             pixels = np.asarray(picture.convert("RGBA"), dtype=float)
-    except (OSError, UnidentifiedImageError) as error:
+    except Exception as error:  # a broken picture surfaces as almost any exception
         raise MapError(f"cannot read the picture {path}: {error}; save it again as png or pgm") from error
     return (pixels[..., :3].mean(axis=-1) * pixels[..., 3] / 255).astype(np.uint8)
 
@@ -140,11 +140,15 @@ def _decode_pgm(raw: bytes, where: str) -> Array:
         columns, rows, white = (int(field) for field in fields[1:4])
         if kind not in (b"P5", b"P2") or min(columns, rows) < 1 or not 0 < white < 65536:
             raise ValueError
+        if rows * columns > CELLS_MAX:
+            raise MapError(f"{where} has {columns} x {rows} pixels, more than {CELLS_MAX}; cut it or make it coarser")
         if kind == b"P2":
             pixels = np.array(raw[at:].split()[: rows * columns], dtype=float)
         else:
             pixels = np.frombuffer(raw, "u1" if white < 256 else ">u2", rows * columns, at + 1).astype(float)
         pixels = pixels.reshape(rows, columns)
+        if not np.isfinite(pixels).all():
+            raise ValueError
     except (ValueError, IndexError):
         raise MapError(f"{where} is no complete PGM picture (P5 or P2); export it again") from None
     return np.round(np.clip(pixels / white, 0, 1) * 255).astype(np.uint8)

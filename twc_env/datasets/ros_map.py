@@ -12,11 +12,12 @@ from twc_env.datasets.furnish import furnish
 from twc_env.datasets.raster import plan_from_free, read_grey
 from twc_env.errors import MapError
 from twc_env.messages import GridMap
-from twc_env.world.floorplan import Floorplan, validate
+from twc_env.world.floorplan import Floorplan, load_bytes, validate
 
 Array = NDArray
 
 _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+RESOLUTION_MIN_M = 0.005
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0
 _OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
 
@@ -49,16 +50,16 @@ def read_ros_cells(path: str | Path) -> RosMap:
     """The cells of a map_server yaml. The picture may lie beside it compressed (`map.pgm.gz` for `map.pgm`)."""
     path = Path(path)
     values = _read_yaml(path)
-    picture = path.parent / values["image"]
-    if not picture.is_file():
-        picture = picture.with_name(picture.name + ".gz")
-    if not picture.is_file():
+    picture = _picture(path.parent / values["image"])
+    if picture is None:
         raise MapError(f"{path.name} names the picture {values['image']!r}, which is not beside it; put it there")
     shade = read_grey(picture)[::-1] / 255.0
     occupancy = shade if _number(values, "negate", path) else 1.0 - shade
     resolution_m = _number(values, "resolution", path)
-    if not 0 < resolution_m < 10:
-        raise MapError(f"{path.name}: resolution must be metres per pixel, above 0; got {resolution_m:g}")
+    if not RESOLUTION_MIN_M <= resolution_m < 10:
+        raise MapError(
+            f"{path.name}: resolution must be metres per pixel, above 0 ({RESOLUTION_MIN_M} to 10); got {resolution_m:g}"
+        )
     return RosMap(
         free=occupancy < _number(values, "free_thresh", path),
         occupied=occupancy > _number(values, "occupied_thresh", path),
@@ -85,12 +86,20 @@ def write_ros_map(grid: GridMap, folder: str | Path, stem: str) -> Path:
     return path
 
 
+def _picture(path: Path) -> Path | None:
+    """The picture, or its compressed twin; None when there is neither, or no file can have that name."""
+    try:
+        return next((p for p in (path, path.with_name(path.name + ".gz")) if p.is_file()), None)
+    except (OSError, ValueError):
+        return None
+
+
 def _read_yaml(path: Path) -> dict[str, str]:
     """The flat `key: value` lines of a map_server file; other keys (such as `mode`) are left alone."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise MapError(f"cannot read the map {path}: {error.strerror or error}; check the path") from error
+        text = load_bytes(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise MapError(f"{path.name} is no text: {error}; export the map again") from error
     values = {}
     for line in text.splitlines():
         key, separator, value = line.partition("#")[0].partition(":")

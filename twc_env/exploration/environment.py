@@ -92,7 +92,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         count = self.config.robots
         self.possible_agents = [f"robot_{i}" for i in range(count)]
         self.agents: list[str] = []
-        shared_observation, shared_action = observation_space(self.config, count), action_blocks.velocity_space()
+        shared_observation, shared_action = observation_space(self.config), action_blocks.velocity_space()
         self.observation_spaces = dict.fromkeys(self.possible_agents, shared_observation)
         self.action_spaces = dict.fromkeys(self.possible_agents, shared_action)
         self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (6 * count,), np.float32)
@@ -117,7 +117,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         count = self.config.robots
         self._engine = CooperativeSlam(self.config, count)
         self._link = Link(self.config.link, count, random_stream(self._seed, "link"))
-        self._builders = [ObservationBuilder(self.config, count) for _ in range(count)]
+        self._builders = [ObservationBuilder(self.config, robot) for robot in range(count)]
         self._record = evaluation.EpisodeRecord(count)
         self._area_m2 = 0.0
         self._steps = 0

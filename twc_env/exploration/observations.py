@@ -19,7 +19,7 @@ RSSI_ZERO_DBM, RSSI_SPAN_DB = -100.0, 80.0
 POSE_LIMIT_M = 1000.0
 
 
-def observation_space(config: EnvConfig, robots: int) -> spaces.Dict:
+def observation_space(config: EnvConfig) -> spaces.Dict:
     """The space of one agent's observation; see `ExplorationEnv` for the meaning of each block."""
     shape = config.observation
     return spaces.Dict(
@@ -29,7 +29,7 @@ def observation_space(config: EnvConfig, robots: int) -> spaces.Dict:
             "pose": spaces.Box(-POSE_LIMIT_M, POSE_LIMIT_M, (4,), np.float32),
             "wifi": spaces.Box(0.0, 1.0, (shape.wifi_slots,), np.float32),
             "signs": spaces.Box(-1.0, 1.0, (shape.sign_slots, 3), np.float32),
-            "team": spaces.Box(-1.0, 1.0, (max(robots - 1, 1), 4), np.float32),
+            "team": spaces.Box(-1.0, 1.0, (max(config.robots - 1, 1), 4), np.float32),
         }
     )
 
@@ -37,9 +37,9 @@ def observation_space(config: EnvConfig, robots: int) -> spaces.Dict:
 class ObservationBuilder:
     """Builds one robot's observations; remembers only which transmitter has which WiFi slot."""
 
-    def __init__(self, config: EnvConfig, robots: int):
+    def __init__(self, config: EnvConfig, robot: int):
         self._config = config
-        self._robots = robots
+        self._robot, self._robots = robot, config.robots
         self._known_macs = np.zeros(0, np.int64)
         """Ascending."""
         self._slot_of_known = np.zeros(0, np.int64)
@@ -48,26 +48,25 @@ class ObservationBuilder:
     def build(self, frame: SensorFrame, belief: Belief) -> dict[str, Array]:
         """The observation after one frame."""
         config = self._config
+        mates = {mate: between(belief.pose_map_robot, pose).tolist() for mate, pose in belief.mates.items()}
         return {
             "lidar": (frame.ranges_m / config.lidar.range_max_m).clip(0.0, 1.0).astype(np.float32),
-            "map": self._map(belief),
+            "map": self._map(belief, mates),
             "pose": _pose(belief),
             "wifi": self._update_wifi(frame),
             "signs": self._signs(frame),
-            "team": self._team(belief),
+            "team": self._team(mates),
         }
 
-    def _map(self, belief: Belief) -> Array:
+    def _map(self, belief: Belief, mates: dict[int, list[float]]) -> Array:
         shape = self._config.observation
         crop = np.zeros((3, shape.map_cells, shape.map_cells), np.uint8)
         grid, pose = belief.grid, belief.pose_map_robot
         x, y = pose[:2] - grid.origin_m
         _crop(grid.log_odds, x, y, pose[2], 1.0 / grid.resolution_m, shape.map_cell_m, crop)
         half = shape.map_cells // 2
-        for mate_pose in belief.mates.values():
-            relative = between(pose, mate_pose)
-            row = math.floor(relative[1] / shape.map_cell_m) + half
-            column = math.floor(relative[0] / shape.map_cell_m) + half
+        for x, y, _ in mates.values():
+            row, column = math.floor(y / shape.map_cell_m) + half, math.floor(x / shape.map_cell_m) + half
             if 0 <= row < shape.map_cells and 0 <= column < shape.map_cells:
                 crop[2, row, column] = 255
         return crop
@@ -104,14 +103,12 @@ class ObservationBuilder:
             row[:] = 1.0, sign.bearing_rad / math.pi, min(max(sign.range_m / config.camera.range_max_m, 0.0), 1.0)
         return rows
 
-    def _team(self, belief: Belief) -> Array:
+    def _team(self, mates: dict[int, list[float]]) -> Array:
         rows = np.zeros((max(self._robots - 1, 1), 4), np.float32)
-        others = [r for r in range(self._robots) if r != belief.robot]
-        for row, mate in zip(rows, others, strict=False):
-            if mate in belief.mates:
-                x, y, heading = between(belief.pose_map_robot, belief.mates[mate]).tolist()
-                distance = math.hypot(x, y)
-                row[:] = 1.0, math.atan2(y, x) / math.pi, distance / (distance + 10.0), heading / math.pi
+        for mate, (x, y, heading) in mates.items():
+            distance = math.hypot(x, y)
+            row = mate if mate < self._robot else mate - 1
+            rows[row] = 1.0, math.atan2(y, x) / math.pi, distance / (distance + 10.0), heading / math.pi
         return rows
 
 

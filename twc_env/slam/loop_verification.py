@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twc_env.config import OdometryFilterConfig, VerificationConfig
 from twc_env.geometry import between, transform_points
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
-from twc_env.slam.scan_matching import LineField, scan_points
+from twc_env.slam.scan_matching import LineField, Match, scan_points
 
 Array = NDArray
 
@@ -20,6 +20,7 @@ FIELD_CELL_M = 0.2
 NEAR_WALL_M = 0.15
 STEP_M, STEP_RAD = 0.15, 0.05
 """Grid of the correlative search; the refinement reaches further than one step."""
+REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE = 0.4, 20, 0.04
 SPACING_M = 0.9
 """Of neighbouring keyframes, every one this far along the path joins the target's walls."""
 SEEN_THROUGH_M = 0.35
@@ -72,11 +73,12 @@ class LoopVerifier:
         self._draw_target(target, target_path)
         points = self._source_points(source, source_path)
         rule = self._config
-        coarse, _ = self._field.correlate(
-            points, candidate.guess, (rule.window_m, rule.window_rad), (STEP_M, STEP_RAD), stride=4
-        )
-        match = self._field.refine(points, coarse, 0.4, 20, 0.04)
-        overlap = self._field.share_near(points, match.pose, NEAR_WALL_M)
+        match, overlap = self._refine(points, candidate.guess)
+        if overlap < rule.overlap_min:  # the guess was not near enough
+            coarse, _ = self._field.correlate(
+                points, candidate.guess, (rule.window_m, rule.window_rad), (STEP_M, STEP_RAD), stride=4
+            )
+            match, overlap = self._refine(points, coarse)
         contradiction = self._contradiction(target, source, match.pose)
         reason = ""
         if overlap < rule.overlap_min:
@@ -88,6 +90,11 @@ class LoopVerifier:
         covariance = np.linalg.inv(information) + np.diag(MATCH_STD_MIN**2)
         status = "rejected" if reason else "accepted"
         return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
+
+    def _refine(self, points: Array, guess: Array) -> tuple[Match, float]:
+        """The match from a guess, and the share of the points that then lie on walls."""
+        match = self._field.refine(points, guess, REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE)
+        return match, self._field.share_near(points, match.pose, NEAR_WALL_M)
 
     def _draw_target(self, target: Keyframe, path: Sequence[Keyframe]) -> None:
         if (

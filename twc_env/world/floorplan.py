@@ -7,8 +7,10 @@ random about a building (shadowing, drawn starts) is fixed there, so moving it c
 from __future__ import annotations
 
 import difflib
+import gzip
 import hashlib
 import json
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,7 +31,12 @@ SIGN_FRONT_M = 0.3
 SIGN_FACE_M = 0.02
 """A camera looks at the sign's face, this far off its position."""
 _WALL_LENGTH_MIN_M = 1e-6
-_CELLS_MAX = 100_000_000
+COORDINATE_MAX_M = 100_000.0
+"""Nothing in a plan lies farther from the origin: beyond it, decimetres get lost in single precision."""
+CELLS_MAX = 25_000_000
+"""Of a raster: 500 x 500 m in cells of 0.1 m."""
+FILE_BYTES_MAX = 64_000_000
+"""Of a map file, unpacked."""
 _CHECK_RESOLUTION_M = 0.1
 
 
@@ -188,13 +195,33 @@ def validate(plan: Floorplan) -> Floorplan:
 def read_floorplan(path: str | Path) -> Floorplan:
     """Read and check a native JSON plan. Raises MapError naming the file, the key and the remedy."""
     path = Path(path)
+    return validate(floorplan_from_values(load_json(path), path.name))
+
+
+def load_bytes(path: Path) -> bytes:
+    """The content of a map file, unpacked if its name ends in .gz; MapError when it cannot be read or is too large."""
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MapError(f"cannot read the map {path}: {error.strerror or error}; check the path") from error
+        with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as file:
+            raw = file.read(FILE_BYTES_MAX + 1)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise MapError(f"{path} is cut off or no gzip file: {error}; fetch it again") from error
+    except (OSError, ValueError) as error:
+        raise MapError(
+            f"cannot read the map {path}: {getattr(error, 'strerror', None) or error}; check the path"
+        ) from error
+    if len(raw) > FILE_BYTES_MAX:
+        raise MapError(f"{path} holds more than {FILE_BYTES_MAX // 10**6} MB; cut the map into parts")
+    return raw
+
+
+def load_json(path: Path) -> object:
+    """The values of a JSON file (also .gz); MapError when it cannot be read, is no JSON or nests without end."""
+    try:
+        return json.loads(load_bytes(path).decode("utf-8"))
+    except RecursionError as error:
+        raise MapError(f"{path} nests its lists too deeply; export it again") from error
     except ValueError as error:
         raise MapError(f"{path} is not valid JSON: {error}; fix it or export it again") from error
-    return validate(floorplan_from_values(values, path.name))
 
 
 def write_floorplan(plan: Floorplan, path: str | Path) -> None:
@@ -264,11 +291,13 @@ def _check_walls(plan: Floorplan, where: str) -> None:
     for label, values in _all_numbers(plan):
         if not np.isfinite(values).all():
             raise MapError(f"{where}: {label} holds a value that is not finite (NaN or infinity); give plain numbers")
+        if values.size and np.abs(values).max() > COORDINATE_MAX_M:
+            raise MapError(f"{where}: {label} holds {np.abs(values).max():.3g}, too large; lengths must be metres")
     lengths = np.linalg.norm(plan.walls_m[:, 1] - plan.walls_m[:, 0], axis=1)
     for i in np.flatnonzero(lengths < _WALL_LENGTH_MIN_M):
         raise MapError(f"{where}: wall {i} at {_point_text(plan.walls_m[i, 0])} has no length; remove it")
-    for i in np.flatnonzero(plan.wall_loss_db < 0):
-        raise MapError(f"{where}: wall {i} has a loss of {plan.wall_loss_db[i]:g} dB; losses are 0 or more")
+    for i in np.flatnonzero((plan.wall_loss_db < 0) | (plan.wall_loss_db > 1000)):
+        raise MapError(f"{where}: wall {i} has a loss of {plan.wall_loss_db[i]:g} dB; losses are 0 to 1000")
 
 
 def _all_numbers(plan: Floorplan):
@@ -322,10 +351,10 @@ def _rasterise(plan: Floorplan, resolution_m: float) -> Cells:
     # The outermost walls, and all walls whole cells away from them, run through cell centres.
     origin = np.array([low_x, low_y]) - 1.5 * resolution_m
     columns, rows = (np.round((np.array([high_x, high_y]) - origin) / resolution_m + 2.0).astype(int)).tolist()
-    if rows * columns > _CELLS_MAX:
+    if rows * columns > CELLS_MAX:
         raise MapError(
             f"map {plan.name!r} spans {high_x - low_x:.0f} x {high_y - low_y:.0f} m, too large for cells of "
-            f"{resolution_m:g} m ({_CELLS_MAX} at most); check its unit, or use larger cells"
+            f"{resolution_m:g} m ({CELLS_MAX} at most); check its unit, or use larger cells"
         )
     wall = np.zeros((rows, columns), np.bool_)
     _stamp_walls(plan.walls_m.reshape(-1, 4), origin, resolution_m, wall)
@@ -377,7 +406,7 @@ def _stamp_walls(walls, origin, resolution, wall):
 def _flood(wall, seeds, free):
     """Grow free from the seeds (k, 2) column, row; True when it reaches the raster's edge."""
     rows, columns = wall.shape
-    stack = np.empty(rows * columns, np.int64)
+    stack = np.empty(rows * columns, np.int32)
     leaks = False
     for k in range(seeds.shape[0]):
         c, r = seeds[k, 0], seeds[k, 1]
@@ -489,7 +518,9 @@ def _numbers(value: object, shape: tuple[int, ...], where: str, meaning: str) ->
     size = f"{shape[-1]} numbers ({meaning})" if len(shape) == 1 else f"a list of {shape[-1]} numbers each ({meaning})"
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+        if np.array(value).dtype.kind not in "iuf" and array.size:
+            raise ValueError  # texts and booleans convert, but are a mistake
+    except (TypeError, ValueError, OverflowError, RecursionError):
         raise MapError(f"{where} must be {size}; got {_short(value)}") from None
     if array.size == 0 and shape[0] == -1:
         return np.zeros((0, *shape[1:]))
@@ -509,6 +540,8 @@ def _text(value: object, where: str) -> str:
 def _room(values: object, where: str) -> Room:
     table = _table(values, where, ("name", "polygon_m"))
     polygon = _numbers(table["polygon_m"], (-1, 2), f"{where}.polygon_m", "x, y")
+    if len(polygon) < 3:
+        raise MapError(f"{where}.polygon_m must have three or more corners; got {len(polygon)}")
     return Room(_text(table["name"], f"{where}.name"), polygon)
 
 

@@ -129,6 +129,8 @@ class Style:
     floor_name: str = "CORRIDOR"
     along_floor: tuple[str, str] = ("FIRE EXTINGUISHER", "EXIT")
     """Hang along the walls of open floor; the second also at the ends of corridors."""
+    access_points_in: tuple[str, ...] = ("room", "open", "void")
+    """Uses of the tiles that hold access points."""
     label: Callable[[int], str] = lambda number: f"R{number}"
 
 
@@ -747,7 +749,7 @@ def _access_points(
 ) -> tuple[AccessPoint, ...]:
     """Spread over rooms, corridors and closed blocks, each as far as possible from those before it."""
     pool = []
-    for tile in drawing.tiles:
+    for tile in (tile for tile in drawing.tiles if tile.use in drawing.style.access_points_in):
         columns, rows = max(1, (tile.x1 - tile.x0) // 30), max(1, (tile.y1 - tile.y0) // 30)
         xs = tile.x0 + (np.arange(columns) + 0.5) * (tile.x1 - tile.x0) / columns
         ys = tile.y0 + (np.arange(rows) + 0.5) * (tile.y1 - tile.y0) / rows

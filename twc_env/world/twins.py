@@ -38,7 +38,10 @@ def _sutd_indoor(random: np.random.Generator) -> Drawing:
 
 def _ntu(random: np.random.Generator) -> Drawing:
     """5,100 m2: covered walks around blocks of rooms and open courts; a court's railing stops hardly any signal."""
-    style = Style(door=12, repeated="NO SMOKING", furniture=(8, 16), void_db=1.0, floor_name="WALK", label=room_label)
+    style = Style(
+        door=12, repeated="NO SMOKING", furniture=(8, 16), void_db=1.0, floor_name="WALK",
+        access_points_in=("room", "open"), label=room_label,
+    )  # fmt: skip
     drawing = Drawing(style)
     blocks = _streets(drawing, 850, 600, columns=3, rows=2, street=40)
     for number, (x0, y0, x1, y1) in enumerate(blocks):
@@ -56,8 +59,9 @@ def _ntu(random: np.random.Generator) -> Drawing:
 def _sutd_outdoor(random: np.random.Generator) -> Drawing:
     """75,000 m2: streets with lamp posts between closed buildings, a fence around them."""
     style = Style(
-        door=12, repeated="", outer_db=1.0, void_db=10.0, floor_name="STREET", along_floor=("BUS STOP", "NO PARKING")
-    )
+        door=12, repeated="", outer_db=1.0, void_db=10.0, floor_name="STREET", along_floor=("BUS STOP", "NO PARKING"),
+        access_points_in=("void",),
+    )  # fmt: skip
     drawing = Drawing(style)
     for number, (x0, y0, x1, y1) in enumerate(_streets(drawing, 3000, 2500, columns=5, rows=4, street=160)):
         drawing.add(x0, y0, x1, y1, "void")
