@@ -45,8 +45,12 @@ class ExplorerConfig:
     arrival_patience_s: float = 1.5
     """A frontier that is still there this long after arrival is given up."""
     stuck_s: float = 4.0
-    stuck_m: float = 0.2
+    stuck_m: float = 0.45
     """A robot that got no further than this in `stuck_s` is stuck."""
+    jam_radius_m: float = 2.0
+    """Stuck again this near counts as the same jam ..."""
+    jam_count_max: int = 6
+    """... in which a robot gives way longer each time, up to so many times as long."""
     forget_s: float = 40.0
     """A goal that failed is left alone this long, twice as long after each further failure."""
     forget_radius_m: float = 0.8
@@ -96,6 +100,10 @@ class _Robot:
     escape_until: int = -1
     escape_bearing: float = 0.0
     replan: bool = True
+    jam_m: Array | None = None
+    """Where it was last stuck, in the map frame."""
+    jam_count: int = 0
+    """How often in a row about there."""
     is_idle: bool = False
     """The last plan found no frontier."""
 
@@ -112,6 +120,7 @@ class _Robot:
         if self.anchor is not None:
             x, y = moved(np.array(self.anchor[:2]))
             self.anchor = (float(x), float(y), self.anchor[2])
+        self.jam_m = None if self.jam_m is None else moved(self.jam_m)
         self.goal_m = moved(self.goal_m)
         if self.follower.has_path:
             self.follower.start(transform_points(pose_new_old, self.follower.path_m))
@@ -209,7 +218,11 @@ class NearestFrontier:
         """Turn to an open side and drive there for a moment; the second time in a row also give up the goal."""
         robot.stuck_count += 1
         step = belief.step
-        robot.escape_until = step + int(self._rng.integers(8, 16)) + 5 * min(robot.stuck_count, 4)
+        again = robot.jam_m is not None and math.hypot(*(robot.jam_m - robot.pose[:2])) < self.explorer.jam_radius_m
+        robot.jam_count = robot.jam_count + 1 if again else 1
+        robot.jam_m = robot.pose[:2].copy()
+        # Two robots that meet in a door both give way, each for a random time that grows until they miss each other.
+        robot.escape_until = step + int(self._rng.integers(8, 16)) * min(robot.jam_count, self.explorer.jam_count_max)
         robot.escape_bearing = self._open_bearing(belief.ranges_m)
         if robot.follower.has_path:
             offset = robot.goal_m - robot.pose[:2]
@@ -275,8 +288,10 @@ class NearestFrontier:
         robot.is_idle = kind != "frontier"
         if plan is None:  # shut in, by the map at least: gaps that noise has narrowed may be wide enough
             plan, kind = self._best_plan(agent, beliefs, self._terrain(agent, beliefs, self.explorer.squeeze))
-        if plan is None:
+        if plan is None:  # nowhere to go: forget what failed, look around, and try again
             robot.goal_kind = ""
+            robot.failures.clear()
+            robot.obstacles.clear()
             robot.follower.stop()
             return
         goal = plan.path_m[-1]
@@ -423,7 +438,7 @@ class NearestFrontier:
             x, y = 0.6 * math.cos(bearing), 0.6 * math.sin(bearing)
             speed, turn_rate = drive_to(x, y, belief.ranges_m, self.dynamics)
             robot.escape_bearing = math.remainder(bearing - turn_rate * self.dynamics.time_step_s, 2 * math.pi)
-        elif robot.arrived_step >= 0:
+        elif robot.arrived_step >= 0 or not robot.goal_kind:
             speed, turn_rate = 0.0, 0.6 * self.dynamics.turn_rate_max_rad_s  # look around: a turn makes a new keyframe
         else:
             speed, turn_rate = robot.follower.command(robot.pose, belief.ranges_m, self._has_to_wait(robot, belief))

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from twc_env.errors import ConfigError, TwcError
+from twc_env.maps_cli import add_maps_parser
 from twc_env.reproduce.runner import TABLES, add_parser
 
 
@@ -27,9 +28,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m twc_env", description="Look at maps, measure speed, replay logs.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    maps = commands.add_parser("maps", help="list the bundled maps, or describe one map or file")
-    maps.add_argument("map", nargs="?", help="a bundled name, or a file in any format that --map takes")
-    maps.set_defaults(run=_maps)
+    add_maps_parser(commands)
 
     speed = commands.add_parser(
         "bench",
@@ -66,21 +65,6 @@ def _parser() -> argparse.ArgumentParser:
     if TABLES:
         add_parser(commands)
     return parser
-
-
-def _maps(options: argparse.Namespace) -> None:
-    from twc_env.maps import load_map, map_names
-
-    print(f"{'map':<12} {'size':>14} {'floor':>9} {'walls':>6} {'rooms':>6} {'signs':>6} {'access points':>14}")
-    for name in [options.map] if options.map else map_names():
-        plan = load_map(name)
-        x0, y0, x1, y1 = plan.bounds_m
-        cells = plan.cells()
-        print(
-            f"{plan.name:<12} {f'{x1 - x0:.1f} x {y1 - y0:.1f} m':>14} "
-            f"{cells.free.sum() * cells.resolution_m**2:>6.0f} m2 {len(plan.walls_m):>6} {len(plan.rooms):>6} "
-            f"{len(plan.signs):>6} {len(plan.access_points):>14}"
-        )
 
 
 def _bench(options: argparse.Namespace) -> None:

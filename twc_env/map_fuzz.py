@@ -25,7 +25,7 @@ from twc_env.world.generate import generate
 SECONDS_MAX = 1.0
 MEMORY_MAX_MB = 1000.0
 
-_ODD_VALUES = (
+_ODD_VALUES: tuple = (
     None, True, False, "", "x", "NaN", 0, -1, 1e308, -1e308, 10**400, 1e-320, float("nan"), float("inf"),
     -float("inf"), [], {}, [[]], [[[]]], {"a": {"a": {}}}, "\x00", "é" * 50, 2**63, 1e9, 1e6, 1e5,
 )  # fmt: skip

@@ -79,7 +79,7 @@ def test_comments_quotes_and_further_keys_are_read(tmp_path):
     [
         ("resolution: 0.1\n", "", "lacks the key 'resolution'"),
         ("resolution: 0.1", "resolution: fine", "resolution must be a number; got 'fine'"),
-        ("resolution: 0.1", "resolution: -0.1", "resolution must be metres per pixel, above 0; got -0.1"),
+        ("resolution: 0.1", "resolution: -0.1", "resolution must be metres per pixel, 0.005 to 10; got -0.1"),
         ("free_thresh: 0.196", "free_thresh: nan", "free_thresh must be finite; got 'nan'"),
         ("[-3.0, 1.5, 0.0]", "[-3.0, 1.5]", r"origin must be \[x, y, yaw\]"),
         ("image: mine.pgm", "image: other.pgm", "names the picture 'other.pgm', which is not beside it"),

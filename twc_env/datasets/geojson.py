@@ -168,11 +168,9 @@ def _distinct(areas: Iterable[_Area]) -> list[_Area]:
 
 def _osm_level(features: list[dict], where: str, name: str, level: str) -> Floorplan:
     """Rooms of one level, joined by the doors that are corners of their outlines."""
-    parts = [
-        feature for feature in features if _properties(feature).get("tags", {}).get("buildingpart", "shell") != "shell"
-    ]
+    parts = [feature for feature in features if _tag(feature, "buildingpart") not in ("", "shell")]
     levels = sorted({lvl for feature in parts for lvl in _levels(feature)})
-    chosen = [feature for feature in parts if level in _levels(feature)]
+    chosen = [feature for feature in parts if level in _levels(feature) and _rings(feature, where)]
     if not chosen:
         raise MapError(
             f"{where} has no level {level!r}; levels are {', '.join(levels) or 'not given'}: write FILE#LEVEL"

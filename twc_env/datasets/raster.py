@@ -92,7 +92,7 @@ def read_grey(path: Path) -> Array:
 
     Raises MapError when the file cannot be read or is too large.
     """
-    raw = load_bytes(path)
+    raw = load_bytes(path, "picture")
     if ".pgm" in [suffix.lower() for suffix in path.suffixes][-2:]:
         return _decode_pgm(raw, path.name)
     return _decode_with_pillow(raw, path)

@@ -57,9 +57,7 @@ def read_ros_cells(path: str | Path) -> RosMap:
     occupancy = shade if _number(values, "negate", path) else 1.0 - shade
     resolution_m = _number(values, "resolution", path)
     if not RESOLUTION_MIN_M <= resolution_m < 10:
-        raise MapError(
-            f"{path.name}: resolution must be metres per pixel, above 0 ({RESOLUTION_MIN_M} to 10); got {resolution_m:g}"
-        )
+        raise MapError(f"{path.name}: resolution must be metres per pixel, 0.005 to 10; got {resolution_m:g}")
     return RosMap(
         free=occupancy < _number(values, "free_thresh", path),
         occupied=occupancy > _number(values, "occupied_thresh", path),

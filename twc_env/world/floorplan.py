@@ -10,6 +10,7 @@ import difflib
 import gzip
 import hashlib
 import json
+import math
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,6 +39,8 @@ CELLS_MAX = 25_000_000
 FILE_BYTES_MAX = 64_000_000
 """Of a map file, unpacked."""
 _CHECK_RESOLUTION_M = 0.1
+_AREA_CELLS = ((0.0125, 500.0), (0.025, 4000.0), (0.05, 40_000.0), (0.1, math.inf))
+"""Cell sizes [m] that measure floors, and the extent [m2] up to which each is used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,6 +168,20 @@ class Floorplan:
             self._cache["cells", resolution_m] = _rasterise(self, resolution_m)
         return self._cache["cells", resolution_m]
 
+    @property
+    def floor_area_m2(self) -> float:
+        """Free floor up to the lines of its walls.
+
+        Cells that walls pass through are not free, which costs half a cell along every wall. That error shrinks with
+        the cell, so two rasters tell how large it is.
+        """
+        if "floor_area_m2" not in self._cache:
+            sizes = self.bounds_m[2:] - self.bounds_m[:2]
+            fine = next(size for size, top in _AREA_CELLS if np.prod(sizes) < top)
+            areas = [_rasterise(self, size).free.sum() * size**2 for size in (fine, 2 * fine)]
+            self._cache["floor_area_m2"] = float(2 * areas[0] - areas[1])
+        return self._cache["floor_area_m2"]
+
     def __getstate__(self) -> dict:
         # Caches stay behind, but not the home: it must come back to the last bit.
         kept = {key: self._cache[key] for key in ("home",) if key in self._cache}
@@ -198,17 +215,16 @@ def read_floorplan(path: str | Path) -> Floorplan:
     return validate(floorplan_from_values(load_json(path), path.name))
 
 
-def load_bytes(path: Path) -> bytes:
+def load_bytes(path: Path, what: str = "map") -> bytes:
     """The content of a map file, unpacked if its name ends in .gz; MapError when it cannot be read or is too large."""
     try:
         with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as file:
             raw = file.read(FILE_BYTES_MAX + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise MapError(f"{path} is cut off or no gzip file: {error}; fetch it again") from error
+        raise MapError(f"cannot read the {what} {path}: {error}; fetch the file again") from error
     except (OSError, ValueError) as error:
-        raise MapError(
-            f"cannot read the map {path}: {getattr(error, 'strerror', None) or error}; check the path"
-        ) from error
+        reason = getattr(error, "strerror", None) or error
+        raise MapError(f"cannot read the {what} {path}: {reason}; check the path") from error
     if len(raw) > FILE_BYTES_MAX:
         raise MapError(f"{path} holds more than {FILE_BYTES_MAX // 10**6} MB; cut the map into parts")
     return raw

@@ -7,6 +7,7 @@ gaps in them. Equal arguments give equal buildings in every process and on every
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -318,7 +319,7 @@ def _office(area_m2: float, random: np.random.Generator) -> Drawing:
         label=room_label,
     )
     drawing = Drawing(style)
-    width, height = _sides(area_m2, random.uniform(0.5, 0.8), 68)
+    width, height = _sides(area_m2, random.uniform(0.5, 0.8), 68 + _between(random, 0, 6))
     bands(drawing, width, height, _between(random, 16, 24), _between(random, 42, 62), _between(random, 30, 48), random)
     return drawing
 
@@ -329,7 +330,7 @@ def _ward(area_m2: float, random: np.random.Generator) -> Drawing:
         door=_between(random, 11, 14), repeated="HAND WASH", furniture=(8, 16), washrooms=True, label=_ward_label
     )
     drawing = Drawing(style)
-    width, height = _sides(area_m2, random.uniform(0.55, 0.85), 107)
+    width, height = _sides(area_m2, random.uniform(0.55, 0.85), 107 + _between(random, 0, 6))
     corridor = 16 if height < 130 else _between(random, 18, 26)
     bands(drawing, width, height, corridor, _between(random, 46, 58), _between(random, 38, 46), random, count_min=2)
     return drawing
@@ -341,7 +342,7 @@ def _ring(area_m2: float, random: np.random.Generator) -> Drawing:
         door=_door(random), repeated="NO SMOKING", furniture=_furniture(random), connecting_share=0.15, label=room_label
     )
     drawing = Drawing(style)
-    width, height = _sides(area_m2, random.uniform(0.75, 1.0), 84)
+    width, height = _sides(area_m2, random.uniform(0.75, 1.0), 84 + _between(random, 0, 6))
     corridor = 14 if height < 110 else _between(random, 16, 26)
     depth = min(_between(random, 40, 60), max(_ROOM_MIN, (height - 2 * corridor) // 4))
     _rings(drawing, (0, 0, width, height), depth, corridor, _between(random, 30, 46), is_inner=False)
@@ -352,7 +353,7 @@ def _mall(area_m2: float, random: np.random.Generator) -> Drawing:
     """Shops along a wide ring concourse with kiosks."""
     style = Style(door=_between(random, 12, 14), repeated="SALE", floor_name="CONCOURSE", label=_shop_label(random))
     drawing = Drawing(style)
-    width, height = _sides(area_m2, random.uniform(0.7, 0.95), 94)
+    width, height = _sides(area_m2, random.uniform(0.7, 0.95), 94 + _between(random, 0, 6))
     corridor = int(np.clip(round(height * random.uniform(0.09, 0.13)), 18, 90))
     depth = int(np.clip(round(height * random.uniform(0.16, 0.22)), _ROOM_MIN, 150))
     module = int(np.clip(round(depth * random.uniform(0.7, 1.0)), 30, 120))
@@ -366,7 +367,7 @@ def _warehouse(area_m2: float, random: np.random.Generator) -> Drawing:
     """One hall of alike racks with aisles between them, offices along one side."""
     style = Style(door=_door(random), repeated="FIRE EXTINGUISHER", floor_name="HALL", label=room_label)
     drawing = Drawing(style)
-    width, height = _sides(area_m2, random.uniform(0.55, 0.9), 75)
+    width, height = _sides(area_m2, random.uniform(0.55, 0.9), 75 + _between(random, 0, 6))
     strip = _between(random, 26, 40) if width >= 110 else 0
     for y0, y1 in _split(0, height, _between(random, 30, 50)) if strip else []:
         drawing.add(0, y0, strip, y1, "room")
@@ -543,7 +544,7 @@ def _edges(tiles: list[_Tile]) -> list[_Edge]:
     for (axis, line), (lows, highs) in sorted(sides.items()):
         lows, highs = sorted(lows), sorted(highs)
         cuts = sorted({value for begin, end, _ in lows + highs for value in (begin, end)})
-        for begin, end in zip(cuts, cuts[1:], strict=False):
+        for begin, end in itertools.pairwise(cuts):
             low, high = _owner(lows, begin), _owner(highs, begin)
             if low >= 0 or high >= 0:
                 edges.append(_Edge(axis, line, begin, end, low, high))
@@ -629,7 +630,7 @@ def _name_rooms(drawing: Drawing, doors: dict[int, tuple[_Edge, int]]) -> None:
 def _furnish_rooms(drawing: Drawing, doors: dict[int, tuple[_Edge, int]], at_tile: dict) -> None:
     """The same corner piece, washroom and sign at the same place in every room."""
     style = drawing.style
-    for number, (edge, begin) in doors.items():
+    for number, (edge, _) in doors.items():
         tile = drawing.tiles[number]
         room = _Corner(tile, edge, into=1 if edge.high == number else -1)
         is_alike = (edge.begin, edge.end) == room.span

@@ -5,6 +5,7 @@ The paper prints areas, path lengths and counts, no plans: the layouts are our o
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -50,7 +51,7 @@ def _ntu(random: np.random.Generator) -> Drawing:
             continue
         cuts = np.linspace(x0, x1, 5).astype(int).tolist()
         middle = (y0 + y1) // 2
-        for left, right in zip(cuts, cuts[1:], strict=False):
+        for left, right in itertools.pairwise(cuts):
             drawing.add(left, y0, right, middle, "room")
             drawing.add(left, middle, right, y1, "room")
     return drawing
@@ -84,10 +85,10 @@ def _streets(drawing: Drawing, width: int, height: int, columns: int, rows: int,
     for y in lows:
         drawing.add(0, y, width, y + street, "open")
     blocks = []
-    for low, high in zip(lows, lows[1:], strict=False):
+    for low, high in itertools.pairwise(lows):
         for left in lefts:
             drawing.add(left, low + street, left + street, high, "open")
-        blocks += [(a + street, low + street, b, high) for a, b in zip(lefts, lefts[1:], strict=False)]
+        blocks += [(a + street, low + street, b, high) for a, b in itertools.pairwise(lefts)]
     return blocks
 
 

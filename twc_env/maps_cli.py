@@ -1,0 +1,278 @@
+"""Command line: python -m twc_env maps list | show | generate | import | export | check | schema."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from twc_env.errors import MapError
+from twc_env.maps import load_map, map_names, schema
+from twc_env.world.floorplan import Floorplan
+
+_NAMES = """\
+A MAP is
+  a bundled name            twin-01, sfw-e3, radio-ntu ...  (see: python -m twc_env maps list)
+  a generated building      gen:KIND:AREA:SEED              for example gen:office:800:7
+  a building of a split     train/0000 ... train/0999, validation/0000 ..., test/0000 ... test/0099
+  a file                    .json (twc_env, HouseExpo), .yaml (ROS map_server), .png, .pgm,
+                            .geojson (indoor-location-competition-20 with floor_info.json beside it;
+                            OpenStreetMap: FILE#LEVEL); .gz too
+"""
+
+
+def add_maps_parser(commands) -> None:
+    """Add the `maps` command and its own commands to a parser's subcommands."""
+    maps = commands.add_parser(
+        "maps",
+        help="list, draw, generate, import, export and check floor plans",
+        description="Floor plans: list, draw, generate, import, export and check them.",
+        epilog=_NAMES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    maps.set_defaults(run=_list, maps=[])
+    parts = maps.add_subparsers(metavar="COMMAND")
+
+    listing = _part(parts, "list", _list, "sizes and contents of the bundled maps, or of those named")
+    listing.add_argument("maps", nargs="*", metavar="MAP", help="default: all bundled maps")
+
+    show = _part(parts, "show", _show, "draw a map: walls, rooms, signs, access points and signal strength")
+    show.add_argument("map", metavar="MAP")
+    show.add_argument("--out", type=Path, metavar="FILE.png", help="default: the map's name in this folder")
+    show.add_argument("--no-signal", action="store_true", help="leave the signal-strength overlay out")
+    _seed(show)
+
+    make = _part(
+        parts,
+        "generate",
+        _generate,
+        "draw buildings by kind, area and seed, and write them as native JSON",
+        "example: python -m twc_env maps generate office 800 --seed 7 --out office.json\n"
+        "The same building is the map gen:office:800:7 wherever a map is named.",
+    )
+    from twc_env.world.generate import AREA_MAX_M2, AREA_MIN_M2, KINDS
+
+    make.add_argument("kind", metavar="KIND", help=f"one of {', '.join(KINDS)}")
+    make.add_argument("area", type=float, metavar="AREA", help=f"gross floor area, {AREA_MIN_M2} to {AREA_MAX_M2} m2")
+    make.add_argument("--seed", type=int, default=0, help="default: %(default)s")
+    make.add_argument("--count", type=int, default=1, help="this many, with seeds that count on (default: %(default)s)")
+    make.add_argument("--out", type=Path, metavar="FILE.json", help="default: KIND-AREA-SEED.json in this folder")
+
+    bring = _part(
+        parts,
+        "import",
+        _import,
+        "read a file of another format, check it, and write native JSON",
+        "Formats without signs and access points are furnished by --seed. Edit the JSON to your liking.",
+    )
+    bring.add_argument("map", metavar="FILE", help="file, or FILE#LEVEL of an OpenStreetMap building")
+    bring.add_argument(
+        "--resolution", type=float, metavar="M", help="metres per pixel of a .png or .pgm (default: 0.05)"
+    )
+    bring.add_argument("--out", type=Path, metavar="FILE.json", help="default: the file's stem in this folder")
+    _seed(bring)
+
+    give = _part(parts, "export", _export, "write a map as .json (native), .yaml + .pgm (ROS map_server) or .png")
+    give.add_argument("map", metavar="MAP")
+    give.add_argument("out", type=Path, metavar="FILE", help="the suffix picks the format")
+    give.add_argument(
+        "--resolution", type=float, default=0.05, metavar="M", help="metres per pixel (default: %(default)s)"
+    )
+    _seed(give)
+
+    check = _part(
+        parts,
+        "check",
+        _check,
+        "say whether maps are sound and every room can be reached; exit status 2 if one is not",
+        "--splits draws all 1,200 buildings of the splits and compares their layouts, turned and mirrored too.\n"
+        "--fuzz reads that many mutated files: nothing but a one-line error may come of them.",
+    )
+    check.add_argument(
+        "maps", nargs="*", metavar="MAP", help="default: all bundled maps, unless an option asks for more"
+    )
+    check.add_argument("--splits", action="store_true", help="are the splits disjoint, and what are their digests")
+    check.add_argument("--fuzz", type=int, metavar="COUNT", help="read COUNT mutated map files")
+    check.add_argument("--json", type=Path, metavar="FILE", help="write the findings")
+    _seed(check)
+
+    _part(parts, "schema", _schema, "print the JSON schema of the native format")
+
+
+def _part(parts, name: str, run, help_text: str, epilog: str = "") -> argparse.ArgumentParser:
+    parser = parts.add_parser(
+        name,
+        help=help_text,
+        description=help_text[0].upper() + help_text[1:] + ".",
+        epilog=f"{epilog}\n\n{_NAMES}" if epilog else _NAMES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _seed(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seed", type=int, default=0, help="furnishes maps without signs (default: %(default)s)")
+
+
+def _list(options: argparse.Namespace) -> None:
+    print(f"{'map':<20} {'size':>16} {'floor':>10} {'walls':>6} {'rooms':>6} {'signs':>6} {'access points':>14}")
+    for name in options.maps or map_names():
+        print(_row(load_map(name)))
+    if not options.maps:
+        from twc_env.world.generate import KINDS, SPLITS
+
+        splits = ", ".join(f"{split}/0000 ({count})" for split, count in SPLITS.items())
+        print(f"and generated ones: gen:KIND:AREA:SEED with KIND {', '.join(KINDS)}; splits {splits}")
+
+
+def _row(plan: Floorplan) -> str:
+    x0, y0, x1, y1 = plan.bounds_m
+    return (
+        f"{plan.name:<20} {f'{x1 - x0:.1f} x {y1 - y0:.1f} m':>16} {plan.floor_area_m2:>7,.0f} m2 "
+        f"{len(plan.walls_m):>6} {len(plan.rooms):>6} {len(plan.signs):>6} {len(plan.access_points):>14}"
+    )
+
+
+def _show(options: argparse.Namespace) -> None:
+    from twc_env.map_picture import draw_plan
+
+    plan = load_map(options.map, options.seed)
+    path = options.out or Path(f"{_file_stem(plan.name)}.png")
+    draw_plan(plan, path, with_signal=not options.no_signal)
+    print(_row(plan))
+    print(f"drawn: {path}")
+
+
+def _generate(options: argparse.Namespace) -> None:
+    from twc_env.world.generate import generate
+
+    if options.count < 1:
+        raise MapError(f"--count must be 1 or more; got {options.count}")
+    for seed in range(options.seed, options.seed + options.count):
+        plan = generate(options.kind, options.area, seed)
+        path = options.out or Path(f"{options.kind}-{options.area:g}-{seed}.json")
+        if options.out and options.count > 1:
+            path = path.with_stem(f"{path.stem}-{seed}")
+        _write(plan, path)
+
+
+def _import(options: argparse.Namespace) -> None:
+    if options.resolution is not None:
+        plan = _picture(Path(options.map), options.seed, options.resolution)
+    else:
+        plan = load_map(options.map, options.seed)
+    _write(plan, options.out or Path(f"{_file_stem(plan.name)}.json"))
+
+
+def _picture(path: Path, seed: int, resolution_m: float) -> Floorplan:
+    from twc_env.datasets.raster import read_picture
+
+    if not {".png", ".pgm"} & {suffix.lower() for suffix in path.suffixes}:
+        raise MapError(f"--resolution is for .png and .pgm; leave it out for {path.name}")
+    if not 0.005 <= resolution_m <= 10:
+        raise MapError(f"--resolution must be 0.005 to 10 m per pixel; got {resolution_m:g}")
+    return read_picture(path, seed, resolution_m)
+
+
+def _export(options: argparse.Namespace) -> None:
+    from twc_env.datasets.map_export import export_map
+
+    plan = load_map(options.map, options.seed)
+    print(f"written: {export_map(plan, options.out, options.resolution)}")
+
+
+def _write(plan: Floorplan, path: Path) -> None:
+    from twc_env.datasets.map_export import export_map
+
+    if path.suffix != ".json":
+        raise MapError(f"--out must end in .json; got {path.name}; use `maps export` for other formats")
+    export_map(plan, path)
+    print(_row(plan))
+    print(f"written: {path}")
+
+
+def _check(options: argparse.Namespace) -> None:
+    findings: dict[str, object] = {}
+    faults: list[str] = []
+    is_plain = not (options.splits or options.fuzz is not None)
+    if options.maps or is_plain:
+        faults += _check_maps(options.maps or map_names(), options.seed, findings)
+    if options.splits:
+        faults += _check_splits(findings)
+    if options.fuzz is not None:
+        faults += _check_fuzz(options.fuzz, options.seed, findings)
+    if options.json is not None:
+        options.json.write_text(json.dumps({**findings, "faults": faults}, indent=2) + "\n")
+    if faults:
+        raise MapError(f"{len(faults)} of the checks failed; the first: {faults[0]}")
+
+
+def _check_maps(names: Iterable[str], seed: int, findings: dict[str, object]) -> list[str]:
+    from twc_env.world.generate import check_reachable
+
+    faults, areas = [], {}
+    for name in names:
+        try:
+            plan = check_reachable(load_map(name, seed))
+        except MapError as error:
+            faults.append(str(error))
+            print(f"FAULT  {error}")
+            continue
+        areas[name] = round(plan.floor_area_m2, 2)
+        print(f"sound  {_row(plan)}")
+    findings["floor_m2"] = areas
+    return faults
+
+
+def _check_splits(findings: dict[str, object]) -> list[str]:
+    from twc_env.world.generate import SPLITS, digest_of_layouts, split_layouts
+
+    faults: list[str] = []
+    owner: dict[str, str] = {}
+    digests = {}
+    for split in SPLITS:
+        layouts = split_layouts(split)
+        digests[split] = digest_of_layouts(iter(layouts))
+        for number, layout in enumerate(layouts):
+            name = f"{split}/{number:04d}"
+            if layout in owner:
+                faults.append(f"{name} repeats the layout of {owner[layout]}")
+            owner.setdefault(layout, name)
+        print(f"{split:<12} {len(layouts):>5} buildings, digest {digests[split]}")
+    print(f"{len(owner)} different layouts (turned and mirrored copies count as one), {len(faults)} repeated")
+    findings["split_digests"] = digests
+    findings["layouts"] = len(owner)
+    return faults
+
+
+def _check_fuzz(count: int, seed: int, findings: dict[str, object]) -> list[str]:
+    from twc_env.map_fuzz import MEMORY_MAX_MB, SECONDS_MAX, fuzz_maps
+
+    if count < 1:
+        raise MapError(f"--fuzz must be 1 or more; got {count}")
+    report = fuzz_maps(count, seed)
+    print(
+        f"{report.count} mutated files: {report.refused} refused, {report.loaded} still sound, "
+        f"{len(report.escaped)} raised something else; slowest {report.slowest_s:.3f} s ({report.slowest}); "
+        f"peak memory of the process {report.peak_mb:.0f} MB"
+    )
+    findings["fuzz"] = {name: getattr(report, name) for name in report.__slots__}
+    faults = list(report.escaped)
+    if report.slowest_s > SECONDS_MAX:
+        faults.append(f"{report.slowest} took {report.slowest_s:.1f} s, more than {SECONDS_MAX:g} s")
+    if report.peak_mb > MEMORY_MAX_MB:
+        faults.append(f"the process took {report.peak_mb:.0f} MB, more than {MEMORY_MAX_MB:g} MB")
+    return faults
+
+
+def _schema(options: argparse.Namespace) -> None:
+    json.dump(schema(), sys.stdout, indent=2)
+    print()
+
+
+def _file_stem(name: str) -> str:
+    return re.sub(r"[^\w.-]+", "-", name) or "map"
