@@ -1,3 +1,4 @@
+import gzip
 import json
 import os
 from pathlib import Path
@@ -7,6 +8,7 @@ import pytest
 
 from twc_env.errors import MapError
 from twc_env.maps import load_map, map_names
+from twc_env.world import floorplan
 from twc_env.world.floorplan import write_floorplan
 
 HOUSE = {
@@ -26,7 +28,7 @@ def test_the_twin_maps_are_bundled():
 def test_each_bundled_map_is_sound_and_named_like_its_file(name):
     plan = load_map(name)
     assert plan.name == name
-    assert plan.cells().free.sum() * 0.01 > 100
+    assert plan.floor_area_m2 > 15
     assert len(plan.rooms) > 1
     assert all(len(access_point.macs) >= 2 for access_point in plan.access_points)
 
@@ -97,7 +99,9 @@ def test_furnishing_follows_the_seed(tmp_path):
     [
         ("a.json", "{", "not valid JSON"),
         ("a.json", "[]", "must be a JSON object"),
-        ("a.dxf", "", "unknown map format '.dxf'; use .json, .yaml, .png or .pgm"),
+        ("a.json", "[" * 100_000, "nests its lists too deeply|not valid JSON"),
+        ("a.json#1", "{}", "unknown map format '.json#1'"),
+        ("a.dxf", "", "unknown map format '.dxf'; use .json, .yaml, .png, .pgm or .geojson"),
         ("plain", "", "unknown map format ''"),
     ],
 )
@@ -105,6 +109,34 @@ def test_files_that_are_no_map_are_refused(tmp_path, name, content, expected):
     path = tmp_path / name
     path.write_text(content)
     with pytest.raises(MapError, match=expected):
+        load_map(path)
+
+
+def test_only_geojson_has_levels(tmp_path):
+    path = tmp_path / "house.json"
+    path.write_text(json.dumps(HOUSE))
+    with pytest.raises(MapError, match="only .geojson maps have levels; leave #2 out"):
+        load_map(f"{path}#2")
+
+
+@pytest.mark.parametrize("name", ["house.json.gz", "HOUSE.JSON.GZ"])
+def test_packed_files_are_read(tmp_path, name):
+    (tmp_path / name).write_bytes(gzip.compress(json.dumps(HOUSE).encode()))
+    assert load_map(tmp_path / name).rooms[0].name == "Kitchen"
+
+
+def test_a_packed_file_that_is_cut_off_is_refused(tmp_path):
+    path = tmp_path / "house.json.gz"
+    path.write_bytes(gzip.compress(json.dumps(HOUSE).encode())[:-9])
+    with pytest.raises(MapError, match="cannot read the map"):
+        load_map(path)
+
+
+def test_a_small_file_that_unpacks_to_a_huge_one_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(floorplan, "FILE_BYTES_MAX", 1_000_000)
+    path = tmp_path / "bomb.json.gz"
+    path.write_bytes(gzip.compress(b" " * 2_000_000))
+    with pytest.raises(MapError, match="holds more than 1 MB"):
         load_map(path)
 
 

@@ -67,7 +67,9 @@ def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = No
     margin = 0.02 * max(x1 - x0, y1 - y0)
     axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin), aspect="equal")
     axes.set(xlabel="x [m]", ylabel="y [m]")
-    axes.set_title(f"{plan.name}: {plan.floor_area_m2:,.0f} m2 of floor, {len(plan.rooms)} rooms, {len(plan.signs)} signs")
+    axes.set_title(
+        f"{plan.name}: {plan.floor_area_m2:,.0f} m2 of floor, {len(plan.rooms)} rooms, {len(plan.signs)} signs"
+    )
     figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     try:
         figure.savefig(path)

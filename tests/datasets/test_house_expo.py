@@ -88,7 +88,12 @@ def test_a_contour_that_crosses_itself_keeps_its_largest_part():
         ({"verts": [[0, 0], [5, 0], [9, 0]]}, "no free space inside"),
         ({"verts": [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]}, "no free space"),
         ({"verts": [[0, 0], [90000, 0], [90000, 90000]]}, "verts must be metres"),
+        ({"verts": [[0, 0], [1, 10**400], [1, 0]]}, "three or more corners"),
+        ({"verts": [[0, 0], [1e300, 0], [1, 1]]}, "verts must be metres"),
         ({"room_category": ["Kitchen"]}, "room_category must map labels to boxes"),
+        ({"room_category": {"Kitchen": 5}}, "must be a list of boxes"),
+        ({"room_category": {"Kitchen": [[1, 2, 3]]}}, "must be a list of boxes"),
+        ({"room_category": {"Kitchen": [[1, 2, 3, float("nan")]]}}, "must be a list of boxes"),
     ],
 )
 def test_faulty_plans_are_refused(changes, expected):
@@ -133,6 +138,16 @@ def test_every_real_plan_at_hand_loads_with_its_printed_area_and_runs():
         world = World(EnvConfig(robots=2), plan)
         world.reset(0)
         assert all(frame.ranges_m.min() > 0.2 for frame in world.sense())
+
+
+@needs_data
+def test_floors_of_all_real_plans_match_their_printed_area_within_one_percent():
+    with (FOLDER / "INDEX.csv").open() as file:
+        index = list(csv.DictReader(file))
+    assert sum(row["valid_polygon"] == "True" for row in index) == 28
+    for row in index:
+        plan = read_house_expo(FOLDER / f"{row['id']}.json")
+        assert plan.floor_area_m2 == pytest.approx(float(row["free_area_m2"]), rel=0.01)
 
 
 @needs_data

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from twc_env.config import EnvConfig
 from twc_env.datasets.raster import deepest_cell, free_edges, largest_part, plan_from_free, read_grey, read_picture
 from twc_env.errors import MapError
+from twc_env.maps import load_map
 from twc_env.world.world import World
 
 DATA = os.environ.get("TWC_DATA")
@@ -187,3 +188,32 @@ def test_a_real_office_loads_and_runs():
     world.reset(0)
     world.step(np.ones((3, 2)))
     assert all(0 < frame.ranges_m.min() < 10.0 for frame in world.sense())
+
+
+@pytest.mark.skipif(not os.environ.get("TWC_DATA"), reason="TWC_DATA is not set: no real room maps")
+@pytest.mark.parametrize(
+    ("name", "area_m2"),
+    [
+        ("Freiburg101_scan", 680), ("Freiburg52_scan", 338), ("Freiburg79_scan", 290), ("NLB", 1163),
+        ("lab_d_scan", 518), ("lab_f_scan", 910), ("lab_intel", 726), ("lab_ipa", 286), ("office_a", 1464),
+        ("office_b", 1076), ("office_d", 832),
+    ],
+)  # fmt: skip
+def test_real_room_maps_of_every_mode_load(name, area_m2):
+    plan = load_map(Path(os.environ["TWC_DATA"]) / f"maps/ipa/{name}.png")
+    assert plan.cells().free.sum() * 0.01 == pytest.approx(area_m2, rel=0.02)
+    World(EnvConfig(), plan).reset(0)
+
+
+@pytest.mark.parametrize("raw", [b"", b"\x89PNG\r\n\x1a\n", b"no picture", b"\x89PNG\r\n\x1a\n" + bytes(200)])
+def test_broken_png_pictures_are_refused(tmp_path, raw):
+    pytest.importorskip("PIL", reason="Pillow is an optional dependency")
+    (tmp_path / "a.png").write_bytes(raw)
+    with pytest.raises(MapError, match="cannot read the picture"):
+        read_picture(tmp_path / "a.png")
+
+
+def test_a_picture_of_too_many_pixels_is_refused_before_it_is_unpacked(tmp_path):
+    (tmp_path / "a.pgm").write_bytes(b"P5\n100000 100000\n255\n")
+    with pytest.raises(MapError, match="100000 x 100000 pixels, more than"):
+        read_picture(tmp_path / "a.pgm")

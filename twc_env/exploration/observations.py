@@ -17,6 +17,9 @@ Array = NDArray
 
 RSSI_ZERO_DBM, RSSI_SPAN_DB = -100.0, 80.0
 POSE_LIMIT_M = 1000.0
+FIXED_BITS = 32
+FIXED_POINT = 2.0**FIXED_BITS
+"""Cell numbers are stepped in whole parts of a cell, so that a step is an addition and a shift, no conversion."""
 
 
 def observation_space(config: EnvConfig) -> spaces.Dict:
@@ -131,21 +134,29 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     first = 0.5 - 2 * (size // 2)  # in samples, two to a cell
     x0 = x * inverse_m + first * (c - s)
     y0 = y * inverse_m + first * (s + c)
+    cells = log_odds.reshape(-1)
+    dx, dy = int(2 * c * FIXED_POINT), int(2 * s * FIXED_POINT)
     for i in range(2 * size):
         shift = (i + (i >> 1)) & 1
-        gx, gy = x0 - s * i + c * shift, y0 + c * i + s * shift
-        for j in range(shift, 2 * size, 2):
-            # adding a whole number makes truncation round down
-            k, r = int(gx + 65536.0) - 65536, int(gy + 65536.0) - 65536
-            gx += 2 * c
-            gy += 2 * s
-            if 0 <= r < height and 0 <= k < width:
-                level = log_odds[r, k]
-                if level > 0:
-                    out[1, i >> 1, j >> 1] = 255
-                elif level < 0:
-                    out[0, i >> 1, j >> 1] = 255
+        gx = int(math.floor((x0 - s * i + c * shift) * FIXED_POINT))
+        gy = int(math.floor((y0 + c * i + s * shift) * FIXED_POINT))
+        free, wall = out[0, i >> 1], out[1, i >> 1]
+        k0, k1 = gx >> FIXED_BITS, (gx + dx * (size - 1)) >> FIXED_BITS
+        r0, r1 = gy >> FIXED_BITS, (gy + dy * (size - 1)) >> FIXED_BITS
+        if min(k0, k1) >= 0 and min(r0, r1) >= 0 and max(k0, k1) < width and max(r0, r1) < height:
+            for j in range(size):  # the whole row lies inside: no cell needs a check
+                level = cells[((gy + j * dy) >> FIXED_BITS) * width + ((gx + j * dx) >> FIXED_BITS)]
+                free[j] |= np.uint8(level < 0)
+                wall[j] |= np.uint8(level > 0)
+        else:
+            for j in range(size):
+                k, r = (gx + j * dx) >> FIXED_BITS, (gy + j * dy) >> FIXED_BITS
+                if 0 <= r < height and 0 <= k < width:
+                    level = log_odds[r, k]
+                    free[j] |= np.uint8(level < 0)
+                    wall[j] |= np.uint8(level > 0)
     for i in range(size):
         for j in range(size):
-            if out[1, i, j]:
-                out[0, i, j] = 0
+            is_wall = out[1, i, j]
+            out[0, i, j] = (out[0, i, j] & (1 - is_wall)) * 255
+            out[1, i, j] = is_wall * 255

@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 
 Array = NDArray
 
+FIXED_BITS = 32
+FIXED_POINT = 2.0**FIXED_BITS
+"""Cell numbers are stepped in whole parts of a cell, so that a step is an addition and a shift, no conversion."""
+
 
 @dataclass(frozen=True, slots=True)
 class MapScore:
@@ -39,7 +43,7 @@ def correct_area_m2(
 ) -> float:
     """Area of the explorable floor (truth_free) that the map shows as free; arguments as in `score_map`."""
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
-    count = _count_free(log_odds, row, column, step, truth_free, free_below)
+    count = _count_free(np.ascontiguousarray(log_odds), row, column, step, truth_free, free_below)
     return float(count) * truth_resolution_m**2
 
 
@@ -67,7 +71,7 @@ def score_map(
     """
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
     cell_m2 = truth_resolution_m**2
-    correct_m2 = float(_count_free(log_odds, row, column, step, truth_free, free_below)) * cell_m2
+    correct_m2 = float(_count_free(np.ascontiguousarray(log_odds), row, column, step, truth_free, free_below)) * cell_m2
     floor_m2 = float(np.count_nonzero(truth_free)) * cell_m2
     believed_m2 = float(np.count_nonzero(log_odds < free_below)) * resolution_m**2
     union_m2 = floor_m2 + max(believed_m2, correct_m2) - correct_m2
@@ -114,17 +118,29 @@ def _sampling_back(pose_building_map: Array, origin_m, resolution_m, truth_origi
 
 @njit(cache=True, error_model="numpy")
 def _count_free(log_odds, row0, column0, step, truth_free, free_below):
-    """True free cells whose centre falls into a free cell of the map."""
+    """True free cells whose centre falls into a free cell of the map; steps in fixed point."""
     rows, columns = log_odds.shape
+    width = truth_free.shape[1]
+    cells = log_odds.reshape(-1)
     c, s = step[0], step[1]
+    dk, dr = int(np.rint(c * FIXED_POINT)), int(np.rint(s * FIXED_POINT))
     count = 0
     for i in range(truth_free.shape[0]):
-        row, column = row0 + c * i, column0 - s * i
-        for j in range(truth_free.shape[1]):
-            if truth_free[i, j]:
-                r, k = int(np.floor(row + s * j)), int(np.floor(column + c * j))
-                if 0 <= r < rows and 0 <= k < columns and log_odds[r, k] < free_below:
-                    count += 1
+        r = int(np.floor((row0 + c * i) * FIXED_POINT))
+        k = int(np.floor((column0 - s * i) * FIXED_POINT))
+        free = truth_free[i]
+        r0, r1 = r >> FIXED_BITS, (r + dr * (width - 1)) >> FIXED_BITS
+        k0, k1 = k >> FIXED_BITS, (k + dk * (width - 1)) >> FIXED_BITS
+        if min(r0, r1) >= 0 and min(k0, k1) >= 0 and max(r0, r1) < rows and max(k0, k1) < columns:
+            for j in range(width):
+                count += free[j] & (
+                    cells[((r + j * dr) >> FIXED_BITS) * columns + ((k + j * dk) >> FIXED_BITS)] < free_below
+                )
+        else:
+            for j in range(width):
+                row, column = (r + j * dr) >> FIXED_BITS, (k + j * dk) >> FIXED_BITS
+                if free[j] and 0 <= row < rows and 0 <= column < columns:
+                    count += log_odds[row, column] < free_below
     return count
 
 

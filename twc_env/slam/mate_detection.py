@@ -96,16 +96,19 @@ class StillDiscs:
     """Remembers where discs were seen, so that a pillar as wide as a robot is drawn after all: it never moves."""
 
     def __init__(self):
-        self._seen: list[tuple[Array, float, float]] = []
-        """Centre in the odom frame, travel and time when it was first seen there."""
+        self._seen = np.full((MEMORY, 4), np.inf)
+        """Rows (x, y in the odom frame, travel and time when first seen there); the oldest is overwritten."""
+        self._next = 0
 
     def unmark(self, scan: Array, discs: Array, pose_odom: Array, travel_m: float, time_s: float) -> None:
         """Make the beams (beams,) on discs that stood still for long, seen from more than one place, walls again."""
         for x, y, first, count in discs.tolist():
             centre = compose(pose_odom, [x, y, 0.0])[:2]
-            held = next((s for s in self._seen if math.dist(s[0], centre) < STILL_M), None)
-            if held is None:
-                self._seen = [*self._seen[-MEMORY:], (centre, travel_m, time_s)]
-            elif time_s - held[2] >= STILL_S and travel_m - held[1] >= STILL_TRAVEL_M:
+            away = np.abs(self._seen[:, :2] - centre).max(axis=1)
+            held = int(np.argmin(away))
+            if away[held] >= STILL_M:
+                self._seen[self._next] = *centre, travel_m, time_s
+                self._next = (self._next + 1) % MEMORY
+            elif time_s - self._seen[held, 3] >= STILL_S and travel_m - self._seen[held, 2] >= STILL_TRAVEL_M:
                 beams = (int(first) + np.arange(int(count))) % len(scan)
                 scan[beams] = np.abs(scan[beams])

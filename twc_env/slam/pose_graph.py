@@ -1,4 +1,4 @@
-"""Robust SE(2) pose-graph optimisation: Levenberg-Marquardt with 3 x 3 blocks on a sparse LU factorisation.
+"""Robust SE(2) pose-graph optimisation: Levenberg-Marquardt with 3 x 3 blocks on a sparse Cholesky factorisation.
 
 Residuals are those of g2o's EDGE_SE2: z^-1 (a^-1 b). Odometry edges keep their weight; closures are down-weighted by
 dynamic covariance scaling (DCS) or a Cauchy loss, so that one false closure cannot fold the map.
@@ -7,32 +7,26 @@ dynamic covariance scaling (DCS) or a Cauchy loss, so that one false closure can
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
 
 from twc_env.config import PoseGraphConfig
-from twc_env.geometry import wrap_angle
+from twc_env.slam.block_cholesky import BlockCholesky
 
 Array = NDArray
+
+STEP_M, STEP_RAD = 2e-3, 1e-3
+"""A step below both ends the optimisation."""
 
 
 def residuals(poses: Array, edges: Array, measured: Array) -> Array:
     """(edges, 3) measured^-1 (a^-1 b) for edges (edges, 2) of indices a, b."""
-    a, b = poses[edges[:, 0]], poses[edges[:, 1]]
-    ca, sa = np.cos(a[:, 2]), np.sin(a[:, 2])
-    d = b[:, :2] - a[:, :2]
-    ex = ca * d[:, 0] + sa * d[:, 1] - measured[:, 0]
-    ey = -sa * d[:, 0] + ca * d[:, 1] - measured[:, 1]
-    cz, sz = np.cos(measured[:, 2]), np.sin(measured[:, 2])
-    turn = wrap_angle(b[:, 2] - a[:, 2] - measured[:, 2])
-    return np.stack([cz * ex + sz * ey, -sz * ex + cz * ey, turn], axis=1)
+    return _residuals(*_arrays(poses, edges, measured))
 
 
 def squared_errors(poses: Array, edges: Array, measured: Array, information: Array) -> Array:
     """(edges,) squared Mahalanobis length of each residual."""
-    r = residuals(poses, edges, measured)
-    return np.einsum("ki,kij,kj->k", r, information, r)
+    return _squared_errors(*_arrays(poses, edges, measured), np.ascontiguousarray(information, float))
 
 
 def robust_weights(squared: Array, is_closure: Array, config: PoseGraphConfig) -> Array:
@@ -43,7 +37,7 @@ def robust_weights(squared: Array, is_closure: Array, config: PoseGraphConfig) -
     elif config.robust == "cauchy":
         weight = 1.0 / (1.0 + squared / scale)
     else:
-        weight = np.ones_like(squared)
+        return np.ones_like(squared)
     return np.where(is_closure, weight, 1.0)
 
 
@@ -60,91 +54,193 @@ def optimise(
 
     edges (e, 2) indices, measured (e, 3), information (e, 3, 3), is_closure (e,) bool. Warm: starts from `poses`.
     """
-    poses = poses.copy()
+    poses = np.array(poses, float)
     if len(poses) < 2 or len(edges) == 0:
         return poses
-    pattern = _Pattern(edges, len(poses), fixed)
-    damping = 1e-6
-    weight = robust_weights(squared_errors(poses, edges, measured, information), is_closure, config)
-    for _ in range(config.iterations_max):
-        hessian, gradient, cost = pattern.linearise(poses, measured, information * weight[:, None, None])
-        moved = _step(pattern, poses, hessian, gradient, cost, damping, measured, information, weight)
-        if moved is None:
-            break
-        step = np.abs(moved - poses)
-        poses, damping = moved, max(damping / 10, 1e-12)
-        weight = robust_weights(squared_errors(poses, edges, measured, information), is_closure, config)
-        if step[:, :2].max() < 2e-3 and np.minimum(step[:, 2], 2 * np.pi - step[:, 2]).max() < 1e-3:
-            break
-    return poses
+    graph = NormalEquations(edges, measured, information, len(poses), fixed)
+    return graph.minimise(poses, lambda squared: robust_weights(squared, is_closure, config), config.iterations_max)
 
 
-def _step(pattern, poses, hessian, gradient, cost, damping, measured, information, weight) -> Array | None:
-    """One damped step that does not raise the cost; None when none is found."""
-    for _ in range(8):
-        delta = pattern.solve(hessian, gradient, damping)
-        moved = poses + delta
-        moved[:, 2] = wrap_angle(moved[:, 2])
-        new_cost = (weight * squared_errors(moved, pattern.edges, measured, information)).sum()
-        if new_cost <= cost * (1 + 1e-12):
-            return moved
-        damping = max(damping * 10, 1e-9)
-    return None
+def weighted(
+    poses: Array, edges: Array, measured: Array, information: Array, weight: Array, iterations_max: int = 50
+) -> Array:
+    """As `optimise` with pose 0 held and weights (e,) that do not change; edges of weight 0 cost nothing."""
+    kept = weight > 0
+    if len(poses) < 2 or not kept.any():
+        return np.array(poses, float)
+    graph = NormalEquations(edges[kept], measured[kept], information[kept], len(poses), 0)
+    weight = np.ascontiguousarray(weight[kept], float)
+    return graph.minimise(np.array(poses, float), lambda squared: weight, iterations_max)
 
 
-class _Pattern:
-    """Where each edge's blocks go in the sparse normal equations."""
+class NormalEquations:
+    """Gauss-Newton's normal equations of one set of edges, whose sparse pattern is found once."""
 
-    def __init__(self, edges: Array, count: int, fixed: int):
-        self.edges = edges
-        self._count, self._fixed = count, fixed
-        unknown = np.arange(count) - (np.arange(count) > fixed)
-        unknown[fixed] = -1
-        a, b = unknown[edges[:, 0]], unknown[edges[:, 1]]
-        k = np.arange(3)
-        rows, columns, keep = [], [], []
-        for p, q in ((a, a), (a, b), (b, a), (b, b)):
-            rows.append((3 * p[:, None, None] + k[:, None] + 0 * k).ravel())
-            columns.append((3 * q[:, None, None] + 0 * k[:, None] + k).ravel())
-            keep.append(np.repeat((p >= 0) & (q >= 0), 9))
-        self._keep = np.concatenate(keep)
-        self._rows = np.concatenate(rows)[self._keep]
-        self._columns = np.concatenate(columns)[self._keep]
+    def __init__(self, edges: Array, measured: Array, information: Array, count: int, fixed: int):
+        self.edges = np.ascontiguousarray(edges, np.int64)
+        self.measured = np.ascontiguousarray(measured, float)
+        self.information = np.ascontiguousarray(information, float)
+        self._fixed = fixed
+        pairs = self.edges.copy()
+        pairs[pairs == fixed] = -1
+        self._cholesky = BlockCholesky(pairs, count)
+        self._blocks = self._cholesky.block_of_pair
+        self._edge_block_count = int(self._blocks.max()) + 1
 
-    def linearise(self, poses: Array, measured: Array, information: Array):
-        """Hessian, gradient (n, 3) and cost of the weighted squared errors."""
-        first, second = _jacobians(poses, self.edges, measured)
-        r = residuals(poses, self.edges, measured)
-        left_a, left_b = np.swapaxes(first, 1, 2) @ information, np.swapaxes(second, 1, 2) @ information
-        blocks = np.concatenate([(left @ right).ravel() for left in (left_a, left_b) for right in (first, second)])
-        size = 3 * (self._count - 1)
-        hessian = csc_matrix((blocks[self._keep], (self._rows, self._columns)), shape=(size, size))
-        gradient = np.zeros((self._count, 3))
-        np.add.at(gradient, self.edges[:, 0], (left_a @ r[:, :, None])[..., 0])
-        np.add.at(gradient, self.edges[:, 1], (left_b @ r[:, :, None])[..., 0])
-        cost = float(np.einsum("ki,kij,kj->", r, information, r))
-        return hessian, gradient, cost
+    def squared_errors(self, poses: Array) -> Array:
+        """(edges,) squared Mahalanobis length of each residual."""
+        return _squared_errors(poses, self.edges, self.measured, self.information)
 
-    def solve(self, hessian, gradient: Array, damping: float) -> Array:
-        """(n, 3) step; the fixed pose does not move."""
-        damped = hessian.copy()
-        damped.setdiag(hessian.diagonal() * (1 + damping) + 1e-9)
-        free = np.delete(gradient, self._fixed, axis=0).ravel()
-        factor = splu(damped, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        step = -factor.solve(free).reshape(-1, 3)
-        return np.insert(step, self._fixed, 0.0, axis=0)
+    def linearise(self, poses: Array, weight: Array) -> tuple[Array, Array, Array]:
+        """Diagonal blocks (n, 3, 3), blocks of the edges' pairs, gradient (n, 3); the fixed pose has unit blocks."""
+        return _linearise(
+            poses,
+            self.edges,
+            self.measured,
+            self.information,
+            weight,
+            self._blocks,
+            self._edge_block_count,
+            self._fixed,
+        )
+
+    def minimise(self, poses: Array, weigh, iterations_max: int) -> Array:
+        """Poses after damped steps; `weigh` gives the weights (edges,) at squared errors (edges,)."""
+        damping = 1e-6
+        squared = self.squared_errors(poses)
+        for _ in range(iterations_max):
+            weight = weigh(squared)
+            step = self._step(poses, weight, float(weight @ squared), damping)
+            if step is None:
+                break
+            poses, squared, moved_m, moved_rad = step
+            damping = max(damping / 10, 1e-12)
+            if moved_m < STEP_M and moved_rad < STEP_RAD:
+                break
+        return poses
+
+    def _step(self, poses: Array, weight: Array, cost: float, damping: float):
+        """One damped step that does not raise the cost: poses, squared errors, longest moves; None when none is found."""
+        diagonal, blocks, gradient = self.linearise(poses, weight)
+        for _ in range(8):
+            delta = self._cholesky.solve(_damped(diagonal, damping), blocks, gradient)
+            if delta is not None:
+                moved, moved_m, moved_rad = _moved(poses, delta, self._fixed)
+                squared = self.squared_errors(moved)
+                if weight @ squared <= cost * (1 + 1e-12):
+                    return moved, squared, moved_m, moved_rad
+            damping = max(damping * 10, 1e-9)
+        return None
 
 
-def _jacobians(poses: Array, edges: Array, measured: Array) -> tuple[Array, Array]:
-    """(edges, 3, 3) derivatives of the residual by the two poses."""
-    a, b = poses[edges[:, 0]], poses[edges[:, 1]]
-    d = b[:, :2] - a[:, :2]
-    angle = a[:, 2] + measured[:, 2]
-    c, s = np.cos(angle), np.sin(angle)
-    first, second = np.zeros((len(edges), 3, 3)), np.zeros((len(edges), 3, 3))
-    second[:, 0, 0], second[:, 0, 1], second[:, 1, 0], second[:, 1, 1], second[:, 2, 2] = c, s, -s, c, 1.0
-    first[:, :2, :2] = -second[:, :2, :2]
-    first[:, 0, 2] = -s * d[:, 0] + c * d[:, 1]
-    first[:, 1, 2] = -c * d[:, 0] - s * d[:, 1]
-    first[:, 2, 2] = -1.0
-    return first, second
+def _arrays(poses: Array, edges: Array, measured: Array) -> tuple[Array, Array, Array]:
+    return (
+        np.ascontiguousarray(poses, float),
+        np.ascontiguousarray(edges, np.int64),
+        np.ascontiguousarray(measured, float),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _wrap(angle):
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+@njit(cache=True, error_model="numpy")
+def _residuals(poses, edges, measured):
+    out = np.empty((len(edges), 3))
+    for e in range(len(edges)):
+        a, b, z = poses[edges[e, 0]], poses[edges[e, 1]], measured[e]
+        c, s, cz, sz = np.cos(a[2]), np.sin(a[2]), np.cos(z[2]), np.sin(z[2])
+        dx, dy = b[0] - a[0], b[1] - a[1]
+        ex, ey = c * dx + s * dy - z[0], -s * dx + c * dy - z[1]
+        out[e, 0], out[e, 1], out[e, 2] = cz * ex + sz * ey, -sz * ex + cz * ey, _wrap(b[2] - a[2] - z[2])
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _squared_errors(poses, edges, measured, information):
+    out = np.empty(len(edges))
+    r = _residuals(poses, edges, measured)
+    for e in range(len(edges)):
+        o, x, y, t = information[e], r[e, 0], r[e, 1], r[e, 2]
+        out[e] = (
+            x * (o[0, 0] * x + o[0, 1] * y + o[0, 2] * t)
+            + y * (o[1, 0] * x + o[1, 1] * y + o[1, 2] * t)
+            + t * (o[2, 0] * x + o[2, 1] * y + o[2, 2] * t)
+        )
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _linearise(poses, edges, measured, information, weight, block_of_edge, block_count, fixed):
+    """Hessian blocks and gradient of half the weighted squared errors; block holds H[larger index, smaller index]."""
+    diagonal, blocks = np.zeros((len(poses), 3, 3)), np.zeros((block_count, 3, 3))
+    gradient = np.zeros((len(poses), 3))
+    first, second = np.zeros((3, 3)), np.zeros((3, 3))  # derivatives of the residual by the two poses
+    left, right = np.empty((3, 3)), np.empty((3, 3))  # the same, transposed, times information
+    second[2, 2], first[2, 2] = 1.0, -1.0
+    r = _residuals(poses, edges, measured)
+    for e in range(len(edges)):
+        i, j, w, o = edges[e, 0], edges[e, 1], weight[e], information[e]
+        if w == 0.0:
+            continue
+        angle = poses[i, 2] + measured[e, 2]
+        c, s = np.cos(angle), np.sin(angle)
+        dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
+        second[0, 0], second[0, 1], second[1, 0], second[1, 1] = c, s, -s, c
+        first[0, 0], first[0, 1], first[1, 0], first[1, 1] = -c, -s, s, -c
+        first[0, 2], first[1, 2] = -s * dx + c * dy, -c * dx - s * dy
+        for row in range(3):
+            for col in range(3):
+                x, y = 0.0, 0.0
+                for k in range(3):
+                    x += first[k, row] * o[k, col]
+                    y += second[k, row] * o[k, col]
+                left[row, col], right[row, col] = w * x, w * y
+        for row in range(3):
+            for k in range(3):
+                gradient[i, row] -= left[row, k] * r[e, k]
+                gradient[j, row] -= right[row, k] * r[e, k]
+                for col in range(3):
+                    diagonal[i, row, col] += left[row, k] * first[k, col]
+                    diagonal[j, row, col] += right[row, k] * second[k, col]
+        block = block_of_edge[e]
+        if block >= 0:
+            for row in range(3):
+                for col in range(3):
+                    x = 0.0
+                    for k in range(3):
+                        x += right[row, k] * first[k, col]
+                    if j > i:
+                        blocks[block, row, col] += x
+                    else:
+                        blocks[block, col, row] += x
+    diagonal[fixed] = np.eye(3)
+    gradient[fixed] = 0.0
+    return diagonal, blocks, gradient
+
+
+@njit(cache=True, error_model="numpy")
+def _damped(diagonal, damping):
+    out = diagonal.copy()
+    for i in range(len(out)):
+        for k in range(3):
+            out[i, k, k] = out[i, k, k] * (1 + damping) + 1e-9
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _moved(poses, delta, fixed):
+    """Poses after a step, and how far a pose went at most [m, rad]; the fixed pose keeps its bits."""
+    out = poses.copy()
+    moved_m, moved_rad = 0.0, 0.0
+    for i in range(len(poses)):
+        if i == fixed:
+            continue
+        out[i, 0] += delta[i, 0]
+        out[i, 1] += delta[i, 1]
+        out[i, 2] = _wrap(out[i, 2] + delta[i, 2])
+        moved_m = max(moved_m, abs(delta[i, 0]), abs(delta[i, 1]))
+        moved_rad = max(moved_rad, abs(_wrap(delta[i, 2])))
+    return out, moved_m, moved_rad

@@ -34,8 +34,8 @@ URGENT_SQUARED_ERROR = 1.0
 PATIENCE_PERIODS = 8
 DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
 """A closure inside one map may disagree with the present estimate by this much."""
-MOVED_M, MOVED_RAD = 0.03, 0.005
-"""The map is drawn anew when a keyframe has moved by more than this."""
+MOVED_M, MOVED_RAD = 0.04, 0.008
+"""The map is drawn anew when a keyframe has moved by more than this from where it was drawn."""
 RETRY_STEPS = 50
 """Merges that lacked evidence are tried again this often, whether or not another closure came."""
 SAME_SIGN_M = 1.0
@@ -82,6 +82,8 @@ class TeamMapper:
         self._group_of = list(range(robot_count))
         self._map_odom: list[Array | None] = [np.zeros(3) for _ in range(robot_count)]
         self._poses = _Growing(3)
+        self._drawn = _Growing(3)
+        """Where each keyframe stands in the map as drawn."""
         self._scans = _Growing(config.lidar.beam_count)
         self._steps = [_Growing(dtype=np.int64) for _ in range(robot_count)]
         self._robot_of_node = _Growing(dtype=np.int64)
@@ -187,6 +189,7 @@ class TeamMapper:
         node = self._poses.count
         pose = compose(self._poses.rows[nodes[-1]], keyframe.motion) if nodes else np.zeros(3)
         self._poses.append(pose)
+        self._drawn.append(pose)
         self._scans.append(keyframe.ranges_m)
         self._robot_of_node.append(robot)
         if nodes:
@@ -403,7 +406,7 @@ class TeamMapper:
             fixed=int(local[self._nodes[robots[0]][0]]),
         )
         self._place(nodes, after, robots)
-        moved = np.abs(after - before)
+        moved = np.abs(after - self._drawn.rows[nodes])
         if moved[:, :2].max() > MOVED_M or np.abs(wrap_angle(moved[:, 2])).max() > MOVED_RAD:
             self._redraw(group)
 
@@ -412,6 +415,7 @@ class TeamMapper:
         grid = self.groups[group].grid
         grid.clear()
         grid.integrate(self._poses.rows[nodes], self._scans.rows[nodes])
+        self._drawn.rows[nodes] = self._poses.rows[nodes]
         self.groups[group].version += 1
 
     def _collect_signs(self, robots: tuple[int, ...]) -> tuple[KnownSign, ...]:

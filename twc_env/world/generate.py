@@ -36,7 +36,7 @@ _SPLIT_SEEDS = {"train": 0, "validation": 1_000_000, "test": 2_000_000}
 _OUTER_DB, _INNER_DB, _FURNITURE_DB, _RACK_DB = 8.0, 4.5, 2.0, 3.0
 _ROOM_MIN = 25
 """Shortest side of a room [dm]; all lengths named without unit in this file are decimetres."""
-_DOOR_OFFSET, _PLATE_OFFSET = 6, 3
+_PLATE_OFFSET, _CONNECTION_OFFSET = 3, 6
 _MAC_VENDOR = 0x02005E
 _NOUNS = (
     "ARCHIVE", "BINDERY", "CERAMICS", "DARKROOM", "ELECTRONICS", "FOUNDRY", "GEOLOGY", "HERBARIUM", "IMAGING",
@@ -117,10 +117,13 @@ class Style:
     """What one building repeats in all its rooms."""
 
     door: int
+    """Width of every room's door."""
     repeated: str
     """Hangs at the same place in every second room."""
     furniture: tuple[int, int] = (0, 0)
     """Depth and width of what stands in the corner of each room; (0, 0) for none."""
+    door_offset: int = 6
+    """Of a room's door from the beginning of its wall."""
     washrooms: bool = False
     two_doors_from: int = 80
     connecting_share: float = 0.0
@@ -313,6 +316,7 @@ def _office(area_m2: float, random: np.random.Generator) -> Drawing:
     """Rooms on both sides of parallel corridors, which cross corridors join to loops."""
     style = Style(
         door=_door(random),
+        door_offset=_between(random, 4, 8),
         repeated="FIRE EXTINGUISHER",
         furniture=_furniture(random),
         connecting_share=0.15,
@@ -327,7 +331,12 @@ def _office(area_m2: float, random: np.random.Generator) -> Drawing:
 def _ward(area_m2: float, random: np.random.Generator) -> Drawing:
     """A racetrack: two corridors or more around service rooms, patient rooms with washrooms outside."""
     style = Style(
-        door=_between(random, 11, 14), repeated="HAND WASH", furniture=(8, 16), washrooms=True, label=_ward_label
+        door=_between(random, 11, 14),
+        door_offset=_between(random, 4, 8),
+        repeated="HAND WASH",
+        furniture=(8, 16),
+        washrooms=True,
+        label=_ward_label,
     )
     drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.55, 0.85), 107 + _between(random, 0, 6))
@@ -339,7 +348,12 @@ def _ward(area_m2: float, random: np.random.Generator) -> Drawing:
 def _ring(area_m2: float, random: np.random.Generator) -> Drawing:
     """Rooms inside and outside ring corridors, one within the other."""
     style = Style(
-        door=_door(random), repeated="NO SMOKING", furniture=_furniture(random), connecting_share=0.15, label=room_label
+        door=_door(random),
+        door_offset=_between(random, 4, 8),
+        repeated="NO SMOKING",
+        furniture=_furniture(random),
+        connecting_share=0.15,
+        label=room_label,
     )
     drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.75, 1.0), 84 + _between(random, 0, 6))
@@ -351,7 +365,13 @@ def _ring(area_m2: float, random: np.random.Generator) -> Drawing:
 
 def _mall(area_m2: float, random: np.random.Generator) -> Drawing:
     """Shops along a wide ring concourse with kiosks."""
-    style = Style(door=_between(random, 12, 14), repeated="SALE", floor_name="CONCOURSE", label=_shop_label(random))
+    style = Style(
+        door=_between(random, 12, 14),
+        door_offset=_between(random, 4, 8),
+        repeated="SALE",
+        floor_name="CONCOURSE",
+        label=_shop_label(random),
+    )
     drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.7, 0.95), 94 + _between(random, 0, 6))
     corridor = int(np.clip(round(height * random.uniform(0.09, 0.13)), 18, 90))
@@ -365,7 +385,13 @@ def _mall(area_m2: float, random: np.random.Generator) -> Drawing:
 
 def _warehouse(area_m2: float, random: np.random.Generator) -> Drawing:
     """One hall of alike racks with aisles between them, offices along one side."""
-    style = Style(door=_door(random), repeated="FIRE EXTINGUISHER", floor_name="HALL", label=room_label)
+    style = Style(
+        door=_door(random),
+        door_offset=_between(random, 4, 8),
+        repeated="FIRE EXTINGUISHER",
+        floor_name="HALL",
+        label=room_label,
+    )
     drawing = Drawing(style)
     width, height = _sides(area_m2, random.uniform(0.55, 0.9), 75 + _between(random, 0, 6))
     strip = _between(random, 26, 40) if width >= 110 else 0
@@ -429,17 +455,21 @@ def _rings(drawing: Drawing, box: tuple[int, int, int, int], depth: int, corrido
     if min(x1 - x0, y1 - y0) < (2 * depth + 2 * corridor + _ROOM_MIN if is_inner else 0):
         _core(drawing, box, corridor, depth, module)
         return
-    passage = corridor if is_inner else 0
-    middle_x, middle_y = (x0 + x1 - passage) // 2, (y0 + y1 - passage) // 2
-    corner = 0 if is_inner else depth
+    middle_x, middle_y = (x0 + x1 - corridor) // 2, (y0 + y1 - corridor) // 2
     for low, high in ((y0, y0 + depth), (y1 - depth, y1)):
-        _row(drawing, x0, middle_x, low, high, module, first_extra=corner)
-        drawing.add(middle_x, low, middle_x + passage, high, "open")
-        _row(drawing, middle_x + passage, x1, low, high, module, last_extra=corner)
+        if is_inner:
+            _row(drawing, x0, middle_x, low, high, module)
+            drawing.add(middle_x, low, middle_x + corridor, high, "open")
+            _row(drawing, middle_x + corridor, x1, low, high, module)
+        else:  # a corner room meets the corridor only beyond the corner
+            _row(drawing, x0, x1, low, high, module, first_extra=depth, last_extra=depth)
     for left, right in ((x0, x0 + depth), (x1 - depth, x1)):
-        _column(drawing, left, right, y0 + depth, middle_y, module)
-        drawing.add(left, middle_y, right, middle_y + passage, "open")
-        _column(drawing, left, right, middle_y + passage, y1 - depth, module)
+        if is_inner:
+            _column(drawing, left, right, y0 + depth, middle_y, module)
+            drawing.add(left, middle_y, right, middle_y + corridor, "open")
+            _column(drawing, left, right, middle_y + corridor, y1 - depth, module)
+        else:
+            _column(drawing, left, right, y0 + depth, y1 - depth, module)
     x0, y0, x1, y1 = x0 + depth, y0 + depth, x1 - depth, y1 - depth
     drawing.add(x0, y0, x1, y0 + corridor, "open")
     drawing.add(x0, y1 - corridor, x1, y1, "open")
@@ -482,10 +512,13 @@ def _split(begin: int, end: int, module: int, first_extra: int = 0, last_extra: 
     length = end - begin
     if length <= 0:
         return []
-    if length < first_extra + last_extra + 2 * module:
+    if length < first_extra + last_extra + 2 * _ROOM_MIN:
         return [(begin, end)]
+    if length < first_extra + last_extra + 2 * module:
+        middle = (begin + first_extra + end - last_extra) // 2
+        return [(begin, middle), (middle, end)]
     cuts = [begin, *range(begin + first_extra + module, end - last_extra - module + 1, module)]
-    if end - cuts[-1] >= max(_ROOM_MIN, last_extra) + module:
+    if end - cuts[-1] >= _ROOM_MIN + last_extra + module:
         cuts.append(cuts[-1] + module)
     return list(zip(cuts, [*cuts[1:], end], strict=True))
 
@@ -569,11 +602,11 @@ def _place_doors(drawing: Drawing, at_tile: dict, random: np.random.Generator) -
                 late.append(number)
                 continue
             edge = max(ways, key=lambda e: (tiles[e.other(number)].use == "open", e.length))
-            begin = edge.begin + min(_DOOR_OFFSET, (edge.length - style.door) // 2)
+            begin = edge.begin + min(style.door_offset, (edge.length - style.door) // 2)
             doors[number] = (edge, begin)
             drawing.doors[edge.axis, edge.line].append((begin, begin + style.door))
             if edge.length >= style.two_doors_from:
-                last = edge.end - _DOOR_OFFSET
+                last = edge.end - style.door_offset
                 drawing.doors[edge.axis, edge.line].append((last - style.door, last))
         reached |= set(waiting) - set(late)
         if len(late) == len(waiting):
@@ -602,7 +635,7 @@ def _connect_neighbours(drawing: Drawing, at_tile: dict, doors: dict, random: np
     chosen[int(random.integers(len(pairs)))] = True
     for (edge, line), is_chosen in zip(pairs, chosen, strict=True):
         if is_chosen:
-            begin = edge.begin + _DOOR_OFFSET if line == edge.begin else edge.end - _DOOR_OFFSET - 10
+            begin = edge.begin + _CONNECTION_OFFSET if line == edge.begin else edge.end - _CONNECTION_OFFSET - 10
             drawing.doors[edge.axis, edge.line].append((begin, begin + 10))
 
 
@@ -621,6 +654,8 @@ def _name_rooms(drawing: Drawing, doors: dict[int, tuple[_Edge, int]]) -> None:
         rooms += 1
         drawing.rooms.append(Room(name, corners))
         edge, begin = doors[number]
+        if drawing.tiles[edge.other(number)].use != "open":
+            continue
         for along in (begin + drawing.style.door + _PLATE_OFFSET, begin - _PLATE_OFFSET):
             if edge.begin + 1 <= along <= edge.end - 1:
                 drawing.hang(name, edge.point_m(along), edge.facing_rad(edge.other(number)))

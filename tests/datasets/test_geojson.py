@@ -1,0 +1,192 @@
+import gzip
+import json
+import lzma
+import os
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twc_env.config import EnvConfig
+from twc_env.datasets.geojson import DRAWING_CLASSES, read_geojson
+from twc_env.errors import MapError
+from twc_env.maps import load_map
+from twc_env.world.world import World
+
+DATA = os.environ.get("TWC_DATA")
+FOLDER = Path(DATA or ".")
+needs_data = pytest.mark.skipif(not DATA, reason="TWC_DATA is not set: no real indoor maps")
+EAST_M, NORTH_M = 111_320 * np.cos(np.deg2rad(47.0)), 111_320
+"""Metres per degree."""
+
+
+def lonlat(x: float, y: float) -> list[float]:
+    return [19.0 + x / EAST_M, 47.0 + y / NORTH_M]
+
+
+def polygon(corners, **properties) -> dict:
+    ring = [lonlat(*corner) for corner in [*corners, corners[0]]]
+    return {"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+
+
+def box(x0, y0, x1, y1) -> list:
+    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+
+
+def collection(*features) -> dict:
+    return {"type": "FeatureCollection", "features": list(features)}
+
+
+@pytest.fixture
+def floor(tmp_path):
+    """A floor of 20 x 15 m with a shop, stairs, a drawing class, and the shop once more without its name."""
+    (tmp_path / "floor_info.json").write_text('{"map_info": {"width": 20.0, "height": 15.0}}')
+
+    def write(**changes) -> Path:
+        values = collection(
+            polygon(box(0, 0, 20, 15), name="F1"),
+            polygon(box(3, 3, 9, 8), name=""),
+            polygon(box(3, 3, 9, 8), name="bookshop"),
+            polygon(box(12, 3, 17, 12), name="louti"),
+            polygon(box(4, 10, 8, 13), name="fuzhumian"),
+        )
+        path = tmp_path / "geojson_map.json"
+        path.write_text(json.dumps({**values, **changes}))
+        return path
+
+    return write
+
+
+def level(door_width="1") -> dict:
+    """Two rooms of one level with a wall of 0.2 m between them, one above, a door and a window."""
+
+    def room(corners, name, floor="0"):
+        relations = [{"role": "buildingpart", "reltags": {"level": floor}}]
+        return polygon(corners, tags={"buildingpart": "room", "name": name}, relations=relations)
+
+    def node(x, y, **tags):
+        geometry = {"type": "Point", "coordinates": lonlat(x, y)}
+        return {"type": "Feature", "properties": {"tags": tags}, "geometry": geometry}
+
+    return collection(
+        room([(0, 0), (8, 0), (8, 4), (4, 4), (0, 4)], "001"),
+        room(box(0, 4.2, 8, 7.2), "002"),
+        room(box(0, 0, 8, 7), "101", "1"),
+        node(4, 4, door="yes", width=door_width),
+        node(0, 2, window="glass", width="1"),
+        node(0, 0, door="yes"),
+    )
+
+
+def test_the_floor_lies_between_the_places(floor):
+    plan = load_map(floor())
+    assert plan.bounds_m == pytest.approx([0, 0, 20, 15], abs=1e-6)
+    assert plan.cells().is_free(np.array([[1.0, 1.0], [10.5, 5.0], [19.0, 14.0]])).all()
+    assert not plan.cells().is_free(np.array([[6.0, 5.0], [14.0, 7.0], [6.0, 11.0]])).any()
+    assert plan.floor_area_m2 == pytest.approx(300 - 30 - 45 - 12, rel=0.01)
+
+
+def test_place_names_become_signs_that_face_the_floor_and_drawing_classes_do_not(floor):
+    plan = load_map(floor())
+    assert sorted(sign.text for sign in plan.signs) == ["bookshop", "louti"]
+    for sign in plan.signs:
+        front = sign.position_m + 0.5 * np.array([np.cos(sign.facing_rad), np.sin(sign.facing_rad)])
+        assert plan.cells().is_free(front)
+
+
+def test_coincident_places_are_walls_once(floor):
+    plan = load_map(floor())
+    counts, losses = plan.wall_index.crossing(np.array([2.0, 5.0]), np.array([[10.0, 5.0]]))
+    assert (counts[0], losses[0]) == (2, 5.0)
+
+
+def test_a_level_is_joined_by_its_doors_and_closed_elsewhere(tmp_path):
+    path = tmp_path / "building.geojson.gz"
+    path.write_bytes(gzip.compress(json.dumps(level()).encode()))
+    plan = load_map(path)
+    assert plan.name == "building-0"
+    assert sorted(room.name for room in plan.rooms) == ["001", "002"]
+    centre = np.mean([plan.bounds_m[:2], plan.bounds_m[2:]], axis=0)
+    x0, y0 = centre - np.array([4, 3.6])
+    inside = np.array([[x0 + 4, y0 + 2], [x0 + 4, y0 + 4.1], [x0 + 4, y0 + 6]])
+    assert plan.cells().is_free(inside).all()
+    assert not plan.cells().is_free(np.array([x0 + 2, y0 + 4.1]))
+    counts, _ = plan.wall_index.crossing(inside[0], inside[2:])
+    assert counts[0] == 0
+    assert sorted(sign.text for sign in plan.signs) == ["001", "002"]
+
+
+def test_another_level_is_asked_for_by_its_number(tmp_path):
+    path = tmp_path / "building.geojson"
+    path.write_text(json.dumps(level()))
+    assert [room.name for room in load_map(f"{path}#1").rooms] == ["101"]
+    with pytest.raises(MapError, match="has no level '7'; levels are 0, 1: write FILE#LEVEL"):
+        load_map(f"{path}#7")
+
+
+@pytest.mark.parametrize("width", ["1.2m", "wide", "", "900"])
+def test_door_widths_that_are_no_numbers_become_plain_doors(tmp_path, width):
+    path = tmp_path / "building.geojson"
+    path.write_text(json.dumps(level(width)))
+    assert len(load_map(path).rooms) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"features": []}, "no GeoJSON FeatureCollection with features"),
+        ({"features": [1]}, "no GeoJSON FeatureCollection with features"),
+        ({"features": [{"type": "Feature"}]}, "feature 0 must be the polygon of the floor"),
+        ({"features": [polygon([(0, 0), (1, 0), (2, 0)])]}, "outline has no area"),
+        ({"features": [polygon([(0, 0), (float("nan"), 0), (2, 5)])]}, "must hold closed rings"),
+        ({"features": [polygon(box(0, 0, 9, 9)), polygon(box(0, 0, 9, 9))]}, "leaves no floor between its places"),
+    ],
+)
+def test_faulty_floors_are_refused(floor, changes, expected):
+    with pytest.raises(MapError, match=expected) as caught:
+        read_geojson(floor(**changes))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("info", "expected"),
+    [
+        (None, "no floor_info.json beside it"),
+        ("{}", "must hold map_info with width and height"),
+        ('{"map_info": {"width": 1e9, "height": 5}}', "must be 1 to 2000 m"),
+    ],
+)
+def test_a_floor_without_its_size_is_refused(floor, info, expected):
+    path = floor()
+    (path.parent / "floor_info.json").unlink()
+    if info is not None:
+        (path.parent / "floor_info.json").write_text(info)
+    with pytest.raises(MapError, match=expected):
+        read_geojson(path)
+
+
+@needs_data
+@pytest.mark.parametrize(("floor", "signs"), [("site1_B1", 500), ("site2_F6", 60)])
+def test_walkers_of_a_real_floor_stay_on_its_free_space(floor, signs):
+    plan = load_map(FOLDER / f"indoor20/{floor}/geojson_map.json.gz")
+    texts = Counter(sign.text for sign in plan.signs)
+    assert plan.name == floor
+    assert len(plan.signs) >= signs
+    assert not DRAWING_CLASSES & set(texts)
+    points = []
+    for path in sorted((FOLDER / f"indoor20/{floor}/traces").glob("*.xz"))[::4]:
+        rows = [line.split("\t") for line in lzma.open(path, "rt", encoding="utf-8") if "TYPE_WAYPOINT" in line]
+        points += [(float(row[2]), float(row[3])) for row in rows]
+    assert len(points) > 80
+    assert plan.cells().is_free(np.array(points)).mean() > 0.96
+    World(EnvConfig(), plan).reset(0)
+
+
+@needs_data
+@pytest.mark.parametrize(("number", "rooms", "names"), [("-1", 20, 0), ("0", 20, 12), ("1", 29, 20), ("2", 18, 10)])
+def test_every_level_of_a_real_building_loads(number, rooms, names):
+    plan = load_map(f"{FOLDER}/maps/osm_indoor/budapest.geojson.gz#{number}")
+    assert len(plan.rooms) >= rooms
+    assert len(plan.signs) >= names
+    World(EnvConfig(), plan).reset(0)

@@ -1,0 +1,32 @@
+import pytest
+
+from twc_env import map_fuzz
+from twc_env.errors import MapError
+from twc_env.map_fuzz import fuzz_maps
+
+
+def test_mutated_files_are_refused_with_one_line_or_still_sound():
+    report = fuzz_maps(330, seed=7)
+    assert report.escaped == []
+    assert report.count == 330
+    assert report.refused > 200
+    assert report.loaded > 20
+    assert report.slowest_s < map_fuzz.SECONDS_MAX
+
+
+def test_equal_seeds_mutate_equally():
+    first, second, third = (fuzz_maps(40, seed) for seed in (1, 1, 2))
+    assert (first.refused, first.loaded) == (second.refused, second.loaded)
+    assert first.count == third.count == 40
+
+
+@pytest.mark.parametrize("error", [ValueError("bad"), MapError("two\nlines"), RecursionError("deep")])
+def test_the_fuzzer_sees_what_it_looks_for(monkeypatch, error):
+    def broken(path, calls=[]):  # noqa: B006
+        if "mutated" in str(path):
+            raise error
+
+    monkeypatch.setattr(map_fuzz, "load_map", broken)
+    report = fuzz_maps(5)
+    assert len(report.escaped) == 5
+    assert not report.is_sound

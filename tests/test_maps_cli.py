@@ -1,0 +1,120 @@
+import json
+
+import pytest
+
+from twc_env.__main__ import main
+from twc_env.maps import load_map, map_names
+
+
+def run(*arguments) -> int:
+    return main(["maps", *map(str, arguments)])
+
+
+def test_list_shows_every_bundled_map_and_how_to_name_others(capsys):
+    assert run("list") == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in map_names())
+    assert "gen:KIND:AREA:SEED" in out and "train/0000 (1000)" in out
+
+
+def test_without_a_command_the_maps_are_listed(capsys):
+    assert run() == 0
+    assert "twin-01" in capsys.readouterr().out
+
+
+def test_list_describes_the_maps_it_is_given(capsys):
+    assert run("list", "sfw-e4", "gen:mall:300:1") == 0
+    out = capsys.readouterr().out
+    assert "52 m2" in out and "gen:mall:300:1" in out and "twin-01" not in out
+
+
+def test_show_writes_a_picture_with_and_without_signal(tmp_path, capsys):
+    image = pytest.importorskip("PIL.Image", reason="Pillow is an optional dependency")
+    for options in ([], ["--no-signal"]):
+        path = tmp_path / f"picture{len(options)}.png"
+        assert run("show", "sfw-e5", "--out", path, *options) == 0
+        with image.open(path) as picture:
+            assert min(picture.size) > 300
+            assert len(picture.convert("RGB").getcolors(1 << 24)) > 50
+    assert (tmp_path / "picture0.png").read_bytes() != (tmp_path / "picture1.png").read_bytes()
+    assert "drawn: " in capsys.readouterr().out
+
+
+def test_generate_writes_the_building_of_that_name(tmp_path):
+    path = tmp_path / "ward.json"
+    assert run("generate", "ward", 250, "--seed", 4, "--out", path) == 0
+    assert load_map(path).digest == load_map("gen:ward:250:4").digest
+
+
+def test_generate_counts_seeds_on(tmp_path):
+    assert run("generate", "office", 150, "--seed", 2, "--count", 3, "--out", tmp_path / "o.json") == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["o-2.json", "o-3.json", "o-4.json"]
+
+
+def test_a_map_goes_out_as_ros_map_and_comes_in_again(tmp_path):
+    assert run("export", "twin-01", tmp_path / "twin.yaml") == 0
+    assert (tmp_path / "twin.pgm").is_file()
+    assert run("import", tmp_path / "twin.yaml", "--seed", 3, "--out", tmp_path / "again.json") == 0
+    assert load_map(tmp_path / "again.json").floor_area_m2 == pytest.approx(load_map("twin-01").floor_area_m2, rel=0.06)
+
+
+def test_pictures_are_imported_at_their_resolution(tmp_path):
+    assert run("export", "twin-01", tmp_path / "twin.yaml", "--resolution", 0.1) == 0
+    picture = (tmp_path / "twin.pgm").read_bytes().replace(b"\xfe", b"\xff")
+    (tmp_path / "twin.pgm").write_bytes(picture)
+    assert run("import", tmp_path / "twin.pgm", "--resolution", 0.1, "--out", tmp_path / "again.json") == 0
+    assert load_map(tmp_path / "again.json").bounds_m[2:] - load_map(tmp_path / "again.json").bounds_m[
+        :2
+    ] == pytest.approx(load_map("twin-01").bounds_m[2:] - load_map("twin-01").bounds_m[:2], abs=0.2)
+
+
+def test_check_tells_sound_maps_from_others(tmp_path, capsys):
+    assert run("check", "twin-01", "gen:ring:200:0", "--json", tmp_path / "a.json") == 0
+    findings = json.loads((tmp_path / "a.json").read_text())
+    assert findings["faults"] == [] and findings["floor_m2"]["twin-01"] == pytest.approx(236.9, abs=0.5)
+    (tmp_path / "broken.json").write_text("{")
+    assert run("check", "twin-01", tmp_path / "broken.json") == 2
+    assert "FAULT" in capsys.readouterr().out
+
+
+def test_check_fuzzes_map_files(tmp_path, capsys):
+    assert run("check", "--fuzz", 40, "--json", tmp_path / "a.json") == 0
+    assert json.loads((tmp_path / "a.json").read_text())["fuzz"]["count"] == 40
+    assert "40 mutated files" in capsys.readouterr().out
+
+
+def test_schema_prints_the_schema(capsys):
+    assert run("schema") == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "twc_env/floorplan-1"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["show", "twin-1"], "did you mean 'twin-01'?"),
+        (["show", "twin-01", "--out", "nowhere/a.png"], "cannot write the picture nowhere/a.png"),
+        (["generate", "castle", "300"], "kinds are office, ring"),
+        (["generate", "office", "30"], "must be 100 to 10000 m2"),
+        (["generate", "office", "300", "--count", "0"], "--count must be 1 or more"),
+        (["generate", "office", "300", "--out", "a.png"], "--out must end in .json"),
+        (["import", "none.yaml"], "no such file"),
+        (["import", "none.yaml", "--resolution", "0.1"], "--resolution is for .png and .pgm"),
+        (["import", "none.pgm", "--resolution", "0"], "--resolution must be 0.005 to 10"),
+        (["export", "twin-01", "a.dxf"], "use a name that ends in"),
+        (["check", "--fuzz", "0"], "--fuzz must be 1 or more"),
+        (["check", "none"], "1 of the checks failed; the first: no map named 'none'"),
+    ],
+)
+def test_mistakes_end_with_one_line_and_status_2(arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(*arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and message in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", [[], ["list"], ["show"], ["generate"], ["import"], ["export"], ["check"]])
+def test_help_teaches_how_maps_are_named(command, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run(*command, "--help")
+    assert stopped.value.code == 0
+    assert "gen:office:800:7" in capsys.readouterr().out

@@ -1,0 +1,191 @@
+"""Scripted walks through the true building, and what robots sense and remember on them.
+
+For tables that need data and no exploration. The walker knows the map; what it gathers are the keyframes of the
+engine's own front end, beside the truth that tables are scored with.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from twc_env.config import EnvConfig
+from twc_env.errors import MapError
+from twc_env.geometry import wrap_angle
+from twc_env.messages import Keyframe
+from twc_env.slam.robot import RobotFrontEnd
+from twc_env.world.floorplan import Floorplan, Room
+from twc_env.world.world import World
+
+Array = NDArray
+
+CLEARANCE_M = 0.32
+"""Routes keep this far from walls."""
+FROM_WALL_M = 1.0
+"""A tour of a room touches the corners of a box that lies this far inside it."""
+CRUISE_M_S = 0.8
+AIM_AHEAD_M = 0.5
+PASS_GAP_S = 3.0
+"""A sign that was out of view for longer is passed anew."""
+SIGHTING_RANGE_M = 3.0
+"""A pass counts as a sighting when the sign was read from this near (SPEC T3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """One pass of a robot by a sign: the reading at the closest approach, and the truth behind it."""
+
+    keyframe: Keyframe
+    """The keyframe that took up the reading, with no other sign."""
+    sign: int
+    """True number of the sign in the plan."""
+    position_m: Array
+    """(2,) true position of the sensor."""
+
+
+@dataclass(slots=True, eq=False)
+class Walk:
+    """One robot's trajectory: all it remembers, and the truth."""
+
+    keyframes: list[Keyframe] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    """(keyframes) of (3,) true poses."""
+    sightings: list[Sighting] = field(default_factory=list)
+    travel_m: float = 0.0
+
+
+class RoutePlanner:
+    """Shortest ways over the open floor of a plan that keep clear of walls."""
+
+    def __init__(self, plan: Floorplan):
+        self._cells = plan.cells()
+        clear = distance_transform_edt(self._cells.free) * self._cells.resolution_m >= CLEARANCE_M
+        self._rows, self._columns = np.nonzero(clear)
+        if len(self._rows) == 0:
+            raise MapError(f"map {plan.name!r} has no floor {CLEARANCE_M} m clear of walls; routes need some")
+        number = np.full(clear.shape, -1)
+        number[self._rows, self._columns] = np.arange(len(self._rows))
+        links = []
+        for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            inside = (self._rows + dr < clear.shape[0]) & (self._columns + dc < clear.shape[1])
+            inside &= self._columns + dc >= 0
+            other = np.full(len(self._rows), -1)
+            other[inside] = number[self._rows[inside] + dr, self._columns[inside] + dc]
+            known = np.flatnonzero(other >= 0)
+            links.append((known, other[known], np.full(len(known), math.hypot(dr, dc))))
+        first, second, length = (np.concatenate(parts) for parts in zip(*links, strict=True))
+        self._graph = coo_array((length, (first, second)), shape=(len(self._rows),) * 2).tocsr()
+        self._centres_m = self._cells.origin_m + (np.column_stack([self._columns, self._rows]) + 0.5) * (
+            self._cells.resolution_m
+        )
+
+    def nearest(self, point_m: Array) -> int:
+        """The clear cell nearest to a point."""
+        return int(np.argmin(((self._centres_m - point_m) ** 2).sum(axis=1)))
+
+    def route(self, stops_m: Sequence[Array]) -> Array:
+        """(points, 2) a way through the stops in order, in steps of a cell."""
+        stops = [self.nearest(np.asarray(stop)) for stop in stops_m]
+        way = [stops[0]]
+        for goal in stops[1:]:
+            if goal == way[-1]:
+                continue
+            _, before = dijkstra(self._graph, directed=False, indices=goal, return_predecessors=True)
+            while way[-1] != goal:
+                step = int(before[way[-1]])
+                if step < 0:
+                    raise MapError(f"no way from {self._centres_m[way[-1]]} to {self._centres_m[goal]}; open a door")
+                way.append(step)
+        return self._centres_m[way]
+
+
+def room_tour(room: Room, clockwise: bool = False) -> list[Array]:
+    """Stops along the inside of a room's walls."""
+    low, high = room.polygon_m.min(axis=0), room.polygon_m.max(axis=0)
+    inset = np.minimum(FROM_WALL_M, 0.3 * (high - low))
+    (x0, y0), (x1, y1) = low + inset, high - inset
+    corners = [np.array(c) for c in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))]
+    return corners[::-1] if clockwise else corners
+
+
+def walk(config: EnvConfig, plan: Floorplan, way_m: Array, robot: int, seed: int) -> Walk:
+    """Drive one robot alone along a way (points, 2); it appears as number `robot` of a team.
+
+    Alone, because the paper's trajectories were recorded one after the other and nobody stood in the way.
+    """
+    config = dataclasses.replace(config, robots=1)
+    world = World(config, plan)
+    heading = math.atan2(*(way_m[5] - way_m[0])[::-1])
+    world.reset(1000 * seed + robot, starts=np.array([[*way_m[0], heading]]))
+    front_end = RobotFrontEnd(0, config)
+    result, passes, waiting, at = Walk(), _Passes(), [], 0
+    limit = 20 * int(np.hypot(*np.diff(way_m, axis=0).T).sum() / (CRUISE_M_S * config.dynamics.time_step_s) + 100)
+    for _ in range(limit):
+        (frame,) = world.sense()
+        pose = world.poses[0]
+        readings = list(zip(frame.signs, world.sighted_signs[0], strict=True))
+        waiting += [(reading, sign, pose[:2].copy(), frame.time_s) for reading, sign in readings]
+        keyframe = front_end.update(frame)
+        if keyframe is not None:
+            keyframe = dataclasses.replace(keyframe, robot=robot)
+            result.keyframes.append(keyframe)
+            result.poses.append(pose.copy())
+            for observation, (reading, sign, position, time_s) in zip(keyframe.signs, waiting, strict=True):
+                single = dataclasses.replace(keyframe, signs=(observation,))
+                passes.add(Sighting(single, sign, position), reading.range_m, time_s)
+            waiting = []
+        command, at = _steer(pose, way_m, at, config)
+        if command is None:
+            break
+        world.step(np.array([command]))
+    result.sightings = passes.finished()
+    result.travel_m = result.keyframes[-1].travel_m
+    return result
+
+
+class _Passes:
+    """Groups readings of the same sign into passes and keeps the nearest reading of each."""
+
+    def __init__(self):
+        self._open: dict[int, tuple[float, float, Sighting]] = {}
+        self._done: list[tuple[float, Sighting]] = []
+
+    def add(self, sighting: Sighting, range_m: float, time_s: float) -> None:
+        held = self._open.get(sighting.sign)
+        if held is not None and time_s - held[0] > PASS_GAP_S:
+            self._done.append(held[1:])
+            held = None
+        if held is None or range_m < held[1]:
+            held = (time_s, range_m, sighting)
+        self._open[sighting.sign] = (time_s, *held[1:])
+
+    def finished(self) -> list[Sighting]:
+        """In the order of time."""
+        passes = self._done + [held[1:] for held in self._open.values()]
+        near = [sighting for range_m, sighting in passes if range_m <= SIGHTING_RANGE_M]
+        return sorted(near, key=lambda s: (s.keyframe.index, s.sign))
+
+
+def _steer(pose: Array, way_m: Array, at: int, config: EnvConfig) -> tuple[tuple[float, float] | None, int]:
+    """Speed and turn rate towards a point a little ahead on the way; None at its end. `at` is how far one has come."""
+    reach = way_m[at : at + 12]
+    at += int(np.argmin(((reach - pose[:2]) ** 2).sum(axis=1)))
+    if at >= len(way_m) - 2:
+        return None, at
+    ahead = at
+    while ahead < len(way_m) - 1 and np.hypot(*(way_m[ahead] - way_m[at])) < AIM_AHEAD_M:
+        ahead += 1
+        if ahead - at > 8:
+            break
+    dx, dy = way_m[ahead] - pose[:2]
+    error = float(wrap_angle(math.atan2(dy, dx) - pose[2]))
+    turn_rate = np.clip(2.5 * error, -1, 1) * config.dynamics.turn_rate_max_rad_s
+    return (CRUISE_M_S * max(0.0, 1.0 - abs(error) / 0.8), float(turn_rate)), at

@@ -1,0 +1,300 @@
+"""Sparse Cholesky factorisation of symmetric matrices made of 3 x 3 blocks, one block row per pose.
+
+The elimination order (minimum degree) and the places of all fill are found once per graph; every factorisation then runs
+through flat arrays. What remains when the graph has become nearly complete is factorised densely.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dpotrs
+
+Array = NDArray
+
+DENSE_FROM = 24
+"""Neighbours in the remaining graph from which on it may be handed to the dense factorisation."""
+DENSE_SHARE = 0.3
+"""Share of the remaining graph that its least connected node must see for that."""
+
+
+class BlockCholesky:
+    """Pattern of H, and solutions of H x = b, for H with 3 x 3 blocks at the diagonal and at the given pairs.
+
+    pairs (e, 2) int: block rows 0..count-1 of each edge; a pair with a negative row takes no place. After construction
+    `block_of_pair` (e,) numbers the off-diagonal block of each pair (-1: none); the block holds H[larger, smaller].
+    """
+
+    def __init__(self, pairs: Array, count: int):
+        pattern = _eliminate(np.ascontiguousarray(pairs, np.int64), count, DENSE_FROM, DENSE_SHARE)
+        self.block_of_pair = pattern[0]
+        self.block_count = int(pattern[1])
+        self._order, self._start, self._node, self._block, self._target_start, self._target = pattern[2:8]
+        self._rest, self._rest_pairs = pattern[8], pattern[9]
+
+    def solve(self, diagonal: Array, blocks: Array, right: Array) -> Array | None:
+        """x (count, 3) with H x = right; None unless H is positive definite.
+
+        diagonal (count, 3, 3) and blocks (>= edges' blocks, 3, 3) are left alone; right (count, 3).
+        """
+        diagonal, solution = diagonal.copy(), right.copy()
+        filled = np.zeros((self.block_count, 3, 3))
+        filled[: len(blocks)] = blocks
+        lower = np.empty((len(self._node), 3, 3))
+        order = (self._order, self._start, self._node)
+        if not _factorise(*order, self._block, self._target_start, self._target, diagonal, filled, lower, solution):
+            return None
+        if len(self._rest):
+            dense, part = _dense_rest(self._rest, self._rest_pairs, diagonal, filled, solution)
+            factor, failed = dpotrf(dense, lower=1, overwrite_a=1)
+            if failed:
+                return None
+            solution[self._rest] = dpotrs(factor, part, lower=1)[0].reshape(-1, 3)
+        _substitute_back(*order, diagonal, lower, solution)
+        return solution
+
+
+@njit(cache=True, error_model="numpy")
+def _grown(values, size):
+    bigger = np.empty(max(size, 2 * len(values)), values.dtype)
+    bigger[: len(values)] = values
+    return bigger
+
+
+@njit(cache=True, error_model="numpy")
+def _eliminate(pairs, count, dense_from, dense_share):
+    """Minimum-degree elimination on lists of neighbours; block k has the cells 2 k (row of the smaller node) and 2 k + 1."""
+    neighbour = np.empty(4 * len(pairs) + 16, np.int32)
+    following = np.empty(len(neighbour), np.int32)
+    head = np.full(count, -1, np.int32)
+    degree = np.zeros(count, np.int32)
+    block_of_pair = np.full(len(pairs), -1, np.int64)
+    blocks = 0
+    for e in range(len(pairs)):
+        low, high = min(pairs[e, 0], pairs[e, 1]), max(pairs[e, 0], pairs[e, 1])
+        if low < 0 or low == high:
+            continue
+        cell = head[high]
+        while cell >= 0 and neighbour[cell] != low:
+            cell = following[cell]
+        if cell < 0:
+            cell = 2 * blocks
+            neighbour[cell], following[cell], head[low] = high, head[low], cell
+            neighbour[cell + 1], following[cell + 1], head[high] = low, head[high], cell + 1
+            degree[low] += 1
+            degree[high] += 1
+            blocks += 1
+        block_of_pair[e] = cell >> 1
+
+    first = np.full(count + 1, -1, np.int32)  # of each degree: a doubly linked list of nodes
+    after, before = np.full(count, -1, np.int32), np.full(count, -1, np.int32)
+    for node in range(count - 1, -1, -1):
+        after[node] = first[degree[node]]
+        if after[node] >= 0:
+            before[after[node]] = node
+        first[degree[node]] = node
+
+    order, start = np.empty(count, np.int32), np.zeros(count + 1, np.int64)
+    node_of, block_of = np.empty(4 * count + 16, np.int32), np.empty(4 * count + 16, np.int32)
+    target_start, target = np.zeros(count + 1, np.int64), np.empty(4 * count + 16, np.int32)
+    stamp, mark = np.full(count, -1, np.int64), np.empty(count, np.int32)
+    is_gone = np.zeros(count, np.bool_)
+    done, lowest, stamps = 0, 0, 0
+    while done < count:
+        while first[lowest] < 0:
+            lowest += 1
+        d = lowest
+        if d >= dense_from and d >= dense_share * (count - done):
+            break
+        p = first[d]
+        first[d] = after[p]
+        if after[p] >= 0:
+            before[after[p]] = -1
+        is_gone[p] = True
+        order[done] = p
+        s = start[done]
+        if s + d > len(node_of):
+            node_of, block_of = _grown(node_of, s + d), _grown(block_of, s + d)
+        cell = head[p]
+        for k in range(d):
+            node_of[s + k], block_of[s + k] = neighbour[cell], cell >> 1
+            cell = following[cell]
+        t = target_start[done]
+        if t + d * (d - 1) // 2 > len(target):
+            target = _grown(target, t + d * (d - 1) // 2)
+        for i in range(d):
+            q = node_of[s + i]
+            old = degree[q]
+            if before[q] >= 0:  # out of its list of equal degree
+                after[before[q]] = after[q]
+            elif first[old] == q:
+                first[old] = after[q]
+            if after[q] >= 0:
+                before[after[q]] = before[q]
+        for i in range(d):
+            q = node_of[s + i]
+            stamps += 1
+            previous, cell = -1, head[q]
+            while cell >= 0:
+                other = neighbour[cell]
+                if other == p:
+                    if previous < 0:
+                        head[q] = following[cell]
+                    else:
+                        following[previous] = following[cell]
+                else:
+                    stamp[other], mark[other] = stamps, cell >> 1
+                    previous = cell
+                cell = following[cell]
+            degree[q] -= 1
+            for j in range(i + 1, d):
+                r = node_of[s + j]
+                if stamp[r] == stamps:
+                    target[t] = mark[r]
+                else:
+                    cell = 2 * blocks
+                    if cell + 2 > len(neighbour):
+                        neighbour, following = _grown(neighbour, cell + 2), _grown(following, cell + 2)
+                    low, high = min(q, r), max(q, r)
+                    neighbour[cell], following[cell], head[low] = high, head[low], cell
+                    neighbour[cell + 1], following[cell + 1], head[high] = low, head[high], cell + 1
+                    degree[q] += 1
+                    degree[r] += 1
+                    target[t] = blocks
+                    blocks += 1
+                t += 1
+        for i in range(d):
+            q = node_of[s + i]
+            k = degree[q]
+            before[q], after[q] = -1, first[k]
+            if first[k] >= 0:
+                before[first[k]] = q
+            first[k] = q
+            lowest = min(lowest, k)
+        done += 1
+        start[done], target_start[done] = s + d, t
+
+    rest = np.empty(count - done, np.int64)
+    place = np.full(count, -1, np.int64)
+    m, cells = 0, 0
+    for node in range(count):
+        if not is_gone[node]:
+            rest[m], place[node] = node, m
+            m += 1
+            cells += degree[node]
+    rest_pairs = np.empty((cells // 2, 3), np.int64)  # row (larger), column, block
+    m = 0
+    for node in rest:
+        cell = head[node]
+        while cell >= 0:
+            if neighbour[cell] < node:
+                rest_pairs[m, 0], rest_pairs[m, 1], rest_pairs[m, 2] = place[node], place[neighbour[cell]], cell >> 1
+                m += 1
+            cell = following[cell]
+    return (
+        block_of_pair,
+        blocks,
+        order[:done].copy(),
+        start[: done + 1].copy(),
+        node_of[: start[done]].copy(),
+        block_of[: start[done]].copy(),
+        target_start[: done + 1].copy(),
+        target[: target_start[done]].copy(),
+        rest,
+        rest_pairs,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _factorise(order, start, node_of, block_of, target_start, target, diagonal, blocks, lower, right):
+    """Eliminate in order: diagonal becomes 3 x 3 Cholesky factors, lower the columns, right the forward solution."""
+    for step in range(len(order)):
+        p = order[step]
+        d = diagonal[p]
+        if not d[0, 0] > 0.0:
+            return False
+        l00 = np.sqrt(d[0, 0])
+        l10, l20 = d[1, 0] / l00, d[2, 0] / l00
+        rest = d[1, 1] - l10 * l10
+        if not rest > 0.0:
+            return False
+        l11 = np.sqrt(rest)
+        l21 = (d[2, 1] - l20 * l10) / l11
+        rest = d[2, 2] - l20 * l20 - l21 * l21
+        if not rest > 0.0:
+            return False
+        l22 = np.sqrt(rest)
+        d[0, 0], d[1, 0], d[2, 0], d[1, 1], d[2, 1], d[2, 2] = l00, l10, l20, l11, l21, l22
+        y0 = right[p, 0] / l00
+        y1 = (right[p, 1] - l10 * y0) / l11
+        y2 = (right[p, 2] - l20 * y0 - l21 * y1) / l22
+        right[p, 0], right[p, 1], right[p, 2] = y0, y1, y2
+        begin, end = start[step], start[step + 1]
+        for k in range(begin, end):
+            q, block, w = node_of[k], blocks[block_of[k]], lower[k]
+            for i in range(3):
+                if q > p:
+                    b0, b1, b2 = block[i, 0], block[i, 1], block[i, 2]
+                else:
+                    b0, b1, b2 = block[0, i], block[1, i], block[2, i]
+                w0 = b0 / l00
+                w1 = (b1 - w0 * l10) / l11
+                w2 = (b2 - w0 * l20 - w1 * l21) / l22
+                w[i, 0], w[i, 1], w[i, 2] = w0, w1, w2
+                right[q, i] -= w0 * y0 + w1 * y1 + w2 * y2
+        t = target_start[step]
+        for a in range(begin, end):
+            q, w = node_of[a], lower[a]
+            for i in range(3):
+                for j in range(i + 1):
+                    diagonal[q, i, j] -= w[i, 0] * w[j, 0] + w[i, 1] * w[j, 1] + w[i, 2] * w[j, 2]
+            for b in range(a + 1, end):
+                v, block = lower[b], blocks[target[t]]
+                t += 1
+                if q > node_of[b]:
+                    for i in range(3):
+                        for j in range(3):
+                            block[i, j] -= w[i, 0] * v[j, 0] + w[i, 1] * v[j, 1] + w[i, 2] * v[j, 2]
+                else:
+                    for i in range(3):
+                        for j in range(3):
+                            block[i, j] -= v[i, 0] * w[j, 0] + v[i, 1] * w[j, 1] + v[i, 2] * w[j, 2]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _dense_rest(rest, pairs, diagonal, blocks, right):
+    """The lower triangle of what is left, in columns for LAPACK, and its right-hand side."""
+    size = 3 * len(rest)
+    dense = np.zeros((size, size)).T
+    part = np.empty((size, 1))
+    for k in range(len(rest)):
+        for i in range(3):
+            part[3 * k + i, 0] = right[rest[k], i]
+            for j in range(i + 1):
+                dense[3 * k + i, 3 * k + j] = diagonal[rest[k], i, j]
+    for k in range(len(pairs)):
+        row, column, block = 3 * pairs[k, 0], 3 * pairs[k, 1], blocks[pairs[k, 2]]
+        for i in range(3):
+            for j in range(3):
+                dense[row + i, column + j] = block[i, j]
+    return dense, part
+
+
+@njit(cache=True, error_model="numpy")
+def _substitute_back(order, start, node_of, diagonal, lower, solution):
+    for step in range(len(order) - 1, -1, -1):
+        p = order[step]
+        x0, x1, x2 = solution[p, 0], solution[p, 1], solution[p, 2]
+        for k in range(start[step], start[step + 1]):
+            w, q = lower[k], node_of[k]
+            s0, s1, s2 = solution[q, 0], solution[q, 1], solution[q, 2]
+            x0 -= w[0, 0] * s0 + w[1, 0] * s1 + w[2, 0] * s2
+            x1 -= w[0, 1] * s0 + w[1, 1] * s1 + w[2, 1] * s2
+            x2 -= w[0, 2] * s0 + w[1, 2] * s1 + w[2, 2] * s2
+        d = diagonal[p]
+        x2 = x2 / d[2, 2]
+        x1 = (x1 - d[2, 1] * x2) / d[1, 1]
+        x0 = (x0 - d[1, 0] * x1 - d[2, 0] * x2) / d[0, 0]
+        solution[p, 0], solution[p, 1], solution[p, 2] = x0, x1, x2

@@ -1,0 +1,129 @@
+"""What a place looks like to the laser: a descriptor that is compared under every rotation, and a direct comparison.
+
+The descriptor is Scan Context (Kim and Kim 2018) brought to 2D: rings of distance by sectors of bearing. Turning the
+robot shifts the sectors, so the best shift gives both the similarity and the turn between two scans.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray
+
+SECTORS, RINGS = 60, 20
+NEIGHBOUR_WEIGHT = 0.5
+"""A point also counts this much in the next ring on either side, so that a small step changes little."""
+AGREE_M = 0.25
+THROUGH_M = 0.4
+"""A point this far in front of the other scan's wall was seen through."""
+
+
+def describe(ranges_m: Array, range_max_m: float) -> Array:
+    """(beams,) ranges -> (RINGS, SECTORS), each sector of length one (or empty); mates and open beams leave nothing."""
+    descriptor = np.zeros((RINGS, SECTORS))
+    _bin(ranges_m, range_max_m, NEIGHBOUR_WEIGHT, descriptor)
+    return descriptor
+
+
+def ring_key(descriptor: Array) -> Array:
+    """(..., RINGS) share of each ring over all bearings: the same after any turn, for a quick search."""
+    return descriptor.mean(axis=-1)
+
+
+def compare(target: Array, source: Array) -> tuple[float, float]:
+    """Similarity of two descriptors in [0, 1] at the best turn, and that turn: the source's heading in the target."""
+    similarity, turn = compare_many(target[None], source)
+    return float(similarity[0]), float(turn[0])
+
+
+def compare_many(targets: Array, source: Array) -> tuple[Array, Array]:
+    """(k, RINGS, SECTORS) against one: (k,) similarities at the best turn and (k,) turns [rad].
+
+    The cosine between the sectors that are filled in both, averaged over those filled in either.
+    """
+    shifts = np.fft.irfft(
+        (np.fft.rfft(targets, axis=-1) * np.conj(np.fft.rfft(source, axis=-1))).sum(axis=-2), n=SECTORS, axis=-1
+    )
+    filled = max(int((source.max(axis=-2) > 0).sum()), 1)
+    counts = np.maximum((targets.max(axis=-2) > 0).sum(axis=-1), filled)
+    best = np.argmax(shifts, axis=-1)
+    similarity = np.clip(shifts[np.arange(len(best)), best] / counts, 0.0, 1.0)
+    turn = (best * (2 * np.pi / SECTORS) + np.pi) % (2 * np.pi) - np.pi
+    return similarity, turn
+
+
+def scan_agreement(
+    target_m: Array, source_m: Array, pose_target_source: Array, range_max_m: float
+) -> tuple[float, float]:
+    """Lay two scans on each other: share of points that meet the other's walls, and share that it saw through.
+
+    Each share is of the points that the other scan could judge, both ways together; (0, 0) where there is none.
+    """
+    pose = np.asarray(pose_target_source, float)
+    back = _inverse(pose)
+    a = _judge(source_m, pose, target_m, range_max_m, AGREE_M, THROUGH_M)
+    b = _judge(target_m, back, source_m, range_max_m, AGREE_M, THROUGH_M)
+    judged = a[2] + b[2]
+    return ((a[0] + b[0]) / judged, (a[1] + b[1]) / judged) if judged else (0.0, 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _inverse(pose):
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.array([-c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]])
+
+
+@njit(cache=True, error_model="numpy")
+def _bin(ranges, range_max, neighbour_weight, descriptor):
+    rings, sectors = descriptor.shape
+    beams = ranges.shape[0]
+    for beam in range(beams):
+        r = ranges[beam]
+        if not 0.0 < r < range_max:
+            continue
+        ring = min(int(r / range_max * rings), rings - 1)
+        sector = (beam * sectors) // beams
+        descriptor[ring, sector] += 1.0
+        if ring > 0:
+            descriptor[ring - 1, sector] += neighbour_weight
+        if ring < rings - 1:
+            descriptor[ring + 1, sector] += neighbour_weight
+    for sector in range(sectors):
+        total = 0.0
+        for ring in range(rings):
+            total += descriptor[ring, sector] ** 2
+        if total > 0.0:
+            for ring in range(rings):
+                descriptor[ring, sector] /= math.sqrt(total)
+
+
+@njit(cache=True, error_model="numpy")
+def _judge(points, pose, ranges, range_max, agree, through):
+    """Points of one scan, seen from pose in the frame of another: on its walls, seen through, and judged at all."""
+    beams = ranges.shape[0]
+    step = 2.0 * math.pi / points.shape[0]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    met = crossed = judged = 0
+    for i in range(points.shape[0]):
+        far = points[i]
+        if not 0.0 < far < range_max:
+            continue
+        px, py = far * math.cos(i * step), far * math.sin(i * step)
+        x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
+        r = math.sqrt(x * x + y * y)
+        beam = math.atan2(y, x) * beams / (2.0 * math.pi)
+        low = int(math.floor(beam)) % beams
+        a, b = abs(ranges[low]), abs(ranges[(low + 1) % beams])
+        near, most = min(a, b), max(a, b)
+        if r > most + agree or r >= range_max:  # hidden behind what the other scan met
+            continue
+        judged += 1
+        if r < near - through:
+            crossed += 1
+        elif min(abs(r - near), abs(r - most)) <= agree or near < r < most:
+            met += 1
+    return met, crossed, judged
