@@ -115,7 +115,7 @@ def test_files_that_are_no_map_are_refused(tmp_path, name, content, expected):
 def test_only_geojson_has_levels(tmp_path):
     path = tmp_path / "house.json"
     path.write_text(json.dumps(HOUSE))
-    with pytest.raises(MapError, match="only .geojson maps have levels; leave #2 out"):
+    with pytest.raises(MapError, match=r"only \.geojson maps have levels; leave #2 out"):
         load_map(f"{path}#2")
 
 

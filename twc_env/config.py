@@ -39,7 +39,8 @@ class _Checked:
         for f in dataclasses.fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
             if (choices := f.metadata.get("choices")) and value not in choices:
-                hint = _did_you_mean(value, choices)
+                near = difflib.get_close_matches(str(value), choices, n=1)
+                hint = f"; did you mean {near[0]!r}?" if near else ""
                 raise ConfigError(f"{where}.{f.name} must be one of {', '.join(choices)}; got {value!r}{hint}")
             if "minimum" in f.metadata:
                 low, high = f.metadata["minimum"], f.metadata["maximum"]
@@ -377,4 +378,4 @@ def _from_text(value, old, where: str):
 
 def _did_you_mean(key, known) -> str:
     near = difflib.get_close_matches(str(key), list(known), n=1)
-    return f"; did you mean {near[0]!r}?" if near else ""
+    return f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}" if known else ""

@@ -7,7 +7,6 @@ from twc_env import geometry
 from twc_env.errors import DataError
 from twc_env.metrics import implied_frames, wrong_pairs
 
-
 ROBOT_OF = np.repeat([0, 1, 2], [50, 20, 30])
 
 

@@ -135,22 +135,26 @@ def _decode_pgm(raw: bytes, where: str) -> Array:
             break
         fields.append(raw[at:end])
         at = end
+    incomplete = f"{where} is no complete PGM picture (P5 or P2); export it again"
     try:
         kind = fields[0]
         columns, rows, white = (int(field) for field in fields[1:4])
-        if kind not in (b"P5", b"P2") or min(columns, rows) < 1 or not 0 < white < 65536:
-            raise ValueError
-        if rows * columns > CELLS_MAX:
-            raise MapError(f"{where} has {columns} x {rows} pixels, more than {CELLS_MAX}; cut it or make it coarser")
+    except (ValueError, IndexError):
+        raise MapError(incomplete) from None
+    if kind not in (b"P5", b"P2") or min(columns, rows) < 1 or not 0 < white < 65536:
+        raise MapError(incomplete)
+    if rows * columns > CELLS_MAX:
+        raise MapError(f"{where} has {columns} x {rows} pixels, more than {CELLS_MAX}; cut it or make it coarser")
+    try:
         if kind == b"P2":
             pixels = np.array(raw[at:].split()[: rows * columns], dtype=float)
         else:
             pixels = np.frombuffer(raw, "u1" if white < 256 else ">u2", rows * columns, at + 1).astype(float)
         pixels = pixels.reshape(rows, columns)
-        if not np.isfinite(pixels).all():
-            raise ValueError
-    except (ValueError, IndexError):
-        raise MapError(f"{where} is no complete PGM picture (P5 or P2); export it again") from None
+    except ValueError:
+        raise MapError(incomplete) from None
+    if not np.isfinite(pixels).all():
+        raise MapError(incomplete)
     return np.round(np.clip(pixels / white, 0, 1) * 255).astype(np.uint8)
 
 

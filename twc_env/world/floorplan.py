@@ -6,6 +6,7 @@ random about a building (shadowing, drawn starts) is fixed there, so moving it c
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import gzip
 import hashlib
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from twc_env.errors import MapError
 from twc_env.geometry import compose, inverse, transform_points
+from twc_env.world.materials import MATERIALS
 from twc_env.world.wall_index import WallIndex, index_walls
 
 Array = NDArray
@@ -38,6 +40,8 @@ CELLS_MAX = 25_000_000
 """Of a raster: 500 x 500 m in cells of 0.1 m."""
 FILE_BYTES_MAX = 64_000_000
 """Of a map file, unpacked."""
+FLOORS_MAX = 200
+"""Storeys between a floor and an access point."""
 _CHECK_RESOLUTION_M = 0.1
 _AREA_CELLS = ((0.0125, 500.0), (0.025, 4000.0), (0.05, 40_000.0), (0.1, math.inf))
 """Cell sizes [m] that measure floors, and the extent [m2] up to which each is used."""
@@ -63,6 +67,8 @@ class AccessPoint:
     """(2,)."""
     macs: tuple[int, ...]
     """48-bit addresses, unique over the plan."""
+    floor: int = 0
+    """Storeys above (or below, negative) the drawn one; its signal also crosses the ceilings in between."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +118,8 @@ class Floorplan:
     """(k, 2) points known to be free: the floor is what is connected to them."""
     pose_building_home: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) how far the building was moved from where it was drawn."""
+    wall_materials: tuple[str, ...] = ()
+    """(walls,) name of each wall's material ("" where not known), or empty: no material is known."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -124,7 +132,7 @@ class Floorplan:
         }
         for key, shape in shapes.items():
             object.__setattr__(self, key, _frozen_array(getattr(self, key), shape, f"{key} of map {self.name!r}"))
-        for key in ("rooms", "signs", "access_points"):
+        for key in ("rooms", "signs", "access_points", "wall_materials"):
             object.__setattr__(self, key, tuple(getattr(self, key)))
 
     @property
@@ -250,7 +258,7 @@ def write_floorplan(plan: Floorplan, path: str | Path) -> None:
 def floorplan_from_values(values: object, where: str) -> Floorplan:
     """Build a plan from the values of a native JSON file; `where` names the file in errors."""
     required = ("format", "name", "walls", "interior_m")
-    optional = ("rooms", "signs", "access_points", "starts", "pose_building_home")
+    optional = ("rooms", "signs", "access_points", "starts", "pose_building_home", "materials")
     table = _table(values, where, required, optional)
     if table["format"] != FORMAT:
         raise MapError(f"{where}: format must be {FORMAT!r}; got {table['format']!r}")
@@ -269,6 +277,7 @@ def floorplan_from_values(values: object, where: str) -> Floorplan:
         pose_building_home=_numbers(
             table.get("pose_building_home", [0, 0, 0]), (3,), f"{where}: pose_building_home", "x, y, heading"
         ),
+        wall_materials=_materials(table.get("materials", {}), len(walls), f"{where}: materials"),
     )
 
 
@@ -290,10 +299,11 @@ def _carried(plan: Floorplan, pose: Array, pose_building_home: Array) -> Floorpl
         wall_loss_db=plan.wall_loss_db,
         rooms=tuple(Room(r.name, move(r.polygon_m)) for r in plan.rooms),
         signs=tuple(Sign(s.text, move(s.position_m)[0], s.facing_rad + float(pose[2])) for s in plan.signs),
-        access_points=tuple(AccessPoint(a.name, move(a.position_m)[0], a.macs) for a in plan.access_points),
+        access_points=tuple(dataclasses.replace(a, position_m=move(a.position_m)[0]) for a in plan.access_points),
         starts=compose(pose, plan.starts),
         interior_m=move(plan.interior_m),
         pose_building_home=pose_building_home,
+        wall_materials=plan.wall_materials,
     )
 
 
@@ -312,6 +322,14 @@ def _check_walls(plan: Floorplan, where: str) -> None:
     lengths = np.linalg.norm(plan.walls_m[:, 1] - plan.walls_m[:, 0], axis=1)
     for i in np.flatnonzero(lengths < _WALL_LENGTH_MIN_M):
         raise MapError(f"{where}: wall {i} at {_point_text(plan.walls_m[i, 0])} has no length; remove it")
+    if len(plan.wall_materials) not in (0, len(plan.walls_m)):
+        raise MapError(
+            f"{where} has {len(plan.walls_m)} walls but {len(plan.wall_materials)} materials; name one per wall or none"
+        )
+    for name in set(plan.wall_materials) - {"", *MATERIALS}:
+        near = difflib.get_close_matches(str(name), MATERIALS, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(MATERIALS)}"
+        raise MapError(f"{where}: a wall is of the unknown material {name!r}; {hint}")
     for i in np.flatnonzero((plan.wall_loss_db < 0) | (plan.wall_loss_db > 1000)):
         raise MapError(f"{where}: wall {i} has a loss of {plan.wall_loss_db[i]:g} dB; losses are 0 to 1000")
 
@@ -467,10 +485,14 @@ def _to_values(plan: Floorplan) -> dict:
                 "name": a.name,
                 "position_m": np.asarray(a.position_m).tolist(),
                 "macs": [mac_text(mac) for mac in a.macs],
+                **({"floor": a.floor} if a.floor else {}),
             }
             for a in plan.access_points
         ],
     }
+    if any(plan.wall_materials):
+        names = sorted(set(plan.wall_materials) - {""})
+        values["materials"] = {n: [i for i, m in enumerate(plan.wall_materials) if m == n] for n in names}
     if plan.pose_building_home.any():
         values["pose_building_home"] = plan.pose_building_home.tolist()
     return values
@@ -569,10 +591,26 @@ def _sign(values: object, where: str) -> Sign:
 
 
 def _access_point(values: object, where: str) -> AccessPoint:
-    table = _table(values, where, ("name", "position_m", "macs"))
+    table = _table(values, where, ("name", "position_m", "macs"), ("floor",))
+    floor = table.get("floor", 0)
+    if type(floor) is not int or abs(floor) > FLOORS_MAX:
+        raise MapError(f"{where}.floor must be a whole number from -{FLOORS_MAX} to {FLOORS_MAX}; got {_short(floor)}")
     position = _numbers(table["position_m"], (2,), f"{where}.position_m", "x, y")
     macs = tuple(_mac(value, f"{where}.macs[{i}]") for i, value in _items(table, "macs", where))
-    return AccessPoint(_text(table["name"], f"{where}.name"), position, macs)
+    return AccessPoint(_text(table["name"], f"{where}.name"), position, macs, floor)
+
+
+def _materials(values: object, wall_count: int, where: str) -> tuple[str, ...]:
+    """{material: wall numbers} -> one name per wall; empty when none is named."""
+    if not isinstance(values, dict):
+        raise MapError(f"{where} must be a JSON object from material to wall numbers; got {type(values).__name__}")
+    names = [""] * (wall_count if values else 0)
+    for material, walls in values.items():
+        for wall in walls if isinstance(walls, list) else [walls]:
+            if type(wall) is not int or not 0 <= wall < wall_count:
+                raise MapError(f"{where}.{material} names wall {_short(wall)}; walls are 0 to {wall_count - 1}")
+            names[wall] = material
+    return tuple(names)
 
 
 def _mac(value: object, where: str) -> int:

@@ -822,7 +822,7 @@ def _clear_point(drawing: Drawing, tile: _Tile) -> Array:
 def _sides(area_m2: float, aspect: float, side_min: int) -> tuple[int, int]:
     """(width, height) [dm] of a floor with this area."""
     height = max(side_min, round(10 * math.sqrt(area_m2 * aspect)))
-    return max(side_min - 15, round(100 * area_m2 / height)), height
+    return round(100 * area_m2 / height), height
 
 
 def _between(random: np.random.Generator, low: int, high: int) -> int:
