@@ -66,7 +66,8 @@ class DynamicsConfig(_Checked):
 class OdometryConfig(_Checked):
     """How measured motion differs from true motion."""
 
-    platform: str = _choice("wheeled", "handheld", "legged")
+    platform: str = _choice("wheeled", "handheld", "legged", "pioneer-intel")
+    """`pioneer-intel` drifts as the raw odometry of the Intel Research Lab log does."""
     drift: float = _number(1.0, 0.0, 10.0)
     """Multiplies every error of the platform's preset: 0 gives perfect odometry and gyro, 1 the preset."""
 
@@ -78,12 +79,57 @@ class LidarConfig(_Checked):
     beam_count: int = _number(180, 8, 4096)
     range_max_m: float = _number(10.0, 0.5, 100.0)
     range_noise_std_m: float = _number(0.01, 0.0, 1.0)
+    dropout_probability: float = _number(0.0, 0.0, 1.0)
+    """Chance that a beam has no return though something is there."""
+    glass_return_probability: float = _number(1.0, 0.0, 1.0)
+    """Chance that a glass wall hit head-on is seen; 1 makes glass a wall like any other."""
+    glass_incidence_max_rad: float = _number(0.6, 0.01, math.pi / 2)
+    """From head-on to this angle of incidence the chance falls to nothing; beyond it a beam always passes glass."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HighBandConfig(_Checked):
+    """The 5 GHz band of the access points: how it differs from 2.4 GHz."""
+
+    share: float = _number(0.0, 0.0, 1.0)
+    """Of each access point's addresses, sent at 5 GHz (spread evenly: 0.5 makes every second one)."""
+    power_offset_db: float = _number(-3.0, -40.0, 40.0)
+    """Strength at 1 m against 2.4 GHz."""
+    path_loss_exponent: float = _number(2.5, 1.0, 6.0)
+    wall_loss_factor: float = _number(1.5, 0.0, 5.0)
+    """Loss of a wall of no known material against 2.4 GHz; known materials have their own (`world.materials`)."""
+    floor_loss_factor: float = _number(1.5, 0.0, 5.0)
+    detection_offset_db: float = _number(0.0, -40.0, 40.0)
+    """Added to `detection_floor_dbm`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellConfig(_Checked):
+    """LTE cells on masts outside the building (SPEC R14-R15): three sectors per mast, heard beside the WiFi."""
+
+    count: int = _number(0, 0, 1000)
+    distance_min_m: float = _number(150.0, 1.0, 100_000.0)
+    """Masts stand between these distances from the building's middle, evenly over the area."""
+    distance_max_m: float = _number(1500.0, 1.0, 100_000.0)
+    power_at_1m_dbm: float = _number(-8.0, -80.0, 60.0)
+    """Reference signal strength in the middle of a sector, extrapolated to 1 m."""
+    path_loss_exponent: float = _number(3.5, 1.0, 6.0)
+    wall_loss_factor: float = _number(1.0, 0.0, 5.0)
+    """Loss of a wall of no known material against 2.4 GHz."""
+    shadowing_std_db: float = _number(7.0, 0.0, 20.0)
+    shadowing_length_m: float = _number(40.0, 0.1, 1000.0)
+    detection_floor_dbm: float = _number(-118.0, -160.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RadioConfig(_Checked):
-    """WiFi strength: rssi = P(1 m) - 10 n log10 d - wall losses + shadowing + fading + device offset + noise."""
+    """Radio strength: rssi = P(1 m) - 10 n log10 d - wall losses + shadowing + fading + device offset + noise.
 
+    Named settings for other places come from `radio_preset`, or as `preset` in the radio table of a config file.
+    """
+
+    wifi: bool = True
+    """Whether the plan's access points send at all (an LTE-only study turns them off)."""
     scan_period_s: float = _number(0.2, 0.01, 60.0)
     power_at_1m_dbm: float = _number(-35.0, -80.0, 30.0)
     path_loss_exponent: float = _number(2.3, 1.0, 6.0)
@@ -93,11 +139,34 @@ class RadioConfig(_Checked):
     fading_std_db: float = _number(1.5, 0.0, 20.0)
     """Small-scale fading, redrawn for each transmitter whenever a robot has moved `fading_length_m`."""
     fading_length_m: float = _number(0.5, 0.01, 10.0)
+    fading_shared: bool = False
+    """All addresses of one transmitter (access point and band) fade together, as one box's networks do."""
     device_offset_std_db: float = _number(0.8, 0.0, 20.0)
+    """How much louder or fainter one robot's receiver reads everything."""
+    device_sensitivity_std_db: float = _number(0.0, 0.0, 20.0)
+    """How much the detection floor differs between receivers."""
     noise_std_db: float = _number(3.0, 0.0, 20.0)
     detection_floor_dbm: float = _number(-88.0, -120.0, 0.0)
     """A signal of this strength is heard in half of the scans."""
     detection_slope_db: float = _number(2.0, 0.05, 20.0)
+    miss_probability: float = _number(0.0, 0.0, 1.0)
+    """Chance that a scan misses a transmitter however strong it is."""
+    quantisation_db: float = _number(1.0, 0.01, 10.0)
+    power_spread_db: float = _number(1.0, 0.0, 20.0)
+    """How much the addresses of one access point differ in power (standard deviation)."""
+    access_point_spread_db: float = _number(0.0, 0.0, 20.0)
+    """How much access points differ in power: make, mounting, antenna."""
+    bssids_per_access_point: int = _number(0, 0, 32)
+    """Addresses each access point sends under; 0 takes those of the plan."""
+    floor_loss_db: float = _number(20.0, 0.0, 100.0)
+    """Loss of each ceiling between the robots and an access point of another storey."""
+    floor_height_m: float = _number(4.0, 0.5, 20.0)
+    sweep_share: float = _number(1.0, 0.01, 1.0)
+    """Share of the transmitters that one scan really listens to; the others keep their last reading."""
+    stale_age_max_s: float = _number(0.0, 0.0, 3600.0)
+    """Readings that a scan did not renew are repeated with their age until they are this old (0: never)."""
+    high_band: HighBandConfig = field(default_factory=HighBandConfig)
+    cells: CellConfig = field(default_factory=CellConfig)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -295,6 +364,17 @@ class EnvConfig(_Checked):
     reward: RewardConfig = field(default_factory=RewardConfig)
 
 
+RADIO_PRESETS: dict[str, dict] = {}
+
+
+def radio_preset(name: str) -> RadioConfig:
+    """Settings of the radio for one kind of place; ConfigError for an unknown name."""
+    if name not in RADIO_PRESETS:
+        known = ", ".join(RADIO_PRESETS)
+        raise ConfigError(f"radio.preset must be one of {known}; got {name!r}{_did_you_mean(name, RADIO_PRESETS)}")
+    return from_dict(RADIO_PRESETS[name], RadioConfig, "radio")
+
+
 def digest(config: EnvConfig) -> str:
     """Twelve hex digits that change if and only if a value changes."""
     text = json.dumps(dataclasses.asdict(config), sort_keys=True)
@@ -314,7 +394,10 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = "config"):
     if not isinstance(values, dict):
         raise ConfigError(f"{where} must be a table of settings; got {values!r}")
     types = typing.get_type_hints(cls)
-    arguments = {}
+    arguments: dict = {}
+    if cls is RadioConfig and "preset" in values:
+        values = dict(values)
+        values = _merged(dataclasses.asdict(radio_preset(values.pop("preset"))), values)
     for key, value in values.items():
         if key not in types:
             raise ConfigError(f"{where}.{key} is unknown{_did_you_mean(key, types)}")
@@ -342,6 +425,9 @@ def override(config: EnvConfig, assignments: dict[str, object]) -> EnvConfig:
     """
     values = to_dict(config)
     for dotted, value in assignments.items():
+        if dotted == "radio.preset":
+            values["radio"] = dataclasses.asdict(radio_preset(str(value)))
+            continue
         node, parts = values, dotted.split(".")
         for depth, part in enumerate(parts):
             if not isinstance(node, dict) or part not in node:
@@ -361,6 +447,15 @@ def _value(kind: type, value, where: str):
     if type(value) is not kind:
         raise ConfigError(f"{where} must be of type {kind.__name__}; got {value!r}")
     return value
+
+
+def _merged(base: dict, changes: dict) -> dict:
+    """`base` with the (nested) values that `changes` names."""
+    merged = dict(base)
+    for key, value in changes.items():
+        nested = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if nested else value
+    return merged
 
 
 def _from_text(value, old, where: str):

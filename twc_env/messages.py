@@ -17,12 +17,14 @@ Array = NDArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WifiScan:
-    """One sweep over the WiFi channels: the transmitters heard and how strongly."""
+    """One sweep over the radio channels: the transmitters heard and how strongly."""
 
     macs: Array
-    """(heard,) int64, ascending: the 48-bit MAC addresses heard."""
+    """(heard,) int64, ascending: the 48-bit MAC addresses heard; LTE cells have numbers of 2^48 and above."""
     rssi_dbm: Array
     """(heard,) float64, received strength of each."""
+    age_s: Array | None = None
+    """(heard,) float64, how long ago each was really heard; None: all in this sweep."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from twc_env.world.generate import (
 )
 from twc_env.world.world import World
 
-SPLIT_DIGESTS = {"train": "fff8369e4a66", "validation": "e2006fc2e5b2", "test": "12a9da4091fe"}
+SPLIT_DIGESTS = {"train": "297c9ed274f0", "validation": "e2006fc2e5b2", "test": "12a9da4091fe"}
 """Change these only together with a new version of the environment: published results name these buildings."""
 
 

@@ -55,7 +55,7 @@ class RobotFrontEnd:
         self._readings: list[tuple[str, Array, float]] = []
         self._travel_m = 0.0
         self._time_s = 0.0
-        self._motion_variance = np.zeros(3)
+        self._steps_since_keyframe = 0
         self._match_information = NOTHING_MATCHED
         self.pose_odom = np.zeros(3)
         """(3,) the estimate after the latest frame."""
@@ -83,11 +83,9 @@ class RobotFrontEnd:
         if dt_s <= 0.0:
             return
         self._filter.predict(frame.odometry, frame.turn_rate_rad_s, dt_s)
-        length = math.hypot(*frame.odometry[:2].tolist())
-        self._travel_m += length
-        noise = self._config.odometry_filter
-        moved = noise.position_std_m**2 + noise.position_std_per_m**2 * length
-        self._motion_variance += (moved, moved, noise.turn_std_rad**2)
+        dx, dy, _ = frame.odometry.tolist()
+        self._travel_m += math.hypot(dx, dy)
+        self._steps_since_keyframe += 1
 
     def _match(self, ranges_m: Array) -> None:
         local = self._config.local_map
@@ -126,7 +124,7 @@ class RobotFrontEnd:
         if self._keyframes:
             motion = between(self._keyframes[-1].pose_odom, self.pose_odom)
             covariance = motion_covariance(
-                self._motion_variance, self._keyframes[-1].pose_odom[2], 0.5 * self._match_information, MOTION_STD_MIN
+                self._motion_variance(), self._keyframes[-1].pose_odom[2], 0.5 * self._match_information, MOTION_STD_MIN
             )
         recent = [scan for time_s, scan in self._scans if time_s > frame.time_s - rule.fingerprint_window_s]
         robot_odom = inverse(self.pose_odom)
@@ -135,7 +133,7 @@ class RobotFrontEnd:
             for text, position, facing in self._readings
         )
         self._readings = []
-        self._motion_variance = np.zeros(3)
+        self._steps_since_keyframe = 0
         return Keyframe(
             robot=self.robot,
             index=len(self._keyframes),
@@ -149,6 +147,13 @@ class RobotFrontEnd:
             signs=signs,
             fingerprint=fingerprint(recent, rule.fingerprint_detection_min, rule.std_mode),
         )
+
+    def _motion_variance(self) -> Array:
+        """(3,) odometry's variances since the last keyframe [m2, m2, rad2]."""
+        noise, steps = self._config.odometry_filter, self._steps_since_keyframe
+        length = self._travel_m - self._keyframes[-1].travel_m
+        moved = steps * noise.position_std_m**2 + length * noise.position_std_per_m**2
+        return np.array([moved, moved, steps * noise.turn_std_rad**2])
 
     def _extend_local_map(self, keyframe: Keyframe) -> None:
         position = keyframe.pose_odom[:2]

@@ -606,7 +606,9 @@ def _materials(values: object, wall_count: int, where: str) -> tuple[str, ...]:
         raise MapError(f"{where} must be a JSON object from material to wall numbers; got {type(values).__name__}")
     names = [""] * (wall_count if values else 0)
     for material, walls in values.items():
-        for wall in walls if isinstance(walls, list) else [walls]:
+        if not isinstance(walls, list):
+            raise MapError(f"{where}.{material} must be a list of wall numbers; got {_short(walls)}")
+        for wall in walls:
             if type(wall) is not int or not 0 <= wall < wall_count:
                 raise MapError(f"{where}.{material} names wall {_short(wall)}; walls are 0 to {wall_count - 1}")
             names[wall] = material
