@@ -285,7 +285,8 @@ class VerificationConfig(_Checked):
 class PoseGraphConfig(_Checked):
     """Robust SE(2) optimisation."""
 
-    robust: str = _choice("dcs", "cauchy", "none")
+    robust: str = _choice("dcs", "cauchy", "none", "gnc", "pcm", "ours")
+    """Which closures to believe: see `twc_env.slam.robust_backend`."""
     robust_scale: float = _number(5.0, 0.01, 1000.0)
     period_steps: int = _number(10, 1, 10000)
     """Optimised at most this often, and only when closures arrived."""

@@ -166,6 +166,11 @@ def test_a_floor_without_its_size_is_refused(floor, info, expected):
         read_geojson(path)
 
 
+def area_m2(ring: np.ndarray) -> float:
+    x, y = ring.T
+    return abs(float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())) / 2
+
+
 @needs_data
 @pytest.mark.parametrize(("floor", "signs"), [("site1_B1", 500), ("site2_F6", 60)])
 def test_walkers_of_a_real_floor_stay_on_its_free_space(floor, signs):
@@ -176,7 +181,8 @@ def test_walkers_of_a_real_floor_stay_on_its_free_space(floor, signs):
     assert not DRAWING_CLASSES & set(texts)
     points = []
     for path in sorted((FOLDER / f"indoor20/{floor}/traces").glob("*.xz"))[::4]:
-        rows = [line.split("\t") for line in lzma.open(path, "rt", encoding="utf-8") if "TYPE_WAYPOINT" in line]
+        with lzma.open(path, "rt", encoding="utf-8") as file:
+            rows = [line.split("\t") for line in file if "TYPE_WAYPOINT" in line]
         points += [(float(row[2]), float(row[3])) for row in rows]
     assert len(points) > 80
     assert plan.cells().is_free(np.array(points)).mean() > 0.96
@@ -189,4 +195,6 @@ def test_every_level_of_a_real_building_loads(number, rooms, names):
     plan = load_map(f"{FOLDER}/maps/osm_indoor/budapest.geojson.gz#{number}")
     assert len(plan.rooms) >= rooms
     assert len(plan.signs) >= names
+    # Closed in a fine raster too, and rooms and doors are all of the floor.
+    assert plan.floor_area_m2 == pytest.approx(sum(area_m2(room.polygon_m) for room in plan.rooms), rel=0.02)
     World(EnvConfig(), plan).reset(0)

@@ -31,6 +31,8 @@ _RASTER_M = 0.2
 _METRES_PER_DEGREE = 111_320.0
 _DOOR_WIDTH_M = 1.0
 _DOOR_WIDTHS_M = (0.9, 3.0)
+_DOOR_WIDTH_MIN_M = 0.6
+_FRAME_M = 0.05
 _WALL_THICKNESS_MAX_M = 0.6
 """Two rooms whose outlines are this near share a wall."""
 _PLATE_OFFSET_M = 0.3
@@ -221,7 +223,11 @@ def _open_door(
     length_m = float(np.linalg.norm(end - begin))
     along = (end - begin) / length_m
     at = float((place - begin) @ along)
-    first, last = max(at - width_m / 2, 0.05), min(at + width_m / 2, length_m - 0.05)
+    low, high = _straight_stretch(_sides(areas[room].ring_m), place, begin, along)
+    first = max(at - width_m / 2, _FRAME_M, low + _FRAME_M)
+    last = min(at + width_m / 2, length_m - _FRAME_M, high - _FRAME_M)
+    if last - first < _DOOR_WIDTH_MIN_M:
+        return []
     across = (place - begin) - at * along
     for number in (room, behind):
         walls[number] = _cut(walls[number], begin, along, first, last)
@@ -232,7 +238,22 @@ def _open_door(
         if text:
             offsets = np.array([last + _PLATE_OFFSET_M, first - _PLATE_OFFSET_M])
             plates.append((text, base + offsets[:, None] * along, normal))
-    return [np.stack([begin + s * along, begin + s * along + across]) for s in (first, last)]
+    frame = _FRAME_M * into_behind  # outlines are straight to a centimetre or two; a frame leaves no gap
+    return [np.stack([begin + s * along + frame, begin + s * along + across - frame]) for s in (first, last)]
+
+
+def _straight_stretch(sides: Array, place: Array, begin: Array, along: Array) -> tuple[float, float]:
+    """From where to where a room's outline runs straight through a place, in metres along a line."""
+    normal = np.array([-along[1], along[0]])
+    is_straight = (np.abs((sides - place) @ normal) < 0.1).all(axis=1)
+    spans = np.sort((sides[is_straight] - begin) @ along, axis=1)
+    at = float((place - begin) @ along)
+    low = high = at
+    for _ in spans:
+        touching = (spans[:, 0] <= high + 0.02) & (spans[:, 1] >= low - 0.02)
+        if touching.any():
+            low, high = min(low, float(spans[touching, 0].min())), max(high, float(spans[touching, 1].max()))
+    return low, high
 
 
 def _cut(walls: Array, begin: Array, along: Array, first: float, last: float) -> Array:

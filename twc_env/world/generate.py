@@ -269,7 +269,7 @@ def check_reachable(plan: Floorplan, radius_m: float = ROBOT_RADIUS_M) -> Floorp
         raise MapError(f"map {plan.name!r} has no room for a robot of radius {radius_m:g} m; widen the floor")
     largest = 1 + int(np.argmax(sizes[1:]))
     for room in plan.rooms:
-        low = np.floor((room.polygon_m.min(axis=0) - cells.origin_m) / cells.resolution_m).astype(int)
+        low = np.floor((room.polygon_m.min(axis=0) - cells.origin_m) / cells.resolution_m).astype(int).clip(0)
         high = np.ceil((room.polygon_m.max(axis=0) - cells.origin_m) / cells.resolution_m).astype(int)
         if not (labels[low[1] : high[1], low[0] : high[0]] == largest).any():
             raise MapError(

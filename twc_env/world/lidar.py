@@ -1,8 +1,9 @@
-"""What a 2D laser scanner measures: exact ranges to walls and other robots, plus range noise."""
+"""What a 2D laser scanner measures: exact ranges to walls and other robots, range noise, dropouts, unseen glass."""
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -10,8 +11,10 @@ from numpy.typing import NDArray
 
 from twc_env.config import LidarConfig
 from twc_env.random_streams import random_stream
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.materials import MATERIALS
 from twc_env.world.noise import StepNoise
-from twc_env.world.wall_index import WallIndex
+from twc_env.world.wall_index import WallIndex, index_walls
 
 Array = NDArray
 
@@ -22,22 +25,50 @@ _SWEEP_WALLS_MAX = 300
 class Lidar:
     """The scanners of all robots in one building for one episode."""
 
-    def __init__(self, config: LidarConfig, index: WallIndex, robot_radius_m: float, robots: int, seed: int):
+    def __init__(
+        self,
+        config: LidarConfig,
+        index: WallIndex,
+        robot_radius_m: float,
+        robots: int,
+        seed: int,
+        glass: tuple[int, ...] = (),
+    ):
+        """`glass` names the walls of the index that a beam may pass."""
         self._config, self._index, self._radius_m = config, index, robot_radius_m
+        self._solid, self._glass_m = index, index.walls_m[:0]
+        if glass and config.glass_return_probability < 1.0:
+            self._solid, self._glass_m = _apart(index, glass)
         angles = 2 * math.pi * np.arange(config.beam_count) / config.beam_count
         self._directions = np.column_stack([np.cos(angles), np.sin(angles)])  # (beams, 2)
         self._noise = StepNoise([random_stream(seed, "lidar", robot) for robot in range(robots)], config.beam_count)
+        self._chance = {
+            source: StepNoise([random_stream(seed, source, robot) for robot in range(robots)], config.beam_count, "random")
+            for source in ("lidar-glass", "lidar-dropout")
+        }
 
     def scan(self, poses: Array) -> Array:
         """True poses (n, 3) of all robots -> measured ranges (n, beams) [m]; no return reads the maximum range."""
-        ranges = self.true_ranges(poses)
-        _add_noise(ranges, self._noise.next(), self._config.range_noise_std_m, self._config.range_max_m)
+        config = self._config
+        ranges = self._ranges(poses, self._solid)
+        if len(self._glass_m):
+            _see_glass(
+                self._glass_m, poses, self._directions, self._chance["lidar-glass"].next(),
+                config.glass_return_probability, math.cos(config.glass_incidence_max_rad),
+                config.glass_incidence_max_rad, ranges,
+            )  # fmt: skip
+        _add_noise(ranges, self._noise.next(), config.range_noise_std_m, config.range_max_m)
+        if config.dropout_probability > 0.0:
+            ranges[self._chance["lidar-dropout"].next() < config.dropout_probability] = config.range_max_m
         return ranges
 
     def true_ranges(self, poses: Array) -> Array:
-        """True poses (n, 3) -> exact ranges (n, beams) [m], cut at the maximum range."""
+        """True poses (n, 3) -> exact ranges (n, beams) [m], cut at the maximum range; glass is a wall like any other."""
+        return self._ranges(poses, self._index)
+
+    def _ranges(self, poses: Array, i: WallIndex) -> Array:
         ranges = np.empty((len(poses), self._config.beam_count))
-        i, far = self._index, self._config.range_max_m
+        far = self._config.range_max_m
         if len(i.walls_m) <= _SWEEP_WALLS_MAX:
             _sweep_walls(i.walls_m, poses, self._directions, far, ranges)
         else:
@@ -47,6 +78,20 @@ class Lidar:
         if len(poses) > 1:
             _sweep_discs(poses, self._radius_m, self._directions, far, ranges)
         return ranges
+
+
+def glass_walls(plan: Floorplan) -> tuple[int, ...]:
+    """Numbers of the walls that a laser may pass."""
+    return tuple(i for i, name in enumerate(plan.wall_materials) if name and MATERIALS[name].is_glass)
+
+
+@lru_cache(maxsize=8)
+def _apart(index: WallIndex, glass: tuple[int, ...]) -> tuple[WallIndex, Array]:
+    """The walls without the glass ones, and the glass ones (k, 4)."""
+    is_glass = np.zeros(len(index.walls_m), np.bool_)
+    is_glass[list(glass)] = True
+    solid = index.walls_m[~is_glass] if not is_glass.all() else index.walls_m[:1] + 1e6
+    return index_walls(solid.reshape(-1, 2, 2), np.zeros(len(solid))), np.ascontiguousarray(index.walls_m[is_glass])
 
 
 @njit(cache=True, error_model="numpy")
@@ -148,6 +193,33 @@ def _sweep_discs(poses, radius, directions, far, ranges):
                 inside = radius * radius - aside * aside
                 if inside >= 0.0:
                     ranges[i, b] = min(ranges[i, b], ahead - np.sqrt(inside))
+
+
+@njit(cache=True, error_model="numpy")
+def _see_glass(panes, poses, directions, chance, head_on, cos_max, incidence_max, ranges):
+    """Put the panes that reflect into the ranges: the chance falls evenly from head-on to the largest incidence.
+
+    One draw per beam decides for all panes on its way.
+    """
+    for i in range(poses.shape[0]):
+        c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+        for w in range(panes.shape[0]):
+            ax, ay = panes[w, 0] - poses[i, 0], panes[w, 1] - poses[i, 1]
+            ex, ey = panes[w, 2] - panes[w, 0], panes[w, 3] - panes[w, 1]
+            length = np.sqrt(ex * ex + ey * ey)
+            offset = ax * ey - ay * ex
+            for b in range(directions.shape[0]):
+                dx = c * directions[b, 0] - s * directions[b, 1]
+                dy = s * directions[b, 0] + c * directions[b, 1]
+                closing = dx * ey - dy * ex
+                cos_incidence = abs(closing) / length
+                if cos_incidence <= cos_max or offset * closing < 0.0:
+                    continue
+                along = (ax * dy - ay * dx) / closing
+                if along < 0.0 or along > 1.0 or offset / closing >= ranges[i, b]:
+                    continue
+                if chance[i, b] < head_on * (1.0 - np.arccos(min(cos_incidence, 1.0)) / incidence_max):
+                    ranges[i, b] = offset / closing
 
 
 @njit(cache=True, error_model="numpy")

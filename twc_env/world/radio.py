@@ -1,29 +1,57 @@
-"""WiFi received strength: path loss, walls crossed, shadowing, fading, device offset, noise, detection (SPEC T5, X2).
+"""Received strength of WiFi and LTE: path loss, walls and ceilings, shadowing, fading, device, noise (SPEC T5, X2).
 
 rssi = P(1 m) - 10 n log10(max(d, d0)) - wall losses + shadowing(place) + fading(visit) + device(robot) + noise(scan),
-heard with probability 1 / (1 + exp((floor - rssi) / slope)) and reported in whole dB.
+heard with probability 1 / (1 + exp((floor - rssi) / slope)) and reported in whole dB. Power, exponent, wall loss and
+floor belong to the band: 2.4 GHz, 5 GHz, or LTE cells on masts outside (SPEC R14-R15).
 """
 
 from __future__ import annotations
 
+import dataclasses
 import zlib
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import RadioConfig
-from twc_env.geometry import inverse
+from twc_env.geometry import inverse, transform_points
 from twc_env.messages import WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import Floorplan
+from twc_env.world.materials import wall_loss_db
 
 Array = NDArray
 
+LOW_BAND, HIGH_BAND, CELL_BAND = 0, 1, 2
+"""2.4 GHz, 5 GHz, LTE."""
+CELL_ID_MIN = 1 << 48
+"""LTE cells are numbered from here: beyond all MAC addresses."""
+_BAND_NAMES = ("low", "high", "cell")
 _WAVES = 32
 """Cosines summed per shadowing field."""
-_POWER_SPREAD_DB = 1.0
-"""How much the transmitters of one access point differ in power (standard deviation)."""
+_SECTORS = 3
+_SECTOR_WIDTH_RAD = np.deg2rad(65.0)
+"""Half-power width of a mast's sector antenna (3GPP TR 36.814, table A.2.1.1-2)."""
+_SECTOR_BACK_DB = 20.0
+_VIRTUAL_ADDRESS_STEP = 1 << 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sources:
+    """Where signals come from: access points of the plan, then cells; a source has one place and one shadowing field."""
+
+    position_m: Array
+    """(sources, 2) building frame."""
+    height_m: Array
+    """(sources,) above or below the robots' storey."""
+    floors: Array
+    """(sources,) ceilings in between."""
+    waves: Array
+    """(sources, waves, 3) of the shadowing field."""
+    shadowing_std_db: Array
+    """(sources,)."""
 
 
 class RadioModel:
@@ -31,56 +59,141 @@ class RadioModel:
 
     def __init__(self, config: RadioConfig, plan: Floorplan):
         self._config, self._index = config, plan.wall_index
-        self._positions_m = np.array([a.position_m for a in plan.access_points]).reshape(-1, 2)
-        macs = np.array([mac for a in plan.access_points for mac in a.macs], np.int64)
-        owners = np.array([i for i, a in enumerate(plan.access_points) for _ in a.macs], np.int64)
+        self._pose_home_building = inverse(plan.pose_building_home)
+        access_points = plan.access_points if config.wifi else ()
+        cells = _place_cells(config, plan)
+        self._sources = _sources(config, plan, access_points, cells)
+        addresses = _addresses(config, access_points)
+        addresses += [(CELL_ID_MIN + c,) for c in range(len(cells))]
+        macs = np.array([mac for own in addresses for mac in own], np.int64)
+        owners = np.array([i for i, own in enumerate(addresses) for _ in own], np.int64)
+        bands = [band for own in addresses[: len(access_points)] for band in _bands(len(own), config.high_band.share)]
+        bands += [CELL_BAND] * len(cells)
         order = np.argsort(macs)
         self.macs = macs[order]
         """(transmitters,) ascending."""
         self.access_point_of = owners[order]
-        """(transmitters,) number of the access point that sends under each address."""
-        self._power_offsets_db = np.array([_power_offset_db(plan.digest, mac) for mac in self.macs])
-        self._waves = np.array([_shadowing_waves(config, plan.digest, a.macs) for a in plan.access_points])
-        self._waves = self._waves.reshape(-1, _WAVES, 3)
-        self._pose_home_building = inverse(plan.pose_building_home)
+        """(transmitters,) number of the access point that sends under each address; cells count on from there."""
+        self.band_of = np.array(bands, np.int64)[order]
+        """(transmitters,) LOW_BAND, HIGH_BAND or CELL_BAND."""
+        self._power_offsets_db = np.array([_power_offset_db(config, plan.digest, mac) for mac in self.macs])
+        self._power_offsets_db += self._box_offsets_db(plan)[self.access_point_of]
+        self._aim_rad = np.array([aim for _, aim in cells])
+        self._index_of_band = [_index_for(config, plan, band) for band in range(3)]
+        high, cell = config.high_band, config.cells
+        low_floor = config.detection_floor_dbm
+        by_band = np.array(
+            [
+                [config.power_at_1m_dbm, config.path_loss_exponent, low_floor, config.floor_loss_db],
+                [
+                    config.power_at_1m_dbm + high.power_offset_db,
+                    high.path_loss_exponent,
+                    low_floor + high.detection_offset_db,
+                    config.floor_loss_db * high.floor_loss_factor,
+                ],
+                [cell.power_at_1m_dbm, cell.path_loss_exponent, cell.detection_floor_dbm, 0.0],
+            ]
+        )
+        power, exponent, self.detection_floors_dbm, floor_loss = by_band[self.band_of].T.copy()
+        self._floor_losses_db = floor_loss * self._sources.floors[self.access_point_of]
+        self._power_dbm, self._exponent = power, exponent
+        radios, self.radio_of = np.unique(3 * self.access_point_of + self.band_of, return_inverse=True)
+        self.radio_count = len(radios)
+        """Transmitting boxes: addresses of one access point and band share one."""
+        self._source_count_wifi = len(access_points)
+        self._has_floors, self._has_cells = bool(self._floor_losses_db.any()), len(cells) > 0
+        self._is_low_band_only = not self.band_of.any()
 
     def shadowing_db(self, position_m: Array) -> Array:
         """(access points,) the fixed deviation of each signal at a place (2,) of the building frame."""
-        shadowing = np.empty(len(self._positions_m))
+        sources = self._sources
+        shadowing = np.empty(len(sources.position_m))
         _shadowing(
-            np.asarray(position_m, float), self._pose_home_building, self._waves,
-            self._config.shadowing_std_db, shadowing,
-        )  # fmt: skip
+            np.asarray(position_m, float), self._pose_home_building, sources.waves, sources.shadowing_std_db, shadowing
+        )
         return shadowing
+
+    def walls_crossed(self, position_m: Array) -> Array:
+        """(access points,) walls between a place (2,) and each source, exact."""
+        return self._index.crossing(position_m, self._near_ends(position_m))[0]
 
     def mean_rssi_dbm(self, position_m: Array) -> Array:
         """(transmitters,) strength at a place (2,) before fading, device offset and noise."""
-        config = self._config
-        losses = self._index.crossing(position_m, self._positions_m)[1]
+        position, sources = np.asarray(position_m, float), self._sources
         mean = np.empty(len(self.macs))
         _mean_rssi(
-            np.asarray(position_m, float), self._positions_m, losses, self.shadowing_db(position_m),
-            config.power_at_1m_dbm, config.path_loss_exponent, config.distance_min_m,
-            self.access_point_of, self._power_offsets_db, mean,
+            position, sources.position_m, sources.height_m, self._wall_losses_db(position), self.shadowing_db(position),
+            self._power_dbm, self._exponent, self._config.distance_min_m,
+            self.access_point_of, self.band_of, self._power_offsets_db, mean,
         )  # fmt: skip
+        if self._has_floors:
+            mean -= self._floor_losses_db
+        if self._has_cells:
+            mean[self.band_of == CELL_BAND] -= self._sector_loss_db(position)
         return mean
+
+    def _wall_losses_db(self, position: Array) -> Array:
+        """(bands, sources); bands that nobody sends on stay empty."""
+        if self._is_low_band_only:
+            return self._index.crossing(position, self._sources.position_m)[1][None]
+        ends = self._near_ends(position)
+        losses = np.zeros((3, len(ends)))
+        for band, index in enumerate(self._index_of_band):
+            if index is not None:
+                mine = slice(self._source_count_wifi, None) if band == CELL_BAND else slice(0, self._source_count_wifi)
+                losses[band, mine] = index.crossing(position, ends[mine])[1]
+        return losses
+
+    def _near_ends(self, position: Array) -> Array:
+        """(sources, 2) where each signal starts; masts are drawn in to just outside the building."""
+        ends = self._sources.position_m
+        if not self._has_cells:
+            return ends
+        low, high = self._index.walls_m.reshape(-1, 2).min(axis=0), self._index.walls_m.reshape(-1, 2).max(axis=0)
+        reach = np.linalg.norm(high - low) + np.linalg.norm(position - (low + high) / 2)
+        ends = ends.copy()
+        away = ends[self._source_count_wifi :] - position
+        share = np.minimum(1.0, reach / np.maximum(np.linalg.norm(away, axis=1), 1e-9))
+        ends[self._source_count_wifi :] = position + share[:, None] * away
+        return ends
+
+    def _sector_loss_db(self, position: Array) -> Array:
+        """(cells,) what the antenna's aim takes: 12 (angle / width)^2 dB up to the back loss."""
+        masts = transform_points(self._pose_home_building, self._sources.position_m[self._source_count_wifi :])
+        away = transform_points(self._pose_home_building, position[None]) - masts
+        off = np.arctan2(away[:, 1], away[:, 0]) - self._aim_rad
+        off = (off + np.pi) % (2 * np.pi) - np.pi
+        return np.minimum(12.0 * (off / _SECTOR_WIDTH_RAD) ** 2, _SECTOR_BACK_DB)
+
+    def _box_offsets_db(self, plan: Floorplan) -> Array:
+        """(sources,) how much stronger each access point sends than the average one."""
+        offsets = np.zeros(len(self._sources.position_m))
+        if self._config.access_point_spread_db and self._config.wifi:
+            for i, access_point in enumerate(plan.access_points):
+                draw = _building_stream(plan.digest, "access-point", min(access_point.macs)).standard_normal()
+                offsets[i] = self._config.access_point_spread_db * draw
+        return offsets
 
 
 class WifiReceiver:
-    """One robot's WiFi device for one episode."""
+    """One robot's radio device for one episode."""
 
     def __init__(self, config: RadioConfig, model: RadioModel, robot: int, seed: int):
         self._config, self._model = config, model
         self._noise = random_stream(seed, "wifi-noise", robot)
         self._detection = random_stream(seed, "wifi-detection", robot)
         self._fading = random_stream(seed, "wifi-fading", robot)
+        self._sweep = random_stream(seed, "wifi-sweep", robot)
         device = random_stream(seed, "wifi-device", robot)
         self._device_offset_db = config.device_offset_std_db * device.standard_normal()
+        self._floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
         self._fading_db = np.zeros(len(model.macs))
         self._fading_place_m: tuple[float, float] | None = None
+        self._kept_dbm = np.zeros(len(model.macs))
+        self._kept_time_s = np.full(len(model.macs), -np.inf)
 
-    def scan(self, position_m: Array) -> WifiScan:
-        """Hear what can be heard at a true position (2,)."""
+    def scan(self, position_m: Array, time_s: float = 0.0) -> WifiScan:
+        """Hear what can be heard at a true position (2,); the time dates readings that are repeated later."""
         self._refresh_fading(position_m)
         count = len(self._model.macs)
         rssi = self._model.mean_rssi_dbm(position_m)
@@ -88,9 +201,21 @@ class WifiReceiver:
         config = self._config
         _receive(
             rssi, self._fading_db, self._device_offset_db, config.noise_std_db, self._noise.standard_normal(count),
-            self._detection.random(count), config.detection_floor_dbm, config.detection_slope_db, heard,
+            self._detection.random(count), self._floors_dbm, config.detection_slope_db, config.miss_probability,
+            config.quantisation_db, heard,
         )  # fmt: skip
+        if config.sweep_share < 1.0:
+            heard &= self._sweep.random(count) < config.sweep_share
+        if config.stale_age_max_s > 0.0:
+            return self._with_stale(rssi, heard, time_s)
         return WifiScan(self._model.macs[heard], rssi[heard])
+
+    def _with_stale(self, rssi: Array, heard: Array, time_s: float) -> WifiScan:
+        """What was heard now, and what was heard not too long ago, with its age."""
+        self._kept_dbm[heard], self._kept_time_s[heard] = rssi[heard], time_s
+        age_s = time_s - self._kept_time_s
+        listed = age_s <= self._config.stale_age_max_s
+        return WifiScan(self._model.macs[listed], self._kept_dbm[listed], age_s[listed])
 
     def _refresh_fading(self, position_m: Array) -> None:
         x, y = float(position_m[0]), float(position_m[1])
@@ -99,36 +224,116 @@ class WifiReceiver:
             if moved2 < self._config.fading_length_m**2:
                 return
         self._fading_place_m = (x, y)
-        self._fading_db = self._config.fading_std_db * self._fading.standard_normal(len(self._fading_db))
+        if self._config.fading_shared:
+            self._fading_db = self._fading.standard_normal(self._model.radio_count)[self._model.radio_of]
+            self._fading_db *= self._config.fading_std_db
+        else:
+            self._fading_db = self._config.fading_std_db * self._fading.standard_normal(len(self._fading_db))
 
 
 def _building_stream(digest: str, what: str, mac: int) -> np.random.Generator:
     return np.random.default_rng([int(digest, 16), zlib.crc32(what.encode()), mac])
 
 
-def _power_offset_db(digest: str, mac: int) -> float:
-    return _POWER_SPREAD_DB * _building_stream(digest, "power", int(mac)).standard_normal()
+def _power_offset_db(config: RadioConfig, digest: str, mac: int) -> float:
+    return config.power_spread_db * _building_stream(digest, "power", int(mac)).standard_normal()
 
 
-def _shadowing_waves(config: RadioConfig, digest: str, macs: tuple[int, ...]) -> Array:
+def _shadowing_waves(length_m: float, digest: str, mac: int) -> Array:
     """(waves, 3) x and y frequency [rad/m] and phase, so that the field's correlation is exp(-distance / length).
 
     The frequencies follow the spectrum of that kernel in the plane, density ~ (1 + (k length)^2)^(-3/2).
     """
-    random = _building_stream(digest, "shadowing", min(macs))
+    random = _building_stream(digest, "shadowing", mac)
     share = (np.arange(_WAVES) + random.random(_WAVES)) / _WAVES
-    frequency = np.sqrt(1 / (1 - share) ** 2 - 1) / config.shadowing_length_m
+    frequency = np.sqrt(1 / (1 - share) ** 2 - 1) / length_m
     angle, phase = random.uniform(0, 2 * np.pi, (2, _WAVES))
     return np.column_stack([frequency * np.cos(angle), frequency * np.sin(angle), phase])
 
 
+def _place_cells(config: RadioConfig, plan: Floorplan) -> list[tuple[Array, float]]:
+    """Position in the building's home frame and aim of each cell, fixed by the building."""
+    cells, low_high = config.cells, plan.home.bounds_m
+    middle = (low_high[:2] + low_high[2:]) / 2
+    placed = []
+    for mast in range(-(-cells.count // _SECTORS)):
+        random = _building_stream(plan.digest, "mast", mast)
+        near2, far2 = cells.distance_min_m**2, cells.distance_max_m**2
+        distance_m = np.sqrt(random.uniform(min(near2, far2), max(near2, far2)))
+        bearing, aim = random.uniform(-np.pi, np.pi, 2)
+        position = middle + distance_m * np.array([np.cos(bearing), np.sin(bearing)])
+        placed += [(position, aim + 2 * np.pi * sector / _SECTORS) for sector in range(_SECTORS)]
+    return placed[: cells.count]
+
+
+def _sources(config: RadioConfig, plan: Floorplan, access_points, cells: list[tuple[Array, float]]) -> _Sources:
+    masts = transform_points(plan.pose_building_home, np.array([p for p, _ in cells]).reshape(-1, 2))
+    positions = np.concatenate([np.array([a.position_m for a in access_points]).reshape(-1, 2), masts])
+    floors = np.array([abs(a.floor) for a in access_points] + [0] * len(cells), float)
+    waves = [_shadowing_waves(config.shadowing_length_m, plan.digest, min(a.macs)) for a in access_points]
+    # The sectors of one mast look at the building along one path: they share its shadowing.
+    length_m = config.cells.shadowing_length_m
+    waves += [_shadowing_waves(length_m, plan.digest, CELL_ID_MIN + c // _SECTORS) for c in range(len(cells))]
+    stds = [config.shadowing_std_db] * len(access_points) + [config.cells.shadowing_std_db] * len(cells)
+    return _Sources(
+        position_m=positions,
+        height_m=floors * config.floor_height_m,
+        floors=floors,
+        waves=np.array(waves).reshape(-1, _WAVES, 3),
+        shadowing_std_db=np.array(stds, float),
+    )
+
+
+def _addresses(config: RadioConfig, access_points) -> list[tuple[int, ...]]:
+    """The addresses of each access point: the plan's, cut or continued to the configured number."""
+    wanted = config.bssids_per_access_point
+    if wanted == 0:
+        return [a.macs for a in access_points]
+    taken = {mac for a in access_points for mac in a.macs}
+    addresses = []
+    for access_point in access_points:
+        own = list(access_point.macs[:wanted])
+        candidate = access_point.macs[0]
+        while len(own) < wanted:
+            # As boxes do it: one more virtual network under the next leading byte.
+            candidate = (candidate + _VIRTUAL_ADDRESS_STEP) % CELL_ID_MIN or 1
+            if candidate in taken:
+                candidate += 1
+                continue
+            taken.add(candidate)
+            own.append(candidate)
+        addresses.append(tuple(own))
+    return addresses
+
+
+def _bands(count: int, high_share: float) -> list[int]:
+    """The band of each of an access point's addresses; a share of one half makes every second one 5 GHz."""
+    return [HIGH_BAND if int((k + 1) * high_share) > int(k * high_share) else LOW_BAND for k in range(count)]
+
+
+def _index_for(config: RadioConfig, plan: Floorplan, band: int):
+    """The walls with the losses of that band; None where nobody sends on it."""
+    if band == LOW_BAND:
+        return plan.wall_index if config.wifi and config.high_band.share < 1.0 else None
+    if (band == HIGH_BAND and not (config.wifi and config.high_band.share)) or (
+        band == CELL_BAND and not config.cells.count
+    ):
+        return None
+    factor = config.high_band.wall_loss_factor if band == HIGH_BAND else config.cells.wall_loss_factor
+    factors = np.full(len(plan.walls_m), factor)
+    for i, material in enumerate(plan.wall_materials):
+        if material:
+            factors[i] = wall_loss_db(material, _BAND_NAMES[band]) / wall_loss_db(material)
+    return dataclasses.replace(plan.wall_index, loss_db=plan.wall_loss_db * factors)
+
+
 @njit(cache=True, error_model="numpy")
-def _shadowing(position, pose_home_building, waves, std, shadowing):
+def _shadowing(position, pose_home_building, waves, stds, shadowing):
     c, s = np.cos(pose_home_building[2]), np.sin(pose_home_building[2])
     x = pose_home_building[0] + c * position[0] - s * position[1]
     y = pose_home_building[1] + s * position[0] + c * position[1]
-    amplitude = std * np.sqrt(2.0 / waves.shape[1])
     for a in range(waves.shape[0]):
+        amplitude = stds[a] * np.sqrt(2.0 / waves.shape[1])
         total = 0.0
         for k in range(waves.shape[1]):
             total += np.cos(waves[a, k, 0] * x + waves[a, k, 1] * y + waves[a, k, 2])
@@ -136,18 +341,21 @@ def _shadowing(position, pose_home_building, waves, std, shadowing):
 
 
 @njit(cache=True, error_model="numpy")
-def _mean_rssi(position, sources, losses, shadowing, power, exponent, distance_min, owners, offsets, mean):
+def _mean_rssi(
+    position, sources, heights, losses, shadowing, power, exponent, distance_min, owners, bands, offsets, mean
+):
     for t in range(owners.shape[0]):
         a = owners[t]
-        distance = np.sqrt((sources[a, 0] - position[0]) ** 2 + (sources[a, 1] - position[1]) ** 2)
-        path_loss = 10.0 * exponent * np.log10(max(distance, distance_min))
-        mean[t] = power - path_loss - losses[a] + shadowing[a] + offsets[t]
+        dx, dy, dz = sources[a, 0] - position[0], sources[a, 1] - position[1], heights[a]
+        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+        path_loss = 10.0 * exponent[t] * np.log10(max(distance, distance_min))
+        mean[t] = power[t] - path_loss - losses[bands[t], a] + shadowing[a] + offsets[t]
 
 
 @njit(cache=True, error_model="numpy")
-def _receive(rssi, fading, device_offset, noise_std, noise, chance, floor, slope, heard):
+def _receive(rssi, fading, device_offset, noise_std, noise, chance, floors, slope, missed, step, heard):
     """Turn mean strengths into readings, in place."""
     for t in range(rssi.shape[0]):
         level = rssi[t] + fading[t] + device_offset + noise_std * noise[t]
-        heard[t] = chance[t] * (1.0 + np.exp((floor - level) / slope)) < 1.0
-        rssi[t] = np.floor(level + 0.5)
+        heard[t] = chance[t] * (1.0 + np.exp((floors[t] - level) / slope)) < 1.0 - missed
+        rssi[t] = step * np.floor(level / step + 0.5)

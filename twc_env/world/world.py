@@ -15,7 +15,7 @@ from twc_env.messages import SensorFrame, SignReading, WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.world.dynamics import Dynamics
 from twc_env.world.floorplan import Floorplan
-from twc_env.world.lidar import Lidar
+from twc_env.world.lidar import Lidar, glass_walls
 from twc_env.world.odometry import Odometry
 from twc_env.world.radio import RadioModel, WifiReceiver
 from twc_env.world.signs import SignCamera
@@ -56,7 +56,7 @@ class World:
         self._dynamics = Dynamics(config.dynamics, self._home.walls_m, start_poses_home)
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
         radius = config.dynamics.robot_radius_m
-        self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed)
+        self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
         self._receivers = [WifiReceiver(config.radio, self._radio, robot, seed) for robot in range(robots)]
         self._cameras = [SignCamera(config.camera, self._home, robot, seed) for robot in range(robots)]
         self._sensed_poses = self._dynamics.poses
@@ -101,7 +101,7 @@ class World:
 
     def _scan_wifi(self, robot: int, pose: Array) -> WifiScan | None:
         is_due = (self._step + robot) % self._wifi_period == 0
-        return self._receivers[robot].scan(pose[:2]) if is_due else None
+        return self._receivers[robot].scan(pose[:2], self._step * self.config.dynamics.time_step_s) if is_due else None
 
     def _read_signs(self, robot: int, pose: Array) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
         is_due = (self._step + robot) % self._camera_period == 0
