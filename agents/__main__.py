@@ -54,8 +54,8 @@ def _explore(options: argparse.Namespace) -> int:
     has_gif = not (options.no_gif or options.no_pictures)
     if not options.no_pictures:
         picture.require_libraries(has_gif)
-    folder = options.out or Path("runs") / f"{Path(config.map).stem}-{options.agent}-seed{options.seed}"
-    progress = Progress(config.max_cycles, f"{Path(config.map).stem} seed {options.seed}")
+    folder = options.out or Path("runs") / f"{_folder_name(config.map)}-{options.agent}-seed{options.seed}"
+    progress = Progress(config.max_cycles, f"{_folder_name(config.map)} seed {options.seed}")
     try:
         run = explore(config, options.agent, options.seed, picture.Film() if has_gif else None, progress)
     finally:
@@ -71,6 +71,12 @@ def _explore(options: argparse.Namespace) -> int:
     return 130 if run.was_interrupted else 0
 
 
+def _folder_name(map_name: str) -> str:
+    """A map's name as part of a path: of files the stem, of generated names all but the separators."""
+    path = Path(map_name)
+    return path.stem if path.suffix else map_name.replace("/", "-").replace(":", "-")
+
+
 def _benchmark(options: argparse.Namespace) -> int:
     if not options.no_pictures:
         picture.require_libraries(gif=False)
@@ -80,7 +86,7 @@ def _benchmark(options: argparse.Namespace) -> int:
         config = _config(options, name, options.steps)
         load_map(name)  # a misspelt map fails now, not after an hour
         for seed in seeds:
-            folder = options.out / Path(name).stem / f"seed-{seed}"
+            folder = options.out / _folder_name(name) / f"seed-{seed}"
             jobs.append(benchmark.Job(config, options.agent, seed, folder, not options.no_pictures))
             names[folder] = name
     make_policy(options.agent)

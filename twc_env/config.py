@@ -351,7 +351,8 @@ class EnvConfig(_Checked):
     """One episode's worth of settings."""
 
     map: str = "twin-01"
-    """Name of a bundled map, or a file: twc_env JSON, HouseExpo JSON, ROS map_server yaml, png or pgm."""
+    """A bundled map ("twin-01"), a generated building ("gen:office:800:7", "train/0007") or a file: twc_env or HouseExpo
+    JSON, ROS map_server yaml, png, pgm or GeoJSON."""
     robots: int = _number(3, 1, 64)
     max_cycles: int = _number(2000, 1, 10_000_000)
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)

@@ -18,7 +18,9 @@ import numpy as np
 from twc_env._version import __version__
 from twc_env.errors import ConfigError, DataError
 
-TABLES: dict[str, str] = {}
+TABLES: dict[str, str] = {
+    "odometry": "odometry",
+}
 """Name on the command line -> module of this package."""
 
 

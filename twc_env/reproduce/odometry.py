@@ -1,0 +1,103 @@
+"""Dead reckoning, simulated and real: errors of raw odometry at the hand-verified relations of the Intel Lab log.
+
+The simulated robot drives the log's corrected path and measures it with the chosen platform's odometry; both are then
+judged at the same pairs of scans by the same code. The means over all relations calibrated the platform
+`pioneer-intel`; the growth with the path between the scans and the long loops were only reported.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import OdometryConfig
+from twc_env.datasets.scan_log import Relations, read_relations, read_scan_log
+from twc_env.geometry import between, compose, wrap_angle
+from twc_env.reproduce.runner import Runner, data_folder, parse_seeds
+from twc_env.world.odometry import PRESETS, Odometry
+
+Array = NDArray
+
+SUMMARY = "raw odometry of the Intel Lab log beside the simulated platform at the same relations"
+
+_BANDS_M = ((0.0, 0.5), (0.5, 5.0), (5.0, 200.0), (200.0, 280.0), (280.0, 1000.0))
+"""Path between the two scans of a relation."""
+_LONG_S = 60.0
+"""A relation over more time than this closes a loop."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the table."""
+    parser.add_argument("--platform", choices=tuple(PRESETS), default="pioneer-intel")
+    parser.add_argument("--drift", type=float, default=1.0)
+    parser.add_argument("--seeds", type=parse_seeds, default=list(range(50)), help="simulated drives (default: 0-49)")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per figure: {quantity, role, relations, real, simulated, simulated_std}."""
+    folder = data_folder() / "lidar" / "raw_odometry"
+    raw, corrected = (read_scan_log(folder / name) for name in ("intel_gfs.json.gz", "intel_corrected_log.json.gz"))
+    relations = read_relations(folder / "intel.relations.gz", raw)
+    groups = _groups(relations, corrected.times_s, corrected.poses)
+    config = OdometryConfig(platform=options.platform, drift=options.drift)
+    real = figures(raw.poses, relations, groups)
+    simulated = runner.each(
+        options.seeds,
+        lambda seed: figures(dead_reckoning(corrected.poses, config, seed), relations, groups),
+        lambda seed: f"drive {seed} with {PRESETS[options.platform]}",
+    )
+    remaining = figures(corrected.poses, relations, groups)
+    table = []
+    for name, value in real.items():
+        drives = [drive[name] for drive in simulated]
+        table.append(
+            {
+                "quantity": name,
+                "role": "calibrated" if name.startswith("all") else "reported",
+                "relations": int(groups[name.split(":")[0]].sum()),
+                "real": value,
+                "simulated": float(np.mean(drives)),
+                "simulated_std": float(np.std(drives)),
+                "corrected_path": remaining[name],
+            }
+        )
+    return table
+
+
+def dead_reckoning(path: Array, config: OdometryConfig, seed: int) -> Array:
+    """Poses (k, 3) that the platform's odometry gives for a true path (k, 3), begun at its first pose."""
+    odometry = Odometry(config, 1.0, 1, seed)
+    poses = np.array(path, float)
+    for k in range(1, len(path)):
+        motion = odometry.measure(path[k - 1 : k], path[k : k + 1])[0][0]
+        poses[k] = compose(poses[k - 1], motion)
+    return poses
+
+
+def figures(poses: Array, relations: Relations, groups: dict[str, Array]) -> dict[str, float]:
+    """Mean translation [m] and rotation [deg] error of poses (k, 3) over each group of relations."""
+    errors = between(poses[relations.first], poses[relations.second]) - relations.pose_first_second
+    translation_m = np.hypot(errors[:, 0], errors[:, 1])
+    rotation_deg = np.degrees(np.abs(wrap_angle(errors[:, 2])))
+    found = {}
+    for name, chosen in groups.items():
+        found[f"{name}: translation_m"] = float(translation_m[chosen].mean())
+        found[f"{name}: rotation_deg"] = float(rotation_deg[chosen].mean())
+    return found
+
+
+def _groups(relations: Relations, times_s: Array, path: Array) -> dict[str, Array]:
+    """Which relations belong together: all, those over a long time, and bands of the path in between."""
+    travel_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1))])
+    between_m = np.abs(travel_m[relations.second] - travel_m[relations.first])
+    groups = {
+        "all relations": np.ones(len(between_m), bool),
+        f"loops over {_LONG_S:g} s": np.abs(times_s[relations.second] - times_s[relations.first]) > _LONG_S,
+    }
+    for low, high in _BANDS_M:
+        chosen = (between_m >= low) & (between_m < high)
+        if chosen.any():
+            groups[f"path {low:g}-{high:g} m"] = chosen
+    return groups
