@@ -1,10 +1,11 @@
 import json
 
+import numpy as np
 import pytest
 
 import twc_env
 from twc_env.__main__ import main
-from twc_env.datasets.frame_log import write_frame_log
+from twc_env.datasets.frame_log import read_truth_log, write_frame_log
 
 
 def test_bench_writes_one_flat_object_with_both_speeds(tmp_path, capsys):
@@ -63,3 +64,34 @@ def test_help_names_every_command(capsys):
     assert stopped.value.code == 0
     out = capsys.readouterr().out
     assert all(command in out for command in ("maps", "bench", "replay"))
+
+
+def test_a_recording_replays_to_the_same_estimates_and_is_scored_against_its_own_truth(tmp_path, capsys):
+    out = tmp_path / "log"
+    assert main(["record", "--steps", "60", "--robots", "2", "--seed", "3", "--out", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == {"frames.npz", "truth.npz"}
+    found = []
+    for k in range(2):
+        arguments = ["replay", str(out / "frames.npz"), "--truth", str(out / "truth.npz")]
+        assert main([*arguments, "--json", str(tmp_path / f"{k}.json")]) == 0
+        found.append((tmp_path / f"{k}.json").read_text())
+    assert found[0] == found[1]
+    assert 0.0 < json.loads(found[0])["team_ate_m"] < 0.1
+
+
+def test_the_frame_log_holds_no_true_pose(tmp_path):
+    out = tmp_path / "log"
+    assert main(["record", "--steps", "20", "--robots", "1", "--out", str(out)]) == 0
+    _, _, true_poses = read_truth_log(out / "truth.npz")
+    with np.load(out / "frames.npz") as log:
+        assert "true_poses" not in log.files
+        for name in log.files:
+            if log[name].dtype.kind == "f" and log[name].ndim == 2 and len(log[name]) == 21:
+                assert not np.isclose(log[name][5:], true_poses[5:, 0, :1]).all(axis=0).any()
+
+
+def test_truth_of_another_run_is_refused(tmp_path, capsys):
+    for name, steps in (("a", "10"), ("b", "12")):
+        assert main(["record", "--steps", steps, "--robots", "1", "--out", str(tmp_path / name)]) == 0
+    assert main(["replay", str(tmp_path / "a/frames.npz"), "--truth", str(tmp_path / "b/truth.npz")]) == 2
+    assert "give the pair of one run" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Command line: python -m twc_env maps | bench | replay | reproduce."""
+"""Command line: python -m twc_env maps | bench | record | replay | reproduce."""
 
 from __future__ import annotations
 
@@ -7,10 +7,17 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from twc_env.errors import ConfigError, TwcError
 from twc_env.maps_cli import add_maps_parser
 from twc_env.reproduce.runner import TABLES, add_parser
+
+if TYPE_CHECKING:
+    from twc_env.slam.engine import CooperativeSlam
+    from twc_env.slam.team import TeamMapper
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,7 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m twc_env", description="Look at maps, measure speed, replay logs.")
+    parser = argparse.ArgumentParser(
+        prog="python -m twc_env",
+        description="Look at maps, measure speed, record and replay sensor logs, reproduce tables.",
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     add_maps_parser(commands)
@@ -45,13 +55,28 @@ def _parser() -> argparse.ArgumentParser:
     speed.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one flat object")
     speed.set_defaults(run=_bench)
 
+    record = commands.add_parser(
+        "record",
+        help="record what robots sense in an episode, the truth in a separate file",
+        description="Robots wander by reflex. Writes frames.npz (sensor frames and settings, no truth) and truth.npz "
+        "(true poses); docs/frames.md describes both. `python -m agents explore` records its episodes too.",
+    )
+    record.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
+    record.add_argument("--robots", type=int, default=3, help="default: %(default)s")
+    record.add_argument("--steps", type=int, default=600, help="default: %(default)s")
+    record.add_argument("--seed", type=int, default=0, help="default: %(default)s")
+    record.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    record.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    record.set_defaults(run=_record)
+
     replay = commands.add_parser(
         "replay",
         help="run the SLAM engine on recorded sensor frames, without any world",
         description="The engine sees the frames of a log (frames.npz of a run folder) and nothing else. "
         "Prints what it found; the same log gives the same numbers every time.",
     )
-    replay.add_argument("log", type=Path, help="a frame log written by `python -m agents explore`")
+    replay.add_argument("log", type=Path, help="a frame log, frames.npz")
+    replay.add_argument("--truth", type=Path, metavar="FILE", help="truth.npz: also print the team's trajectory error")
     replay.add_argument(
         "--filter",
         choices=("compiled", "filterpy"),
@@ -79,22 +104,51 @@ def _bench(options: argparse.Namespace) -> None:
     _write_json(options.json, figures)
 
 
+def _record(options: argparse.Namespace) -> None:
+    from twc_env.bench import wander
+    from twc_env.config import EnvConfig, override
+    from twc_env.datasets.frame_log import write_frame_log, write_truth_log
+    from twc_env.errors import DataError
+    from twc_env.exploration.environment import ExplorationEnv
+
+    settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
+    env = ExplorationEnv(config=override(EnvConfig(), {**settings, **assignments(options.set)}))
+    env.reset(seed=options.seed)
+    steps = [env.frames]
+    for actions in wander(env, options.seed):
+        env.step(actions)
+        steps.append(env.frames)
+        _progress(len(steps) - 1, env.config.max_cycles)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot make the folder {options.out}: {error.strerror}; choose another with --out") from error
+    write_frame_log(options.out / "frames.npz", env.config, steps)
+    write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
+    print(f"recorded {len(steps) - 1} steps of {env.config.robots} robots: {options.out}/frames.npz and truth.npz")
+
+
+def _progress(done: int, total: int) -> None:
+    if sys.stderr.isatty() and (done % 50 == 0 or done == total):
+        print(f"\r{done}/{total} steps", end="\n" if done == total else "", file=sys.stderr, flush=True)
+
+
 def _replay(options: argparse.Namespace) -> None:
     from twc_env.config import digest, override
-    from twc_env.datasets.frame_log import read_frame_log
+    from twc_env.datasets.frame_log import read_frame_log, read_truth_log
     from twc_env.slam.engine import CooperativeSlam
 
     config, steps = read_frame_log(options.log)
     config = override(config, {**assignments(options.set), "slam.odometry_filter.backend": options.filter})
-    engine = CooperativeSlam(config, 1 + max(frame.robot for frames in steps for frame in frames))
+    robots = 1 + max(frame.robot for frames in steps for frame in frames)
+    engine = CooperativeSlam(config, robots)
+    odom_poses = []
     for count, frames in enumerate(steps):
         engine.update(frames)
-        if sys.stderr.isatty() and count % 50 == 0:
-            print(f"\r{count}/{len(steps)} steps", end="", file=sys.stderr)
+        odom_poses.append([front_end.pose_odom for front_end in engine.robots])
+        _progress(count + 1, len(steps))
     if steps[-1][0].step >= config.max_cycles:  # the episode was played to its end, where the mapper clears its desk
         engine.finish()
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
     team = engine.team
     figures = {
         "log": str(options.log),
@@ -107,6 +161,8 @@ def _replay(options: argparse.Namespace) -> None:
         "final_poses": [[round(float(v), 6) for v in engine.pose_map_robot(r)] for r in range(len(engine.robots))],
         "config_digest": digest(config),
     }
+    if options.truth:
+        figures["team_ate_m"] = _error_of_log(engine, np.array(odom_poses), read_truth_log(options.truth)[2])
     for key, value in figures.items():
         print(f"{key:<20} {value}")
     _write_json(options.json, figures)
@@ -114,7 +170,17 @@ def _replay(options: argparse.Namespace) -> None:
         _write_maps(options.out, team)
 
 
-def _write_maps(folder: Path, team) -> None:
+def _error_of_log(engine: CooperativeSlam, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:
+    """Team ATE [m] over a whole log, each group of robots aligned once."""
+    from twc_env.errors import DataError
+    from twc_env.exploration.evaluation import team_error_m, trajectories
+
+    if odom_poses.shape != true_poses.shape:
+        raise DataError(f"the truth has shape {true_poses.shape}, the log {odom_poses.shape}: give the pair of one run")
+    return team_error_m(engine, trajectories(engine, odom_poses), true_poses)
+
+
+def _write_maps(folder: Path, team: TeamMapper) -> None:
     from twc_env.datasets.g2o import write_g2o
     from twc_env.datasets.ros_map import write_ros_map
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import platform
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +48,13 @@ class Wanderer:
             self._turn_steps = int(self._random.integers(4, 14))
             return np.array([0.0, self._turn])
         return np.array([1.0, np.clip(self._random.normal(0.0, 0.3), -1.0, 1.0)])
+
+
+def wander(env: ExplorationEnv, seed: int) -> Iterator[dict[str, Array]]:
+    """The actions of a wandering team, step by step, until the episode ends; the caller steps the environment."""
+    drivers = {agent: Wanderer(seed * 1000 + robot) for robot, agent in enumerate(env.agents)}
+    while env.agents:
+        yield {agent: drivers[agent].act(f.ranges_m) for agent, f in zip(env.agents, env.frames, strict=True)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,14 +122,10 @@ def time_environment(config: EnvConfig, seed: int) -> Speed:
     warm.step(dict.fromkeys(warm.agents, np.zeros(2)))
     env = ExplorationEnv(config=config)
     env.reset(seed=seed)
-    drivers = {agent: Wanderer(seed * 1000 + robot) for robot, agent in enumerate(env.agents)}
-    scans = {agent: frame.ranges_m for agent, frame in zip(env.agents, env.frames, strict=False)}
     wall_s = cpu_s = 0.0
-    while env.agents:
-        actions = {agent: drivers[agent].act(scans[agent]) for agent in env.agents}
+    for actions in wander(env, seed):
         wall, cpu = time.perf_counter(), time.process_time()
         env.step(actions)
         wall_s += time.perf_counter() - wall
         cpu_s += time.process_time() - cpu
-        scans = {agent: frame.ranges_m for agent, frame in zip(env.agents, env.frames, strict=False)}
     return Speed(wall_s, cpu_s, config.max_cycles, env.result().figures["team_ate_m"])

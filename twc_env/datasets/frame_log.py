@@ -17,6 +17,7 @@ from twc_env.messages import SensorFrame, SignReading, WifiScan
 Array = NDArray
 
 FORMAT = "twc_env/frames-1"
+TRUTH_FORMAT = "twc_env/truth-1"
 
 
 def write_frame_log(path: str | Path, config: EnvConfig, steps: Sequence[Sequence[SensorFrame]]) -> None:
@@ -51,19 +52,40 @@ def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame,
 
     Raises DataError when the file is missing, cut off or no frame log.
     """
-    try:
-        with Path(path).open("rb") as file, np.load(file) as data:
-            log = {key: data[key] for key in data.files}
-    except OSError as error:
-        raise DataError(f"cannot read the frame log {path}: {error.strerror or error}") from error
-    except (ValueError, zipfile.BadZipFile) as error:
-        raise DataError(f"{path} is no frame log or is cut off: {error}; record it again") from error
-    if str(log.get("format")) != FORMAT:
-        raise DataError(f"{path} has format {log.get('format')!r}; expected {FORMAT!r}: record it again")
+    log = _read(path, FORMAT, "frame log")
     try:
         return from_dict(json.loads(str(log["config"]))), _steps(log)
     except (KeyError, IndexError) as error:
         raise DataError(f"{path} lacks or contradicts {error}; record it again") from error
+
+
+def write_truth_log(path: str | Path, seed: int, map_name: str, true_poses: Array) -> None:
+    """Write where the robots truly were, (steps + 1, robots, 3) in the building frame, beside a frame log."""
+    np.savez_compressed(
+        path, format=np.array(TRUTH_FORMAT), seed=np.array(seed), map=np.array(map_name), true_poses=true_poses
+    )
+
+
+def read_truth_log(path: str | Path) -> tuple[int, str, Array]:
+    """Seed, map and true poses (steps + 1, robots, 3) of a recording; raises DataError as `read_frame_log` does."""
+    log = _read(path, TRUTH_FORMAT, "truth log")
+    try:
+        return int(log["seed"]), str(log["map"]), log["true_poses"]
+    except KeyError as error:
+        raise DataError(f"{path} lacks {error}; record it again") from error
+
+
+def _read(path: str | Path, expected: str, kind: str) -> dict[str, Array]:
+    try:
+        with Path(path).open("rb") as file, np.load(file) as data:
+            log = {key: data[key] for key in data.files}
+    except OSError as error:
+        raise DataError(f"cannot read the {kind} {path}: {error.strerror or error}") from error
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise DataError(f"{path} is no {kind} or is cut off: {error}; record it again") from error
+    if str(log.get("format")) != expected:
+        raise DataError(f"{path} has format {str(log.get('format'))!r}; expected {expected!r}: record it again")
+    return log
 
 
 def _steps(log: dict[str, Array]) -> list[tuple[SensorFrame, ...]]:

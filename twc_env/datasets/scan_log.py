@@ -58,7 +58,9 @@ def read_scan_log(path: str | Path) -> ScanLog:
             ranges_m=np.array([scans[t]["range"] for t in times], float),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"{path} is no scan log: {_short(error)}; expected map -> time -> range, x, y, theta") from error
+        raise DataError(
+            f"{path} is no scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
+        ) from error
 
 
 def read_relations(path: str | Path, log: ScanLog, tolerance_s: float = TIME_TOLERANCE_S) -> Relations:
@@ -71,7 +73,9 @@ def read_relations(path: str | Path, log: ScanLog, tolerance_s: float = TIME_TOL
     scans = np.stack([_nearest(log.times_s, times[:, end]) for end in (0, 1)])
     found = np.all(np.abs(log.times_s[scans] - times.T) <= tolerance_s, axis=0) & (scans[0] != scans[1])
     if not found.any():
-        raise DataError(f"none of the {len(rows)} relations of {path} belongs to a scan of the log; wrong pair of files")
+        raise DataError(
+            f"none of the {len(rows)} relations of {path} belongs to a scan of the log; wrong pair of files"
+        )
     return Relations(scans[0][found], scans[1][found], values[found])
 
 

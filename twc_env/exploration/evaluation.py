@@ -137,11 +137,14 @@ def rightly_mapped_m2(verdicts: list[GroupVerdict]) -> float:
     return max((v.correct_area_m2 for v in verdicts if not v.wrong_pairs), default=0.0)
 
 
-def final_trajectories(engine: CooperativeSlam, record: EpisodeRecord) -> Array:
-    """(steps + 1, robots, 3) each step's pose hung on the optimised keyframe before it, in the group's map frame."""
-    poses = np.zeros_like(record.odom_poses)
+def trajectories(engine: CooperativeSlam, odom_poses: Array) -> Array:
+    """(steps + 1, robots, 3) each step's pose hung on the optimised keyframe before it, in the group's map frame.
+
+    odom_poses (steps + 1, robots, 3): the front ends' estimates of all steps.
+    """
+    poses = np.zeros_like(odom_poses)
     for robot in range(poses.shape[1]):
-        odom = record.odom_poses[:, robot]
+        odom = odom_poses[:, robot]
         steps = engine.team.keyframe_steps(robot)
         if len(steps) == 0:
             poses[:, robot] = odom
@@ -152,20 +155,29 @@ def final_trajectories(engine: CooperativeSlam, record: EpisodeRecord) -> Array:
     return poses
 
 
+def team_alignment(engine: CooperativeSlam, estimated: Array, true: Array) -> Array:
+    """(robots, 3) the one rigid motion of each robot's group that lays its map on the building."""
+    alignment = np.zeros((true.shape[1], 3))
+    for group in engine.team.groups:
+        members = list(group.robots)
+        alignment[members] = metrics.align_team(estimated[:, members], true[:, members])
+    return alignment
+
+
+def team_error_m(engine: CooperativeSlam, estimated: Array, true: Array) -> float:
+    """Root mean square position error over all steps and robots, each group aligned once as a whole."""
+    aligned = compose(team_alignment(engine, estimated, true)[None], estimated)
+    return float(np.sqrt(((aligned[..., :2] - true[..., :2]) ** 2).sum(axis=-1).mean()))
+
+
 def evaluate(
     config: EnvConfig, seed: int, floorplan: Floorplan, engine: CooperativeSlam, record: EpisodeRecord, bytes_sent: dict
 ) -> EpisodeResult:
     """Every figure of the report and all that pictures and exports need."""
     cells = floorplan.cells()
     verdicts = judge(engine, record, cells)
-    estimated, true = final_trajectories(engine, record), record.true_poses
-    alignment = np.zeros((true.shape[1], 3))
-    for verdict in verdicts:
-        alignment[list(verdict.robots)] = metrics.align_team(
-            estimated[:, list(verdict.robots)], true[:, list(verdict.robots)]
-        )
-    aligned = compose(alignment[None], estimated)
-    error = aligned[..., :2] - true[..., :2]
+    estimated, true = trajectories(engine, record.odom_poses), record.true_poses
+    alignment = team_alignment(engine, estimated, true)
     best = verdicts[0]
     group = engine.team.group_index(best.robots[0])
     score = _score(engine.team.grid_of(group), best.pose_building_map, cells)
@@ -187,7 +199,7 @@ def evaluate(
         "wall_iou": score.wall_iou,
         "merged_robots": len(best.robots),
         "wrong_merges": len(record.wrong_pairs),
-        "team_ate_m": float(np.sqrt((error**2).sum(axis=-1).mean())),
+        "team_ate_m": team_error_m(engine, estimated, true),
         "per_robot_ate_m": [metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in robots],
         "epe_m": float(np.mean([metrics.end_point_error_m(estimated[:, r], true[:, r]) for r in robots])),
         "odometry_ate_m": metrics.absolute_trajectory_error_m(reckoned, true),

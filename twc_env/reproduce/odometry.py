@@ -22,7 +22,7 @@ Array = NDArray
 
 SUMMARY = "raw odometry of the Intel Lab log beside the simulated platform at the same relations"
 
-_BANDS_M = ((0.0, 0.5), (0.5, 5.0), (5.0, 200.0), (200.0, 280.0), (280.0, 1000.0))
+_BANDS_M = ((0.0, 0.5), (5.0, 200.0), (200.0, 1000.0))
 """Path between the two scans of a relation."""
 _LONG_S = 60.0
 """A relation over more time than this closes a loop."""

@@ -48,6 +48,7 @@ SAME_RADIO_M, ELSEWHERE_M = 3.0, (5.0, 20.0)
 """Own keyframes this near teach how far fingerprints differ at one place; those this far, how far elsewhere."""
 RADIO_APART_S = 2.5
 """Keyframes nearer in time share scans and teach nothing."""
+DIFFERENCE_MIN_DB = 0.5
 FLOOR_DBM = -90.0
 """Stands in for a transmitter that only one side hears."""
 
@@ -58,7 +59,7 @@ class EvidenceWeights:
 
     radio: float = 1.0
     radio_limit: float = 5.0
-    geometry: float = 1.0
+    geometry: float = 8.0
     geometry_limit: float = 2.0
     neighbours: float = 0.5
     neighbours_limit: float = 4.0
@@ -76,6 +77,8 @@ class Evidence:
     total: float
 
 
+GEOMETRY_EVEN = 0.6
+"""With this share of points on the other's walls, and none seen through, the walls speak neither way."""
 TEXT_FLOOR = -15.0
 """Texts that speak more strongly against one place end the comparison."""
 NO_EVIDENCE = Evidence(-math.inf, 0.0, 0.0, 0.0, -math.inf)
@@ -157,24 +160,29 @@ class RadioStatistics:
         self._count = np.array([10.0, 10.0])
         self._sum = self._count * np.log([4.0, 10.0])
         self._squares = 0.35**2 * self._count + self._sum**2 / self._count
+        self._line: tuple[float, float] | None = None
 
     def learn(self, difference_db: float, is_same_place: bool) -> None:
         """Take in one pair of keyframes of one robot."""
         if math.isnan(difference_db):
             return
-        value = math.log(max(difference_db, 0.5))
+        value = math.log(max(difference_db, DIFFERENCE_MIN_DB))
         k = 0 if is_same_place else 1
         self._count[k] += 1
         self._sum[k] += value
         self._squares[k] += value * value
+        self._line = None
 
-    def log_ratio(self, difference_db: Array | float) -> Array:
-        """Log of how much likelier these differences are at one place than between places; 0 where unknown."""
-        same, apart = self._sum / self._count
-        variance = max(float((self._squares - self._sum**2 / self._count).sum() / self._count.sum()), 0.1**2)
-        slope = max(apart - same, 0.05) / variance
-        value = np.log(np.maximum(difference_db, 0.5))
-        return np.nan_to_num(slope * (0.5 * (same + apart) - value), nan=0.0)
+    def log_ratio(self, difference_db: float) -> float:
+        """Log of how much likelier this difference is at one place than between places; 0 where unknown."""
+        if math.isnan(difference_db):
+            return 0.0
+        if self._line is None:
+            same, apart = (self._sum / self._count).tolist()
+            variance = float((self._squares - self._sum**2 / self._count).sum() / self._count.sum())
+            self._line = max(apart - same, 0.05) / max(variance, 0.1**2), 0.5 * (same + apart)
+        slope, middle = self._line
+        return slope * (middle - math.log(max(difference_db, DIFFERENCE_MIN_DB)))
 
 
 # --- memory ---
@@ -188,36 +196,29 @@ class SignPlace:
     position_odom: Array
     """(2,) mean of the latest pass."""
     travel_m: float
-    facings_odom: list[float] = field(default_factory=list)
+    facing_odom: float = math.nan
+    """The facing that is nearest to all readings of it; NaN where none is known."""
     texts: list[str] = field(default_factory=list)
-    views: list[Keyframe] = field(default_factory=list)
-    """Keyframes that read it, spread over its passes."""
+    views: list[tuple[Keyframe, SignObservation]] = field(default_factory=list)
+    """Keyframes that read it, spread over its passes, and what they saw."""
     consensus: str = ""
     support: int = 1
     """How many readings agree on the consensus."""
+    _facings: list[float] = field(default_factory=list)
 
-    def add(self, text: str, keyframe: Keyframe, position: Array, facing: float) -> None:
-        """Take in one more reading."""
-        self.texts.append(text)
-        if len(self.texts) > READINGS_MAX:
-            self.texts.pop(0)
-        if not self.views or self.views[-1].index != keyframe.index:
+    def add(self, text: str, keyframe: Keyframe, sign: SignObservation, position: Array, facing: float) -> None:
+        """Take in one more reading, at a position and facing in the odom frame."""
+        self.texts = [*self.texts[1 - READINGS_MAX :], text]
+        if not self.views or self.views[-1][0].index != keyframe.index:
             if len(self.views) == VIEWS_MAX:
                 self.views.pop(1)
-            self.views.append(keyframe)
+            self.views.append((keyframe, sign))
         self.position_odom, self.travel_m = position, keyframe.travel_m
         if not math.isnan(facing):
-            self.facings_odom = [*self.facings_odom[-READINGS_MAX:], facing]
+            self._facings = [*self._facings[1 - READINGS_MAX :], facing]
+            gaps = np.abs(wrap_angle(np.subtract.outer(self._facings, self._facings)))
+            self.facing_odom = self._facings[int(np.argmin(gaps.sum(axis=1)))]
         self._vote()
-
-    @property
-    def facing_odom(self) -> float:
-        """The facing that is nearest to all readings of it; NaN where none is known."""
-        facings = np.array(self.facings_odom)
-        if len(facings) == 0:
-            return math.nan
-        gaps = np.abs(wrap_angle(facings[:, None] - facings[None]))
-        return float(facings[np.argmin(gaps.sum(axis=1))])
 
     def reads_like(self, text: str, is_near: bool) -> bool:
         """Whether a reading is like any that was kept; nearby, a fragment of the consensus is enough."""
@@ -244,6 +245,7 @@ class PlaceMemory:
         self.signs: dict[int, list[SignPlace]] = {}
         self._range_max_m = range_max_m
         self._path: dict[int, list[Keyframe]] = {}
+        self._place_of: dict[tuple[int, int], list[tuple[Array, SignPlace]]] = {}
 
     def observe(self, keyframe: Keyframe) -> list[SignPlace]:
         """Remember a keyframe; gives the place of each of its readings."""
@@ -252,19 +254,19 @@ class PlaceMemory:
 
     def place_of(self, keyframe: Keyframe, sign: SignObservation) -> SignPlace | None:
         """The remembered sign that this reading belongs to."""
-        position = _position_odom(keyframe, sign)
-        near = [p for p in self.signs.get(keyframe.robot, ()) if any(v.index == keyframe.index for v in p.views)]
-        near = near or [p for p in self.signs.get(keyframe.robot, ()) if math.dist(p.position_odom, position) < 1.0]
-        return min(near, key=lambda p: math.dist(p.position_odom, position), default=None)
+        known = self._place_of.get((keyframe.robot, keyframe.index), ())
+        return min(known, key=lambda entry: math.dist(entry[0], sign.position_m), default=(None, None))[1]
 
     def _take_in(self, keyframe: Keyframe, sign: SignObservation) -> SignPlace:
-        text, position = normalise(sign.text), _position_odom(keyframe, sign)
-        facing = float(wrap_angle(sign.facing_rad + keyframe.pose_odom[2]))
+        text = normalise(sign.text)
+        position = compose(keyframe.pose_odom, [*sign.position_m, 0.0])[:2]
+        facing = math.remainder(sign.facing_rad + float(keyframe.pose_odom[2]), 2 * math.pi)
         place = self._find(text, keyframe, position, facing)
         if place is None:
             place = SignPlace(keyframe.robot, position, keyframe.travel_m)
             self.signs.setdefault(keyframe.robot, []).append(place)
-        place.add(text, keyframe, position, facing)
+        place.add(text, keyframe, sign, position, facing)
+        self._place_of.setdefault((keyframe.robot, keyframe.index), []).append((sign.position_m, place))
         return place
 
     def _find(self, text: str, keyframe: Keyframe, position: Array, facing: float) -> SignPlace | None:
@@ -282,112 +284,114 @@ class PlaceMemory:
         return best
 
     def _learn_radio(self, keyframe: Keyframe) -> None:
+        """Compare with a dozen keyframes all along the own path and with the last few."""
         path = self._path.setdefault(keyframe.robot, [])
         stride = max(1, len(path) // 12)
-        for other in path[keyframe.index % stride :: stride]:
+        for other in [*path[keyframe.index % stride : -8 : stride], *path[-8:]]:
             if keyframe.time_s - other.time_s < RADIO_APART_S:
-                continue
+                break
             away = math.dist(keyframe.pose_odom[:2], other.pose_odom[:2])
             if away <= SAME_RADIO_M or ELSEWHERE_M[0] <= away <= ELSEWHERE_M[1]:
                 difference = radio_difference_db(keyframe.fingerprint, other.fingerprint)
                 self.radio.learn(difference, away <= SAME_RADIO_M)
-        for other in path[-8:]:  # places that are passed slowly
-            if keyframe.time_s - other.time_s >= RADIO_APART_S:
-                away = math.dist(keyframe.pose_odom[:2], other.pose_odom[:2])
-                if away <= SAME_RADIO_M:
-                    self.radio.learn(radio_difference_db(keyframe.fingerprint, other.fingerprint), True)
         path.append(keyframe)
 
     # --- weighing ---
 
-    def weigh(self, target: Keyframe, target_sign: SignObservation, source: Keyframe, source_sign: SignObservation):
-        """The evidence that these two readings, both remembered, are of one sign seen from one place."""
+    def weigh(
+        self, target: Keyframe, target_sign: SignObservation, source: Keyframe, source_sign: SignObservation
+    ) -> Evidence:
+        """The evidence that these two readings, both remembered, are of one sign."""
         a, b = self.place_of(target, target_sign), self.place_of(source, source_sign)
-        if a is None or b is None or a is b:
+        if a is None or b is None:
             return NO_EVIDENCE
         radio = self._radio(target, source)
-        text = min(self._text(a, b, target, source, radio), self._text(b, a, source, target, radio))
+        text = min(self._text(a, b, source), self._text(b, a, target))
         if text < TEXT_FLOOR:
             return Evidence(text, radio, 0.0, 0.0, text + radio)
         geometry = neighbours = 0.0
-        guess = self.guess(a, b, target, target_sign, source, source_sign)
+        guess = self.guess(target, target_sign, source, source_sign)
         if guess is not None:
             geometry = self._geometry(target, source, guess)
-            neighbours = self._neighbours(a, b, target, source, guess)
+            if a.robot != b.robot:  # one's own map agrees with itself anywhere
+                neighbours = self._neighbours(a, b, target, source, guess)
         return Evidence(text, radio, geometry, neighbours, text + radio + geometry + neighbours)
 
-    def guess(self, a, b, target: Keyframe, target_sign, source: Keyframe, source_sign) -> Array | None:
-        """(3,) pose of the source in the target's frame if these readings of places a and b are of one sign.
+    def guess(
+        self, target: Keyframe, target_sign: SignObservation, source: Keyframe, source_sign: SignObservation
+    ) -> Array | None:
+        """(3,) pose of the source in the target's frame if both readings are of one sign.
 
-        The walls' facings are those most readings agree on; None where no wall is known behind a sign.
+        The walls' facings are those that most readings of the sign agree on; None where no wall is known behind it.
         """
-        facings = [place.facing_odom - view.pose_odom[2] for place, view in ((a, target), (b, source))]
-        if math.isnan(sum(facings)):
-            return None
-        frames = [np.array([*s.position_m, f]) for s, f in zip((target_sign, source_sign), facings, strict=True)]
+        frames = []
+        for view, sign in ((target, target_sign), (source, source_sign)):
+            place = self.place_of(view, sign)
+            if place is None or math.isnan(place.facing_odom):
+                return None
+            frames.append(np.array([*sign.position_m, place.facing_odom - view.pose_odom[2]]))
         return compose(frames[0], inverse(frames[1]))
+
+    def like_text(self, place: SignPlace, robot: int) -> list[SignPlace]:
+        """Signs on a robot's map whose text `place` may have: likelier than anything unknown."""
+        places = self.signs.get(robot, [])
+        likelihood = _likelihood(place, places)
+        floor = log_unknown_text(place.consensus)
+        return [p for p, likely in zip(places, likelihood, strict=True) if likely > floor]
 
     def _radio(self, target: Keyframe, source: Keyframe) -> float:
         w = self.weights
-        ratio = w.radio * float(self.radio.log_ratio(radio_difference_db(target.fingerprint, source.fingerprint)))
-        return float(np.clip(ratio, -w.radio_limit, w.radio_limit))
+        ratio = w.radio * self.radio.log_ratio(radio_difference_db(target.fingerprint, source.fingerprint))
+        return min(max(ratio, -w.radio_limit), w.radio_limit)
 
-    def _text(self, known: SignPlace, other: SignPlace, target: Keyframe, source: Keyframe, radio: float) -> float:
+    def _text(self, known: SignPlace, other: SignPlace, view: Keyframe) -> float:
         """Log-odds that `other` is `known`, rather than another sign on the map of its robot or one nobody has seen.
 
-        The others count by what they say and by how their radio signature fits, so a repeated text that is elsewhere
-        by its signature does no harm.
+        The others count by what they say and by how their radio signature fits that of the view in which `other` was
+        read, so a repeated text that is elsewhere by its signature does no harm.
         """
         places = self.signs[known.robot]
-        likelihood = log_text_likelihood(
-            other.consensus, [p.consensus for p in places], other.support, np.array([p.support for p in places])
-        )
+        likelihood = _likelihood(other, places)
         own = likelihood[places.index(known)]
-        rivals = [log_unknown_text(other.consensus), own + math.log(HIDDEN_TWIN_SHARE)]
+        unknown = np.logaddexp(log_unknown_text(other.consensus), own + math.log(HIDDEN_TWIN_SHARE))
+        best_known = likelihood.max() - self.weights.radio_limit
+        if own - best_known < TEXT_FLOOR:
+            return float(own - best_known)
+        rivals = [unknown]
         for place, likely in zip(places, likelihood, strict=True):
-            if place is known or likely < own - 8.0:
+            if place is known or place is other or likely + self.weights.radio_limit < unknown - 3.0:
                 continue
-            rivals.append(likely + max(self._radio(view, source) for view in place.views))
+            rivals.append(likely + max(self._radio(keyframe, view) for keyframe, _ in place.views))
         return float(own - np.logaddexp.reduce(rivals))
 
     def _geometry(self, target: Keyframe, source: Keyframe, guess: Array) -> float:
         w = self.weights
         met, through = scan_agreement(target.ranges_m, source.ranges_m, guess, self._range_max_m)
-        return float(np.clip(w.geometry * 8.0 * (met - 2.0 * through - 0.6), -w.geometry_limit, w.geometry_limit))
+        odds = w.geometry * (met - 2.0 * through - GEOMETRY_EVEN)
+        return min(max(odds, -w.geometry_limit), w.geometry_limit)
 
     def _neighbours(self, a: SignPlace, b: SignPlace, target: Keyframe, source: Keyframe, guess: Array) -> float:
         """Other signs nearby: where two of them would meet under the guess, their texts should agree."""
         w = self.weights
-        near_a = self._near(a, target)
-        near_b = self._near(b, source)
-        if not near_a or not near_b:
-            return 0.0
-        texts = [p.consensus for p, _ in near_a]
-        support = np.array([p.support for p, _ in near_a])
-        everywhere = self.signs[a.robot]
+        near_a, near_b = self._near(a, target), self._near(b, source)
         total = 0.0
-        for place, position in near_b:
+        for place, position in near_b if near_a else ():
             here = compose(guess, [*position, 0.0])[:2]
             facing = place.facing_odom - source.pose_odom[2] + guess[2] + target.pose_odom[2]
-            reach = MEETING_M + MEETING_PER_M * float(np.hypot(*position))
+            reach = MEETING_M + MEETING_PER_M * math.hypot(*position)
             meets = [
-                k
-                for k, (other, there) in enumerate(near_a)
+                other
+                for other, there in near_a
                 if math.dist(here, there) < reach
                 and not abs(math.remainder(facing - other.facing_odom, 2 * math.pi)) > FACING_RAD
             ]
             if not meets:
                 continue
-            like = log_text_likelihood(place.consensus, [texts[k] for k in meets], place.support, support[meets]).max()
-            any_text = log_text_likelihood(
-                place.consensus,
-                [p.consensus for p in everywhere],
-                place.support,
-                np.array([p.support for p in everywhere]),
-            )
-            chance = np.logaddexp.reduce([*any_text, log_unknown_text(place.consensus)]) - math.log(len(any_text) + 1)
-            total += float(np.clip(like - chance, -w.neighbours_limit, w.neighbours_limit))
-        return float(np.clip(w.neighbours * total, -w.neighbours_limit, w.neighbours_limit))
+            like = _likelihood(place, meets).max()
+            any_text = [*_likelihood(place, self.signs[a.robot]), log_unknown_text(place.consensus)]
+            chance = np.logaddexp.reduce(any_text) - math.log(len(any_text))
+            total += min(max(like - chance, -w.neighbours_limit), w.neighbours_limit)
+        return float(min(max(w.neighbours * total, -w.neighbours_limit), w.neighbours_limit))
 
     def _near(self, centre: SignPlace, view: Keyframe) -> list[tuple[SignPlace, Array]]:
         """Signs near another on the same map, in the frame of one of its views."""
@@ -399,5 +403,8 @@ class PlaceMemory:
         ]
 
 
-def _position_odom(keyframe: Keyframe, sign: SignObservation) -> Array:
-    return compose(keyframe.pose_odom, [*sign.position_m, 0.0])[:2]
+def _likelihood(reading: SignPlace, others: Sequence[SignPlace]) -> Array:
+    """(others,) log probability of what was read at one place if it is the sign of each of the others."""
+    return log_text_likelihood(
+        reading.consensus, [p.consensus for p in others], reading.support, np.array([p.support for p in others])
+    )

@@ -29,14 +29,19 @@ Array = NDArray
 
 GATE = 11.345
 """99 % of chi squared with three degrees of freedom."""
+MEDIAN_SQUARED = 2.366
+"""Median of chi squared with three degrees of freedom."""
 KEEP_GATE = 25.0
 """A closure that the rest of the map contradicts by more is refused: 1.5e-5 of true ones at honest covariances."""
 WINDOW_STEPS = 10
 """Neighbours of one group lie at most this far apart at both ends."""
 TAIL = 5.0
 """Degrees of freedom of Student's t: real odometry errs more than its covariance says."""
-EVIDENCE_ALONE, EVIDENCE_TOGETHER = 6.0, 9.0
-"""Log evidence for one group, and for several that only together are believed."""
+ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 3.0, 6.0
+"""Log odds from which groups are believed by the dozen, and from which the best one is when there are no such."""
+SCALE_GROUPS = 10
+"""Groups that must have been believed before the covariances' common scale is half learnt."""
+SCALE_MIN, SCALE_MAX = 0.05, 10.0
 KEYS_MAX = 500
 """Poses whose joint covariance is kept; those between lie on the odometry from the one before."""
 LEVERAGE_MIN = 0.2
@@ -146,9 +151,7 @@ def _rejections(graph: Graph, poses, accepted, group, reasons, mode) -> tuple[Re
         "pcm": "not in the largest pairwise consistent set",
     }.get(mode, "down-weighted below one half by its residual")
     return tuple(
-        Rejection(
-            int(e), reasons.get(int(e), general), float(squared[e]), math.hypot(x, y), abs(turn), int(group[e])
-        )
+        Rejection(int(e), reasons.get(int(e), general), float(squared[e]), math.hypot(x, y), abs(turn), int(group[e]))
         for e, (x, y, turn) in zip(refused, away.tolist(), strict=True)
     )
 
@@ -419,6 +422,7 @@ class _Growth:
             covariance = self._own_noise(used) + self._off_key(i) + self._off_key(j)
             _add_edges(hessian, self._key_of[i], self._key_of[j], np.linalg.inv(covariance))
         self._joint = np.linalg.inv(hessian.reshape(3 * count, 3 * count)).reshape(count, 3, count, 3)
+        self._learn_scale()
         extent = np.ptp(poses[:, :2], axis=0) + 1.0
         self._log_volume = math.log(extent[0] * extent[1] * 2 * math.pi / 8)
 
@@ -450,10 +454,28 @@ class _Growth:
 
     def _evidence(self, error: Array, covariance: Array) -> Array:
         """(k,) log of Student's t density against a place drawn from the whole building."""
-        squared = _squared_length(error, covariance)
-        scale = math.lgamma((TAIL + 3) / 2) - math.lgamma(TAIL / 2) - 1.5 * math.log(TAIL * math.pi)
+        squared = _squared_length(error, covariance) / self._scale
+        scale = math.lgamma((TAIL + 3) / 2) - math.lgamma(TAIL / 2) - 1.5 * math.log(TAIL * math.pi * self._scale)
         density = scale - 0.5 * np.linalg.slogdet(covariance)[1] - (TAIL + 3) / 2 * np.log1p(squared / TAIL)
         return density + self._log_volume
+
+    def _learn_scale(self) -> None:
+        """How much smaller or larger errors are than their covariances say, from the groups believed so far."""
+        speakers = self._speaker[self.believed]
+        speakers = speakers[self._member_in[speakers]]
+        self._scale = 1.0
+        if len(speakers):
+            ratio = max(float(np.median(self._contradicted(speakers))) / MEDIAN_SQUARED, 1e-3)
+            share = len(speakers) / (len(speakers) + SCALE_GROUPS)
+            self._scale = min(max(ratio**share, SCALE_MIN), SCALE_MAX)
+
+    def _prior_odds(self, evidence: Array) -> float:
+        """Log odds of a group being true before it is heard: expectation maximisation over all groups."""
+        share = 0.5
+        for _ in range(20):
+            true = 1.0 / (1.0 + np.exp(np.clip(-evidence - math.log(share / (1 - share)), -50, 50)))
+            share = (true.sum() + 1) / (len(evidence) + 2)
+        return math.log(share / (1 - share))
 
     # --- believing and revoking
 
@@ -466,20 +488,23 @@ class _Growth:
         error, drift = self._predicted(speaker)
         covariance = drift + self._own_noise(speaker)
         evidence = self._evidence(error, covariance)
-        sure = np.flatnonzero(evidence > EVIDENCE_ALONE)
+        odds = evidence + self._prior_odds(evidence)
+        sure = np.flatnonzero(odds > ODDS_SURE)
         if len(sure):
             spread = np.linalg.slogdet(covariance[sure])[1]
-            order = np.argsort(spread, kind="stable")
-            taken = max(10, len(sure) // 4)
-            self.believed[pending[sure[order[:taken]]]] = True
-            return True
-        best = np.argsort(-evidence, kind="stable")[:CHOIR_MAX]
-        choir = self._choir(speaker[best], error[best], covariance[best], evidence[best])
-        self.believed[pending[best[choir]]] = True
-        return len(choir) > 0
+            new = sure[np.argsort(spread, kind="stable")[: max(10, len(sure) // 4)]]
+        elif odds.max() > ODDS_LIKELY:
+            new = np.array([np.argmax(odds)])
+        else:
+            best = np.argsort(-odds, kind="stable")[:CHOIR_MAX]
+            new = best[
+                self._choir(speaker[best], error[best], covariance[best], odds[best], float((odds - evidence)[0]))
+            ]
+        self.believed[pending[new]] = True
+        return len(new) > 0
 
-    def _choir(self, speaker: Array, error: Array, covariance: Array, evidence: Array) -> list[int]:
-        """Groups that none believes alone but that support each other: the set with the most joint evidence."""
+    def _choir(self, speaker: Array, error: Array, covariance: Array, odds: Array, prior: float) -> list[int]:
+        """Groups that none believes alone but that support each other: the set with the best joint odds."""
         a, b = self._key_of[self._i[speaker]], self._key_of[self._j[speaker]]
         count = len(speaker)
         joint = np.zeros((count, 3, count, 3))
@@ -487,27 +512,25 @@ class _Growth:
             joint += sign * self._joint[left][:, :, right]
         k = np.arange(count)
         joint[k, :, k] = covariance
-        best, best_total = [], EVIDENCE_TOGETHER
-        for seed in np.argsort(-evidence, kind="stable")[:CHOIR_SEEDS]:
-            members, total = self._sing(int(seed), joint, error, float(evidence[seed]))
+        best, best_total = [], ODDS_TOGETHER
+        for seed in np.argsort(-odds, kind="stable")[:CHOIR_SEEDS]:
+            members, total = self._sing(int(seed), joint, error, float(odds[seed]), prior)
             if len(members) > 1 and total > best_total:
                 best, best_total = members, total
         return best
 
-    def _sing(self, seed: int, joint: Array, error: Array, evidence: float) -> tuple[list[int], float]:
-        """Groups that follow from believing `seed`, one after the other, and their joint evidence."""
-        members, total, chosen = [seed], evidence, seed
-        count = len(error)
-        k = np.arange(count)
+    def _sing(self, seed: int, joint: Array, error: Array, total: float, prior: float) -> tuple[list[int], float]:
+        """Groups that follow from believing `seed`, one after the other, and their joint log odds."""
+        members, chosen = [seed], seed
+        k = np.arange(len(error))
         for _ in range(12):
-            column = joint[:, :, chosen]  # (count, 3, 3)
-            gain = column @ np.linalg.inv(joint[chosen, :, chosen])
+            gain = joint[:, :, chosen] @ np.linalg.inv(joint[chosen, :, chosen])  # (count, 3, 3)
             error = error - gain @ error[chosen]
             joint = joint - np.tensordot(gain, joint[chosen], axes=(2, 0))
             rest = np.setdiff1d(k, members)
             if not len(rest):
                 break
-            more = self._evidence(error[rest], joint[rest, :, rest])
+            more = self._evidence(error[rest], joint[rest, :, rest]) + prior
             top = int(np.argmax(more))
             if more[top] < 2.0:
                 break
@@ -538,7 +561,7 @@ class _Growth:
     def _revoke(self) -> bool:
         """Take back members, and groups whose speaker or half of whose members fail, by their leave-one-out error."""
         used = np.flatnonzero(self._used())
-        failed = used[self._contradicted(used) > KEEP_GATE]
+        failed = used[self._contradicted(used) > KEEP_GATE * max(self._scale, 1.0)]
         if not len(failed):
             return False
         self._member_in[failed] = False
@@ -570,7 +593,9 @@ class _Growth:
             squared = _squared_length(error, drift + self._own_noise(everyone))
             squared[used] = self._contradicted(np.flatnonzero(used))
             evidence = self._evidence(error, drift + self._own_noise(everyone))
-            kept = (squared < GATE) & (evidence > EVIDENCE_ALONE) | used & (squared < KEEP_GATE)
+            loose = max(self._scale, 1.0)
+            proven = evidence + self._prior_odds(evidence) > ODDS_LIKELY
+            kept = (squared < GATE * loose) & proven | used & (squared < KEEP_GATE * loose)
             same = np.array_equal(kept, used)
             self.believed[:] = True
             self._member_in = kept

@@ -43,7 +43,9 @@ class Lidar:
         self._directions = np.column_stack([np.cos(angles), np.sin(angles)])  # (beams, 2)
         self._noise = StepNoise([random_stream(seed, "lidar", robot) for robot in range(robots)], config.beam_count)
         self._chance = {
-            source: StepNoise([random_stream(seed, source, robot) for robot in range(robots)], config.beam_count, "random")
+            source: StepNoise(
+                [random_stream(seed, source, robot) for robot in range(robots)], config.beam_count, "random"
+            )
             for source in ("lidar-glass", "lidar-dropout")
         }
 

@@ -53,7 +53,18 @@ PRESETS = {
     "handheld": OdometryPreset(0.045, 0.009, 0.03, 0.07, 0.022, 0.03, 0.0, 0.0, 0.008, 0.004),
     # Raw odometry of the Intel Research Lab log: it curls steadily to the right. `reproduce odometry` shows how near.
     "pioneer-intel": OdometryPreset(
-        0.01, 0.005, 0.02, 0.03, 0.02, 0.02, 0.0, 0.0, 0.004, 0.002, scale_mean=0.04, heading_bias_mean_rad_per_m=-0.063
+        0.01,
+        0.003,
+        0.02,
+        0.06,
+        0.025,
+        0.03,
+        0.0,
+        0.0,
+        0.004,
+        0.002,
+        scale_mean=0.035,
+        heading_bias_mean_rad_per_m=-0.0625,
     ),
 }
 
