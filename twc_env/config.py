@@ -158,6 +158,8 @@ class RadioConfig(_Checked):
     """How much access points differ in power: make, mounting, antenna."""
     bssids_per_access_point: int = _number(0, 0, 32)
     """Addresses each access point sends under; 0 takes those of the plan."""
+    wall_loss_scale: float = _number(1.0, 0.0, 10.0)
+    """Multiplies the plan's wall losses on all bands: thin partitions drawn as 4 dB become concrete at 2.2."""
     floor_loss_db: float = _number(20.0, 0.0, 100.0)
     """Loss of each ceiling between the robots and an access point of another storey."""
     floor_height_m: float = _number(4.0, 0.5, 20.0)
@@ -246,8 +248,10 @@ class KeyframeConfig(_Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceRecognitionConfig(_Checked):
-    """Algorithm 1 of TWC-SLAM, repaired (SPEC T4-T9)."""
+    """Which keyframes look like one place. The thresholds are those of TWC-SLAM's Algorithm 1 (SPEC T4-T9)."""
 
+    recogniser: str = _choice("twc", "text", "wifi", "lidar", "fused")
+    """`twc`: Algorithm 1; `text`, `wifi`: its halves; `lidar`: like scans; `fused`: all cues weighed as log-odds."""
     text_similarity_min: float = _number(0.8, 0.0, 1.0)
     """alpha."""
     mac_similarity_min: float = _number(0.8, 0.0, 1.0)
@@ -259,6 +263,10 @@ class PlaceRecognitionConfig(_Checked):
     rssi_mode: str = _choice("saturating", "paper")
     """`paper` accepts when the distance d >= gamma, as printed."""
     normalise_text: bool = True
+    scan_similarity_min: float = _number(0.7, 0.0, 1.0)
+    """Of `lidar`."""
+    log_odds_min: float = _number(3.0, -50.0, 50.0)
+    """Of `fused`: 3 is 95 % sure."""
     revisit_travel_m: float = _number(12.0, 0.0, 1000.0)
     """Two keyframes of one robot are a loop only when it travelled this far in between."""
     proximity_m: float = _number(2.5, 0.0, 50.0)
@@ -366,7 +374,75 @@ class EnvConfig(_Checked):
     reward: RewardConfig = field(default_factory=RewardConfig)
 
 
-RADIO_PRESETS: dict[str, dict] = {}
+RADIO_PRESETS: dict[str, dict] = {
+    "twc": {},
+    "sfw": {
+        "power_at_1m_dbm": -30.0,
+        "path_loss_exponent": 1.8,
+        "wall_loss_scale": 2.2,
+        "shadowing_std_db": 2.0,
+        "shadowing_length_m": 0.5,
+        "fading_std_db": 0.0,
+        "noise_std_db": 4.0,
+        "device_offset_std_db": 0.0,
+    },
+    "radio-indoor": {
+        "scan_period_s": 2.0,
+        "power_at_1m_dbm": -34.0,
+        "path_loss_exponent": 2.2,
+        "shadowing_std_db": 6.0,
+        "shadowing_length_m": 5.0,
+        "fading_std_db": 4.0,
+        "fading_shared": True,
+        "noise_std_db": 2.3,
+        "device_offset_std_db": 2.0,
+        "access_point_spread_db": 4.0,
+        "detection_floor_dbm": -91.0,
+        "miss_probability": 0.05,
+        "high_band": {"share": 0.5, "power_offset_db": -2.0, "path_loss_exponent": 2.2, "wall_loss_factor": 1.3},
+    },
+    "radio-semi-indoor": {
+        "scan_period_s": 2.0,
+        "power_at_1m_dbm": -34.0,
+        "path_loss_exponent": 3.6,
+        "shadowing_std_db": 6.0,
+        "shadowing_length_m": 5.0,
+        "fading_std_db": 4.0,
+        "fading_shared": True,
+        "noise_std_db": 2.3,
+        "device_offset_std_db": 2.0,
+        "access_point_spread_db": 4.0,
+        "detection_floor_dbm": -91.0,
+        "miss_probability": 0.05,
+        "high_band": {"share": 0.5, "power_offset_db": -2.0, "path_loss_exponent": 3.6, "wall_loss_factor": 1.3},
+    },
+    "radio-outdoor": {
+        "scan_period_s": 2.0,
+        "power_at_1m_dbm": -34.0,
+        "path_loss_exponent": 3.0,
+        "shadowing_std_db": 6.0,
+        "shadowing_length_m": 12.0,
+        "fading_std_db": 4.0,
+        "fading_shared": True,
+        "noise_std_db": 2.3,
+        "device_offset_std_db": 2.0,
+        "access_point_spread_db": 4.0,
+        "detection_floor_dbm": -91.0,
+        "miss_probability": 0.05,
+        "high_band": {"share": 0.5, "power_offset_db": -2.0, "path_loss_exponent": 3.0, "wall_loss_factor": 1.3},
+    },
+    "lte": {
+        "wifi": False,
+        "scan_period_s": 2.0,
+        "fading_std_db": 2.0,
+        "fading_length_m": 1.0,
+        "noise_std_db": 1.5,
+        "device_offset_std_db": 2.0,
+        "quantisation_db": 2.0,
+        "cells": {"count": 90},
+    },
+}
+"""What differs from the defaults, which are the preset `twc`."""
 
 
 def radio_preset(name: str) -> RadioConfig:

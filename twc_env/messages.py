@@ -111,12 +111,14 @@ class LoopCandidate:
     guess: Array
     """(3,) first guess of the source's pose in the target's frame."""
     recogniser: str
-    """Who proposed it: "twc" (text and WiFi) or "proximity" (near in the present estimate)."""
+    """Who proposed it: a recogniser ("twc", "text", "wifi", "lidar", "fused") or "proximity" (near in the present estimate)."""
     sign_m: Array | None = None
     """(2,) the sign that both saw, in the target's frame; None when no sign is meant."""
     text_similarity: float = float("nan")
     mac_similarity: float = float("nan")
     rssi_similarity: float = float("nan")
+    log_odds: float = float("nan")
+    """Of `fused`: how sure it is that this is one place."""
 
 
 @dataclass(slots=True, eq=False)

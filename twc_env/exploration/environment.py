@@ -168,6 +168,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """What one robot knows: the merged map of its group and where it is in it. Estimates only."""
         return self.engine.belief(self.possible_agents.index(agent))
 
+    @property
+    def bytes_sent(self) -> int:
+        """Bytes put on the air so far, by all robots."""
+        return sum(self._link.bytes_sent.values())
+
     def state(self) -> Array:
         """(6 robots,) float32 for centralised critics; holds truth: each robot's true, then its estimated pose."""
         estimated = [self.engine.pose_map_robot(r) for r in range(self.config.robots)]

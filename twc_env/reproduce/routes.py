@@ -142,7 +142,7 @@ def walk(config: EnvConfig, plan: Floorplan, way_m: Array, robot: int, seed: int
                 single = dataclasses.replace(keyframe, signs=(observation,))
                 passes.add(Sighting(single, sign, position), reading.range_m, time_s)
             waiting = []
-        command, at = _steer(pose, way_m, at, config)
+        command, at = steer(pose, way_m, at, config)
         if command is None:
             break
         world.step(np.array([command]))
@@ -174,7 +174,7 @@ class _Passes:
         return sorted(near, key=lambda s: (s.keyframe.index, s.sign))
 
 
-def _steer(pose: Array, way_m: Array, at: int, config: EnvConfig) -> tuple[tuple[float, float] | None, int]:
+def steer(pose: Array, way_m: Array, at: int, config: EnvConfig) -> tuple[tuple[float, float] | None, int]:
     """Speed and turn rate towards a point a little ahead on the way; None at its end. `at` is how far one has come."""
     reach = way_m[at : at + 12]
     at += int(np.argmin(((reach - pose[:2]) ** 2).sum(axis=1)))

@@ -19,7 +19,10 @@ from twc_env._version import __version__
 from twc_env.errors import ConfigError, DataError
 
 TABLES: dict[str, str] = {
+    "merging": "merging",
     "odometry": "odometry",
+    "radio-model": "radio_model",
+    "twc-table1": "twc_table1",
 }
 """Name on the command line -> module of this package."""
 

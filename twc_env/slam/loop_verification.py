@@ -25,8 +25,12 @@ SPACING_M = 0.9
 """Of neighbouring keyframes, every one this far along the path joins the target's walls."""
 SEEN_THROUGH_M = 0.35
 """A point this far in front of a beam's end was seen through."""
-PRIOR_STD = {"twc": (0.2, 0.2, 0.1), "proximity": (2.0, 2.0, 0.5)}
+SIGN_STD, NEAR_STD = (0.2, 0.2, 0.1), (2.0, 2.0, 0.5)
 """What the candidate's guess itself is worth [m, m, rad]: a shared sign fixes a corridor's axis, nearness does not."""
+ANYWHERE = ("wifi", "lidar")
+"""Recognisers that know the turn at best: their matches are searched for in a wider window."""
+SIGNLESS = ("proximity", *ANYWHERE)
+WIDE_WINDOW = (3.0, 0.3)
 MATCH_STD_MIN = np.array([0.03, 0.03, 0.01])
 
 
@@ -75,9 +79,8 @@ class LoopVerifier:
         rule = self._config
         match, overlap = self._refine(points, candidate.guess)
         if overlap < rule.overlap_min:  # the guess was not near enough
-            coarse, _ = self._field.correlate(
-                points, candidate.guess, (rule.window_m, rule.window_rad), (STEP_M, STEP_RAD), stride=4
-            )
+            window = WIDE_WINDOW if candidate.recogniser in ANYWHERE else (rule.window_m, rule.window_rad)
+            coarse, _ = self._field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)
             match, overlap = self._refine(points, coarse)
         contradiction = self._contradiction(target, source, match.pose)
         reason = ""
@@ -85,7 +88,7 @@ class LoopVerifier:
             reason = f"overlap {overlap:.2f} < {rule.overlap_min:g}"
         elif contradiction > rule.contradiction_max:
             reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
-        prior = np.diag(1.0 / np.square(PRIOR_STD[candidate.recogniser]))
+        prior = np.diag(1.0 / np.square(NEAR_STD if candidate.recogniser in SIGNLESS else SIGN_STD))
         information = match.information(self._noise.match_std_m, self._noise.match_correlation) + prior
         covariance = np.linalg.inv(information) + np.diag(MATCH_STD_MIN**2)
         status = "rejected" if reason else "accepted"

@@ -339,6 +339,12 @@ class PlaceMemory:
         floor = log_unknown_text(place.consensus)
         return [p for p, likely in zip(places, likelihood, strict=True) if likely > floor]
 
+    def best_view(
+        self, views: Sequence[tuple[Keyframe, SignObservation]], keyframe: Keyframe
+    ) -> tuple[Keyframe, SignObservation]:
+        """The view whose radio signature fits a keyframe's best."""
+        return max(views, key=lambda view: self._radio(view[0], keyframe))
+
     def _radio(self, target: Keyframe, source: Keyframe) -> float:
         w = self.weights
         ratio = w.radio * self.radio.log_ratio(radio_difference_db(target.fingerprint, source.fingerprint))

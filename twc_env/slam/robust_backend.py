@@ -37,17 +37,20 @@ WINDOW_STEPS = 10
 """Neighbours of one group lie at most this far apart at both ends."""
 TAIL = 5.0
 """Degrees of freedom of Student's t: real odometry errs more than its covariance says."""
-ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 3.0, 6.0
-"""Log odds from which groups are believed by the dozen, and from which the best one is when there are no such."""
+ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 3.0, 5.0
+"""Log odds from which groups are believed by the dozen, from which the best one is when there are no such, and from which
+several are that only together are likely."""
+PRIOR_GROUPS = 10
+"""Weight, in groups, of the share of true ones among all against that among the undecided."""
 SCALE_GROUPS = 10
 """Groups that must have been believed before the covariances' common scale is half learnt."""
-SCALE_MIN, SCALE_MAX = 0.05, 10.0
+SCALE_MIN, SCALE_MAX, GATE_SCALE_MIN = 0.05, 10.0, 0.5
 KEYS_MAX = 500
 """Poses whose joint covariance is kept; those between lie on the odometry from the one before."""
 LEVERAGE_MIN = 0.2
 """Least share of its own noise that a closure's residual is taken to keep after the fit."""
-CHOIR_MAX, CHOIR_SEEDS = 150, 40
-"""Groups considered together while none is believed alone, and how many of them are tried as the first."""
+CHOIR_MAX, CHOIR_SEEDS, CHOIR_VOICES = 150, 40, 12
+"""Groups considered together while none is believed alone, how many are tried as the first, and how many join it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -433,7 +436,11 @@ class _Growth:
         return self._chains.stretch(self._grown, self._keys[self._key_of[nodes]], nodes)
 
     def _own_noise(self, closures: Array) -> Array:
-        return _turned(_adjoint(self.poses[self._j[closures]]), self._noise[closures])
+        return _turned(self._claimed(closures), self._noise[closures])
+
+    def _claimed(self, closures: Array) -> Array:
+        """(k, 3, 3) from the frame where a closure puts its second pose into the world frame, for twists."""
+        return _adjoint(compose(self.poses[self._i[closures]], self._graph.measured[self._closures[closures]]))
 
     def _predicted(self, closures: Array, between_keys: bool = False) -> tuple[Array, Array]:
         """Error (k, 3) of closures as world twists, and the covariance (k, 3, 3) of the map's own prediction."""
@@ -469,13 +476,26 @@ class _Growth:
             share = len(speakers) / (len(speakers) + SCALE_GROUPS)
             self._scale = min(max(ratio**share, SCALE_MIN), SCALE_MAX)
 
-    def _prior_odds(self, evidence: Array) -> float:
-        """Log odds of a group being true before it is heard: expectation maximisation over all groups."""
-        share = 0.5
-        for _ in range(20):
-            true = 1.0 / (1.0 + np.exp(np.clip(-evidence - math.log(share / (1 - share)), -50, 50)))
-            share = (true.sum() + 1) / (len(evidence) + 2)
-        return math.log(share / (1 - share))
+    def _gate_scale(self) -> float:
+        return max(self._scale, GATE_SCALE_MIN)
+
+    def _prior_odds(self, groups: Array, evidence: Array) -> Array:
+        """(k,) log odds of undecided groups before they are heard, for single closures and for larger groups apart.
+
+        Expectation maximisation over the share of true ones, drawn towards the share among all groups of the kind.
+        """
+        out = np.empty(len(groups))
+        for is_single in (True, False):
+            kind = (self._size[groups] == 1) == is_single
+            heard = np.clip(evidence[kind], -50, 50)
+            believed = np.count_nonzero(self.believed[(self._size == 1) == is_single])
+            share = overall = 0.5
+            for _ in range(20):
+                true = (1 / (1 + np.exp(-heard) * (1 - share) / share)).sum()
+                overall = (believed + true + 1) / (believed + len(heard) + 2)
+                share = (true + PRIOR_GROUPS * overall) / (len(heard) + PRIOR_GROUPS)
+            out[kind] = math.log(share / (1 - share))
+        return out
 
     # --- believing and revoking
 
@@ -488,7 +508,8 @@ class _Growth:
         error, drift = self._predicted(speaker)
         covariance = drift + self._own_noise(speaker)
         evidence = self._evidence(error, covariance)
-        odds = evidence + self._prior_odds(evidence)
+        prior = self._prior_odds(pending, evidence)
+        odds = evidence + prior
         sure = np.flatnonzero(odds > ODDS_SURE)
         if len(sure):
             spread = np.linalg.slogdet(covariance[sure])[1]
@@ -497,13 +518,11 @@ class _Growth:
             new = np.array([np.argmax(odds)])
         else:
             best = np.argsort(-odds, kind="stable")[:CHOIR_MAX]
-            new = best[
-                self._choir(speaker[best], error[best], covariance[best], odds[best], float((odds - evidence)[0]))
-            ]
+            new = best[self._choir(speaker[best], error[best], covariance[best], odds[best], prior[best])]
         self.believed[pending[new]] = True
         return len(new) > 0
 
-    def _choir(self, speaker: Array, error: Array, covariance: Array, odds: Array, prior: float) -> list[int]:
+    def _choir(self, speaker: Array, error: Array, covariance: Array, odds: Array, prior: Array) -> list[int]:
         """Groups that none believes alone but that support each other: the set with the best joint odds."""
         a, b = self._key_of[self._i[speaker]], self._key_of[self._j[speaker]]
         count = len(speaker)
@@ -512,32 +531,32 @@ class _Growth:
             joint += sign * self._joint[left][:, :, right]
         k = np.arange(count)
         joint[k, :, k] = covariance
-        best, best_total = [], ODDS_TOGETHER
-        for seed in np.argsort(-odds, kind="stable")[:CHOIR_SEEDS]:
-            members, total = self._sing(int(seed), joint, error, float(odds[seed]), prior)
-            if len(members) > 1 and total > best_total:
-                best, best_total = members, total
-        return best
+        songs = [
+            self._sing(int(seed), joint, error, odds, prior)
+            for seed in np.argsort(-odds, kind="stable")[:CHOIR_SEEDS]
+        ]
+        songs = [song for song in songs if len(song[0]) > 1]
+        return min(songs, key=lambda song: (len(song[0]), -song[1]))[0] if songs else []
 
-    def _sing(self, seed: int, joint: Array, error: Array, total: float, prior: float) -> tuple[list[int], float]:
-        """Groups that follow from believing `seed`, one after the other, and their joint log odds."""
-        members, chosen = [seed], seed
+    def _sing(self, seed: int, joint: Array, error: Array, odds: Array, prior: Array) -> tuple[list[int], float]:
+        """The first few groups that `seed` speaks for and that are likely together, and their joint log odds."""
+        members, chosen, total = [seed], seed, float(odds[seed])
         k = np.arange(len(error))
-        for _ in range(12):
+        for _ in range(CHOIR_VOICES - 1):
             gain = joint[:, :, chosen] @ np.linalg.inv(joint[chosen, :, chosen])  # (count, 3, 3)
             error = error - gain @ error[chosen]
             joint = joint - np.tensordot(gain, joint[chosen], axes=(2, 0))
             rest = np.setdiff1d(k, members)
             if not len(rest):
                 break
-            more = self._evidence(error[rest], joint[rest, :, rest]) + prior
-            top = int(np.argmax(more))
-            if more[top] < 2.0:
-                break
+            now = self._evidence(error[rest], joint[rest, :, rest]) + prior[rest]
+            top = int(np.argmax(4 * now - 3 * odds[rest]))  # likely, and likelier for what was believed before
             chosen = int(rest[top])
             members.append(chosen)
-            total += float(more[top])
-        return members, total
+            total += float(now[top])
+            if total > ODDS_TOGETHER:
+                return members, total
+        return [], total
 
     def _settle(self) -> None:
         """Optimise on what is believed, gradually more robustly, and revoke what the rest then contradicts."""
@@ -561,7 +580,7 @@ class _Growth:
     def _revoke(self) -> bool:
         """Take back members, and groups whose speaker or half of whose members fail, by their leave-one-out error."""
         used = np.flatnonzero(self._used())
-        failed = used[self._contradicted(used) > KEEP_GATE * max(self._scale, 1.0)]
+        failed = used[self._contradicted(used) > KEEP_GATE * self._gate_scale()]
         if not len(failed):
             return False
         self._member_in[failed] = False
@@ -574,7 +593,10 @@ class _Growth:
 
     def _contradicted(self, used: Array) -> Array:
         """(k,) squared error of used closures against what all others say."""
-        error, drift = self._predicted(used, between_keys=True)
+        drift = self._predicted(used, between_keys=True)[1]
+        edges = self._closures[used]
+        residual = pose_graph.residuals(self.poses, self._graph.edges[edges], self._graph.measured[edges])
+        error = (self._claimed(used) @ residual[..., None])[..., 0]
         own = self._own_noise(used)
         root = np.linalg.inv(np.linalg.cholesky(own))
         value, vector = np.linalg.eigh(_turned(root, own - drift))  # its own noise less what the fit explains
@@ -593,9 +615,9 @@ class _Growth:
             squared = _squared_length(error, drift + self._own_noise(everyone))
             squared[used] = self._contradicted(np.flatnonzero(used))
             evidence = self._evidence(error, drift + self._own_noise(everyone))
-            loose = max(self._scale, 1.0)
-            proven = evidence + self._prior_odds(evidence) > ODDS_LIKELY
-            kept = (squared < GATE * loose) & proven | used & (squared < KEEP_GATE * loose)
+            loose = self._gate_scale()
+            proven = evidence + self._final_odds(evidence) > ODDS_LIKELY
+            kept = (squared < np.where(used, KEEP_GATE, GATE) * loose) & (used | proven)
             same = np.array_equal(kept, used)
             self.believed[:] = True
             self._member_in = kept
@@ -608,6 +630,14 @@ class _Growth:
         group = np.full(len(graph.edges), -1)
         group[closures] = self._group
         return self.poses, accepted, group, self._reasons(kept, squared, evidence)
+
+    def _final_odds(self, evidence: Array) -> Array:
+        """(k,) log odds of every closure before it is heard, by the share of believed closures of its kind."""
+        out = np.empty(len(evidence))
+        single = self._size[self._group] == 1
+        for kind in (single, ~single):
+            out[kind] = math.log((self._used()[kind].sum() + 1) / ((~self._used()[kind]).sum() + 1))
+        return np.minimum(out, 0.0)
 
     def _reasons(self, kept: Array, squared: Array, evidence: Array) -> dict[int, str]:
         share = np.bincount(self._group, kept, len(self.believed)) / self._size

@@ -17,7 +17,7 @@ from twc_env.slam import map_merging, pose_graph
 from twc_env.slam.loop_verification import LoopVerifier
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.odometry_filter import invert_symmetric
-from twc_env.slam.place_recognition import ProposalFilter, TextWifiRecogniser
+from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
 
 Array = NDArray
 
@@ -92,10 +92,10 @@ class TeamMapper:
         self._measured = _Growing(3)
         self._information = _Growing(3, 3)
         self._is_closure = _Growing(dtype=bool)
-        self._recogniser = TextWifiRecogniser(config.slam.place_recognition)
-        self._filters = {name: ProposalFilter() for name in ("twc", "proximity")}
+        self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
+        self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "proximity")}
         self._verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar.range_max_m)
-        self._waiting: dict[str, deque[LoopCandidate]] = {"twc": deque(), "proximity": deque()}
+        self._waiting: dict[str, deque[LoopCandidate]] = {name: deque() for name in self._filters}
         self._searched_m = [0.0] * robot_count
         self._tied_m = [-np.inf] * robot_count
         self._dirty: dict[int, bool] = {}
@@ -250,7 +250,7 @@ class TeamMapper:
 
     def _verify_some(self) -> None:
         for _ in range(self._config.verification.backlog_per_step):
-            queue = self._waiting["twc"] or self._waiting["proximity"]
+            queue = self._waiting[self._recogniser.name] or self._waiting["proximity"]
             if not queue:
                 return
             candidate = queue.popleft()

@@ -21,6 +21,7 @@ from twc_env.messages import WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.materials import wall_loss_db
+from twc_env.world.wall_index import WallIndex
 
 Array = NDArray
 
@@ -135,7 +136,7 @@ class RadioModel:
     def _wall_losses_db(self, position: Array) -> Array:
         """(bands, sources); bands that nobody sends on stay empty."""
         if self._is_low_band_only:
-            return self._index.crossing(position, self._sources.position_m)[1][None]
+            return self._index_of_band[LOW_BAND].crossing(position, self._sources.position_m)[1][None]
         ends = self._near_ends(position)
         losses = np.zeros((3, len(ends)))
         for band, index in enumerate(self._index_of_band):
@@ -311,10 +312,12 @@ def _bands(count: int, high_share: float) -> list[int]:
     return [HIGH_BAND if int((k + 1) * high_share) > int(k * high_share) else LOW_BAND for k in range(count)]
 
 
-def _index_for(config: RadioConfig, plan: Floorplan, band: int):
+def _index_for(config: RadioConfig, plan: Floorplan, band: int) -> WallIndex | None:
     """The walls with the losses of that band; None where nobody sends on it."""
     if band == LOW_BAND:
-        return plan.wall_index if config.wifi and config.high_band.share < 1.0 else None
+        if not config.wifi or config.high_band.share == 1.0:
+            return None
+        return _scaled(plan, config.wall_loss_scale)
     if (band == HIGH_BAND and not (config.wifi and config.high_band.share)) or (
         band == CELL_BAND and not config.cells.count
     ):
@@ -324,7 +327,11 @@ def _index_for(config: RadioConfig, plan: Floorplan, band: int):
     for i, material in enumerate(plan.wall_materials):
         if material:
             factors[i] = wall_loss_db(material, _BAND_NAMES[band]) / wall_loss_db(material)
-    return dataclasses.replace(plan.wall_index, loss_db=plan.wall_loss_db * factors)
+    return _scaled(plan, config.wall_loss_scale * factors)
+
+
+def _scaled(plan: Floorplan, factor: float | Array) -> WallIndex:
+    return dataclasses.replace(plan.wall_index, loss_db=plan.wall_loss_db * factor)
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,0 +1,70 @@
+"""BLE strengths and 2D LiDAR of a robot in a flat with a known wall plan (Kolakowski 2021, CC BY 4.0).
+
+Six fixed receivers hear one moving tag; by reciprocity they are read here as six transmitters heard by the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.datasets.fingerprints import RadioSurvey, numbers, read_table
+from twc_env.errors import DataError
+from twc_env.geometry import transform_points
+
+Array = NDArray
+
+_HALF_TURN_RAD = float(np.deg2rad(179.5))
+POSE_LAYOUT_RUN = {
+    "calibration": (0.0, 0.0, 0.0),
+    "calib3": (0.43, 6.31, _HALF_TURN_RAD),
+    "calib4": (0.47, 6.34, _HALF_TURN_RAD),
+}
+"""Where each run's own frame lies in the frame of the wall plan."""
+_ANCHORS = {"calibration": (1, 2, 3, 4, 5, 6), "calib3": (3, 4, 5, 8, 10, 11), "calib4": (3, 4, 5, 8, 10, 11)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flat:
+    """The wall plan."""
+
+    outline_m: Array
+    """(k, 2) contour of the free space, not closed."""
+    anchors_m: Array
+    """(6, 2) fixed radios."""
+
+
+def read_flat(folder: str | Path) -> Flat:
+    """The outline and the anchors. Raises DataError for missing or broken files."""
+    folder = Path(folder)
+    _, outline = read_table(folder / "layout.csv", ("x", "y"))
+    _, anchors = read_table(folder / "anchors.csv", ("id", "x", "y", "z"))
+    ring = numbers(outline, folder / "layout.csv")[:, :2]
+    return Flat(ring[:-1] if np.array_equal(ring[0], ring[-1]) else ring, numbers(anchors, folder / "anchors.csv")[:, 1:3])
+
+
+def read_ble_run(folder: str | Path, run: str) -> RadioSurvey:
+    """One drive: "calibration", "calib3" or "calib4", in the frame of the wall plan."""
+    if run not in POSE_LAYOUT_RUN:
+        raise DataError(f"the flat has no run {run!r}; known are {', '.join(POSE_LAYOUT_RUN)}")
+    path = Path(folder) / f"{run}_df.csv.gz"
+    columns = [f"rssi_{anchor}" for anchor in _ANCHORS[run]]
+    header, rows = read_table(path, ("ts", "x", "y", *columns))
+    table = numbers(rows, path)
+    at = {name: i for i, name in enumerate(header)}
+    rssi = table[:, [at[c] for c in columns]]
+    return RadioSurvey(
+        name=f"ble_lidar/{run}",
+        position_m=transform_points(POSE_LAYOUT_RUN[run], table[:, [at["x"], at["y"]]]),
+        floor=np.zeros(len(table), int),
+        time_s=(table[:, at["ts"]] - table[0, at["ts"]]) * 1e-9,
+        walk=np.zeros(len(table), int),
+        addresses=tuple(f"anchor-{i + 1}" for i in range(len(columns))),
+        rssi_dbm=rssi.astype(np.float32),
+        transmitter_m=read_flat(folder).anchors_m,
+        transmitter_floor=np.zeros(len(columns), int),
+        is_high_band=np.zeros(len(columns), bool),
+    )

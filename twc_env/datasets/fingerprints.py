@@ -1,0 +1,105 @@
+"""Radio fingerprints taken at known places: the record all sets are read into, and what their readers share."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import lzma
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.errors import DataError
+
+Array = NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadioSurvey:
+    """Scans at known places. Arrays are shaped by scans (s) and transmitters (t)."""
+
+    name: str
+    position_m: Array
+    """(s, 2)."""
+    floor: Array
+    """(s,) int, storey of the scan."""
+    time_s: Array
+    """(s,) since the first scan; zeros where the set tells no time."""
+    walk: Array
+    """(s,) int: scans of one number were taken on one walk."""
+    addresses: tuple[str, ...]
+    """(t,) names of the transmitters."""
+    rssi_dbm: Array
+    """(s, t) float32, NaN where a scan did not hear the transmitter."""
+    transmitter_m: Array | None = None
+    """(t, 2) true places, where the set tells them."""
+    transmitter_floor: Array | None = None
+    """(t,) int."""
+    is_high_band: Array | None = None
+    """(t,) bool: 5 GHz."""
+
+
+def read_text(path: Path) -> str:
+    """The text of a plain, gzip or xz file; DataError when it cannot be read."""
+    try:
+        raw = path.read_bytes()
+        if path.suffix == ".gz":
+            raw = gzip.decompress(raw)
+        elif path.suffix == ".xz":
+            raw = lzma.decompress(raw)
+        return raw.decode("utf-8-sig")
+    except (OSError, EOFError, zlib.error, lzma.LZMAError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise DataError(f"cannot read {path}: {reason}; check the path or fetch the file again") from error
+
+
+def read_table(path: Path, columns: tuple[str, ...] = ()) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of a CSV file; DataError when it lacks one of `columns` or a row is cut off."""
+    rows = list(csv.reader(io.StringIO(read_text(path))))
+    if not rows or (missing := [c for c in columns if c not in rows[0]]):
+        raise DataError(f"{path} lacks the columns {', '.join(columns if not rows else missing)}; fetch the file again")
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != len(rows[0]):
+            raise DataError(f"{path}, line {number}: expected {len(rows[0])} values; got {len(row)}")
+    return rows[0], rows[1:]
+
+
+def numbers(rows: list[list[str]], path: Path) -> Array:
+    """Rows of text as (rows, columns) floats, empty cells as NaN; DataError where a cell is no number."""
+    try:
+        return np.array([[float(cell) if cell else np.nan for cell in row] for row in rows], float)
+    except ValueError as error:
+        raise DataError(f"{path}: {error}; expected a table of numbers") from error
+
+
+def heard_only(rssi: Array) -> Array:
+    """Readings with the marks for "not heard" (100, -105 and the like) turned into NaN."""
+    return np.where((rssi < 0) & (rssi > -105), rssi, np.nan).astype(np.float32)
+
+
+def from_rows(
+    name: str, scan: Array, position_m: Array, time_s: Array, walk: Array, address: list[str], rssi_dbm: Array
+) -> RadioSurvey:
+    """A survey from single readings: `scan` (readings,) numbers the scan, whose place, time and walk the others tell.
+
+    Of several readings of one transmitter in one scan the strongest counts.
+    """
+    _, first, which = np.unique(scan, return_index=True, return_inverse=True)
+    addresses = sorted(set(address))
+    column = {a: i for i, a in enumerate(addresses)}
+    table = np.full((len(first), len(addresses)), -np.inf, np.float32)
+    np.maximum.at(table, (which, np.array([column[a] for a in address], int)), np.asarray(rssi_dbm, np.float32))
+    table[~np.isfinite(table)] = np.nan
+    return RadioSurvey(
+        name=name,
+        position_m=position_m[first],
+        floor=np.zeros(len(first), int),
+        time_s=time_s[first] - time_s[first].min(),
+        walk=walk[first],
+        addresses=tuple(addresses),
+        rssi_dbm=table,
+    )

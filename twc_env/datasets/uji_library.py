@@ -1,0 +1,40 @@
+"""UJI library, long term (Mendoza-Silva et al. 2018): twelve WiFi samples at each of 48 points between book shelves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from twc_env.datasets.fingerprints import RadioSurvey, heard_only, numbers, read_text
+from twc_env.errors import DataError
+
+
+def read_uji_library(folder: str | Path, month: str, part: str = "trn01") -> RadioSurvey:
+    """One collection of one month ("01", "13"). Raises DataError for files that are missing or do not match."""
+    values = []
+    for what in ("rss", "crd", "tms"):
+        path = Path(folder) / month / f"{part[:3]}{part[3:]}{what}.csv.gz"
+        values.append(numbers([line.split(",") for line in read_text(path).split()], path))
+    rssi, places, times = values
+    if len({len(table) for table in values}) > 1 or places.shape[1] < 3:
+        raise DataError(f"the tables of {folder}/{month}/{part} have {[len(v) for v in values]} rows; expected as many each")
+    heard = heard_only(rssi)
+    known = np.isfinite(heard).any(axis=0)
+    _, point = np.unique(places, axis=0, return_inverse=True)
+    return RadioSurvey(
+        name=f"uji_lib/{month}",
+        position_m=places[:, :2],
+        floor=places[:, 2].astype(int),
+        time_s=_seconds(times[:, 0]),
+        walk=point,
+        addresses=tuple(f"wap{i:03d}" for i in np.flatnonzero(known)),
+        rssi_dbm=heard[:, known],
+    )
+
+
+def _seconds(stamps: np.ndarray) -> np.ndarray:
+    """yyyymmddHHMMSSmmm -> seconds within the day; the time since the first scan where all were taken on one day."""
+    clock = stamps.astype(np.int64) % 10**9
+    seconds = clock // 10**7 * 3600 + clock // 10**5 % 100 * 60 + clock // 10**3 % 100 + clock % 1000 / 1000
+    return seconds - seconds.min()

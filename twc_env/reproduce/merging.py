@@ -1,0 +1,157 @@
+"""Do teams merge, and never wrongly? Robots that start without a common frame walk through unseen generated buildings.
+
+Each of the 100 buildings of the test split gets one episode. Its rooms are dealt to the robots in strips from left to
+right; every robot tours its own strip and the first room of the next, so that paths overlap partly. The walkers know the
+building; the engine sees sensor frames only. `wrong_merges` counts pairs of robots that ever shared a map although their
+own paths place it more than 1 m or 10 degrees apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.maps import load_map
+from twc_env.reproduce.routes import RoutePlanner, room_tour, steer
+from twc_env.reproduce.runner import Runner
+from twc_env.world.floorplan import Floorplan
+
+Array = NDArray
+
+SUMMARY = "map merging from unknown start frames in 100 unseen generated buildings"
+ROOMS_MAX = 4
+"""Rooms of its own strip that a robot tours."""
+STEPS_PER_M = 20.0
+STUCK_STEPS, ESCAPE_STEPS = 30, 12
+"""A walker that got nowhere for so many steps backs off for so many, by turns to the left and right."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of this table."""
+    parser.add_argument("--buildings", type=int, default=100, help="of the test split (default: %(default)s)")
+    parser.add_argument("--robots", type=int, default=3, help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="of noise (default: %(default)s)")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """A row per building, and one for all of them at the end."""
+    names = [f"test/{k:04d}" for k in range(options.buildings)]
+    found = runner.each(names, lambda name: merge_in(name, options.robots, options.seed))
+    merged = [row["first_merge_s"] for row in found if row["first_merge_s"] is not None]
+    total = {
+        "building": f"all {len(found)}",
+        "rooms": sum(row["rooms"] for row in found),
+        "steps": sum(row["steps"] for row in found),
+        "fully_merged": sum(row["fully_merged"] for row in found),
+        "wrong_merges": sum(row["wrong_merges"] for row in found),
+        "first_merge_s": float(np.median(merged)) if merged else None,
+        "all_merged_s": _median([row["all_merged_s"] for row in found]),
+        "bytes_to_first_merge": _median([row["bytes_to_first_merge"] for row in found]),
+        "team_ate_m": float(np.mean([row["team_ate_m"] for row in found])),
+        "team_ate_max_m": max(row["team_ate_max_m"] for row in found),
+    }
+    return [*found, total]
+
+
+def merge_in(name: str, robots: int, seed: int) -> dict:
+    """One episode in one building."""
+    plan = load_map(name)
+    ways = overlapping_ways(plan, robots)
+    longest = max(float(np.hypot(*np.diff(way, axis=0).T).sum()) for way in ways)
+    settings = {"map": name, "robots": robots, "max_cycles": int(longest * STEPS_PER_M) + 50}
+    env = ExplorationEnv(config=settings)
+    headings = [math.atan2(*(way[min(5, len(way) - 1)] - way[0])[::-1]) for way in ways]
+    starts = np.array([[*way[0], heading] for way, heading in zip(ways, headings, strict=True)])
+    env.reset(seed=seed, options={"starts": starts})
+    walkers = [_Walker(way) for way in ways]
+    first = everyone = sent = None
+    while env.agents and not all(walker.is_done for walker in walkers):
+        poses = env.state().reshape(robots, 6)[:, :3]
+        env.step({a: w.act(p, env) for a, w, p in zip(env.agents, walkers, poses, strict=True)})
+        groups = len(env.engine.team.groups)
+        if groups < robots and first is None:
+            first, sent = env.frames[0].time_s, env.bytes_sent
+        if groups == 1 and everyone is None:
+            everyone = env.frames[0].time_s
+    figures = env.result().figures
+    return {
+        "building": name,
+        "rooms": len(plan.rooms),
+        "steps": figures["steps"],
+        "fully_merged": int(figures["merged_robots"] == robots),
+        "wrong_merges": figures["wrong_merges"],
+        "first_merge_s": first,
+        "all_merged_s": everyone,
+        "bytes_to_first_merge": sent,
+        "team_ate_m": figures["team_ate_m"],
+        "team_ate_max_m": figures["team_ate_m"],
+    }
+
+
+def overlapping_ways(plan: Floorplan, robots: int) -> list[Array]:
+    """A way (points, 2) for each robot: the rooms of its strip, then the first room of the next."""
+    planner = RoutePlanner(plan)
+    rooms = sorted(plan.rooms, key=lambda room: tuple(np.round(room.polygon_m.mean(axis=0), 3)))
+    strips = [list(strip) for strip in np.array_split(np.arange(len(rooms)), robots)]
+    ways = []
+    for k, strip in enumerate(strips):
+        following = strips[(k + 1) % robots]
+        chosen = [rooms[i] for i in _spread(strip, ROOMS_MAX)] + [rooms[i] for i in following[:2]]
+        ways.append(planner.route([stop for room in chosen for stop in room_tour(room)]))
+    return _apart(ways)
+
+
+def _spread(strip: Sequence[int], count: int) -> list[int]:
+    """At most `count` of a strip, spread over it, its first always among them."""
+    return [strip[int(i)] for i in np.unique(np.linspace(0, len(strip) - 1, min(count, len(strip))).astype(int))]
+
+
+def _apart(ways: list[Array]) -> list[Array]:
+    """Cut the beginnings so that no two robots start within a metre of each other."""
+    starts: list[Array] = []
+    cut = []
+    for way in ways:
+        k = 0
+        while k < len(way) - 10 and any(np.hypot(*(way[k] - other)) < 1.0 for other in starts):
+            k += 5
+        starts.append(way[k])
+        cut.append(way[k:])
+    return cut
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None
+
+
+class _Walker:
+    """Drives one robot along its way by its true pose; backs off when something stands in it."""
+
+    def __init__(self, way_m: Array):
+        self._way_m, self._at = way_m, 0
+        self._anchor, self._still, self._escape, self._side = way_m[0], 0, 0, 1.0
+        self.is_done = False
+
+    def act(self, pose: Array, env: ExplorationEnv) -> Array:
+        """(2,) action."""
+        if self.is_done:
+            return np.zeros(2)
+        if self._escape > 0:
+            self._escape -= 1
+            return np.array([-0.4, self._side])
+        if math.dist(pose[:2], self._anchor) > 0.3:
+            self._anchor, self._still = pose[:2].copy(), 0
+        self._still += 1
+        if self._still > STUCK_STEPS:
+            self._still, self._escape, self._side = 0, ESCAPE_STEPS, -self._side
+        command, self._at = steer(pose, self._way_m, self._at, env.config)
+        if command is None:
+            self.is_done = True
+            return np.zeros(2)
+        dynamics = env.config.dynamics
+        return np.clip([command[0] / dynamics.speed_max_m_s, command[1] / dynamics.turn_rate_max_rad_s], -1.0, 1.0)

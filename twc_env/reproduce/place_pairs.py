@@ -1,0 +1,91 @@
+"""Judging place recognition: precision and recall of accepted pairs, by both ways of counting, and whole curves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """Candidate pairs of places of different robots, and which of them truly are one place."""
+
+    first: Array
+    """(pairs,) number of the first place."""
+    second: Array
+    """(pairs,) number of the second place."""
+    robots: Array
+    """(pairs, 2) whose places they are."""
+    is_same: Array
+    """(pairs,) bool."""
+
+    def __len__(self) -> int:
+        return len(self.is_same)
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What a rule accepted."""
+
+    accepted: int
+    right: int
+    true: int
+    """How many it should have found."""
+
+    @property
+    def precision(self) -> float:
+        """NaN when nothing was accepted."""
+        return self.right / self.accepted if self.accepted else math.nan
+
+    @property
+    def recall(self) -> float:
+        """NaN when there was nothing to find."""
+        return self.right / self.true if self.true else math.nan
+
+
+def all_pairs(accepted: Array, pairs: Pairs) -> Counts:
+    """Every accepted pair counts (SPEC T10, the default)."""
+    return Counts(int(accepted.sum()), int((accepted & pairs.is_same).sum()), int(pairs.is_same.sum()))
+
+
+def best_match(accepted: Array, score: Array, pairs: Pairs) -> Counts:
+    """Each place is matched with its best accepted partner on each other robot; only that match counts (SPEC T10)."""
+    matches = right = true = 0
+    for mine, other in ((0, 1), (1, 0)):
+        place = pairs.first if mine == 0 else pairs.second
+        keys = place * (pairs.robots.max(initial=0) + 1) + pairs.robots[:, other]
+        true += len(np.unique(keys[pairs.is_same]))
+        kept = np.flatnonzero(accepted)
+        order = kept[np.argsort(-score[kept], kind="stable")]
+        _, first = np.unique(keys[order], return_index=True)
+        matches += len(first)
+        right += int(pairs.is_same[order[first]].sum())
+    return Counts(matches, right, true)
+
+
+def average_precision(score: Array, is_same: Array) -> float:
+    """Area under the precision-recall curve in steps; pairs of one score enter together. NaN with nothing to find."""
+    precision, recall = precision_recall_curve(score, is_same)
+    return float((np.diff(recall, prepend=0.0) * precision).sum()) if is_same.any() else math.nan
+
+
+def recall_at_full_precision(score: Array, is_same: Array) -> float:
+    """The largest recall of any threshold that accepts no wrong pair; 0 where there is none."""
+    if not is_same.any():
+        return math.nan
+    precision, recall = precision_recall_curve(score, is_same)
+    return float(recall[precision >= 1.0].max(initial=0.0))
+
+
+def precision_recall_curve(score: Array, is_same: Array) -> tuple[Array, Array]:
+    """Precision and recall at every distinct score, from the highest down."""
+    order = np.argsort(-score, kind="stable")
+    score, right = score[order], np.cumsum(is_same[order])
+    is_last = np.append(score[1:] != score[:-1], True)
+    precision = right / np.arange(1, len(right) + 1)
+    return precision[is_last], right[is_last] / max(int(is_same.sum()), 1)

@@ -1,0 +1,140 @@
+"""Plans that imitate the places of real radio surveys, and the radio model run at the survey's own scans.
+
+Walls that a set does not tell are drawn as an office or hall of its extent; access points stand where the set says,
+else they are spread by seed. Strengths are never taken from the data.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import RadioConfig
+from twc_env.datasets.ble_flat import Flat
+from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.random_streams import random_stream
+from twc_env.reproduce.routes import RoutePlanner
+from twc_env.world.floorplan import AccessPoint, Floorplan
+from twc_env.world.radio import RadioModel, WifiReceiver
+
+Array = NDArray
+
+_VENDOR = 0x02_00_5E << 24
+
+
+def office(name: str, bounds_m: Array, module_m: float = 7.0, wall_db: float = 4.0, outer_db: float = 10.0) -> Floorplan:
+    """Rooms of `module_m` on both sides of corridors 2.4 m wide along the longer side of bounds (4,)."""
+    x0, y0, x1, y1 = (float(v) for v in bounds_m)
+    turned = y1 - y0 > x1 - x0
+    if turned:
+        x0, y0, x1, y1 = y0, x0, y1, x1
+    walls = [(x0, y0, x1, y0, outer_db), (x1, y0, x1, y1, outer_db), (x1, y1, x0, y1, outer_db), (x0, y1, x0, y0, outer_db)]
+    bands = max(1, round((y1 - y0) / (2 * module_m + 2.4)))
+    height = (y1 - y0) / bands
+    for band in range(bands):
+        low, high = y0 + band * height, y0 + (band + 1) * height
+        near, far = low + (height - 2.4) / 2, high - (height - 2.4) / 2
+        if band:
+            walls.append((x0, low, x1, low, wall_db))
+        walls += [(x0, near, x1, near, wall_db), (x0, far, x1, far, wall_db)]
+        for x in np.arange(x0 + module_m, x1 - 1.0, module_m):
+            walls += [(x, low, x, near, wall_db), (x, far, x, high, wall_db)]
+    table = np.array(walls)
+    ends = table[:, [1, 0, 3, 2]] if turned else table[:, :4]
+    return Floorplan(name, ends.reshape(-1, 2, 2), table[:, 4], interior_m=[[(x0 + x1) / 2, (y0 + y1) / 2]])
+
+
+def flat(plan: Flat, wall_db: float) -> Floorplan:
+    """The outline itself: a wall has two faces, each of which takes half of its loss."""
+    ends = np.stack([plan.outline_m, np.roll(plan.outline_m, -1, axis=0)], axis=1)
+    points = [AccessPoint(f"anchor-{i}", place, (i + 1,)) for i, place in enumerate(plan.anchors_m)]
+    return Floorplan("flat", ends, np.full(len(ends), wall_db / 2), access_points=points, interior_m=[[1.0, 1.0]])
+
+
+def with_known_transmitters(plan: Floorplan, survey: RadioSurvey, floor: int) -> Floorplan:
+    """Access points where the survey has its transmitters: address k of the plan is column k - 1 of the survey."""
+    boxes: dict[tuple, list[int]] = {}
+    for k, (place, level) in enumerate(zip(survey.transmitter_m, survey.transmitter_floor, strict=True)):
+        boxes.setdefault((*place.tolist(), int(level)), []).append(k)
+    points = []
+    for (x, y, level), columns in boxes.items():
+        ordered = sorted(columns, key=lambda k: bool(survey.is_high_band[k]))
+        points.append(AccessPoint(f"ap-{columns[0]}", np.array([x, y]), tuple(k + 1 for k in ordered), level - floor))
+    return dataclasses.replace(plan, access_points=tuple(points))
+
+
+def with_spread_transmitters(
+    plan: Floorplan, boxes: int, addresses: int, seed: int, bounds_m: Array | None = None, floors: Sequence[int] = (0,)
+) -> Floorplan:
+    """Access points at random places within bounds (default: the plan's), shared out over storeys."""
+    random = random_stream(seed, f"transmitters {plan.name}")
+    low_high = plan.bounds_m if bounds_m is None else np.asarray(bounds_m, float)
+    places = random.uniform(low_high[:2], low_high[2:], (boxes, 2))
+    ends = np.linspace(0, addresses, boxes + 1).round().astype(int)
+    points = [
+        AccessPoint(
+            f"ap-{i}", places[i], tuple(range(_VENDOR + int(ends[i]) + 1, _VENDOR + int(ends[i + 1]) + 1)),
+            int(floors[i % len(floors)]),
+        )
+        for i in range(boxes)
+        if ends[i + 1] > ends[i]
+    ]  # fmt: skip
+    return dataclasses.replace(plan, access_points=tuple(points))
+
+
+def simulate(survey: RadioSurvey, plan: Floorplan, config: RadioConfig, seed: int, phones: bool = True) -> RadioSurvey:
+    """What the radio model gives at the places and times of a survey, in the plan of one storey.
+
+    Each walk is another phone, or one receiver takes them all.
+    """
+    model = RadioModel(config, plan)
+    table = np.full((len(survey.position_m), len(model.macs)), np.nan, np.float32)
+    receivers: dict[int, WifiReceiver] = {}
+    for k, (place, walk) in enumerate(zip(survey.position_m, survey.walk.tolist(), strict=True)):
+        device = walk if phones else 0
+        if device not in receivers:
+            receivers[device] = WifiReceiver(config, model, device, seed)
+        scan = receivers[device].scan(place, float(survey.time_s[k]))
+        fresh = slice(None) if scan.age_s is None else scan.age_s <= 0.0
+        table[k, np.searchsorted(model.macs, scan.macs[fresh])] = scan.rssi_dbm[fresh]
+    return dataclasses.replace(
+        survey,
+        addresses=tuple(str(mac) for mac in model.macs),
+        rssi_dbm=table,
+        transmitter_m=None,
+        transmitter_floor=None,
+        is_high_band=model.band_of == 1,
+    )
+
+
+def stroll(plan: Floorplan, length_m: float, spacing_m: float, speed_m_s: float, seed: int) -> RadioSurvey:
+    """An empty survey along a walk between random places of the open floor."""
+    planner, random = RoutePlanner(plan), random_stream(seed, f"stroll {plan.name}")
+    cells = plan.cells()
+    rows, columns = np.nonzero(cells.free)
+    way = np.zeros((0, 2))
+    while _length(way) < length_m:
+        stops = random.integers(0, len(rows), 6)
+        places = cells.origin_m + (np.column_stack([columns[stops], rows[stops]]) + 0.5) * cells.resolution_m
+        way = np.concatenate([way, planner.route([*way[-1:], *places])])
+    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+    at = np.arange(0.0, length_m, spacing_m)
+    places = np.column_stack([np.interp(at, travel, way[:, k]) for k in (0, 1)])
+    zeros = np.zeros(len(at), int)
+    return RadioSurvey(plan.name, places, zeros, at / speed_m_s, zeros, (), np.zeros((len(at), 0), np.float32))
+
+
+def merged(surveys: Sequence[RadioSurvey]) -> RadioSurvey:
+    """Scans that several phones took side by side: the mean of all that heard a transmitter (SPEC R3)."""
+    readings = np.stack([survey.rssi_dbm for survey in surveys])
+    count = np.isfinite(readings).sum(axis=0)
+    total = np.nansum(readings, axis=0)
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+    return dataclasses.replace(surveys[0], rssi_dbm=mean)
+
+
+def _length(way: Array) -> float:
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
