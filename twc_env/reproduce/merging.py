@@ -1,9 +1,9 @@
-"""Do teams merge, and never wrongly? Robots that start without a common frame walk through unseen generated buildings.
+"""Do teams merge, and never wrongly? Robots that start without a common frame walk through unseen buildings.
 
 Each of the 100 buildings of the test split gets one episode. Its rooms are dealt to the robots in strips from left to
-right; every robot tours its own strip and the first room of the next, so that paths overlap partly. The walkers know the
-building; the engine sees sensor frames only. `wrong_merges` counts pairs of robots that ever shared a map although their
-own paths place it more than 1 m or 10 degrees apart.
+right; every robot tours its own strip and the first rooms of the next, so that paths overlap partly. The walkers know
+the building; the engine sees sensor frames only. `wrong_merges` counts pairs of robots that ever shared a map although
+their own paths place it more than 1 m or 10 degrees apart.
 """
 
 from __future__ import annotations
