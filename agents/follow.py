@@ -19,6 +19,8 @@ MARGIN_M = 0.04
 """A command must keep the robot's rim this far from every scan point."""
 SLACK_M = 0.01
 """A robot that is nearer to something than the margin may still come nearer by this much, but no nearer than this."""
+SQUEEZE_M = 0.015
+"""In a gap that leaves no more, it goes on, slowly, as long as so much is left on each side."""
 CAUTION_M = 0.22
 """With less than this between rim and scan points ahead, the robot slows down."""
 HORIZON_STEPS = 6
@@ -110,9 +112,14 @@ def _drive(points, count, target_x, target_y, speed_max, turn_max, time_step, ra
     needed = max(min(radius + margin, nearest - SLACK_M), min(nearest - 1e-6, radius + SLACK_M))
     speed_max = min(speed_max, math.sqrt(2.0 * BRAKING_M_S2 * distance))
     length = min(distance, DETOUR_LENGTH_M)
-    if not patience and _ray_clearance(points, count, bearing, length) < needed:
-        bearing = _way_around(points, count, bearing, needed, DETOUR_LENGTH_M)
-        speed_max *= 0.5
+    clear = _ray_clearance(points, count, bearing, length)
+    if not patience and clear < needed:
+        if clear >= radius + SQUEEZE_M:  # a gap just wide enough: straight through it, slowly
+            needed = radius + SQUEEZE_M
+            speed_max *= 0.3
+        else:
+            bearing = _way_around(points, count, bearing, needed, DETOUR_LENGTH_M)
+            speed_max *= 0.5
     return _fastest(points, count, bearing, speed_max, turn_max, time_step, radius, needed, caution, steps)
 
 

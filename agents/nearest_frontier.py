@@ -49,9 +49,11 @@ class ExplorerConfig:
     """A robot that got no further than this in `stuck_s` is stuck."""
     jam_radius_m: float = 2.0
     """Stuck again this near counts as the same jam ..."""
-    jam_count_max: int = 6
+    jam_count_max: int = 4
     """... in which a robot gives way longer each time, up to so many times as long."""
-    forget_s: float = 40.0
+    tries: int = 2
+    """A goal that failed less often than this is waited for before the team counts as finished."""
+    forget_s: float = 20.0
     """A goal that failed is left alone this long, twice as long after each further failure."""
     forget_radius_m: float = 0.8
     tour_spacing_m: float = 2.0
@@ -222,7 +224,7 @@ class NearestFrontier:
         robot.jam_count = robot.jam_count + 1 if again else 1
         robot.jam_m = robot.pose[:2].copy()
         # Two robots that meet in a door both give way, each for a random time that grows until they miss each other.
-        robot.escape_until = step + int(self._rng.integers(8, 16)) * min(robot.jam_count, self.explorer.jam_count_max)
+        robot.escape_until = step + int(self._rng.integers(14, 24)) * min(robot.jam_count, self.explorer.jam_count_max)
         robot.escape_bearing = self._open_bearing(belief.ranges_m)
         if robot.follower.has_path:
             offset = robot.goal_m - robot.pose[:2]
@@ -285,7 +287,9 @@ class NearestFrontier:
         robot = self._robots[agent]
         robot.replan = False
         plan, kind = self._best_plan(agent, beliefs, self._terrain(agent, beliefs))
-        robot.is_idle = kind != "frontier"
+        step = beliefs[agent].step
+        will_retry = any(f.until_step > step and f.count < self.explorer.tries for f in robot.failures)
+        robot.is_idle = kind != "frontier" and not will_retry
         if plan is None:  # shut in, by the map at least: gaps that noise has narrowed may be wide enough
             plan, kind = self._best_plan(agent, beliefs, self._terrain(agent, beliefs, self.explorer.squeeze))
         if plan is None:  # nowhere to go: forget what failed, look around, and try again
@@ -435,14 +439,25 @@ class NearestFrontier:
         """Speed and turn rate for now, as shares of the maxima."""
         if belief.step <= robot.escape_until:
             bearing = robot.escape_bearing
-            x, y = 0.6 * math.cos(bearing), 0.6 * math.sin(bearing)
-            speed, turn_rate = drive_to(x, y, belief.ranges_m, self.dynamics)
+            if abs(bearing) > 2.0 and self._is_open_behind(belief.ranges_m):
+                speed, turn_rate = -0.4 * self.dynamics.speed_max_m_s, 0.0  # quicker than turning round
+            else:
+                x, y = 0.6 * math.cos(bearing), 0.6 * math.sin(bearing)
+                speed, turn_rate = drive_to(x, y, belief.ranges_m, self.dynamics)
             robot.escape_bearing = math.remainder(bearing - turn_rate * self.dynamics.time_step_s, 2 * math.pi)
         elif robot.arrived_step >= 0 or not robot.goal_kind:
             speed, turn_rate = 0.0, 0.6 * self.dynamics.turn_rate_max_rad_s  # look around: a turn makes a new keyframe
         else:
             speed, turn_rate = robot.follower.command(robot.pose, belief.ranges_m, self._has_to_wait(robot, belief))
         return as_action(speed, turn_rate, self.dynamics)
+
+    def _is_open_behind(self, ranges_m: Array | None) -> bool:
+        """Whether a robot can back up a little."""
+        if ranges_m is None or len(ranges_m) == 0:
+            return False
+        beams = len(ranges_m)
+        behind = ranges_m[beams // 2 - beams // 6 : beams // 2 + beams // 6 + 1]
+        return bool(behind.min() > self.dynamics.robot_radius_m + 0.25)
 
     def _has_to_wait(self, robot: _Robot, belief: Belief) -> bool:
         """A mate with right of way (the lower number) is close ahead."""

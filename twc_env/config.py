@@ -161,7 +161,9 @@ class RadioConfig(_Checked):
     wall_loss_scale: float = _number(1.0, 0.0, 10.0)
     """Multiplies the plan's wall losses on all bands: thin partitions drawn as 4 dB become concrete at 2.2."""
     floor_loss_db: float = _number(20.0, 0.0, 100.0)
-    """Loss of each ceiling between the robots and an access point of another storey."""
+    """Loss of the first ceiling between the robots and an access point of another storey."""
+    floor_loss_further_db: float = _number(10.0, 0.0, 100.0)
+    """Loss of each further ceiling: other ways around add up (ITU-R P.1238 has 15 + 4 (n - 1) dB for offices)."""
     floor_height_m: float = _number(4.0, 0.5, 20.0)
     sweep_share: float = _number(1.0, 0.01, 1.0)
     """Share of the transmitters that one scan really listens to; the others keep their last reading."""

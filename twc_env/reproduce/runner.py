@@ -23,6 +23,7 @@ TABLES: dict[str, str] = {
     "odometry": "odometry",
     "radio-model": "radio_model",
     "twc-table1": "twc_table1",
+    "real-places": "real_places",
 }
 """Name on the command line -> module of this package."""
 
@@ -135,6 +136,8 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     settings = {k: v for k, v in vars(options).items() if k not in ("run", "json", "cache", "out")}
     rows = plain(module.rows(options, Runner(name, options.cache, settings)))
     print_rows(rows)
+    for remark in getattr(module, "remarks", lambda _: ())(rows):
+        print(remark)
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(rows, indent=2) + "\n")

@@ -42,7 +42,7 @@ ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 3.0, 5.0
 several are that only together are likely."""
 PRIOR_GROUPS = 10
 """Weight, in groups, of the share of true ones among all against that among the undecided."""
-SCALE_GROUPS = 10
+SCALE_GROUPS = 30
 """Groups that must have been believed before the covariances' common scale is half learnt."""
 SCALE_MIN, SCALE_MAX, GATE_SCALE_MIN = 0.05, 10.0, 0.5
 KEYS_MAX = 500
@@ -460,11 +460,14 @@ class _Growth:
         return error, drift + off
 
     def _evidence(self, error: Array, covariance: Array) -> Array:
-        """(k,) log of Student's t density against a place drawn from the whole building."""
-        squared = _squared_length(error, covariance) / self._scale
+        """(k,) log of Student's t density against a place drawn from the whole building.
+
+        Drift beyond the building's size says nothing against a closure.
+        """
+        squared = _squared_length(error, covariance) / max(self._scale, 1.0)
         scale = math.lgamma((TAIL + 3) / 2) - math.lgamma(TAIL / 2) - 1.5 * math.log(TAIL * math.pi * self._scale)
-        density = scale - 0.5 * np.linalg.slogdet(covariance)[1] - (TAIL + 3) / 2 * np.log1p(squared / TAIL)
-        return density + self._log_volume
+        peak = scale - 0.5 * np.linalg.slogdet(covariance)[1] + self._log_volume
+        return np.maximum(peak, 0.5) - (TAIL + 3) / 2 * np.log1p(squared / TAIL)
 
     def _learn_scale(self) -> None:
         """How much smaller or larger errors are than their covariances say, from the groups believed so far."""

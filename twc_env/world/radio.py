@@ -85,18 +85,20 @@ class RadioModel:
         low_floor = config.detection_floor_dbm
         by_band = np.array(
             [
-                [config.power_at_1m_dbm, config.path_loss_exponent, low_floor, config.floor_loss_db],
+                [config.power_at_1m_dbm, config.path_loss_exponent, low_floor, 1.0],
                 [
                     config.power_at_1m_dbm + high.power_offset_db,
                     high.path_loss_exponent,
                     low_floor + high.detection_offset_db,
-                    config.floor_loss_db * high.floor_loss_factor,
+                    high.floor_loss_factor,
                 ],
                 [cell.power_at_1m_dbm, cell.path_loss_exponent, cell.detection_floor_dbm, 0.0],
             ]
         )
-        power, exponent, self.detection_floors_dbm, floor_loss = by_band[self.band_of].T.copy()
-        self._floor_losses_db = floor_loss * self._sources.floors[self.access_point_of]
+        power, exponent, self.detection_floors_dbm, floor_factor = by_band[self.band_of].T.copy()
+        ceilings = self._sources.floors[self.access_point_of]
+        further_db = config.floor_loss_further_db * np.maximum(ceilings - 1, 0)
+        self._floor_losses_db = floor_factor * (config.floor_loss_db * (ceilings > 0) + further_db)
         self._power_dbm, self._exponent = power, exponent
         radios, self.radio_of = np.unique(3 * self.access_point_of + self.band_of, return_inverse=True)
         self.radio_count = len(radios)
