@@ -1,10 +1,22 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
-from twc_env.config import RadioConfig
+from twc_env.config import (
+    RADIO_PRESETS,
+    CellConfig,
+    EnvConfig,
+    HighBandConfig,
+    RadioConfig,
+    from_dict,
+    override,
+    radio_preset,
+)
+from twc_env.errors import ConfigError
 from twc_env.maps import load_map
 from twc_env.world.floorplan import AccessPoint, Floorplan
-from twc_env.world.radio import RadioModel, WifiReceiver
+from twc_env.world.radio import CELL_BAND, CELL_ID_MIN, HIGH_BAND, LOW_BAND, RadioModel, WifiReceiver
 
 QUIET = {"shadowing_std_db": 0.0, "fading_std_db": 0.0, "device_offset_std_db": 0.0, "noise_std_db": 0.0}
 SURE = {**QUIET, "detection_floor_dbm": -119.0, "detection_slope_db": 0.05}
@@ -147,3 +159,160 @@ def test_a_building_without_access_points_gives_empty_scans():
     plan = Floorplan("bare", hall().walls_m, hall().wall_loss_db, interior_m=[[1, 0]])
     scan = WifiReceiver(RadioConfig(), RadioModel(RadioConfig(), plan), robot=0, seed=0).scan(np.zeros(2))
     assert len(scan.macs) == len(scan.rssi_dbm) == 0
+
+
+def test_every_band_falls_with_its_own_exponent():
+    config = RadioConfig(**QUIET, path_loss_exponent=2.0, high_band=HighBandConfig(share=0.5, path_loss_exponent=3.0))
+    model = RadioModel(config, hall(macs=((1, 2, 3, 4),)))
+    near, far = (model.mean_rssi_dbm(np.array([d, 0.0])) for d in (1.5, 15.0))
+    assert model.band_of.tolist() == [LOW_BAND, HIGH_BAND, LOW_BAND, HIGH_BAND]
+    assert near - far == pytest.approx([20.0, 30.0, 20.0, 30.0])
+
+
+def test_a_wall_takes_more_at_five_gigahertz_and_by_its_material():
+    walls, position = [(5, -3, 5, 3, 7.0)], np.array([10.0, 0.3])
+    config = RadioConfig(**QUIET, high_band=HighBandConfig(share=0.5, wall_loss_factor=1.5))
+    free, plain = hall(macs=((1, 2),)), hall(walls, macs=((1, 2),))
+    brick = dataclasses.replace(plain, wall_materials=("", "", "", "", "brick"))
+    clear = RadioModel(dataclasses.replace(config, power_spread_db=0.0), free).mean_rssi_dbm(position)
+    for plan, expected in ((plain, [7.0, 10.5]), (brick, [7.0, 11.0])):
+        model = RadioModel(dataclasses.replace(config, power_spread_db=0.0), plan)
+        assert clear - model.mean_rssi_dbm(position) == pytest.approx(expected)
+        assert model.walls_crossed(position).tolist() == [1]
+
+
+def test_wall_losses_follow_the_scale():
+    walls, position = [(5, -3, 5, 3, 4.0)], np.array([10.0, 0.3])
+    single, double = (
+        RadioModel(RadioConfig(**QUIET, power_spread_db=0.0, wall_loss_scale=s), hall(walls)).mean_rssi_dbm(position)
+        for s in (1.0, 2.0)
+    )
+    assert single - double == pytest.approx([4.0, 4.0])
+
+
+def test_ceilings_take_their_losses_and_lengthen_the_way():
+    config = RadioConfig(
+        **QUIET, power_spread_db=0.0, floor_loss_db=15.0, floor_loss_further_db=4.0, floor_height_m=3.0,
+        path_loss_exponent=2.0,
+    )  # fmt: skip
+    levels = []
+    for floor in (0, 1, -3):
+        plan = hall(macs=((1,),))
+        above = dataclasses.replace(plan.access_points[0], floor=floor)
+        levels.append(RadioModel(config, dataclasses.replace(plan, access_points=(above,))).mean_rssi_dbm(np.array([4.0, 0]))[0])
+    assert levels[0] - levels[1] == pytest.approx(15.0 + 20 * np.log10(5.0 / 4.0))
+    assert levels[0] - levels[2] == pytest.approx(23.0 + 20 * np.log10(np.hypot(9.0, 4.0) / 4.0))
+
+
+def test_the_number_of_addresses_per_access_point_can_be_set():
+    plan = load_map("twin-01")
+    for count in (1, 5):
+        model = RadioModel(RadioConfig(bssids_per_access_point=count), plan)
+        assert len(model.macs) == count * len(plan.access_points)
+        assert len(np.unique(model.macs)) == len(model.macs)
+        assert np.bincount(model.access_point_of).tolist() == [count] * len(plan.access_points)
+
+
+def test_addresses_of_one_box_fade_together_when_asked():
+    plan = hall(macs=[tuple(range(1, 7))])
+    config = RadioConfig(**{**SURE, "fading_std_db": 6.0}, power_spread_db=0.0, fading_shared=True)
+    readings = WifiReceiver(config, RadioModel(config, plan), 0, 1).scan(np.array([9.0, 0.0])).rssi_dbm
+    apart = dataclasses.replace(config, fading_shared=False)
+    scattered = WifiReceiver(apart, RadioModel(apart, plan), 0, 1).scan(np.array([9.0, 0.0])).rssi_dbm
+    assert np.ptp(readings) == 0.0
+    assert np.ptp(scattered) > 2.0
+
+
+def test_readings_not_renewed_are_repeated_with_their_age_and_then_forgotten():
+    config = RadioConfig(**SURE, stale_age_max_s=5.0)
+    receiver = WifiReceiver(config, RadioModel(config, hall()), robot=0, seed=0)
+    first = receiver.scan(np.array([3.0, 0.0]), time_s=0.0)
+    deaf = np.array([1e9, 0.0])
+    second, third = receiver.scan(deaf, time_s=4.0), receiver.scan(deaf, time_s=6.0)
+    assert first.age_s.tolist() == [0.0, 0.0]
+    assert second.age_s.tolist() == [4.0, 4.0]
+    assert np.array_equal(second.rssi_dbm, first.rssi_dbm)
+    assert len(third.macs) == 0
+
+
+def test_a_scan_that_sweeps_part_of_the_channels_renews_that_share():
+    config = RadioConfig(**SURE, sweep_share=0.3, stale_age_max_s=100.0)
+    receiver = WifiReceiver(config, RadioModel(config, hall(macs=[tuple(range(1, 101))])), robot=0, seed=0)
+    scans = [receiver.scan(np.array([3.0, 0.0]), time_s=2.0 * k) for k in range(60)]
+    fresh = np.mean([(scan.age_s == 0.0).sum() / 100 for scan in scans])
+    assert fresh == pytest.approx(0.3, abs=0.03)
+    assert len(scans[-1].macs) == 100
+    assert 2.0 < np.mean(np.concatenate([scan.age_s for scan in scans[30:]])) < 7.0
+
+
+def test_strong_signals_are_missed_with_the_configured_probability():
+    config = RadioConfig(**SURE, miss_probability=0.25)
+    receiver = WifiReceiver(config, RadioModel(config, hall(macs=[tuple(range(1, 101))])), robot=0, seed=0)
+    heard = np.mean([len(receiver.scan(np.array([2.0, 0.0])).macs) for _ in range(200)])
+    assert heard == pytest.approx(75.0, abs=1.5)
+
+
+def test_readings_come_in_the_configured_steps():
+    config = RadioConfig(quantisation_db=2.0)
+    readings = WifiReceiver(config, RadioModel(config, load_map("twin-01")), 0, 1).scan(np.array([15.0, 1.2])).rssi_dbm
+    assert np.array_equal(readings % 2.0, np.zeros(len(readings)))
+
+
+def lte_model(plan=None, **cells) -> RadioModel:
+    quiet = {"count": 30, "shadowing_std_db": 0.0, **cells}
+    config = RadioConfig(**QUIET, wifi=False, power_spread_db=0.0, cells=CellConfig(**quiet))
+    return RadioModel(config, plan or load_map("twin-01"))
+
+
+def test_cells_have_numbers_of_their_own_and_stand_outside_at_the_configured_distance():
+    model = lte_model(distance_min_m=300.0, distance_max_m=900.0)
+    low_x, low_y, high_x, high_y = load_map("twin-01").bounds_m
+    away = np.linalg.norm(model._sources.position_m - [(low_x + high_x) / 2, (low_y + high_y) / 2], axis=1)
+    assert model.macs.tolist() == [CELL_ID_MIN + k for k in range(30)]
+    assert (model.band_of == CELL_BAND).all()
+    assert 300.0 <= away.min() and away.max() <= 900.0
+
+
+def test_a_cell_weakens_with_distance_walls_and_off_its_aim():
+    plan = load_map("twin-01")
+    model, opened = lte_model(plan), lte_model(plan, wall_loss_factor=0.0)
+    place = np.array([15.0, 1.2])
+    masts = model._sources.position_m
+    aim = np.arctan2(*(place - masts).T[::-1]) - model._aim_rad
+    off = np.abs((aim + np.pi) % (2 * np.pi) - np.pi)
+    expected = -8.0 - 35.0 * np.log10(np.linalg.norm(masts - place, axis=1))
+    expected -= np.minimum(12.0 * (off / np.deg2rad(65.0)) ** 2, 20.0)
+    assert opened.mean_rssi_dbm(place) == pytest.approx(expected)
+    loss = opened.mean_rssi_dbm(place) - model.mean_rssi_dbm(place)
+    walls = np.array([plan.wall_index.crossing(place, mast[None])[1][0] for mast in masts])
+    assert loss == pytest.approx(walls)
+
+
+def test_cells_move_with_the_building():
+    plan = load_map("twin-01")
+    moved = plan.moved([30.0, -8.0, 2.0])
+    here = np.array([3.0, 1.0])
+    there = np.array([30.0, -8.0]) + np.array([[np.cos(2), -np.sin(2)], [np.sin(2), np.cos(2)]]) @ here
+    assert lte_model(moved).mean_rssi_dbm(there) == pytest.approx(lte_model(plan).mean_rssi_dbm(here), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", sorted(RADIO_PRESETS))
+def test_every_preset_hears_something_on_the_twin_map(name):
+    config = radio_preset(name)
+    scan = WifiReceiver(config, RadioModel(config, load_map("twin-01")), 0, 1).scan(np.array([15.0, 1.2]))
+    assert len(scan.macs) >= 8
+    assert (scan.macs >= CELL_ID_MIN).all() == (name == "lte")
+
+
+def test_presets_are_loaded_by_name_and_changed_by_key():
+    config = from_dict({"radio": {"preset": "lte", "noise_std_db": 0.5, "cells": {"count": 12}}})
+    assert config.radio == dataclasses.replace(
+        radio_preset("lte"), noise_std_db=0.5, cells=dataclasses.replace(radio_preset("lte").cells, count=12)
+    )
+    assert override(EnvConfig(), {"radio.preset": "sfw"}).radio == radio_preset("sfw")
+    assert radio_preset("twc") == RadioConfig()
+
+
+def test_an_unknown_preset_is_refused_with_the_nearest_name():
+    with pytest.raises(ConfigError, match="did you mean 'radio-indoor'"):
+        radio_preset("radio-indor")

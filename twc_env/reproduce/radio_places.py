@@ -85,6 +85,14 @@ def with_spread_transmitters(
     return dataclasses.replace(plan, access_points=tuple(points))
 
 
+def over_storeys(plan: Floorplan, floors: Sequence[int]) -> Floorplan:
+    """The plan with its access points dealt out over storeys."""
+    points = [
+        dataclasses.replace(point, floor=floors[i % len(floors)]) for i, point in enumerate(plan.access_points)
+    ]
+    return dataclasses.replace(plan, access_points=tuple(points))
+
+
 def simulate(survey: RadioSurvey, plan: Floorplan, config: RadioConfig, seed: int, phones: bool = True) -> RadioSurvey:
     """What the radio model gives at the places and times of a survey, in the plan of one storey.
 

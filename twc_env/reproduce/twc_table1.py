@@ -319,10 +319,10 @@ def remarks(table: list[dict]) -> list[str]:
         )
     if "twc" in gaps:
         lines += [
-            "Why twc is off: names on these walls differ wherever one radio signature reaches, so text and WiFi together "
-            "accept (almost) nothing wrong;",
-            "the print accepts up to 46 % wrong, which takes like labels (A301, A302) within one signature. At 100 % "
-            "precision alone the error is 10.3 points over both scenes.",
+            "Why twc is off: names on these walls differ wherever one radio signature reaches, so text and WiFi "
+            "together accept next to nothing wrong.",
+            "The print accepts up to 46 % wrong, which takes like labels (A301, A302) within one signature. At 100 % "
+            "precision that alone is an error of 10.3 points over both scenes.",
             "Why text is off: four alike rooms with one repeated sign each give three wrong pairs of exact texts for "
             "every right one, so precision at alpha 1.0 cannot reach the printed 78 and 88 %.",
         ]

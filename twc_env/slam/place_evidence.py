@@ -34,9 +34,10 @@ SAME_PASS_M, SAME_PASS_TRAVEL_M = 0.5, 4.0
 """Readings this near to each other, within this path, are of one sign, whatever they say."""
 SAME_SIGN_M, SAME_SIGN_SIMILARITY = 2.0, 0.6
 """Later, the path may have drifted by this much, but then the texts must be alike."""
-OPPOSITE_RAD, FACING_RAD = 2.2, 0.8
-"""Readings on walls that face further apart than the first are of two signs; the second blurs one wall with the next
-at a corner, so such readings are of one sign only if their texts are alike."""
+OPPOSITE_RAD, MISPLACED_M = 2.2, 1.0
+"""Readings on walls that face away from each other are of two signs, unless so near that one facing must be wrong."""
+FACING_RAD = 0.8
+"""Readings that face further apart than this are of one sign only if their texts are alike: walls blur at corners."""
 READINGS_MAX, VIEWS_MAX = 15, 6
 """Texts and keyframes kept per sign."""
 HIDDEN_TWIN_SHARE = 0.1
@@ -277,7 +278,7 @@ class PlaceMemory:
                 continue
             turn = abs(math.remainder(facing - place.facing_odom, 2 * math.pi))
             is_pass = away < SAME_PASS_M and keyframe.travel_m - place.travel_m < SAME_PASS_TRAVEL_M
-            if turn > OPPOSITE_RAD:
+            if turn > OPPOSITE_RAD and away > MISPLACED_M:
                 continue
             if place.reads_like(text, away < SAME_PASS_M) or (is_pass and not turn > FACING_RAD):
                 best, best_m = place, away

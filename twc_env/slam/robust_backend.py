@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from twc_env.config import PoseGraphConfig
 from twc_env.geometry import between, compose, inverse, wrap_angle
@@ -37,10 +38,10 @@ WINDOW_STEPS = 10
 """Neighbours of one group lie at most this far apart at both ends."""
 TAIL = 5.0
 """Degrees of freedom of Student's t: real odometry errs more than its covariance says."""
-ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 3.0, 5.0
+ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 2.5, 4.5
 """Log odds from which groups are believed by the dozen, from which the best one is when there are no such, and from which
 several are that only together are likely."""
-PRIOR_GROUPS = 10
+PRIOR_GROUPS = 30
 """Weight, in groups, of the share of true ones among all against that among the undecided."""
 SCALE_GROUPS = 30
 """Groups that must have been believed before the covariances' common scale is half learnt."""
@@ -268,27 +269,80 @@ class _Chains:
 
 
 class _Pairs:
-    """Do two closures agree, given the odometry between their ends?"""
+    """Do two closures agree, given the odometry between their ends?
+
+    Each closure k claims that its second pose's map lies at T_k = X_i z X_j^-1 of its first pose's; two agree when
+    T_a T_b^-1 is a twist that their own noise and the odometry between their ends explain.
+    """
 
     def __init__(self, graph: Graph, poses: Array, chains: _Chains, closures: Array):
-        self.i, self.j = graph.edges[closures].T
-        self._z = graph.measured[closures]
-        self._noise = np.linalg.inv(graph.information[closures])
-        self._poses, self._chains, self._grown = poses, chains, chains.grown(poses)
+        self.i, self.j = np.ascontiguousarray(graph.edges[closures].T)
+        put = compose(poses[self.i], graph.measured[closures])
+        claim = compose(put, inverse(poses[self.j]))
+        noise = _turned(_adjoint(put), np.linalg.inv(graph.information[closures]))
+        self._facts = (claim, _adjoint(claim), noise, self.i, self.j, chains.step, chains.grown(poses))
 
     def squared(self, a: Array, b: Array) -> Array:
-        """(k,) squared length of the loop a forth, odometry, b back, odometry, for closures a, b (k,)."""
-        poses, z = self._poses, self._z
-        forth = between(poses[self.j[a]], poses[self.j[b]])
-        back = between(poses[self.i[b]], poses[self.i[a]])
-        to_b = compose(z[a], forth)
-        error = _logarithm(compose(compose(to_b, inverse(z[b])), back))
-        covariance = _turned(_adjoint(z[a]), self._noise[a]) + _turned(_adjoint(to_b), self._noise[b])
-        there = _adjoint(compose(z[a], inverse(poses[self.j[a]])))
-        covariance += _turned(there, self._chains.stretch(self._grown, self.j[a], self.j[b]))
-        here = _adjoint(inverse(poses[self.i[a]]))
-        covariance += _turned(here, self._chains.stretch(self._grown, self.i[a], self.i[b]))
-        return _squared_length(error, covariance + 1e-12 * np.eye(3))
+        """(k,) squared length of the disagreement of closures a, b (k,)."""
+        return _disagreements(a, b, *self._facts)
+
+    def agreement(self, members: Array, gate: float) -> Array:
+        """(m, m) whether members agree pairwise."""
+        return _agreement(members, gate, *self._facts)
+
+
+@njit(cache=True, error_model="numpy")
+def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown):
+    ta, tb = claim[a], claim[b]
+    turn = (ta[2] - tb[2] + np.pi) % (2 * np.pi) - np.pi
+    c, s = np.cos(turn), np.sin(turn)
+    x, y = ta[0] - (c * tb[0] - s * tb[1]), ta[1] - (s * tb[0] + c * tb[1])
+    half = turn / 2
+    ratio = 1.0 if abs(half) < 1e-6 else half / np.tan(half)
+    ex, ey = ratio * x + half * y, -half * x + ratio * y
+    back = 1.0 if step[j[a]] <= step[j[b]] else -1.0
+    forth = 1.0 if step[i[a]] <= step[i[b]] else -1.0
+    half_turned, total = np.empty((3, 3)), np.empty((3, 3))
+    ad, ga, gb = adjoint[a], grown[j[a]], grown[j[b]]
+    for p in range(3):
+        for q in range(3):
+            value = 0.0
+            for k in range(3):
+                value += ad[p, k] * (gb[k, q] - ga[k, q])
+            half_turned[p, q] = back * value
+    for p in range(3):
+        for q in range(p + 1):
+            value = noise[a, p, q] + noise[b, p, q] + forth * (grown[i[b], p, q] - grown[i[a], p, q])
+            for k in range(3):
+                value += half_turned[p, k] * ad[q, k]
+            total[p, q] = value
+    l00 = np.sqrt(total[0, 0])
+    l10, l20 = total[1, 0] / l00, total[2, 0] / l00
+    l11 = np.sqrt(total[1, 1] - l10 * l10)
+    l21 = (total[2, 1] - l20 * l10) / l11
+    l22 = np.sqrt(total[2, 2] - l20 * l20 - l21 * l21)
+    u = ex / l00
+    v = (ey - l10 * u) / l11
+    w = (turn - l20 * u - l21 * v) / l22
+    return u * u + v * v + w * w
+
+
+@njit(cache=True, error_model="numpy")
+def _disagreements(first, second, claim, adjoint, noise, i, j, step, grown):
+    out = np.empty(len(first))
+    for k in range(len(first)):
+        out[k] = _disagreement(first[k], second[k], claim, adjoint, noise, i, j, step, grown)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _agreement(members, gate, claim, adjoint, noise, i, j, step, grown):
+    out = np.zeros((len(members), len(members)), np.bool_)
+    for p in range(len(members)):
+        for q in range(p):
+            squared = _disagreement(members[p], members[q], claim, adjoint, noise, i, j, step, grown)
+            out[p, q] = out[q, p] = squared < gate
+    return out
 
 
 def _pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
@@ -301,11 +355,7 @@ def _pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
     accepted = ~graph.is_closure
     for one in np.unique(ends, axis=0):
         members = np.flatnonzero((ends == one).all(axis=1))
-        agree = np.zeros((len(members), len(members)), bool)
-        for row in range(0, len(members), 64):
-            a, b = np.meshgrid(members[row : row + 64], members, indexing="ij")
-            agree[row : row + 64] = (pairs.squared(a.ravel(), b.ravel()) < GATE).reshape(a.shape)
-        accepted[closures[members[_greedy_clique(agree)]]] = True
+        accepted[closures[members[_greedy_clique(pairs.agreement(members, GATE))]]] = True
     return graph.fit(poses, accepted.astype(float)), accepted
 
 
@@ -424,7 +474,7 @@ class _Growth:
             i, j = self._i[used], self._j[used]
             covariance = self._own_noise(used) + self._off_key(i) + self._off_key(j)
             _add_edges(hessian, self._key_of[i], self._key_of[j], np.linalg.inv(covariance))
-        self._joint = np.linalg.inv(hessian.reshape(3 * count, 3 * count)).reshape(count, 3, count, 3)
+        self._joint = _inverse(hessian.reshape(3 * count, 3 * count)).reshape(count, 3, count, 3)
         self._learn_scale()
         extent = np.ptp(poses[:, :2], axis=0) + 1.0
         self._log_volume = math.log(extent[0] * extent[1] * 2 * math.pi / 8)
@@ -464,7 +514,7 @@ class _Growth:
 
         Drift beyond the building's size says nothing against a closure.
         """
-        squared = _squared_length(error, covariance) / max(self._scale, 1.0)
+        squared = _squared_length(error, covariance) / self._scale
         scale = math.lgamma((TAIL + 3) / 2) - math.lgamma(TAIL / 2) - 1.5 * math.log(TAIL * math.pi * self._scale)
         peak = scale - 0.5 * np.linalg.slogdet(covariance)[1] + self._log_volume
         return np.maximum(peak, 0.5) - (TAIL + 3) / 2 * np.log1p(squared / TAIL)
@@ -659,11 +709,31 @@ class _Growth:
         return reasons
 
 
-def _add_edges(hessian: Array, a: Array, b: Array, weight: Array) -> None:
+def _inverse(matrix: Array) -> Array:
+    """Of a positive definite matrix."""
+    factor, _ = dpotrf(matrix.T, lower=0, overwrite_a=1)
+    lower = dpotri(factor, lower=0, overwrite_c=1)[0].T
+    _mirror(lower)
+    return lower
+
+
+@njit(cache=True, error_model="numpy")
+def _mirror(lower):
+    for row in range(len(lower)):
+        for column in range(row):
+            lower[column, row] = lower[row, column]
+
+
+@njit(cache=True, error_model="numpy")
+def _add_edges(hessian, a, b, weight):
     """Add the Laplacian blocks of edges a - b (k,) with information (k, 3, 3) to (n, 3, n, 3)."""
-    for p, q, w in zip(a.tolist(), b.tolist(), weight, strict=True):
-        if p != q:
-            hessian[p, :, p] += w
-            hessian[q, :, q] += w
-            hessian[p, :, q] -= w
-            hessian[q, :, p] -= w
+    for e in range(len(a)):
+        p, q = a[e], b[e]
+        if p == q:
+            continue
+        for i in range(3):
+            for j in range(3):
+                hessian[p, i, p, j] += weight[e, i, j]
+                hessian[q, i, q, j] += weight[e, i, j]
+                hessian[p, i, q, j] -= weight[e, i, j]
+                hessian[q, i, p, j] -= weight[e, i, j]
