@@ -34,6 +34,23 @@ def test_a_log_gives_back_every_frame_to_the_bit(recorded, tmp_path):
                 assert np.array_equal(a.wifi.rssi_dbm, b.wifi.rssi_dbm)
 
 
+def test_ages_of_repeated_readings_survive(tmp_path):
+    radio = {"stale_age_max_s": 5.0, "sweep_share": 0.5}
+    env = twc_env.parallel_env(map="twin-01", robots=1, max_cycles=10, config={"radio": radio})
+    env.reset(seed=1)
+    steps = [env.frames]
+    while env.agents:
+        env.step({agent: np.zeros(2, np.float32) for agent in env.agents})
+        steps.append(env.frames)
+    write_frame_log(tmp_path / "frames.npz", env.config, steps)
+    scans = [
+        [frames[0].wifi for frames in run if frames[0].wifi]
+        for run in (steps, read_frame_log(tmp_path / "frames.npz")[1])
+    ]
+    assert any(scan.age_s.max() > 0 for scan in scans[0])
+    assert all(np.array_equal(a.age_s, b.age_s) for a, b in zip(*scans, strict=True))
+
+
 def test_the_engine_finds_on_a_log_what_it_found_in_the_world(recorded, tmp_path):
     env, steps = recorded
     write_frame_log(tmp_path / "frames.npz", env.config, steps)

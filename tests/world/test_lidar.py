@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import shapely
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 from twc_env.config import LidarConfig
 from twc_env.maps import load_map
 from twc_env.world import lidar as lidar_module
-from twc_env.world.lidar import Lidar
+from twc_env.world.lidar import Lidar, glass_walls
 from twc_env.world.wall_index import index_walls
 
 SQUARE = np.array([[[0, 0], [4, 0]], [[4, 0], [4, 4]], [[4, 4], [0, 4]], [[0, 4], [0, 0]]], float)
@@ -119,3 +121,65 @@ def test_adding_a_robot_leaves_the_noise_of_the_others_alone():
     one = scanner(walls, robots=1, seed=4).scan(poses[:1])
     two = scanner(walls, robots=2, seed=4).scan(poses)
     assert np.array_equal(one[0], two[0])
+
+
+PANE = np.array([[[3.0, -20.0], [3.0, 20.0]], [[6.0, -20.0], [6.0, 20.0]]])
+
+
+def test_beams_drop_out_with_the_configured_probability():
+    device = scanner(dropout_probability=0.2, beam_count=360, range_noise_std_m=0.0)
+    pose = np.array([[2.0, 2.0, 0.0]])
+    scans = np.array([device.scan(pose)[0] for _ in range(200)])
+    exact = device.true_ranges(pose)[0]
+    lost = scans == 10.0
+    assert lost.mean() == pytest.approx(0.2, abs=0.01)
+    assert np.array_equal(scans[~lost], np.broadcast_to(exact, scans.shape)[~lost])
+
+
+def glass_scanner(**config) -> Lidar:
+    """A pane 3 m ahead with a wall 3 m behind it."""
+    settings = {"beam_count": 360, "range_noise_std_m": 0.0, "range_max_m": 15.0, **config}
+    return Lidar(LidarConfig(**settings), index_walls(PANE, np.ones(2)), 0.2, 1, 0, glass=(0,))
+
+
+def test_glass_is_a_wall_like_any_other_by_default():
+    device, pose = glass_scanner(), np.zeros((1, 3))
+    assert np.array_equal(device.scan(pose), device.true_ranges(pose))
+    assert device.scan(pose)[0, 0] == pytest.approx(3.0)
+
+
+def test_glass_is_seen_by_the_chance_of_its_incidence_else_what_lies_behind():
+    device = glass_scanner(glass_return_probability=0.8, glass_incidence_max_rad=0.6)
+    scans = np.array([device.scan(np.zeros((1, 3)))[0] for _ in range(600)])
+    for beam in (0, 10, 20, 30, 40, 340):
+        angle = np.deg2rad(beam if beam < 180 else 360 - beam)
+        pane, wall = 3.0 / np.cos(angle), 6.0 / np.cos(angle)
+        seen = np.isclose(scans[:, beam], pane)
+        assert (seen | np.isclose(scans[:, beam], wall)).all()
+        assert seen.mean() == pytest.approx(max(0.0, 0.8 * (1 - angle / 0.6)), abs=0.06)
+
+
+def test_glass_that_never_returns_leaves_exactly_the_solid_walls():
+    plan = load_map("twin-01")
+    panes = tuple(range(0, len(plan.walls_m), 5))
+    rest = np.delete(np.arange(len(plan.walls_m)), panes)
+    poses = np.array([[15.0, 1.2, 0.3]])
+    config = LidarConfig(glass_return_probability=0.0, range_noise_std_m=0.0)
+    through = Lidar(config, plan.wall_index, 0.2, 1, 0, glass=panes).scan(poses)
+    solid = Lidar(config, index_walls(plan.walls_m[rest], plan.wall_loss_db[rest]), 0.2, 1, 0).true_ranges(poses)
+    assert through == pytest.approx(solid, abs=1e-9)
+
+
+def test_a_building_all_of_glass_can_be_looked_through():
+    config = LidarConfig(glass_return_probability=0.0)
+    device = Lidar(config, index_walls(SQUARE, np.ones(4)), 0.2, 1, 0, glass=(0, 1, 2, 3))
+    assert (device.scan(np.array([[2.0, 2.0, 0.0]])) == config.range_max_m).all()
+
+
+def test_glass_walls_of_a_plan_are_those_of_glassy_material():
+    plan = load_map("twin-01")
+    names = [
+        "glass" if k == 3 else "brick" if k == 4 else "coated-glass" if k == 7 else "" for k in range(len(plan.walls_m))
+    ]
+    assert glass_walls(plan) == ()
+    assert glass_walls(dataclasses.replace(plan, wall_materials=tuple(names))) == (3, 7)

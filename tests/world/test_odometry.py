@@ -5,7 +5,7 @@ import pytest
 
 from twc_env.config import OdometryConfig
 from twc_env.geometry import compose
-from twc_env.world.odometry import Odometry
+from twc_env.world.odometry import PRESETS, Odometry
 
 
 def loop(steps: int = 1000, speed_m: float = 0.06) -> np.ndarray:
@@ -77,3 +77,36 @@ def test_robots_have_their_own_errors_that_others_do_not_shift():
         team, _ = three.measure(np.tile(before, (3, 1)), np.tile(now, (3, 1)))
         assert np.array_equal(alone[0], team[0])
     assert not np.array_equal(team[0], team[1])
+
+
+def test_the_drift_dial_scales_the_error_from_perfect_to_hard():
+    path = loop(300)
+    errors = [
+        np.median([np.hypot(*(dead_reckoning(path, drift=d, seed=s) - path[-1])[:2]) for s in range(30)])
+        for d in (0.0, 0.5, 1.0, 2.0, 4.0)
+    ]
+    assert errors[0] == pytest.approx(0.0, abs=1e-9)
+    assert all(low < high for low, high in pairwise(errors))
+    assert errors[3] / errors[2] == pytest.approx(2.0, abs=0.6)
+
+
+def test_the_intel_platform_curls_to_the_right_and_overreads_in_every_episode():
+    straight = np.column_stack([np.arange(0, 20, 0.1), np.zeros(200), np.zeros(200)])
+    ends = np.array([dead_reckoning(straight, "pioneer-intel", seed=s) for s in range(20)])
+    headings = np.unwrap(ends[:, 2])
+    assert np.mean(headings) == pytest.approx(-0.0625 * 19.9, abs=0.1)
+    one_leap = straight[[0, 100]]
+    lengths = [np.hypot(*dead_reckoning(one_leap, "pioneer-intel", seed=s)[:2]) for s in range(40)]
+    assert np.mean(lengths) == pytest.approx(10.0 * 1.035, abs=0.1)
+
+
+def test_heading_variance_grows_with_distance_and_turn_as_stated():
+    preset, steps = PRESETS["wheeled"], 4000
+    odometry = Odometry(OdometryConfig(), 0.1, 1, 2)
+    start = np.zeros((1, 3))
+    for motion, expected in (
+        ([0.4, 0.0, 0.0], preset.heading_std_rad * np.sqrt(0.4)),
+        ([0.0, 0.0, 0.9], preset.turn_std_rad * np.sqrt(0.9)),
+    ):
+        turns = [odometry.measure(start, np.array([motion]))[0][0, 2] for _ in range(steps)]
+        assert np.std(turns) == pytest.approx(expected, rel=0.05)

@@ -43,7 +43,9 @@ def read_flat(folder: str | Path) -> Flat:
     _, outline = read_table(folder / "layout.csv", ("x", "y"))
     _, anchors = read_table(folder / "anchors.csv", ("id", "x", "y", "z"))
     ring = numbers(outline, folder / "layout.csv")[:, :2]
-    return Flat(ring[:-1] if np.array_equal(ring[0], ring[-1]) else ring, numbers(anchors, folder / "anchors.csv")[:, 1:3])
+    return Flat(
+        ring[:-1] if np.array_equal(ring[0], ring[-1]) else ring, numbers(anchors, folder / "anchors.csv")[:, 1:3]
+    )
 
 
 def read_ble_run(folder: str | Path, run: str) -> RadioSurvey:

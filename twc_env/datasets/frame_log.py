@@ -41,10 +41,17 @@ def write_frame_log(path: str | Path, config: EnvConfig, steps: Sequence[Sequenc
         wifi_count=np.array([-1 if wifi is None else len(wifi.macs) for wifi in heard], np.int32),
         wifi_macs=np.concatenate([s.macs for s in scans]) if scans else np.zeros(0, np.int64),
         wifi_rssi_dbm=np.concatenate([s.rssi_dbm for s in scans]) if scans else np.zeros(0),
+        **_ages(scans),
         sign_frame=np.array([k for k, _ in signs], np.int64),
         sign_place=np.array([(s.bearing_rad, s.range_m) for _, s in signs]).reshape(-1, 2),
         sign_text=np.array(json.dumps([s.text for _, s in signs])),
     )
+
+
+def _ages(scans: Sequence[WifiScan]) -> dict[str, Array]:
+    """The column of ages; none where the receivers repeat no old readings (all scans of an episode are alike)."""
+    ages = [scan.age_s for scan in scans if scan.age_s is not None]
+    return {"wifi_age_s": np.concatenate(ages)} if ages else {}
 
 
 def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame, ...]]]:
@@ -98,7 +105,8 @@ def _steps(log: dict[str, Array]) -> list[tuple[SensorFrame, ...]]:
     for k, step in enumerate(log["step"].tolist()):
         count = int(log["wifi_count"][k])
         heard = slice(ends[k] - max(count, 0), ends[k])
-        wifi = None if count < 0 else WifiScan(log["wifi_macs"][heard], log["wifi_rssi_dbm"][heard])
+        age_s = log["wifi_age_s"][heard] if "wifi_age_s" in log else None
+        wifi = None if count < 0 else WifiScan(log["wifi_macs"][heard], log["wifi_rssi_dbm"][heard], age_s)
         frame = SensorFrame(
             robot=int(log["robot"][k]),
             step=step,

@@ -18,7 +18,9 @@ def read_uji_library(folder: str | Path, month: str, part: str = "trn01") -> Rad
         values.append(numbers([line.split(",") for line in read_text(path).split()], path))
     rssi, places, times = values
     if len({len(table) for table in values}) > 1 or places.shape[1] < 3:
-        raise DataError(f"the tables of {folder}/{month}/{part} have {[len(v) for v in values]} rows; expected as many each")
+        raise DataError(
+            f"the tables of {folder}/{month}/{part} have {[len(v) for v in values]} rows; expected as many each"
+        )
     heard = heard_only(rssi)
     known = np.isfinite(heard).any(axis=0)
     _, point = np.unique(places, axis=0, return_inverse=True)

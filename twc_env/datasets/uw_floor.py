@@ -21,5 +21,11 @@ def read_uw_floor(path: str | Path) -> RadioSurvey:
     if not len(values):
         raise DataError(f"{path} holds no readings; fetch the file again")
     return from_rows(
-        "uw_floor", values[:, 0], values[:, 1:3], values[:, 0], np.zeros(len(values), int), [r[1] for r in rows], values[:, 3]
+        "uw_floor",
+        values[:, 0],
+        values[:, 1:3],
+        values[:, 0],
+        np.zeros(len(values), int),
+        [r[1] for r in rows],
+        values[:, 3],
     )

@@ -67,7 +67,9 @@ def spread_at_points(point: Array, rssi_dbm: Array, heard_min: int) -> float:
 
 def mean_rssi_by_walls(walls: Array, rssi_dbm: Array, walls_max: int) -> Array:
     """(walls_max + 1,) mean strength of the readings (k,) that crossed 0, 1, ... walls."""
-    return np.array([float(np.mean(rssi_dbm[walls == k])) if (walls == k).any() else np.nan for k in range(walls_max + 1)])
+    return np.array(
+        [float(np.mean(rssi_dbm[walls == k])) if (walls == k).any() else np.nan for k in range(walls_max + 1)]
+    )
 
 
 def cosine_similarity(rssi_dbm: Array, offset_db: float = 100.0) -> Array:

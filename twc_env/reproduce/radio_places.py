@@ -25,13 +25,20 @@ Array = NDArray
 _VENDOR = 0x02_00_5E << 24
 
 
-def office(name: str, bounds_m: Array, module_m: float = 7.0, wall_db: float = 4.0, outer_db: float = 10.0) -> Floorplan:
+def office(
+    name: str, bounds_m: Array, module_m: float = 7.0, wall_db: float = 4.0, outer_db: float = 10.0
+) -> Floorplan:
     """Rooms of `module_m` on both sides of corridors 2.4 m wide along the longer side of bounds (4,)."""
     x0, y0, x1, y1 = (float(v) for v in bounds_m)
     turned = y1 - y0 > x1 - x0
     if turned:
         x0, y0, x1, y1 = y0, x0, y1, x1
-    walls = [(x0, y0, x1, y0, outer_db), (x1, y0, x1, y1, outer_db), (x1, y1, x0, y1, outer_db), (x0, y1, x0, y0, outer_db)]
+    walls = [
+        (x0, y0, x1, y0, outer_db),
+        (x1, y0, x1, y1, outer_db),
+        (x1, y1, x0, y1, outer_db),
+        (x0, y1, x0, y0, outer_db),
+    ]
     bands = max(1, round((y1 - y0) / (2 * module_m + 2.4)))
     height = (y1 - y0) / bands
     for band in range(bands):
@@ -87,18 +94,38 @@ def with_spread_transmitters(
 
 def over_storeys(plan: Floorplan, floors: Sequence[int]) -> Floorplan:
     """The plan with its access points dealt out over storeys."""
-    points = [
-        dataclasses.replace(point, floor=floors[i % len(floors)]) for i, point in enumerate(plan.access_points)
-    ]
+    points = [dataclasses.replace(point, floor=floors[i % len(floors)]) for i, point in enumerate(plan.access_points)]
     return dataclasses.replace(plan, access_points=tuple(points))
 
 
-def simulate(survey: RadioSurvey, plan: Floorplan, config: RadioConfig, seed: int, phones: bool = True) -> RadioSurvey:
+class RememberingModel(RadioModel):
+    """A radio model that computes each place once: for several receivers that visit the same places."""
+
+    def __init__(self, config: RadioConfig, plan: Floorplan):
+        super().__init__(config, plan)
+        self._known: dict[bytes, Array] = {}
+
+    def mean_rssi_dbm(self, position_m: Array) -> Array:
+        """(transmitters,) as of RadioModel."""
+        key = np.asarray(position_m, float).tobytes()
+        if key not in self._known:
+            self._known[key] = super().mean_rssi_dbm(position_m)
+        return self._known[key].copy()
+
+
+def simulate(
+    survey: RadioSurvey,
+    plan: Floorplan,
+    config: RadioConfig,
+    seed: int,
+    phones: bool = True,
+    model: RadioModel | None = None,
+) -> RadioSurvey:
     """What the radio model gives at the places and times of a survey, in the plan of one storey.
 
-    Each walk is another phone, or one receiver takes them all.
+    Each walk is another phone, or one receiver takes them all. A model at hand saves building one.
     """
-    model = RadioModel(config, plan)
+    model = model or RadioModel(config, plan)
     table = np.full((len(survey.position_m), len(model.macs)), np.nan, np.float32)
     receivers: dict[int, WifiReceiver] = {}
     for k, (place, walk) in enumerate(zip(survey.position_m, survey.walk.tolist(), strict=True)):

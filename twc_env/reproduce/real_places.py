@@ -89,12 +89,10 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         for method in METHODS:
             figures = [draw[floor][method] for draw in draws]
             values = {key: np.array([f[key] for f in figures], float) for key in figures[0]}
-            row = {"floor": floor, "trained_on": trained_on, "method": method}
+            row: dict = {"floor": floor, "trained_on": trained_on, "method": method}
             row |= {key: round(float(value.mean()), 4) for key, value in values.items()}
-            row |= {
-                f"sd_{key}" if key != "average_precision" else "sd": round(float(v.std()), 4)
-                for key, v in values.items()
-            }
+            row["sd"] = round(float(values["average_precision"].std()), 4)
+            row |= {f"sd_{k}": round(float(v.std()), 4) for k, v in values.items() if k != "average_precision"}
             table.append(row | {"seeds": len(draws)})
     return table
 
@@ -137,7 +135,7 @@ def draw_places(floor: Floor, seed: int) -> Places:
         for scan in scans:
             if last is not None and np.hypot(*(floor.position_m[scan] - floor.position_m[last])) < PLACE_STEP_M:
                 continue
-            seen = _read_around(floor, scans, scan, camera)
+            seen = _read_around(floor, scans, int(scan), camera)
             if seen:
                 last = scan
                 chosen.append(scan)

@@ -24,6 +24,7 @@ TABLES: dict[str, str] = {
     "radio-model": "radio_model",
     "twc-table1": "twc_table1",
     "real-places": "real_places",
+    "robustness": "robustness",
 }
 """Name on the command line -> module of this package."""
 

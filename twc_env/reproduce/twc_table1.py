@@ -76,7 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per scene, method and thresholds, as means over the seeds."""
     parts = list(itertools.product(options.scenes, options.seeds))
-    results = runner.each(parts, lambda part: judge_scene(*part, options), lambda part: f"{part[0]} seed {part[1]}")
+    results = runner.each(
+        parts, lambda part: judge_scene(part[0], part[1], options), lambda part: f"{part[0]} seed {part[1]}"
+    )
     table = []
     for scene in options.scenes:
         runs = [result for (name, _), result in zip(parts, results, strict=True) if name == scene]
@@ -297,9 +299,9 @@ def _printed(scene: str, figure: dict) -> tuple[float, float]:
     if cells is None:
         return math.nan, math.nan
     alpha, gamma = figure["alpha"], figure["gamma"]
-    keys = {"text": [(a,) for a in TEXT], "wifi": [(g,) for g in WIFI], "twc": list(COMBINED)}[figure["method"]]
-    asked = {"text": (alpha,), "wifi": (gamma,), "twc": (alpha, gamma)}[figure["method"]]
-    return cells[keys.index(asked)]
+    if figure["method"] == "twc":
+        return cells[COMBINED.index((alpha, gamma))]
+    return cells[TEXT.index(alpha) if figure["method"] == "text" else WIFI.index(gamma)]
 
 
 def remarks(table: list[dict]) -> list[str]:

@@ -209,6 +209,7 @@ class SignPlace:
 
     def add(self, text: str, keyframe: Keyframe, sign: SignObservation, position: Array, facing: float) -> None:
         """Take in one more reading, at a position and facing in the odom frame."""
+        is_settled = text == self.consensus and self.support == len(self.texts) < READINGS_MAX
         self.texts = [*self.texts[1 - READINGS_MAX :], text]
         if not self.views or self.views[-1][0].index != keyframe.index:
             if len(self.views) == VIEWS_MAX:
@@ -219,7 +220,10 @@ class SignPlace:
             self._facings = [*self._facings[1 - READINGS_MAX :], facing]
             gaps = np.abs(wrap_angle(np.subtract.outer(self._facings, self._facings)))
             self.facing_odom = self._facings[int(np.argmin(gaps.sum(axis=1)))]
-        self._vote()
+        if is_settled:
+            self.support += 1
+        else:
+            self._vote()
 
     def reads_like(self, text: str, is_near: bool) -> bool:
         """Whether a reading is like any that was kept; nearby, a fragment of the consensus is enough."""
@@ -285,10 +289,10 @@ class PlaceMemory:
         return best
 
     def _learn_radio(self, keyframe: Keyframe) -> None:
-        """Compare with a dozen keyframes all along the own path and with the last few."""
+        """Compare with some keyframes all along the own path and with some of the last."""
         path = self._path.setdefault(keyframe.robot, [])
-        stride = max(1, len(path) // 12)
-        for other in [*path[keyframe.index % stride : -8 : stride], *path[-8:]]:
+        stride = max(1, len(path) // 6)
+        for other in [*path[keyframe.index % stride : -8 : stride], *path[-8::2]]:
             if keyframe.time_s - other.time_s < RADIO_APART_S:
                 break
             away = math.dist(keyframe.pose_odom[:2], other.pose_odom[:2])

@@ -88,11 +88,14 @@ def _rssi_cue(target: Fingerprint, source: Fingerprint, rule: PlaceRecognitionCo
 
 def make_recogniser(config: PlaceRecognitionConfig, range_max_m: float) -> Recogniser:
     """The recogniser that the configuration names; `range_max_m` is the scanner's."""
-    by_signs = {"twc": TextWifiRecogniser, "text": TextRecogniser}
+    by_signs: dict[str, type[TextWifiRecogniser]] = {"twc": TextWifiRecogniser, "text": TextRecogniser}
     if config.recogniser in by_signs:
         return by_signs[config.recogniser](config)
-    by_scans = {"wifi": WifiRecogniser, "lidar": ScanRecogniser, "fused": FusedRecogniser}
-    return by_scans[config.recogniser](config, range_max_m)
+    if config.recogniser == "wifi":
+        return WifiRecogniser(config, range_max_m)
+    if config.recogniser == "lidar":
+        return ScanRecogniser(config, range_max_m)
+    return FusedRecogniser(config, range_max_m)
 
 
 class TextWifiRecogniser:
@@ -317,7 +320,7 @@ class ScanRecogniser:
             return []
         descriptor = self._places.describe(keyframe)
         numbers = self._places.others(keyframe, skipped_robots, self._config.revisit_travel_m)
-        candidates = []
+        candidates: list[LoopCandidate] = []
         if len(numbers):
             for k, similarity, turn in zip(*self._places.most_alike(numbers, descriptor), strict=True):
                 if similarity >= self._config.scan_similarity_min and len(candidates) < CANDIDATES_MAX:

@@ -17,6 +17,8 @@ Array = NDArray
 
 STEP_M, STEP_RAD = 2e-3, 1e-3
 """A step below both ends the optimisation."""
+DECREASE, STALLED_M = 1e-6, 0.1
+"""So does a step shorter than this that takes a smaller share off the error."""
 
 
 def residuals(poses: Array, edges: Array, measured: Array) -> Array:
@@ -113,9 +115,10 @@ class NormalEquations:
             step = self._step(poses, weight, float(weight @ squared), damping)
             if step is None:
                 break
-            poses, squared, moved_m, moved_rad = step
+            before, (poses, squared, moved_m, moved_rad) = float(weight @ squared), step
             damping = max(damping / 10, 1e-12)
-            if moved_m < STEP_M and moved_rad < STEP_RAD:
+            stalled = before - weight @ squared < DECREASE * before and moved_m < STALLED_M
+            if stalled or (moved_m < STEP_M and moved_rad < STEP_RAD):
                 break
         return poses
 

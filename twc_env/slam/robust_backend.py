@@ -38,7 +38,7 @@ WINDOW_STEPS = 10
 """Neighbours of one group lie at most this far apart at both ends."""
 TAIL = 5.0
 """Degrees of freedom of Student's t: real odometry errs more than its covariance says."""
-ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 2.5, 4.5
+ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 1.5, 3.0
 """Log odds from which groups are believed by the dozen, from which the best one is when there are no such, and from which
 several are that only together are likely."""
 PRIOR_GROUPS = 30
@@ -654,7 +654,9 @@ class _Growth:
         root = np.linalg.inv(np.linalg.cholesky(own))
         value, vector = np.linalg.eigh(_turned(root, own - drift))  # its own noise less what the fit explains
         part = np.swapaxes(vector, 1, 2) @ root @ error[..., None]
-        return (part[..., 0] ** 2 / np.maximum(value, LEVERAGE_MIN)).sum(axis=1)
+        squared = (part[..., 0] ** 2 / np.maximum(value, LEVERAGE_MIN)).sum(axis=1)
+        plain = self._graph.squared_errors(self.poses)[edges]
+        return np.where(plain < GATE * min(self._scale, 1.0), np.minimum(squared, GATE * GATE_SCALE_MIN), squared)
 
     # --- the end
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import GridMap, Keyframe, KnownSign, LoopCandidate, LoopClosure
-from twc_env.slam import map_merging, pose_graph
+from twc_env.slam import map_merging, robust_backend
 from twc_env.slam.loop_verification import LoopVerifier
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.odometry_filter import invert_symmetric
@@ -396,7 +396,7 @@ class TeamMapper:
         local = np.cumsum(inside) - 1
         kept = inside[self._edges.rows[:, 0]] & inside[self._edges.rows[:, 1]]
         before = self._poses.rows[nodes]
-        after = pose_graph.optimise(
+        after = robust_backend.optimise(
             before,
             local[self._edges.rows[kept]],
             self._measured.rows[kept],

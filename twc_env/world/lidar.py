@@ -65,7 +65,7 @@ class Lidar:
         return ranges
 
     def true_ranges(self, poses: Array) -> Array:
-        """True poses (n, 3) -> exact ranges (n, beams) [m], cut at the maximum range; glass is a wall like any other."""
+        """True poses (n, 3) -> exact ranges (n, beams) [m], cut at the maximum range; glass counts as wall."""
         return self._ranges(poses, self._index)
 
     def _ranges(self, poses: Array, i: WallIndex) -> Array:

@@ -41,7 +41,7 @@ _VIRTUAL_ADDRESS_STEP = 1 << 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sources:
-    """Where signals come from: access points of the plan, then cells; a source has one place and one shadowing field."""
+    """Where signals come from: access points of the plan, then cells; each has one place and one shadowing field."""
 
     position_m: Array
     """(sources, 2) building frame."""

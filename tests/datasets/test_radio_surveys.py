@@ -1,0 +1,122 @@
+import gzip
+import json
+import lzma
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twc_env.datasets.ble_flat import read_ble_run, read_flat
+from twc_env.datasets.indoor20 import read_indoor20
+from twc_env.datasets.scan_log import read_relations, read_scan_log
+from twc_env.datasets.sod_indoor_loc import read_sod
+from twc_env.datasets.uji_library import read_uji_library
+from twc_env.datasets.uw_floor import read_uw_floor
+from twc_env.errors import DataError
+
+DATA = os.environ.get("TWC_DATA")
+FOLDER = Path(DATA or ".")
+needs_data = pytest.mark.skipif(not DATA, reason="TWC_DATA is not set: no real radio surveys")
+
+
+def test_readings_of_one_time_are_one_scan(tmp_path):
+    path = tmp_path / "floor.txt"
+    path.write_text("100.5 aa 1.0 2.0 -60\n100.5 bb 1.0 2.0 -70\n100.5 aa 1.0 2.0 -58\n103.5 bb 4.0 2.0 -80\n")
+    survey = read_uw_floor(path)
+    assert survey.addresses == ("aa", "bb")
+    assert survey.position_m.tolist() == [[1.0, 2.0], [4.0, 2.0]]
+    assert survey.time_s.tolist() == [0.0, 3.0]
+    assert survey.rssi_dbm[0].tolist() == [-58.0, -70.0]
+    assert np.isnan(survey.rssi_dbm[1, 0])
+
+
+def test_phone_scans_lie_between_waypoints_and_lose_their_stale_rows(tmp_path):
+    (tmp_path / "traces").mkdir()
+    lines = [
+        "# header", "1000\tTYPE_WAYPOINT\t0.0\t0.0", "11000\tTYPE_WAYPOINT\t10.0\t5.0",
+        "6000\tTYPE_WIFI\t\taa\t-50\t2412\t5500", "6000\tTYPE_WIFI\t\tbb\t-60\t5180\t1500",
+        "20000\tTYPE_WIFI\t\taa\t-55\t2412\t20000",
+    ]  # fmt: skip
+    (tmp_path / "traces" / "walk.txt.xz").write_bytes(lzma.compress("\n".join(lines).encode()))
+    survey = read_indoor20(tmp_path)
+    assert survey.addresses == ("aa",)
+    assert survey.position_m.tolist() == [[5.0, 2.5]]
+    both = read_indoor20(tmp_path, age_max_s=30.0)
+    assert both.addresses == ("aa", "bb")
+    assert both.is_high_band.tolist() == [False, True]
+
+
+def test_relations_belong_to_two_different_scans(tmp_path):
+    log, relations = tmp_path / "log.json.gz", tmp_path / "log.relations"
+    scans = {time: {"range": [1.0, 2.0], "x": x, "y": 0.0, "theta": 0.5} for time, x in (("12.0", 2), ("10.0", 1))}
+    log.write_bytes(gzip.compress(json.dumps({"map": scans}).encode()))
+    relations.write_text("10.001 12.0 1 0 0 0 0 0.2\n10.0 10.001 1 0 0 0 0 0\n10.0 11.0 1 0 0 0 0 0\n")
+    found = read_scan_log(log)
+    assert found.times_s.tolist() == [10.0, 12.0]
+    assert found.poses[:, 0].tolist() == [1.0, 2.0]
+    pairs = read_relations(relations, found)
+    assert (pairs.first.tolist(), pairs.second.tolist()) == ([0], [1])
+    assert pairs.pose_first_second.tolist() == [[1.0, 0.0, 0.2]]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "read"),
+    [
+        ("floor.txt", "100.5 aa 1.0 2.0", lambda p: read_uw_floor(p)),
+        ("floor.txt", "", lambda p: read_uw_floor(p)),
+        ("floor.txt", "x aa 1 2 -60", lambda p: read_uw_floor(p)),
+        ("log.json", "{}", lambda p: read_scan_log(p)),
+        ("log.json", '{"map": {"1": 3}}', lambda p: read_scan_log(p)),
+        ("log.json", '{"map": {"1": ', lambda p: read_scan_log(p)),
+        ("layout.csv", "x,z\n1,2\n", lambda p: read_flat(p.parent)),
+        ("layout.csv", "x,y\n1,2\n3\n", lambda p: read_flat(p.parent)),
+        ("none", "", lambda p: read_sod(p.parent, "CETC331")),
+        ("none", "", lambda p: read_sod(p.parent, "another")),
+        ("none", "", lambda p: read_uji_library(p.parent, "01")),
+        ("none", "", lambda p: read_ble_run(p.parent, "calib9")),
+        ("none", "", lambda p: read_indoor20(p.parent)),
+    ],
+)
+def test_broken_files_are_data_errors(tmp_path, name, content, read):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(DataError):
+        read(tmp_path / name)
+
+
+@needs_data
+def test_surveys_have_the_documented_sizes():
+    cetc = read_sod(FOLDER / "wifi" / "sod", "CETC331")
+    assert cetc.rssi_dbm.shape == (955, 52)
+    assert cetc.is_high_band.sum() == 26
+    assert read_sod(FOLDER / "wifi" / "sod", "SYL").rssi_dbm.shape == (296, 46)
+    assert len(read_uji_library(FOLDER / "wifi" / "uji_lib", "13").position_m) == 576
+    robot = read_uw_floor(FOLDER / "wifi" / "uw_floor" / "uw-floor.txt")
+    assert robot.rssi_dbm.shape == (394, 30)
+    assert np.isfinite(robot.rssi_dbm).sum(axis=1).mean() == pytest.approx(14, abs=0.1)
+
+
+@needs_data
+def test_fresh_phone_scans_hold_as_many_addresses_as_documented():
+    for floor, expected in (("site1_B1", 74), ("site2_F6", 114)):
+        survey = read_indoor20(FOLDER / "indoor20" / floor)
+        assert np.isfinite(survey.rssi_dbm).sum(axis=1).mean() == pytest.approx(expected, abs=1.0)
+
+
+@needs_data
+def test_runs_of_the_flat_lie_inside_its_outline():
+    import shapely
+
+    folder = FOLDER / "wifi" / "ble_lidar"
+    outline = shapely.Polygon(read_flat(folder).outline_m).buffer(0.2)
+    for run in ("calibration", "calib3", "calib4"):
+        inside = shapely.contains_xy(outline, read_ble_run(folder, run).position_m)
+        assert inside.mean() > 0.95
+
+
+@needs_data
+def test_relations_of_the_intel_log_are_the_119_documented_ones():
+    folder = FOLDER / "lidar" / "raw_odometry"
+    log = read_scan_log(folder / "intel_gfs.json.gz")
+    assert log.poses.shape == (910, 3)
+    assert len(read_relations(folder / "intel.relations.gz", log).first) == 119

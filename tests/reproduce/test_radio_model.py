@@ -1,0 +1,106 @@
+import dataclasses
+import json
+import os
+
+import numpy as np
+import pytest
+
+from twc_env.__main__ import main
+from twc_env.config import RadioConfig
+from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.reproduce import radio_places as places
+from twc_env.reproduce.radio_model import STUDIES
+
+needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="real surveys: set TWC_DATA to the data folder")
+CLEAR = RadioConfig(
+    shadowing_std_db=0.0, fading_std_db=0.0, device_offset_std_db=0.0, noise_std_db=0.0, power_spread_db=0.0,
+    detection_floor_dbm=-119.0,
+)  # fmt: skip
+
+
+def empty_survey(points: int = 30) -> RadioSurvey:
+    zeros = np.zeros(points, int)
+    position = np.column_stack([np.linspace(1, 39, points), np.full(points, 8.0)])
+    return RadioSurvey(
+        "hall", position, zeros, 2.0 * np.arange(points), zeros, ("a", "b", "c"), np.full((points, 3), np.nan),
+        transmitter_m=np.array([[5.0, 8.0], [5.0, 8.0], [30.0, 3.0]]), transmitter_floor=np.array([1, 1, 2]),
+        is_high_band=np.array([False, True, False]),
+    )  # fmt: skip
+
+
+def test_an_office_has_rooms_on_both_sides_of_its_corridor():
+    for bounds in ([0, 0, 42.0, 16.4], [0, 0, 16.4, 42.0]):
+        plan = places.office("office", bounds)
+        assert plan.bounds_m.tolist() == [0, 0, *bounds[2:]]
+        middle, room = plan.bounds_m[2:] / 2, np.array([3.0, 3.0])
+        assert plan.wall_index.crossing(middle, room[None])[0][0] >= 1
+
+
+def test_known_transmitters_keep_their_columns_and_storeys():
+    survey = empty_survey()
+    plan = places.with_known_transmitters(places.office("office", [0, 0, 42.0, 16.4]), survey, floor=1)
+    assert [point.floor for point in plan.access_points] == [0, 1]
+    simulated = places.simulate(survey, plan, dataclasses.replace(CLEAR, wall_loss_scale=0.0), 0)
+    assert simulated.rssi_dbm.shape == (30, 3)
+    distance = np.maximum(np.abs(survey.position_m[:, 0] - 5.0), 0.5)
+    assert simulated.rssi_dbm[:, 0] == pytest.approx(-35.0 - 23.0 * np.log10(distance), abs=0.51)
+    assert (simulated.rssi_dbm[:, 2] < simulated.rssi_dbm[:, 0].max() - 20).all()
+
+
+def test_phones_side_by_side_are_averaged():
+    survey = empty_survey(2)
+    one = dataclasses.replace(survey, rssi_dbm=np.array([[-50.0, np.nan, np.nan], [-60.0, -70.0, np.nan]]))
+    two = dataclasses.replace(survey, rssi_dbm=np.array([[-54.0, -80.0, np.nan], [np.nan, -72.0, np.nan]]))
+    merged = places.merged([one, two]).rssi_dbm
+    assert merged[:, :2].tolist() == [[-52.0, -80.0], [-60.0, -71.0]]
+    assert np.isnan(merged[:, 2]).all()
+
+
+def test_a_remembering_model_gives_the_same_strengths():
+    survey = empty_survey()
+    plan = places.with_known_transmitters(places.office("office", [0, 0, 42.0, 16.4]), survey, floor=1)
+    model = places.RememberingModel(RadioConfig(), plan)
+    twice = [places.simulate(survey, plan, RadioConfig(), 3, model=model).rssi_dbm for _ in range(2)]
+    plain = places.simulate(survey, plan, RadioConfig(), 3).rssi_dbm
+    assert np.array_equal(twice[0], plain, equal_nan=True)
+    assert np.array_equal(twice[1], plain, equal_nan=True)
+
+
+def test_every_set_is_either_calibrated_or_reported_and_both_exist():
+    roles = [study.role for study in STUDIES]
+    assert set(roles) == {"calibrated", "reported"}
+    assert len({study.name for study in STUDIES}) == len(STUDIES)
+
+
+@needs_data
+def test_a_quick_run_gives_a_real_and_a_simulated_figure_for_every_quantity(tmp_path):
+    out = tmp_path / "rows.json"
+    code = main(
+        [
+            "reproduce",
+            "radio-model",
+            "--quick",
+            "--seeds",
+            "1",
+            "--only",
+            "wifi",
+            "--json",
+            str(out),
+            "--cache",
+            str(tmp_path),
+        ]
+    )
+    rows = json.loads(out.read_text())
+    assert code == 0
+    assert {row["dataset"].split()[0] for row in rows} >= {
+        "wifi/sod",
+        "wifi/uji_lib",
+        "wifi/ble_lidar",
+        "wifi/uw_floor",
+    }
+    assert {row["role"] for row in rows} == {"calibrated", "reported"}
+    exponents = [row for row in rows if "exponent" in row["quantity"] and "CETC331" in row["dataset"]]
+    assert len(exponents) == 2
+    assert all(1.0 < row["simulated"] < 5.0 and 1.0 < row["real"] < 5.0 for row in exponents)
+    walls = next(row for row in rows if row["quantity"] == "loss per wall [dB]" and row["role"] == "calibrated")
+    assert walls["simulated"] == pytest.approx(walls["real"], rel=0.3)

@@ -1,0 +1,84 @@
+import argparse
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twc_env.errors import ConfigError
+from twc_env.geometry import between, compose, inverse
+from twc_env.reproduce import robustness
+from twc_env.reproduce.runner import Runner
+
+needs_data = pytest.mark.skipif(
+    "TWC_DATA" not in os.environ, reason="real pose graphs lie in the folder TWC_DATA, which is not set"
+)
+
+
+def folder() -> Path:
+    return Path(os.environ["TWC_DATA"]) / "posegraph"
+
+
+def table(tmp_path, *words: str) -> list[dict]:
+    parser = argparse.ArgumentParser()
+    robustness.add_arguments(parser)
+    return robustness.rows(parser.parse_args(words), Runner("robustness", tmp_path, {"words": words}))
+
+
+@needs_data
+@pytest.mark.parametrize("kind", robustness.KINDS)
+def test_false_closures_are_their_share_and_all_wrong(kind):
+    _, clean, best = robustness._clean(folder(), "MIT")
+    graph, is_true = robustness.corrupt(clean, best, kind, 0.8, seed=3)
+    false = ~is_true
+    assert false.sum() == 80
+    assert graph.is_closure[false].all()
+    error = between(between(*best[graph.edges[false]].transpose(1, 0, 2)), graph.measured[false])
+    assert np.all((np.hypot(error[:, 0], error[:, 1]) > 0.5) | (np.abs(error[:, 2]) > np.radians(10)))
+
+
+@needs_data
+def test_grouped_false_closures_agree_with_each_other():
+    _, clean, best = robustness._clean(folder(), "MIT")
+    graph, is_true = robustness.corrupt(clean, best, "grouped", 0.5, seed=0)
+    edges, measured = graph.edges[~is_true], graph.measured[~is_true]
+    assert np.array_equal(edges - edges[0], np.arange(20)[:, None] * [1, 1])
+    claim = compose(compose(best[edges[:, 0]], measured), inverse(best[edges[:, 1]]))
+    where = compose(claim, best[edges[0, 1]])
+    assert np.abs(between(where[0], where)[:, 2]).max() < 0.15
+
+
+@needs_data
+def test_seeds_draw_different_false_closures():
+    _, clean, best = robustness._clean(folder(), "MIT")
+    first, again, other = (robustness.corrupt(clean, best, "random", 0.5, seed)[0].measured for seed in (0, 0, 1))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@needs_data
+def test_the_clean_optimum_of_mit_is_better_than_odometry_leads_to():
+    _, clean, best = robustness._clean(folder(), "MIT")
+    assert clean.squared_errors(best).sum() < 45.0
+
+
+@needs_data
+def test_ours_survives_where_plain_least_squares_does_not(tmp_path):
+    rows = table(tmp_path, "--datasets", "MIT", "--shares", "0,0.5", "--methods", "plain,ours", "--seeds", "1-2")
+    assert list(rows[0])[:4] == ["dataset", "false_kind", "false_share", "method"]
+    assert len(rows) == 6
+    for row in rows:
+        if row["method"] == "ours":
+            assert row["ate_m"] < 0.15
+            assert row["precision"] >= 0.995
+        elif row["false_share"]:
+            assert row["ate_m"] > 1.0
+            assert row["precision"] == pytest.approx(0.5)
+    assert {row["seeds"] for row in rows if row["false_share"]} == {2}
+
+
+@pytest.mark.parametrize("words", [("--shares", "1.0"), ("--shares", "half"), ("--methods", "best"), ("--datasets", "x")])
+def test_wrong_arguments_say_what_is_allowed(tmp_path, monkeypatch, words):
+    monkeypatch.setenv("TWC_DATA", str(tmp_path))
+    with pytest.raises(ConfigError):
+        table(tmp_path, *words)

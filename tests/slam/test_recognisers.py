@@ -1,0 +1,116 @@
+"""What all recognisers have in common, and what sets each apart."""
+
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.config import PlaceRecognitionConfig, override
+from twc_env.errors import ConfigError
+from twc_env.messages import SignObservation
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.place_recognition import make_recogniser
+
+NAMES = ("twc", "text", "wifi", "lidar", "fused")
+MACS = (1, 2, 3, 4, 5)
+LEVELS_DBM = np.array([-40.0, -50.0, -60.0, -70.0, -80.0])
+RANGE_MAX_M = 10.0
+
+
+def make(name, **rule):
+    return make_recogniser(PlaceRecognitionConfig(recogniser=name, **rule), RANGE_MAX_M)
+
+
+@pytest.fixture
+def place(keyframe, scan, office):
+    def build(robot, index=0, heading=0.0, text="A301 OPTICS LAB", rssi_dbm=LEVELS_DBM, walls=office, travel_m=0.0):
+        c, s = math.cos(-heading), math.sin(-heading)
+        signs = [SignObservation(text, np.array([2 * c, 2 * s]), math.pi - heading)] if text else []
+        ranges = scan(walls, (0.0, 0.0, heading))
+        return keyframe(robot, index, (0, 0, heading), travel_m, ranges, signs, MACS, rssi_dbm)
+
+    return build
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_two_robots_at_one_place_are_a_candidate_with_the_turn_between_them(place, name):
+    recogniser = make(name)
+    assert recogniser.name == name
+    assert recogniser.propose(place(0)) == []
+    (found,) = recogniser.propose(place(1, heading=0.6))
+    assert (found.target, found.source, found.recogniser) == ((0, 0), (1, 0), name)
+    assert found.guess == pytest.approx([0.0, 0.0, 0.6], abs=0.11)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_skipped_robots_give_no_candidate_but_are_remembered(place, name):
+    recogniser = make(name)
+    recogniser.propose(place(0))
+    assert recogniser.propose(place(1), skipped_robots=(0,)) == []
+    assert {c.target[0] for c in recogniser.propose(place(2))} == {0, 1}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_robot_meets_its_own_places_only_after_enough_path(place, name):
+    recogniser = make(name)
+    recogniser.propose(place(0))
+    assert recogniser.propose(place(0, 1, travel_m=11.0)) == []
+    assert (0, 0) in [c.target for c in recogniser.propose(place(0, 2, travel_m=30.0))]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_one_place_scores_higher_than_two_unlike_ones(place, hall, name):
+    recogniser = make(name)
+    here, again = place(0), place(1, heading=0.6)
+    elsewhere = place(2, text="QUIET PLEASE", rssi_dbm=LEVELS_DBM[::-1], walls=hall)
+    for k in (here, again, elsewhere):
+        recogniser.propose(k)
+    assert recogniser.score(here, again) > recogniser.score(here, elsewhere)
+
+
+@pytest.mark.parametrize("name", ["wifi", "lidar"])
+def test_some_need_no_sign(place, name):
+    recogniser = make(name)
+    recogniser.propose(place(0, text=""))
+    assert len(recogniser.propose(place(1, text=""))) == 1
+
+
+def test_text_alone_does_not_ask_the_radio(place):
+    recogniser = make("text")
+    recogniser.propose(place(0))
+    assert len(recogniser.propose(place(1, rssi_dbm=LEVELS_DBM[::-1]))) == 1
+
+
+def test_fused_forgives_a_misreading_that_the_hard_rule_does_not(place):
+    counts = {}
+    for name in ("twc", "fused"):
+        recogniser = make(name)
+        recogniser.propose(place(0))
+        counts[name] = len(recogniser.propose(place(1, text="A3OI OPT1CS 1AB")))
+    assert counts == {"twc": 0, "fused": 1}
+
+
+def test_fused_says_how_sure_it_is_and_obeys_its_threshold(place):
+    recogniser = make("fused")
+    recogniser.propose(place(0))
+    (found,) = recogniser.propose(place(1))
+    assert found.log_odds == pytest.approx(recogniser.score(place(0), place(1)))
+    strict = make("fused", log_odds_min=50.0)
+    strict.propose(place(0))
+    assert strict.propose(place(1)) == []
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_one():
+    with pytest.raises(ConfigError, match="did you mean 'fused'"):
+        PlaceRecognitionConfig(recogniser="fuse")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_engine_verifies_what_any_recogniser_proposes(recorded, name):
+    config, frames, _ = recorded
+    engine = CooperativeSlam(override(config, {"slam.place_recognition.recogniser": name}), config.robots)
+    for step in frames[:250]:
+        engine.update(step)
+    engine.finish()
+    assert {c.candidate.recogniser for c in engine.team.closures} <= {name, "proximity"}
+    assert any(c.candidate.recogniser == name for c in engine.team.closures)

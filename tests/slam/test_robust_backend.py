@@ -1,0 +1,211 @@
+import numpy as np
+import pytest
+
+from twc_env.config import PoseGraphConfig
+from twc_env.geometry import between, compose, inverse
+from twc_env.slam import pose_graph, robust_backend
+from twc_env.slam.block_cholesky import BlockCholesky
+
+MODES = ("none", "dcs", "cauchy", "gnc", "pcm", "ours")
+STD = np.array([0.05, 0.05, 0.01])
+
+
+def loops(seed: int = 0, laps: int = 4, side: int = 8):
+    """A robot that drives around the same block again and again: true poses, start, edges, measured, information, ..."""
+    random = np.random.default_rng(seed)
+    count = 4 * side * laps
+    true = np.zeros((count, 3))
+    for k in range(1, count):
+        true[k] = compose(true[k - 1], [1.0, 0.0, np.pi / 2 if k % side == 0 else 0.0])
+    chain = [(k, k + 1) for k in range(count - 1)]
+    closures = [(k, k + 4 * side) for k in range(0, count - 4 * side, 5)]
+    edges = np.array(chain + closures)
+    measured = compose(between(true[edges[:, 0]], true[edges[:, 1]]), random.normal(0, STD, (len(edges), 3)))
+    start = np.zeros_like(true)
+    for k in range(1, count):
+        start[k] = compose(start[k - 1], measured[k - 1])
+    information = np.tile(np.diag(STD**-2), (len(edges), 1, 1))
+    return true, start, [edges, measured, information, np.arange(len(edges)) >= len(chain)]
+
+
+def with_false(graph, edges, measured):
+    """The graph with more closures."""
+    more = [np.array(edges), np.array(measured), np.tile(graph[2][-1], (len(edges), 1, 1)), np.ones(len(edges), bool)]
+    return [np.concatenate([a, b]) for a, b in zip(graph, more, strict=True)]
+
+
+def false_room(true, graph, moved=(3.0, 4.0, 0.4), first=(2, 50), length=20):
+    """Twenty closures in a row that agree with each other: poses from `first[1]` are said to lie elsewhere."""
+    random = np.random.default_rng(1)
+    a, b = first[0] + np.arange(length), first[1] + np.arange(length)
+    shift = compose(compose(true[first[0]], moved), inverse(true[first[1]]))
+    claimed = between(true[a], compose(shift, true[b]))
+    return with_false(graph, np.stack([a, b], axis=1), compose(claimed, random.normal(0, STD, (length, 3))))
+
+
+def solve(mode, start, graph, **settings):
+    return robust_backend.solve(start, *graph, PoseGraphConfig(robust=mode, iterations_max=100, **settings))
+
+
+def worst_m(poses, true) -> float:
+    return float(np.hypot(*(between(between(true[0], true), between(poses[0], poses)))[:, :2].T).max())
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_every_mode_believes_true_closures_and_corrects_the_drift(mode):
+    true, start, graph = loops()
+    result = solve(mode, start, graph)
+    assert worst_m(start, true) > 0.8
+    assert worst_m(result.poses, true) < 0.5
+    assert result.accepted[graph[3]].mean() > 0.9
+    assert result.accepted[~graph[3]].all()
+
+
+@pytest.mark.parametrize("mode", ["gnc", "pcm", "ours", "dcs"])
+def test_single_false_closures_are_refused(mode):
+    true, start, graph = loops()
+    random = np.random.default_rng(4)
+    wrong = [(3, 47), (10, 90), (21, 70), (30, 101), (44, 120)]
+    corrupted = with_false(graph, wrong, random.normal(0, (1.0, 1.0, 0.3), (5, 3)))
+    result = solve(mode, start, corrupted)
+    assert not result.accepted[-5:].any()
+    assert worst_m(result.poses, true) < 0.5
+
+
+def test_a_false_room_that_agrees_with_itself_is_refused_as_a_group():
+    true, start, graph = loops()
+    corrupted = false_room(true, graph)
+    result = solve("ours", start, corrupted)
+    assert not result.accepted[-20:].any()
+    assert result.accepted[: len(graph[0])].all()
+    refused = result.rejections[-20:]
+    assert len({r.group for r in refused}) == 1
+    assert all("group of 20 agrees with itself but contradicts the map" in r.reason for r in refused)
+
+
+def test_the_false_room_bends_the_map_that_believes_everything():
+    true, start, graph = loops()
+    assert worst_m(solve("none", start, false_room(true, graph)).poses, true) > 1.0
+
+
+def test_more_false_rooms_than_true_closures_still_lose():
+    true, start, graph = loops()
+    corrupted = graph
+    for k, first in enumerate([(2, 50), (8, 85), (25, 75), (31, 104)]):
+        corrupted = false_room(true, corrupted, moved=(2.0 + k, 5.0 - 2 * k, 0.3 * k - 0.5), first=first)
+    assert 80 > 2 * graph[3].sum()
+    result = solve("ours", start, corrupted)
+    assert not result.accepted[len(graph[0]) :].any()
+    assert worst_m(result.poses, true) < 0.5
+
+
+def test_every_refusal_names_its_edge_and_how_far_off_it_is():
+    true, start, graph = loops()
+    corrupted = with_false(graph, [(3, 47)], [[0.0, 0.0, 0.0]])
+    result = solve("ours", start, corrupted)
+    (refusal,) = result.rejections
+    assert refusal.edge == len(graph[0])
+    expected = between(true[3], true[47])
+    assert refusal.away_m == pytest.approx(np.hypot(*expected[:2]), abs=0.5)
+    assert refusal.reason.startswith("contradicts the map")
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_refusals_and_accepted_closures_are_all_edges(mode):
+    true, start, graph = loops()
+    result = solve(mode, start, false_room(true, graph))
+    assert [r.edge for r in result.rejections] == np.flatnonzero(~result.accepted).tolist()
+    assert all(r.reason for r in result.rejections)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_same_graph_gives_the_same_bytes(mode):
+    true, start, graph = loops()
+    corrupted = false_room(true, graph)
+    first, second = solve(mode, start, corrupted), solve(mode, start, corrupted)
+    assert first.poses.tobytes() == second.poses.tobytes()
+    assert first.rejections == second.rejections
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_held_pose_does_not_move(mode):
+    _, start, graph = loops()
+    poses = robust_backend.optimise(start, *graph, PoseGraphConfig(robust=mode), fixed=17)
+    assert np.array_equal(poses[17], start[17])
+    assert not np.array_equal(poses[90], start[90])
+
+
+@pytest.mark.parametrize("mode", ["none", "dcs", "cauchy"])
+def test_weighing_modes_are_those_of_the_pose_graph(mode):
+    _, start, graph = loops()
+    config = PoseGraphConfig(robust=mode)
+    expected = pose_graph.optimise(start, *graph, config)
+    assert np.array_equal(robust_backend.optimise(start, *graph, config), expected)
+    assert np.array_equal(robust_backend.solve(start, *graph, config).poses, expected)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_two_robots_joined_by_closures_become_one_map(mode):
+    true, start, graph = loops()
+    half = len(true) // 2
+    kept = ~np.all(graph[0] == (half - 1, half), axis=1)
+    graph = [part[kept] for part in graph]
+    start = start.copy()
+    start[half:] = compose(true[half], between(start[half], start[half:]))
+    assert worst_m(solve(mode, start, graph).poses, true) < 0.5
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_graphs_without_closures_keep_their_odometry(mode):
+    _, start, graph = loops()
+    odometry = [part[~graph[3]] for part in graph]
+    result = solve(mode, start, odometry)
+    assert result.rejections == ()
+    assert np.abs(between(start, result.poses)).max() < 1e-6
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("count", [0, 1])
+def test_tiny_graphs_are_left_alone(mode, count):
+    none = np.zeros((0, 2), int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, bool)
+    result = solve(mode, np.ones((count, 3)), none)
+    assert result.poses.shape == (count, 3)
+    assert result.rejections == ()
+
+
+def test_arguments_are_left_alone():
+    true, start, graph = loops()
+    arguments = [start, *false_room(true, graph)]
+    copies = [a.copy() for a in arguments]
+    robust_backend.solve(*arguments, PoseGraphConfig(robust="ours"))
+    assert all(np.array_equal(a, b) for a, b in zip(arguments, copies, strict=True))
+
+
+@pytest.mark.parametrize(("count", "extra"), [(3, 1), (40, 30), (120, 900)])
+def test_block_cholesky_solves_as_numpy_does(count, extra):
+    random = np.random.default_rng(count)
+    pairs = np.concatenate(
+        [np.stack([np.arange(count - 1), np.arange(1, count)], 1), random.integers(0, count, (extra, 2))]
+    )
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    pairs = np.concatenate([pairs, pairs[:2, ::-1], [[-1, 1]]])
+    cholesky = BlockCholesky(pairs, count)
+    blocks = np.zeros((cholesky.block_of_pair.max() + 1, 3, 3))
+    dense = np.zeros((count, 3, count, 3))
+    for (a, b), block in zip(pairs, cholesky.block_of_pair, strict=True):
+        if block >= 0 and not blocks[block].any():
+            blocks[block] = random.normal(0, 1, (3, 3))
+            dense[max(a, b), :, min(a, b)] = blocks[block]
+            dense[min(a, b), :, max(a, b)] = blocks[block].T
+    diagonal = np.tile(np.eye(3) * (20.0 + 3 * extra), (count, 1, 1))
+    for k in range(count):
+        dense[k, :, k] = diagonal[k]
+    right = random.normal(0, 1, (count, 3))
+    expected = np.linalg.solve(dense.reshape(3 * count, -1), right.ravel()).reshape(count, 3)
+    assert cholesky.block_of_pair[-1] == -1
+    assert cholesky.solve(diagonal, blocks, right) == pytest.approx(expected, abs=1e-12)
+
+
+def test_block_cholesky_says_when_a_matrix_is_not_positive_definite():
+    cholesky = BlockCholesky(np.array([[0, 1]]), 2)
+    assert cholesky.solve(np.tile(np.eye(3), (2, 1, 1)), 2 * np.eye(3)[None], np.ones((2, 3))) is None

@@ -1,0 +1,231 @@
+"""Robustness of the back ends: false closures are added to public pose graphs, which start from raw odometry.
+
+False closures are `random` (two poses drawn uniformly, said to be at nearly the same place: sd 1 m, 0.3 rad) or
+`grouped` (twenty in a row that agree with each other: a stretch of the path is said to run along another one). Each is
+wrong by more than 0.5 m or 10 degrees, and by more than its stated noise explains (chi squared, 99.9 %). The share is
+that of all closures. Figures are means over seeds: the error of the positions after alignment to the clean optimum, and
+precision and recall of the closures that a method believes. The clean optimum is the fit to the true edges with the
+lowest error found from odometry and from `ours`: MIT has a far better one than its odometry leads to.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import math
+import time
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import PoseGraphConfig
+from twc_env.datasets.g2o import read_g2o
+from twc_env.errors import ConfigError, DataError
+from twc_env.geometry import align_rigidly, between, compose, inverse
+from twc_env.reproduce.runner import Runner, data_folder, parse_seeds
+from twc_env.slam import robust_backend
+from twc_env.slam.robust_backend import Graph
+
+Array = NDArray
+
+SUMMARY = "back ends against false closures on public pose graphs"
+DATASETS = {"intel": "intel", "MIT": "MIT", "M3500": "manhattan", "ringCity": "ringCity"}
+METHODS = {"plain": "none", "cauchy": "cauchy", "dcs": "dcs", "gnc": "gnc", "pcm": "pcm", "ours": "ours"}
+KINDS = ("random", "grouped")
+WRONG_M, WRONG_RAD, WRONG_SQUARED = 0.5, math.radians(10.0), 16.27
+"""A false closure is off by more than one of the first two, and by more than chi squared at 99.9 %."""
+GROUP = 20
+RANDOM_STD = np.array([1.0, 1.0, 0.3])
+GROUP_STD, MEMBER_STD = np.array([0.3, 0.3, 0.1]), np.array([0.05, 0.05, 0.02])
+SEPARATION_STEPS = {"random": 20, "grouped": 40}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One pose graph with false closures, to be solved by one method."""
+
+    dataset: str
+    kind: str
+    share: float
+    method: str
+    seed: int
+
+    def __str__(self) -> str:
+        return f"{self.dataset} {self.kind} {self.share:g} {self.method} seed {self.seed}"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `python -m twc_env reproduce robustness`."""
+    parser.add_argument("--seeds", default="1", help="a count or a range like 0-9 (default: %(default)s)")
+    parser.add_argument("--datasets", default=",".join(DATASETS), help="default: %(default)s")
+    parser.add_argument("--shares", default="0,0.2,0.5,0.8", help="of false closures (default: %(default)s)")
+    parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row a set, kind, share and method; means over the seeds, and the worst error."""
+    folder = data_folder() / "posegraph"
+    datasets, methods = _choices(options.datasets, DATASETS), _choices(options.methods, METHODS)
+    seeds, shares = parse_seeds(options.seeds), _shares(options.shares)
+    cases = [
+        Case(dataset, kind, share, method, seed)
+        for dataset in datasets
+        for share in shares
+        for kind in (KINDS if share else ("none",))
+        for method in methods
+        for seed in (seeds if share else seeds[:1])
+    ]
+    results = runner.each(cases, lambda case: run_case(case, folder))
+    table: dict[tuple, list[dict]] = {}
+    for case, result in zip(cases, results, strict=True):
+        table.setdefault((case.dataset, case.kind, case.share, case.method), []).append(result)
+    return [_row(key, parts) for key, parts in table.items()]
+
+
+def run_case(case: Case, folder: Path) -> dict:
+    """Error, precision, recall and time of one case."""
+    start, clean, best = _clean(folder, case.dataset)
+    graph, is_true = corrupt(clean, best, case.kind, case.share, case.seed)
+    config = PoseGraphConfig(robust=METHODS[case.method], iterations_max=100)
+    began = time.perf_counter()
+    result = robust_backend.solve(start, *_parts(graph), config)
+    elapsed = time.perf_counter() - began
+    believed = result.accepted & graph.is_closure
+    return {
+        "ate_m": absolute_error_m(result.poses, best),
+        "precision": float(np.count_nonzero(believed & is_true) / max(np.count_nonzero(believed), 1)),
+        "recall": float(np.count_nonzero(believed & is_true) / np.count_nonzero(graph.is_closure & is_true)),
+        "time_s": elapsed,
+    }
+
+
+def absolute_error_m(estimated: Array, best: Array) -> float:
+    """Root mean squared distance of positions after rigid alignment."""
+    aligned = compose(align_rigidly(estimated[:, :2], best[:, :2]), estimated)
+    return float(np.sqrt(((aligned - best)[:, :2] ** 2).sum(axis=1).mean()))
+
+
+def corrupt(graph: Graph, best: Array, kind: str, share: float, seed: int) -> tuple[Graph, Array]:
+    """The graph with false closures so that they are `share` of all, and which edges (e,) are true."""
+    true_count = int(graph.is_closure.sum())
+    count = round(true_count * share / (1 - share))
+    information = np.median(graph.information[graph.is_closure], axis=0)
+    random = np.random.default_rng([seed, KINDS.index(kind) if kind in KINDS else 9])
+    pairs: list[tuple[int, int]] = []
+    claims: list[Array] = []
+    while len(pairs) < count:
+        ends, claimed = _draw(kind, best, random)
+        truth = between(best[ends[:, 0]], best[ends[:, 1]])
+        if _are_wrong(between(truth, claimed), information):
+            pairs += [(int(a), int(b)) for a, b in ends]
+            claims += list(claimed)
+    edges = np.array(pairs[:count], np.int64).reshape(-1, 2)
+    together = Graph(
+        np.concatenate([graph.edges, edges]),
+        np.concatenate([graph.measured, np.array(claims[:count]).reshape(-1, 3)]),
+        np.concatenate([graph.information, np.tile(information, (count, 1, 1))]),
+        np.concatenate([graph.is_closure, np.ones(count, bool)]),
+    )
+    return together, np.arange(len(together.edges)) < len(graph.edges)
+
+
+def _draw(kind: str, best: Array, random: np.random.Generator) -> tuple[Array, Array]:
+    """Ends (k, 2) and claimed relative poses (k, 3) of one false closure or group."""
+    length = 1 if kind == "random" else min(GROUP, len(best) // 4)
+    apart = min(SEPARATION_STEPS[kind], len(best) // 3)
+    while True:
+        a, b = sorted(random.choice(len(best) - length + 1, 2, replace=False).tolist())
+        if b - a >= apart:
+            break
+    steps = np.arange(length)
+    if length == 1:
+        return np.array([[a, b]]), random.normal(0.0, RANDOM_STD, (1, 3))
+    moved = compose(compose(best[a], random.normal(0.0, GROUP_STD)), inverse(best[b]))
+    claimed = between(best[a + steps], compose(moved, best[b + steps]))
+    return np.stack([a + steps, b + steps], axis=1), compose(claimed, random.normal(0.0, MEMBER_STD, (length, 3)))
+
+
+def _are_wrong(error: Array, information: Array) -> bool:
+    far = (np.hypot(error[:, 0], error[:, 1]) > WRONG_M) | (np.abs(error[:, 2]) > WRONG_RAD)
+    return bool((far & (np.einsum("ki,ij,kj->k", error, information, error) > WRONG_SQUARED)).all())
+
+
+@cache
+def _clean(folder: Path, dataset: str) -> tuple[Array, Graph, Array]:
+    """Poses by odometry alone, the true graph, and its optimum."""
+    graph = read_graph(folder / f"{DATASETS[dataset]}.g2o.gz")
+    start = dead_reckoning(graph)
+    config = PoseGraphConfig(robust="none", iterations_max=100)
+    grown = robust_backend.solve(start, *_parts(graph), PoseGraphConfig(robust="ours")).poses
+    fits = [robust_backend.solve(begin, *_parts(graph), config).poses for begin in (start, grown)]
+    return start, graph, min(fits, key=lambda poses: float(graph.squared_errors(poses).sum()))
+
+
+def read_graph(path: Path) -> Graph:
+    """Edges of a g2o file, also of one without vertices; odometry are the edges from one vertex to the next."""
+    with gzip.open(path, "rt") as file:
+        words = [line.split() for line in file]
+    if any(line[:1] == ["VERTEX_SE2"] for line in words):
+        read = read_g2o(path)
+        edges, measured, information = read["edges_ij"], read["edges_z"], read["edges_information"]
+    else:
+        values = np.array([line[1:] for line in words if line[:1] == ["EDGE_SE2"]], float)
+        if not len(values):
+            raise DataError(f"{path} has no EDGE_SE2 line; only planar graphs can be read")
+        edges, measured = values[:, :2].astype(np.int64), values[:, 2:5]
+        information = values[:, 5:][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    return Graph(edges, measured, information, edges[:, 1] != edges[:, 0] + 1)
+
+
+def dead_reckoning(graph: Graph) -> Array:
+    """(n, 3) poses along the odometry."""
+    steps = {int(a): k for k, (a, _) in enumerate(graph.edges) if not graph.is_closure[k]}
+    poses = np.zeros((int(graph.edges.max()) + 1, 3))
+    for node in range(len(poses) - 1):
+        if node not in steps:
+            raise DataError(f"the pose graph has no odometry from vertex {node} to {node + 1}; it must be one chain")
+        poses[node + 1] = compose(poses[node], graph.measured[steps[node]])
+    return poses
+
+
+def _parts(graph: Graph) -> tuple[Array, Array, Array, Array]:
+    return graph.edges, graph.measured, graph.information, graph.is_closure
+
+
+def _row(key: tuple, parts: list[dict]) -> dict:
+    dataset, kind, share, method = key
+    means = {name: sum(part[name] for part in parts) / len(parts) for name in parts[0]}
+    return {
+        "dataset": dataset,
+        "false_kind": kind,
+        "false_share": share,
+        "method": method,
+        "ate_m": means["ate_m"],
+        "ate_worst_m": max(part["ate_m"] for part in parts),
+        "precision": means["precision"],
+        "recall": means["recall"],
+        "time_s": means["time_s"],
+        "seeds": len(parts),
+    }
+
+
+def _choices(text: str, known: dict[str, str]) -> list[str]:
+    chosen = [name for name in text.split(",") if name]
+    for name in chosen:
+        if name not in known:
+            raise ConfigError(f"unknown choice {name!r}; choose from {', '.join(known)}")
+    return chosen
+
+
+def _shares(text: str) -> list[float]:
+    try:
+        shares = [float(word) for word in text.split(",") if word]
+    except ValueError:
+        raise ConfigError(f"--shares takes numbers like 0,0.5; got {text!r}") from None
+    for share in shares:
+        if not 0.0 <= share < 1.0:
+            raise ConfigError(f"a share of false closures lies in 0..1 (without 1); got {share:g}")
+    return shares
