@@ -6,7 +6,8 @@ pairs of one sign from further apart count neither way). `recall_absolute` is of
 is of those the text threshold alone lets through, which is how the print's combined recall can exceed that of text.
 `precision_best_match` counts one match per sighting and other robot, `precision_places` is of WiFi alone at places
 along the way as the paper sampled it, `precision_verified` of what scan matching then confirms.
-All parameters were fixed on scene #01 and drawn buildings; scene #02 is only reported.
+All constants were fixed on scene #01 and drawn buildings. Some episodes of scene #02 were looked at while `fused` was
+being designed, so its figures there are not those of a scene never seen.
 """
 
 from __future__ import annotations
