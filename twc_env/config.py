@@ -132,7 +132,7 @@ class RadioConfig(_Checked):
     """Whether the plan's access points send at all (an LTE-only study turns them off)."""
     scan_period_s: float = _number(0.2, 0.01, 60.0)
     power_at_1m_dbm: float = _number(-35.0, -80.0, 30.0)
-    path_loss_exponent: float = _number(2.3, 1.0, 6.0)
+    path_loss_exponent: float = _number(2.3, 0.0, 6.0)
     distance_min_m: float = _number(0.5, 0.01, 10.0)
     shadowing_std_db: float = _number(2.0, 0.0, 20.0)
     shadowing_length_m: float = _number(4.0, 0.1, 100.0)
@@ -390,27 +390,28 @@ RADIO_PRESETS: dict[str, dict] = {
     },
     "radio-indoor": {
         "scan_period_s": 2.0,
-        "power_at_1m_dbm": -31.0,
-        "path_loss_exponent": 2.6,
-        "wall_loss_scale": 0.9,
-        "shadowing_std_db": 4.0,
-        "shadowing_length_m": 4.0,
-        "fading_std_db": 7.0,
+        "power_at_1m_dbm": -28.6,
+        "path_loss_exponent": 2.95,
+        "wall_loss_scale": 1.05,
+        "shadowing_std_db": 4.4,
+        "shadowing_length_m": 2.4,
+        "fading_std_db": 6.8,
         "fading_shared": True,
         "noise_std_db": 2.3,
-        "device_offset_std_db": 2.5,
-        "device_sensitivity_std_db": 3.0,
-        "access_point_spread_db": 6.0,
+        "device_offset_std_db": 1.0,
+        "device_sensitivity_std_db": 0.5,
+        "access_point_spread_db": 7.3,
         "detection_floor_dbm": -93.0,
-        "miss_probability": 0.035,
-        "floor_loss_db": 16.0,
+        "detection_slope_db": 3.4,
+        "miss_probability": 0.0,
+        "floor_loss_db": 14.9,
         "floor_loss_further_db": 9.5,
         "high_band": {
             "share": 0.5,
-            "power_offset_db": -4.0,
-            "path_loss_exponent": 2.65,
+            "power_offset_db": -6.1,
+            "path_loss_exponent": 2.66,
             "wall_loss_factor": 0.95,
-            "floor_loss_factor": 2.2,
+            "floor_loss_factor": 2.3,
         },
     },
     "radio-semi-indoor": {
