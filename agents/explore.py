@@ -96,7 +96,7 @@ def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
 
 
 def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
-    """Write the run folder: config, report, frames, pictures, trajectories, pose graph and maps. The report comes last."""
+    """Write the run folder: config, frames, pictures, trajectories, pose graph, maps, and last the report."""
     result = run.result
     try:
         (folder / "trajectories").mkdir(parents=True, exist_ok=True)

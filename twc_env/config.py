@@ -361,8 +361,8 @@ class EnvConfig(_Checked):
     """One episode's worth of settings."""
 
     map: str = "twin-01"
-    """A bundled map ("twin-01"), a generated building ("gen:office:800:7", "train/0007") or a file: twc_env or HouseExpo
-    JSON, ROS map_server yaml, png, pgm or GeoJSON."""
+    """A bundled map ("twin-01"), a generated building ("gen:office:800:7", "train/0007") or a file: twc_env or
+    HouseExpo JSON, ROS map_server yaml, png, pgm or GeoJSON."""
     robots: int = _number(3, 1, 64)
     max_cycles: int = _number(2000, 1, 10_000_000)
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
@@ -390,28 +390,28 @@ RADIO_PRESETS: dict[str, dict] = {
     },
     "radio-indoor": {
         "scan_period_s": 2.0,
-        "power_at_1m_dbm": -28.6,
-        "path_loss_exponent": 2.95,
-        "wall_loss_scale": 1.05,
-        "shadowing_std_db": 4.4,
-        "shadowing_length_m": 2.4,
-        "fading_std_db": 6.8,
+        "power_at_1m_dbm": -32.5,
+        "path_loss_exponent": 2.81,
+        "wall_loss_scale": 0.89,
+        "shadowing_std_db": 6.0,
+        "shadowing_length_m": 20.0,
+        "fading_std_db": 4.0,
         "fading_shared": True,
-        "noise_std_db": 2.3,
-        "device_offset_std_db": 1.0,
-        "device_sensitivity_std_db": 0.5,
-        "access_point_spread_db": 7.3,
+        "noise_std_db": 2.4,
+        "device_offset_std_db": 4.0,
+        "device_sensitivity_std_db": 2.5,
+        "access_point_spread_db": 5.9,
         "detection_floor_dbm": -93.0,
-        "detection_slope_db": 3.4,
-        "miss_probability": 0.0,
-        "floor_loss_db": 14.9,
+        "detection_slope_db": 3.0,
+        "miss_probability": 0.03,
+        "floor_loss_db": 13.8,
         "floor_loss_further_db": 9.5,
         "high_band": {
             "share": 0.5,
-            "power_offset_db": -6.1,
-            "path_loss_exponent": 2.66,
+            "power_offset_db": -7.2,
+            "path_loss_exponent": 2.37,
             "wall_loss_factor": 0.95,
-            "floor_loss_factor": 2.3,
+            "floor_loss_factor": 2.9,
         },
     },
     "radio-semi-indoor": {

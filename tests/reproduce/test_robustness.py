@@ -77,7 +77,9 @@ def test_ours_survives_where_plain_least_squares_does_not(tmp_path):
     assert {row["seeds"] for row in rows if row["false_share"]} == {2}
 
 
-@pytest.mark.parametrize("words", [("--shares", "1.0"), ("--shares", "half"), ("--methods", "best"), ("--datasets", "x")])
+@pytest.mark.parametrize(
+    "words", [("--shares", "1.0"), ("--shares", "half"), ("--methods", "best"), ("--datasets", "x")]
+)
 def test_wrong_arguments_say_what_is_allowed(tmp_path, monkeypatch, words):
     monkeypatch.setenv("TWC_DATA", str(tmp_path))
     with pytest.raises(ConfigError):

@@ -237,6 +237,14 @@ def test_public_pose_graphs_reach_their_known_error_from_odometry(name, chi2_max
 
 
 @needs_data
+def test_manhattan_reaches_its_optimum_from_odometry():
+    _, edges, measured, information, is_closure = read_g2o("manhattan")
+    start = dead_reckoning(edges, measured, edges.max() + 1)
+    poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN)
+    assert chi2(poses, edges, measured, information) == pytest.approx(3549.037, abs=0.01)
+
+
+@needs_data
 def test_a_start_forty_metres_off_ends_in_a_bounded_error():
     """From raw odometry the MIT graph has bad minima; the error must still fall by six orders of magnitude."""
     _, edges, measured, information, is_closure = read_g2o("MIT")

@@ -42,6 +42,13 @@ class RadioSurvey:
     is_high_band: Array | None = None
     """(t,) bool: 5 GHz."""
 
+    @property
+    def transmitters(self) -> tuple[Array, Array, Array]:
+        """Places (t, 2), storeys (t,) and 5 GHz flags (t,) of a set that tells them; DataError for others."""
+        if self.transmitter_m is None or self.transmitter_floor is None or self.is_high_band is None:
+            raise DataError(f"survey {self.name} does not tell where its transmitters stand; use one that does")
+        return self.transmitter_m, self.transmitter_floor, self.is_high_band
+
 
 def read_text(path: Path) -> str:
     """The text of a plain, gzip or xz file; DataError when it cannot be read."""

@@ -6,6 +6,7 @@ import json
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ def write_frame_log(path: str | Path, config: EnvConfig, steps: Sequence[Sequenc
     )
 
 
-def _ages(scans: Sequence[WifiScan]) -> dict[str, Array]:
+def _ages(scans: Sequence[WifiScan]) -> dict[str, Any]:
     """The column of ages; none where the receivers repeat no old readings (all scans of an episode are alike)."""
     ages = [scan.age_s for scan in scans if scan.age_s is not None]
     return {"wifi_age_s": np.concatenate(ages)} if ages else {}

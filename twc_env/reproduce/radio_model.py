@@ -1,10 +1,10 @@
 """The radio model beside measurements: real and simulated figures by the same estimators.
 
 For each survey the radio model is run at the survey's own places, in a plan that imitates its building, and both sets
-of readings are judged by one function. `calibrated` rows are of sets whose figures the presets were fitted to; `reported`
-rows are of sets that were looked at only afterwards, with the same settings. Preset `radio-indoor` serves the offices,
-the library, the malls and the robot's floor; what belongs to a place (its plan, how many transmitters, how strong a
-BLE tag sends) is set per place below.
+of readings are judged by one function. `calibrated` rows are of sets whose figures the presets were fitted to;
+`reported` rows are of sets looked at only afterwards, with the same settings. Preset `radio-indoor` serves the
+offices, the library, the malls and the robot's floor; what belongs to a place (its plan, how many transmitters, how
+strong a BLE tag sends) is set per place below.
 """
 
 from __future__ import annotations
@@ -162,18 +162,19 @@ def _office_studies() -> Iterator[Study]:
 
 
 def _office_figures(survey: RadioSurvey, rssi_dbm: Array) -> Figures:
-    apart_m = np.linalg.norm(survey.position_m[:, None] - survey.transmitter_m[None], axis=2)
-    ceilings = np.abs(survey.floor[:, None] - survey.transmitter_floor[None])
+    transmitter_m, storeys, on_high_band = survey.transmitters
+    apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
+    ceilings = np.abs(survey.floor[:, None] - storeys[None])
     heard = np.isfinite(rssi_dbm)
     figures: Figures = {}
     for band, is_high in (("2.4 GHz", False), ("5 GHz", True)):
-        mine = (survey.is_high_band == is_high)[None] & (ceilings == 0)
+        mine = (on_high_band == is_high)[None] & (ceilings == 0)
         fit = fit_path_loss(apart_m[mine & heard], rssi_dbm[mine & heard])
         figures[f"path-loss exponent without walls, {band}"] = fit.exponent
         figures[f"residual sd without walls [dB], {band}"] = fit.residual_std_db
         figures[f"mean RSS at 10 m [dBm], {band}"] = fit.power_at_1m_dbm - 10 * fit.exponent
         for away in range(min(_FLOORS_AWAY, int(ceilings.max())) + 1):
-            mine = (survey.is_high_band == is_high)[None] & (ceilings == away)
+            mine = (on_high_band == is_high)[None] & (ceilings == away)
             rates = detection_rates(apart_m[mine], heard[mine], _DISTANCES_M)
             for near, rate in zip(_DISTANCES_M[:-1], rates, strict=True):
                 name = f"detection rate {near:.0f}-{near + 10:.0f} m, {band}, {away} floors away"
@@ -249,9 +250,10 @@ def _flat_studies() -> Iterator[Study]:
 def _flat_figures(surveys: list[RadioSurvey], rssi_dbm: list[Array], plan: Floorplan) -> Figures:
     distances, strengths, walls = [], [], []
     for survey, table in zip(surveys, rssi_dbm, strict=True):
-        crossed = np.array([plan.wall_index.crossing(place, survey.transmitter_m)[0] for place in survey.position_m])
+        transmitter_m = survey.transmitters[0]
+        crossed = np.array([plan.wall_index.crossing(place, transmitter_m)[0] for place in survey.position_m])
         heard = np.isfinite(table)
-        apart_m = np.linalg.norm(survey.position_m[:, None] - survey.transmitter_m[None], axis=2)
+        apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
         distances.append(apart_m[heard])
         strengths.append(table[heard])
         walls.append((crossed[heard] + 1) // _WALL_FACES)
@@ -317,7 +319,7 @@ def _robot_floor_studies() -> Iterator[Study]:
         rssi = places.simulate(true, plan, config, seed, phones=False).rssi_dbm
         return _similarity_figures(true, rssi, _apart_in_time(true))
 
-    yield Study("wifi/uw_floor", "reported", "radio-indoor", {"high_band": {"share": 0.0}}, real, simulated)
+    yield Study("wifi/uw_floor", "calibrated", "radio-indoor", {"high_band": {"share": 0.0}}, real, simulated)
 
 
 def _similarity_figures(survey: RadioSurvey, rssi_dbm: Array, is_pair: Array, offset_db: float = 100.0) -> Figures:

@@ -30,6 +30,7 @@ def office(
 ) -> Floorplan:
     """Rooms of `module_m` on both sides of corridors 2.4 m wide along the longer side of bounds (4,)."""
     x0, y0, x1, y1 = (float(v) for v in bounds_m)
+    middle = np.array([[(x0 + x1) / 2, (y0 + y1) / 2]])
     turned = y1 - y0 > x1 - x0
     if turned:
         x0, y0, x1, y1 = y0, x0, y1, x1
@@ -51,24 +52,27 @@ def office(
             walls += [(x, low, x, near, wall_db), (x, far, x, high, wall_db)]
     table = np.array(walls)
     ends = table[:, [1, 0, 3, 2]] if turned else table[:, :4]
-    return Floorplan(name, ends.reshape(-1, 2, 2), table[:, 4], interior_m=[[(x0 + x1) / 2, (y0 + y1) / 2]])
+    return Floorplan(name, ends.reshape(-1, 2, 2), table[:, 4], interior_m=middle)
 
 
 def flat(plan: Flat, wall_db: float) -> Floorplan:
     """The outline itself: a wall has two faces, each of which takes half of its loss."""
     ends = np.stack([plan.outline_m, np.roll(plan.outline_m, -1, axis=0)], axis=1)
     points = [AccessPoint(f"anchor-{i}", place, (i + 1,)) for i, place in enumerate(plan.anchors_m)]
-    return Floorplan("flat", ends, np.full(len(ends), wall_db / 2), access_points=points, interior_m=[[1.0, 1.0]])
+    return Floorplan(
+        "flat", ends, np.full(len(ends), wall_db / 2), access_points=tuple(points), interior_m=np.ones((1, 2))
+    )
 
 
 def with_known_transmitters(plan: Floorplan, survey: RadioSurvey, floor: int) -> Floorplan:
     """Access points where the survey has its transmitters: address k of the plan is column k - 1 of the survey."""
+    transmitter_m, storeys, is_high = survey.transmitters
     boxes: dict[tuple, list[int]] = {}
-    for k, (place, level) in enumerate(zip(survey.transmitter_m, survey.transmitter_floor, strict=True)):
+    for k, (place, level) in enumerate(zip(transmitter_m, storeys, strict=True)):
         boxes.setdefault((*place.tolist(), int(level)), []).append(k)
     points = []
     for (x, y, level), columns in boxes.items():
-        ordered = sorted(columns, key=lambda k: bool(survey.is_high_band[k]))
+        ordered = sorted(columns, key=lambda k: bool(is_high[k]))
         points.append(AccessPoint(f"ap-{columns[0]}", np.array([x, y]), tuple(k + 1 for k in ordered), level - floor))
     return dataclasses.replace(plan, access_points=tuple(points))
 

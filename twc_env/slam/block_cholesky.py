@@ -1,7 +1,7 @@
 """Sparse Cholesky factorisation of symmetric matrices made of 3 x 3 blocks, one block row per pose.
 
-The elimination order (minimum degree) and the places of all fill are found once per graph; every factorisation then runs
-through flat arrays. What remains when the graph has become nearly complete is factorised densely.
+The elimination order (minimum degree) and the places of all fill are found once per graph; every factorisation then
+runs through flat arrays. What remains when the graph has become nearly complete is factorised densely.
 """
 
 from __future__ import annotations
@@ -64,7 +64,10 @@ def _grown(values, size):
 
 @njit(cache=True, error_model="numpy")
 def _eliminate(pairs, count, dense_from, dense_share):
-    """Minimum-degree elimination on lists of neighbours; block k has the cells 2 k (row of the smaller node) and 2 k + 1."""
+    """Minimum-degree elimination on lists of neighbours.
+
+    Block k has the cells 2 k (list of the smaller node) and 2 k + 1. An eliminated node joins all its neighbours.
+    """
     neighbour = np.empty(4 * len(pairs) + 16, np.int32)
     following = np.empty(len(neighbour), np.int32)
     head = np.full(count, -1, np.int32)

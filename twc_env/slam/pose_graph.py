@@ -17,6 +17,8 @@ Array = NDArray
 
 STEP_M, STEP_RAD = 2e-3, 1e-3
 """A step below both ends the optimisation."""
+NEGLIGIBLE = 1e-6
+"""Weight from which on down an edge is not heard in a step."""
 DECREASE, STALLED_M = 1e-6, 0.1
 """So does a step shorter than this that takes a smaller share off the error."""
 
@@ -82,7 +84,8 @@ class NormalEquations:
         self.edges = np.ascontiguousarray(edges, np.int64)
         self.measured = np.ascontiguousarray(measured, float)
         self.information = np.ascontiguousarray(information, float)
-        self._fixed = fixed
+        self._count, self._fixed = count, fixed
+        self._fewer: tuple[bytes, NormalEquations] | None = None
         pairs = self.edges.copy()
         pairs[pairs == fixed] = -1
         self._cholesky = BlockCholesky(pairs, count)
@@ -123,10 +126,11 @@ class NormalEquations:
         return poses
 
     def _step(self, poses: Array, weight: Array, cost: float, damping: float):
-        """One damped step that does not raise the cost: poses, squared errors, longest moves; None when none is found."""
-        diagonal, blocks, gradient = self.linearise(poses, weight)
+        """One damped step that does not raise the cost: poses, squared errors, longest moves; None if there is none."""
+        heard, its_weight = self._heard(weight)
+        diagonal, blocks, gradient = heard.linearise(poses, its_weight)
         for _ in range(8):
-            delta = self._cholesky.solve(_damped(diagonal, damping), blocks, gradient)
+            delta = heard._cholesky.solve(_damped(diagonal, damping), blocks, gradient)
             if delta is not None:
                 moved, moved_m, moved_rad = _moved(poses, delta, self._fixed)
                 squared = self.squared_errors(moved)
@@ -134,6 +138,17 @@ class NormalEquations:
                     return moved, squared, moved_m, moved_rad
             damping = max(damping * 10, 1e-9)
         return None
+
+    def _heard(self, weight: Array) -> tuple[NormalEquations, Array]:
+        """The equations of edges that are not weighed away, where these are so few that a smaller pattern pays."""
+        heard = weight > NEGLIGIBLE
+        if np.count_nonzero(heard) > 0.8 * len(weight):
+            return self, weight
+        key = heard.tobytes()
+        if self._fewer is None or self._fewer[0] != key:
+            edges, measured, information = self.edges[heard], self.measured[heard], self.information[heard]
+            self._fewer = key, NormalEquations(edges, measured, information, self._count, self._fixed)
+        return self._fewer[1], weight[heard]
 
 
 def _arrays(poses: Array, edges: Array, measured: Array) -> tuple[Array, Array, Array]:

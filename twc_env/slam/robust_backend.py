@@ -6,10 +6,10 @@ map from the surest closures outwards.
 
 `ours`: closures that follow one another and agree within the odometry between them form a group, and a group has one
 voice however many members it has, because alike rooms make false closures that agree. A group is believed when its
-evidence, the likelihood of what it says given the map so far against any other place in the building, is strong; while
-drift is too large for that, groups must speak for each other. After each belief the map is optimised, gradually more
-robustly, which sharpens the next test; whatever then contradicts the majority is revoked. Errors are twists in the world
-frame, in which the covariances along a chain of odometry add up, however far it turns.
+evidence, the likelihood of what it says given the map so far against any other place in the building, is strong;
+while drift is too large for that, groups must speak for each other. After each belief the map is optimised, gradually
+more robustly, which sharpens the next test; whatever then contradicts the majority is revoked. Errors are twists in the
+world frame, in which the covariances along a chain of odometry add up, however far it turns.
 """
 
 from __future__ import annotations
@@ -39,10 +39,12 @@ WINDOW_STEPS = 10
 TAIL = 5.0
 """Degrees of freedom of Student's t: real odometry errs more than its covariance says."""
 ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 1.5, 3.0
-"""Log odds from which groups are believed by the dozen, from which the best one is when there are no such, and from which
-several are that only together are likely."""
+"""Log odds from which groups are believed by the dozen; the best one, when there are no such; several together, when
+none is likely alone."""
 PRIOR_GROUPS = 30
 """Weight, in groups, of the share of true ones among all against that among the undecided."""
+TRUST = (3, 1)
+"""True and false groups of each kind imagined before any is heard: what nothing speaks against is rather true."""
 SCALE_GROUPS = 30
 """Groups that must have been believed before the covariances' common scale is half learnt."""
 SCALE_MIN, SCALE_MAX, GATE_SCALE_MIN = 0.05, 10.0, 0.5
@@ -545,7 +547,7 @@ class _Growth:
             share = overall = 0.5
             for _ in range(20):
                 true = (1 / (1 + np.exp(-heard) * (1 - share) / share)).sum()
-                overall = (believed + true + 1) / (believed + len(heard) + 2)
+                overall = (believed + true + TRUST[0]) / (believed + len(heard) + sum(TRUST))
                 share = (true + PRIOR_GROUPS * overall) / (len(heard) + PRIOR_GROUPS)
             out[kind] = math.log(share / (1 - share))
         return out
@@ -585,8 +587,7 @@ class _Growth:
         k = np.arange(count)
         joint[k, :, k] = covariance
         songs = [
-            self._sing(int(seed), joint, error, odds, prior)
-            for seed in np.argsort(-odds, kind="stable")[:CHOIR_SEEDS]
+            self._sing(int(seed), joint, error, odds, prior) for seed in np.argsort(-odds, kind="stable")[:CHOIR_SEEDS]
         ]
         songs = [song for song in songs if len(song[0]) > 1]
         return min(songs, key=lambda song: (len(song[0]), -song[1]))[0] if songs else []
@@ -624,8 +625,8 @@ class _Growth:
             for scale in (300.0, 30.0):
                 config = replace(self._config, robust="dcs", robust_scale=scale, iterations_max=10)
                 kept = weight > 0
-                parts = (part[kept] for part in _parts(self._graph))
-                self.poses = pose_graph.optimise(self.poses, *parts, config)
+                edges, measured, information, is_closure = (part[kept] for part in _parts(self._graph))
+                self.poses = pose_graph.optimise(self.poses, edges, measured, information, is_closure, config)
             self._look()
             if not self._revoke():
                 return

@@ -106,6 +106,7 @@ class RadioModel:
         self._source_count_wifi = len(access_points)
         self._has_floors, self._has_cells = bool(self._floor_losses_db.any()), len(cells) > 0
         self._is_low_band_only = not self.band_of.any()
+        self._low_index = self._index_of_band[LOW_BAND] or plan.wall_index
 
     def shadowing_db(self, position_m: Array) -> Array:
         """(access points,) the fixed deviation of each signal at a place (2,) of the building frame."""
@@ -138,7 +139,7 @@ class RadioModel:
     def _wall_losses_db(self, position: Array) -> Array:
         """(bands, sources); bands that nobody sends on stay empty."""
         if self._is_low_band_only:
-            return self._index_of_band[LOW_BAND].crossing(position, self._sources.position_m)[1][None]
+            return self._low_index.crossing(position, self._sources.position_m)[1][None]
         ends = self._near_ends(position)
         losses = np.zeros((3, len(ends)))
         for band, index in enumerate(self._index_of_band):
