@@ -15,7 +15,7 @@ Array = NDArray
 
 DENSE_FROM = 24
 """Neighbours in the remaining graph from which on it may be handed to the dense factorisation."""
-DENSE_SHARE = 0.3
+DENSE_SHARE = 0.15
 """Share of the remaining graph that its least connected node must see for that."""
 
 
