@@ -182,7 +182,7 @@ def _graduated(graph: Graph, poses: Array, rounds_max: int = 100) -> tuple[Array
         middle = np.sqrt(GATE * mu * (mu + 1) / np.maximum(squared, 1e-12)) - mu
         truncated = np.where(squared >= high, 0.0, np.where(squared <= low, 1.0, middle))
         weight = np.where(graph.is_closure, truncated, 1.0)
-        poses = graph.fit(poses, weight, 10)
+        poses = graph.fit(poses, weight, 5)
         if np.all(np.minimum(weight, 1 - weight) < 1e-4):
             break
         mu *= 1.4
