@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numba.core.event import TimingListener, register, unregister
 
 import twc_env
 from agents import picture
@@ -25,7 +26,9 @@ from twc_env.datasets.tum import write_tum
 from twc_env.messages import SensorFrame
 
 WARM_UP_STEPS = 10
-"""Steps at the start that the speed figures leave out: compiled code is loaded there."""
+"""Steps at the start that the speed figures leave out."""
+COMPILER_EVENT = "numba:compiler_lock"
+"""Kernels are compiled when first used, once per installation; that time is no speed of the environment."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +61,8 @@ def explore(
     policy.reset(seed, env.possible_agents)
     frames = [env.frames]
     thought_s, env_s, counted, step, was_interrupted = 0.0, 0.0, 0, 0, False
+    compiling = TimingListener()
+    register(COMPILER_EVENT, compiling)
     try:
         while env.agents:
             start = time.perf_counter()
@@ -68,8 +73,9 @@ def explore(
             thought = time.perf_counter()
             if is_finished:
                 break
+            compiled_s = _seconds(compiling)
             env.step(actions)
-            stepped = time.perf_counter()
+            stepped = time.perf_counter() - (_seconds(compiling) - compiled_s)
             frames.append(env.frames)
             thought_s += thought - believed
             step += 1
@@ -81,12 +87,19 @@ def explore(
                 watch(step)
     except KeyboardInterrupt:
         was_interrupted = True
+    finally:
+        unregister(COMPILER_EVENT, compiling)
     result = env.result()
     if film is not None:
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
     return Run(result, _plain({**result.figures, "agent": agent, **speeds}), film, was_interrupted, frames)
+
+
+def _seconds(compiling: TimingListener) -> float:
+    """Time spent so far on compiling kernels or loading them."""
+    return compiling.duration if compiling.done else 0.0
 
 
 def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
