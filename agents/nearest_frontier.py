@@ -15,11 +15,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.follow import Follower, as_action, drive_to
-from agents.planning import Disc, PathFinder, Plan, Terrain, is_frontier, path_is_blocked
 from twc_env.config import DynamicsConfig, EnvConfig
 from twc_env.geometry import compose, inverse, transform_points
 from twc_env.messages import Belief
+from twc_env.planning import (
+    Disc,
+    Follower,
+    PathFinder,
+    Plan,
+    Terrain,
+    as_action,
+    drive_to,
+    is_frontier,
+    path_is_blocked,
+)
 
 Array = NDArray
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from agents.follow import Follower, as_action, drive_to
 from twc_env.config import DynamicsConfig
+from twc_env.planning.follow import Follower, as_action, drive_to
 
 DYNAMICS = DynamicsConfig()
 

@@ -1,0 +1,17 @@
+"""Plan and drive on an estimated map: terrain, cheapest paths, path following. Beliefs in, commands out; no truth."""
+
+from twc_env.planning.follow import Follower, as_action, drive_to
+from twc_env.planning.path_finder import Disc, PathFinder, Plan
+from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
+
+__all__ = [
+    "Disc",
+    "Follower",
+    "PathFinder",
+    "Plan",
+    "Terrain",
+    "as_action",
+    "drive_to",
+    "is_frontier",
+    "path_is_blocked",
+]

@@ -1,0 +1,271 @@
+"""Cheapest goals and the paths to them on a `Terrain` (compiled Dijkstra with a bucket queue)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.planning.terrain import OPEN_COST, Terrain
+
+Array = NDArray
+
+UNITS_PER_CELL = 10
+"""Path costs are integers: one step to a side in the open costs this much."""
+STRAIGHT, DIAGONAL = 5, 7
+COST_MAX = 140
+COMFORT_COST = 3
+"""A shortcut may always cross cells up to this cost factor."""
+LOOK_CELLS, GIVE_UP_CELLS = 120, 12
+"""How far ahead shortcuts are tried, and after how many failures in a row no further."""
+BUCKETS = 1024
+"""More than the dearest edge, `DIAGONAL * COST_MAX`."""
+FAR = np.int32(2**30)
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """A round place that costs extra to cross: a mate, or something the map does not show."""
+
+    x_m: float
+    y_m: float
+    radius_m: float
+    extra: int
+    """Added to the cost factor of its cells (`OPEN_COST` is the factor of open floor)."""
+
+
+@njit(cache=True, error_model="numpy")
+def _add_discs(cost, discs, undo_cell, undo_cost):
+    """Raise the cost of open cells inside discs (k, 4: row, column, radius, extra); returns how many to undo."""
+    height, width = cost.shape
+    changed = 0
+    for k in range(discs.shape[0]):
+        row, column, radius = discs[k, 0], discs[k, 1], discs[k, 2]
+        reach = int(radius) + 1
+        for r in range(max(1, int(row) - reach), min(height - 1, int(row) + reach + 1)):
+            for c in range(max(1, int(column) - reach), min(width - 1, int(column) + reach + 1)):
+                if (r + 0.5 - row) ** 2 + (c + 0.5 - column) ** 2 > radius * radius or cost[r, c] == 0:
+                    continue
+                if changed >= undo_cell.shape[0]:
+                    return changed
+                undo_cell[changed] = r * width + c
+                undo_cost[changed] = cost[r, c]
+                changed += 1
+                cost[r, c] = min(cost[r, c] + int(discs[k, 3]), COST_MAX)
+    return changed
+
+
+@njit(cache=True, error_model="numpy")
+def _undo(cost, undo_cell, undo_cost, changed):
+    """Give back the costs `_add_discs` changed, in reverse order."""
+    width = cost.shape[1]
+    for k in range(changed - 1, -1, -1):
+        cost[undo_cell[k] // width, undo_cell[k] % width] = undo_cost[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _nearest_open(cost, row, column, reach):
+    """The enterable cell nearest to (row, column) within `reach` cells, as flat index; -1 if there is none."""
+    height, width = cost.shape
+    best, nearest = -1, reach * reach + 1
+    for r in range(max(1, row - reach), min(height - 1, row + reach + 1)):
+        for c in range(max(1, column - reach), min(width - 1, column + reach + 1)):
+            away = (r - row) ** 2 + (c - column) ** 2
+            if cost[r, c] > 0 and away < nearest:
+                best, nearest = r * width + c, away
+    return best
+
+
+@njit(cache=True, error_model="numpy")
+def _cheapest_goal(cost, labels, penalty, start, spent, parent, following, preceding, opened, opened_count):
+    """Dijkstra with a bucket queue from flat cell `start` to the labelled cell of least path cost + penalty[label].
+
+    cost, labels (h, w) with a closed border; spent, parent, following, preceding, opened are flat scratch arrays that
+    persist between calls: `spent` must be FAR except at opened[:opened_count]. Returns (goal or -1, its path cost,
+    cells opened).
+    """
+    width = cost.shape[1]
+    flat, label_of = cost.reshape(-1), labels.reshape(-1)
+    for k in range(opened_count):
+        spent[opened[k]] = FAR
+    steps = np.array([1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1], np.int64)
+    head = np.full(BUCKETS, -1, np.int32)
+    spent[start], parent[start], following[start], preceding[start] = 0, -1, -1, -1
+    head[0], opened[0] = start, start
+    count, waiting, now = 1, 1, 0
+    best, best_total = -1, FAR
+    while waiting:
+        cell = head[now % BUCKETS]
+        if cell < 0:
+            now += 1
+            continue
+        if now >= best_total:
+            break
+        head[now % BUCKETS] = following[cell]
+        if following[cell] >= 0:
+            preceding[following[cell]] = -1
+        preceding[cell] = -2  # settled
+        waiting -= 1
+        label = label_of[cell]
+        if label > 0 and now + penalty[label] < best_total:
+            best, best_total = cell, now + penalty[label]
+        for k in range(8):
+            neighbour = cell + steps[k]
+            old = spent[neighbour]
+            if old <= now + STRAIGHT * OPEN_COST:
+                continue
+            factor = flat[neighbour]
+            if factor == 0:
+                continue
+            if k >= 4:  # no cutting of corners
+                down = cell + (width if k < 6 else -width)
+                side = neighbour - (down - cell)
+                if flat[down] == 0 or flat[side] == 0:
+                    continue
+            through = now + (STRAIGHT if k < 4 else DIAGONAL) * factor
+            if through >= old:
+                continue
+            if old == FAR:
+                opened[count] = neighbour
+                count += 1
+                waiting += 1
+            else:
+                before, after = preceding[neighbour], following[neighbour]
+                if before >= 0:
+                    following[before] = after
+                else:
+                    head[old % BUCKETS] = after
+                if after >= 0:
+                    preceding[after] = before
+            bucket = through % BUCKETS
+            spent[neighbour], parent[neighbour] = through, cell
+            following[neighbour], preceding[neighbour] = head[bucket], -1
+            if head[bucket] >= 0:
+                preceding[head[bucket]] = neighbour
+            head[bucket] = neighbour
+    return best, (spent[best] if best >= 0 else FAR), count
+
+
+@njit(cache=True, error_model="numpy")
+def _trace(parent, goal, width):
+    """The cells (k, 2) from the start to `goal`."""
+    length, cell = 0, goal
+    while cell >= 0:
+        length, cell = length + 1, parent[cell]
+    path = np.empty((length, 2), np.int32)
+    cell = goal
+    for k in range(length - 1, -1, -1):
+        path[k, 0], path[k, 1] = cell // width, cell % width
+        cell = parent[cell]
+    return path
+
+
+@njit(cache=True, error_model="numpy")
+def _line_cost(cost, row_a, column_a, row_b, column_b):
+    """Highest cost factor on the straight line between two points (in cells); COST_MAX + 1 if one is closed."""
+    height, width = cost.shape
+    samples = max(1, int(2.0 * math.hypot(row_b - row_a, column_b - column_a)))
+    highest = 0
+    for k in range(1, samples + 1):
+        t = k / samples
+        r, c = int(row_a + t * (row_b - row_a)), int(column_a + t * (column_b - column_a))
+        if r < 0 or c < 0 or r >= height or c >= width or cost[r, c] == 0:
+            return COST_MAX + 1
+        highest = max(highest, cost[r, c])
+    return highest
+
+
+@njit(cache=True, error_model="numpy")
+def _shortcut(path, cost):
+    """Straighten path (k, 2): keep a corner only where the straight line would cross dearer cells (nearer to a wall).
+
+    Returns (j, 2) float cell centres.
+    """
+    count = path.shape[0]
+    kept = np.empty((count, 2), np.float64)
+    kept[0] = path[0] + 0.5
+    size, anchor = 1, 0
+    while anchor < count - 1:
+        far, highest = anchor + 1, COMFORT_COST
+        for k in range(anchor + 1, min(count, anchor + LOOK_CELLS)):
+            highest = max(highest, cost[path[k, 0], path[k, 1]])
+            line = _line_cost(cost, path[anchor, 0] + 0.5, path[anchor, 1] + 0.5, path[k, 0] + 0.5, path[k, 1] + 0.5)
+            if line <= highest:
+                far = k
+            elif k > far + GIVE_UP_CELLS:
+                break
+        kept[size] = path[far] + 0.5
+        size, anchor = size + 1, far
+    return kept[:size]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A way to a goal."""
+
+    path_m: Array
+    """(k, 2) corners in the map frame, start first."""
+    length_m: float
+    """Length it feels like: stretches near walls and discs count more."""
+    label: int
+    """Label of the goal."""
+
+
+class PathFinder:
+    """Cheapest-goal search with scratch memory that lives on between searches."""
+
+    START_REACH_M = 0.6
+    """A robot whose own cell is closed starts from an open one within this distance."""
+
+    def __init__(self) -> None:
+        self._capacity = 0
+        self._opened_count = 0
+        self._undo_cell, self._undo_cost = np.empty(200_000, np.int64), np.empty(200_000, np.int16)
+
+    def cheapest(
+        self, terrain: Terrain, start_m: Array, labels: Array, penalty_m: Array, discs: Iterable[Disc] = ()
+    ) -> Plan | None:
+        """The best labelled cell: least path length plus penalty_m[label]; None when no labelled cell can be reached.
+
+        labels (h, w) int32 over the terrain's cells, 0 for no goal. A penalty of infinity bans a label.
+        """
+        self._reserve(terrain.cost.size)
+        cell = terrain.resolution_m
+        row, column = np.floor(terrain.to_cells(start_m)).astype(int)
+        start = _nearest_open(terrain.cost, row, column, round(self.START_REACH_M / cell))
+        if start < 0:
+            return None
+        units = UNITS_PER_CELL / cell
+        penalty = np.minimum(np.asarray(penalty_m, float) * units, float(FAR)).astype(np.int32)
+        discs = tuple(discs)
+        changed = self._raise(terrain, discs) if discs else 0
+        goal, spent, self._opened_count = _cheapest_goal(
+            terrain.cost, labels, penalty, start, self._spent, self._parent, self._following, self._preceding,
+            self._opened, self._opened_count,
+        )  # fmt: skip
+        corners = np.empty((0, 2))
+        if goal >= 0:
+            corners = _shortcut(_trace(self._parent, goal, terrain.cost.shape[1]), terrain.cost)
+        if changed:
+            _undo(terrain.cost, self._undo_cell, self._undo_cost, changed)
+        if goal < 0:
+            return None
+        return Plan(terrain.to_metres(corners), spent / units, int(labels.reshape(-1)[goal]))
+
+    def _raise(self, terrain: Terrain, discs: tuple[Disc, ...]) -> int:
+        values = np.array([[d.x_m, d.y_m, d.radius_m, d.extra] for d in discs])
+        values[:, :2] = terrain.to_cells(values[:, :2])
+        values[:, 2] /= terrain.resolution_m
+        return _add_discs(terrain.cost, values, self._undo_cell, self._undo_cost)
+
+    def _reserve(self, size: int) -> None:
+        if size <= self._capacity:
+            return
+        self._capacity = size + size // 2
+        self._spent = np.full(self._capacity, FAR, np.int32)
+        self._parent, self._following, self._preceding, self._opened = np.empty((4, self._capacity), np.int32)
+        self._opened_count = 0
