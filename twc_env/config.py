@@ -244,6 +244,8 @@ class KeyframeConfig(_Checked):
     fingerprint_scans_max: int = _number(12, 1, 200)
     fingerprint_detection_min: float = _number(0.4, 0.0, 1.0)
     """A transmitter counts when heard in at least this share of the scans of the window."""
+    fingerprint_age_max_s: float = _number(4.0, 0.0, 3600.0)
+    """Readings that a scan repeats from longer ago are left out: they were heard at another place."""
     std_mode: str = _choice("population", "sample", "paper")
     """Spread used to clip scans (TWC-SLAM Eq. 7): `paper` is the literal print, which never rejects anything."""
 

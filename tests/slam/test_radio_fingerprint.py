@@ -55,6 +55,15 @@ def test_the_repaired_spread_rejects_an_outlier():
     assert fingerprint(one_mac(values), 0.0, "paper").rssi_dbm[0] == pytest.approx(-65.0)
 
 
+def test_readings_repeated_from_too_long_ago_are_left_out():
+    scan = WifiScan(np.array([3, 7, 9]), np.array([-50.0, -60.0, -70.0]), np.array([0.0, 4.0, 4.5]))
+    assert fingerprint([scan], 0.4, age_max_s=4.0).macs.tolist() == [3, 7]
+    assert fingerprint([scan], 0.4).macs.tolist() == [3, 7, 9]
+    # Heard afresh in one scan of two, remembered in the other: half of the scans.
+    fresh = WifiScan(np.array([9]), np.array([-72.0]), np.array([0.0]))
+    assert fingerprint([scan, fresh], 0.5, age_max_s=4.0).rssi_dbm.tolist()[-1] == -72.0
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_a_single_reading_is_kept_as_it_is(mode):
     assert fingerprint(one_mac([-47]), 0.4, mode).rssi_dbm.tolist() == [-47.0]

@@ -17,19 +17,31 @@ STD_MODES = {"population": 0, "sample": 1, "paper": 2}
 EMPTY = Fingerprint(np.zeros(0, np.int64), np.zeros(0))
 
 
-def fingerprint(scans: Sequence[WifiScan], detection_min: float, std_mode: str = "population") -> Fingerprint:
+def fingerprint(
+    scans: Sequence[WifiScan], detection_min: float, std_mode: str = "population", age_max_s: float = math.inf
+) -> Fingerprint:
     """Clipped mean strength of every transmitter heard in at least `detection_min` of the scans.
 
     A reading counts when it lies within one spread of the mean (TWC-SLAM Eq. 7-8). `std_mode` says what the spread is:
-    "population" (1/n), "sample" (1/(n-1)) or "paper" (no division at all: then nothing is ever rejected).
+    "population" (1/n), "sample" (1/(n-1)) or "paper" (no division at all: then nothing is ever rejected). Readings
+    that their scan repeats from more than `age_max_s` ago belong to another place and are left out.
     """
     if not scans:
         return EMPTY
+    scans = [_fresh(scan, age_max_s) for scan in scans]
     macs = np.concatenate([scan.macs for scan in scans])
     levels = np.concatenate([scan.rssi_dbm for scan in scans])
     out_macs, out_levels = np.empty(len(macs), np.int64), np.empty(len(macs))
     count = _clipped_means(macs, levels, detection_min * len(scans) - 1e-9, STD_MODES[std_mode], out_macs, out_levels)
     return Fingerprint(out_macs[:count].copy(), out_levels[:count].copy())
+
+
+def _fresh(scan: WifiScan, age_max_s: float) -> WifiScan:
+    """The scan without what it only remembers from longer ago."""
+    if scan.age_s is None or not (scan.age_s > age_max_s).any():
+        return scan
+    young = scan.age_s <= age_max_s
+    return WifiScan(scan.macs[young], scan.rssi_dbm[young], scan.age_s[young])
 
 
 @njit(cache=True, error_model="numpy")

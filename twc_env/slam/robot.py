@@ -145,7 +145,7 @@ class RobotFrontEnd:
             travel_m=self._travel_m,
             ranges_m=scan,
             signs=signs,
-            fingerprint=fingerprint(recent, rule.fingerprint_detection_min, rule.std_mode),
+            fingerprint=fingerprint(recent, rule.fingerprint_detection_min, rule.std_mode, rule.fingerprint_age_max_s),
         )
 
     def _motion_variance(self) -> Array:
