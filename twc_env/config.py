@@ -325,6 +325,8 @@ class MergingConfig(_Checked):
 class SlamConfig(_Checked):
     """The whole engine; it also reads the scanner's own data sheet (`lidar`)."""
 
+    mode: str = _choice("cooperative", "off")
+    """`off` runs no engine: poses come from odometry alone, maps stay empty, nobody is ever merged."""
     resolution_m: float = _number(0.1, 0.02, 0.5)
     """Cell size of the merged map."""
     odometry_filter: OdometryFilterConfig = field(default_factory=OdometryFilterConfig)

@@ -20,7 +20,7 @@ from twc_env.exploration.observations import ObservationBuilder, observation_spa
 from twc_env.maps import load_map
 from twc_env.messages import Belief, Keyframe, SensorFrame
 from twc_env.random_streams import random_stream
-from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.modes import Engine, make_engine
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.link import BYTES_PER_BEAM, BYTES_PER_FINGERPRINT_MAC, BYTES_PER_POSE, Link
 from twc_env.world.world import World
@@ -55,6 +55,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     Reward: sum of named terms times the weights of `reward`; the terms stand in `info["reward_terms"]`. By default each
     agent gets the gain in correctly mapped area [m2] of the largest rightly merged group, so that an episode's sum is
     the area at its end. The map is judged every `reward.period_steps` steps and at the last.
+
+    `slam.mode = "off"` runs no engine: `pose` is odometry summed up, `map` and `team` stay zero, `correct_area` pays
+    nothing (there is no map), and `result()` judges dead reckoning.
 
     Arguments: `map` (bundled name or file), `robots`, `max_cycles` and `render_mode` ("rgb_array" or None); `config`
     (an EnvConfig, a dict of overrides, dotted keys allowed) holds everything else. `reset(options={"starts": "map"})`
@@ -97,7 +100,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self.action_spaces = dict.fromkeys(self.possible_agents, shared_action)
         self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (6 * count,), np.float32)
         self._world = World(self.config, self.floorplan)
-        self._engine: CooperativeSlam | None = None
+        self._engine: Engine | None = None
         self._seed: int | None = None
         self._cells = self.floorplan.cells()
 
@@ -115,7 +118,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         starts = (options or {}).get("starts", "random")
         self._world.reset(self._seed, starts)
         count = self.config.robots
-        self._engine = CooperativeSlam(self.config, count)
+        self._engine = make_engine(self.config, count)
         self._link = Link(self.config.link, count, random_stream(self._seed, "link"))
         self._builders = [ObservationBuilder(self.config, robot) for robot in range(count)]
         self._record = evaluation.EpisodeRecord(count)
@@ -153,7 +156,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         )
 
     @property
-    def engine(self) -> CooperativeSlam:
+    def engine(self) -> Engine:
         """The SLAM engine of this episode. Raises TwcError before the first `reset`."""
         if self._engine is None:
             raise TwcError("no episode has begun: call reset() first")

@@ -14,7 +14,7 @@ from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
 from twc_env.geometry import between, compose, transform_points
 from twc_env.messages import GridMap
-from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.modes import Engine
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.world.floorplan import Cells, Floorplan
 
@@ -102,7 +102,7 @@ class EpisodeRecord:
         return poses
 
 
-def judge_group(engine: CooperativeSlam, group: int, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
+def judge_group(engine: Engine, group: int, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     """Lay a group's map on the building and measure it."""
     team = engine.team
     robots = team.groups[group].robots
@@ -124,7 +124,7 @@ def judge_group(engine: CooperativeSlam, group: int, record: EpisodeRecord, cell
     return GroupVerdict(robots, pose, wrong, area)
 
 
-def judge(engine: CooperativeSlam, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:
+def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:
     """Every group against the truth, the group with most robots (then most area) first."""
     verdicts = [judge_group(engine, g, record, cells) for g in range(len(engine.team.groups))]
     for verdict in verdicts:
@@ -137,7 +137,7 @@ def rightly_mapped_m2(verdicts: list[GroupVerdict]) -> float:
     return max((v.correct_area_m2 for v in verdicts if not v.wrong_pairs), default=0.0)
 
 
-def trajectories(engine: CooperativeSlam, odom_poses: Array) -> Array:
+def trajectories(engine: Engine, odom_poses: Array) -> Array:
     """(steps + 1, robots, 3) each step's pose hung on the optimised keyframe before it, in the group's map frame.
 
     odom_poses (steps + 1, robots, 3): the front ends' estimates of all steps.
@@ -155,7 +155,7 @@ def trajectories(engine: CooperativeSlam, odom_poses: Array) -> Array:
     return poses
 
 
-def team_alignment(engine: CooperativeSlam, estimated: Array, true: Array) -> Array:
+def team_alignment(engine: Engine, estimated: Array, true: Array) -> Array:
     """(robots, 3) the one rigid motion of each robot's group that lays its map on the building."""
     alignment = np.zeros((true.shape[1], 3))
     for group in engine.team.groups:
@@ -164,14 +164,14 @@ def team_alignment(engine: CooperativeSlam, estimated: Array, true: Array) -> Ar
     return alignment
 
 
-def team_error_m(engine: CooperativeSlam, estimated: Array, true: Array) -> float:
+def team_error_m(engine: Engine, estimated: Array, true: Array) -> float:
     """Root mean square position error over all steps and robots, each group aligned once as a whole."""
     aligned = compose(team_alignment(engine, estimated, true)[None], estimated)
     return float(np.sqrt(((aligned[..., :2] - true[..., :2]) ** 2).sum(axis=-1).mean()))
 
 
 def evaluate(
-    config: EnvConfig, seed: int, floorplan: Floorplan, engine: CooperativeSlam, record: EpisodeRecord, bytes_sent: dict
+    config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord, bytes_sent: dict
 ) -> EpisodeResult:
     """Every figure of the report and all that pictures and exports need."""
     cells = floorplan.cells()
@@ -260,7 +260,7 @@ def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.Map
     )
 
 
-def _map_at(engine: CooperativeSlam, poses: Array, config: EnvConfig) -> GridMap:
+def _map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
     """The map that the keyframes' scans would give at other poses (steps + 1, robots, 3)."""
     grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
     for robot, keyframes in enumerate(engine.team.keyframes):
@@ -280,14 +280,12 @@ def _seen_share(grid: GridMap, cells: Cells) -> float:
     return float(np.count_nonzero(grid.log_odds[row, column]) / max(len(rows), 1))
 
 
-def _score_odometry(
-    engine: CooperativeSlam, reckoned: Array, true: Array, config: EnvConfig, cells: Cells
-) -> metrics.MapScore:
+def _score_odometry(engine: Engine, reckoned: Array, true: Array, config: EnvConfig, cells: Cells) -> metrics.MapScore:
     """The map that dead reckoning alone would give, its true relative starts given away, after one alignment."""
     return _score(_map_at(engine, reckoned, config), metrics.align_team(reckoned, true), cells)
 
 
-def _closures(engine: CooperativeSlam, record: EpisodeRecord, alignment: Array) -> list[dict]:
+def _closures(engine: Engine, record: EpisodeRecord, alignment: Array) -> list[dict]:
     rows = []
     for closure in engine.team.closures:
         (target_robot, i), (source_robot, j) = closure.candidate.target, closure.candidate.source

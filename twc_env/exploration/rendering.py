@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twc_env.exploration.evaluation import EpisodeRecord, judge_group
 from twc_env.geometry import compose, inverse
 from twc_env.messages import GridMap
-from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.modes import Engine
 from twc_env.world.floorplan import Cells, Floorplan
 
 Array = NDArray
@@ -135,7 +135,7 @@ def _draw_ring(image, u0, v0, radius, half_width, colour):
                 image[v, u, k] += cover * (colour[k] - image[v, u, k])
 
 
-def scene_of(floorplan: Floorplan, engine: CooperativeSlam, record: EpisodeRecord, cells: Cells) -> Scene:
+def scene_of(floorplan: Floorplan, engine: Engine, record: EpisodeRecord, cells: Cells) -> Scene:
     """The present moment of an episode, every group's map laid on the building as well as one rigid motion can."""
     verdicts = [judge_group(engine, g, record, cells) for g in range(len(engine.team.groups))]
     verdicts.sort(key=lambda v: (-len(v.robots), -v.correct_area_m2))

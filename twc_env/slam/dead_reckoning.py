@@ -1,0 +1,77 @@
+"""The engine of `slam.mode = "off"`: odometry is summed up, nothing is mapped, nobody is recognised."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import compose
+from twc_env.messages import Belief, Keyframe, SensorFrame
+from twc_env.slam.team import TeamMapper
+
+Array = NDArray
+
+
+class Reckoner:
+    """Stands where a robot's front end stands: the sum of its odometry since the first frame."""
+
+    __slots__ = ("pose_odom", "robot")
+
+    def __init__(self, robot: int):
+        self.robot = robot
+        self.pose_odom = np.zeros(3)
+        """(3,) in the robot's own odom frame (it starts at 0, 0, 0); a new read-only array with every frame."""
+
+    def update(self, frame: SensorFrame) -> None:
+        """Add the motion of one frame."""
+        self.pose_odom = compose(self.pose_odom, frame.odometry)
+        self.pose_odom.flags.writeable = False  # beliefs show it to planners
+
+
+class DeadReckoning:
+    """`CooperativeSlam`'s interface with no SLAM behind it, for worlds without an engine and for the cost of one.
+
+    Each robot stays alone in a map frame that is its odom frame; its map stays empty. `team` is a mapper that never
+    hears of a keyframe, so whatever judges an episode finds one group per robot, no closure and nothing mapped.
+    """
+
+    def __init__(self, config: EnvConfig, robot_count: int):
+        self.robots = [Reckoner(robot) for robot in range(robot_count)]
+        self.team = TeamMapper(config, robot_count)
+        self._grid = self.team.grid_of(0)
+        self._frames: list[SensorFrame | None] = [None] * robot_count
+
+    def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
+        """Sum up the odometry of each frame's robot; there are never keyframes to send."""
+        for frame in frames:
+            self._frames[frame.robot] = frame
+            self.robots[frame.robot].update(frame)
+        return []
+
+    def absorb(self, step: int, keyframes: list[Keyframe]) -> None:
+        """Nothing arrives."""
+
+    def finish(self) -> None:
+        """Nothing waits."""
+
+    def update(self, frames: Sequence[SensorFrame]) -> None:
+        """The same as `track`."""
+        self.track(frames)
+
+    def pose_map_robot(self, robot: int) -> Array:
+        """(3,) dead reckoning of a robot, in the frame it started in."""
+        return self.robots[robot].pose_odom
+
+    def belief(self, robot: int, with_signs: bool = True) -> Belief:
+        """Where dead reckoning places the robot, on an empty map, with no mates and no signs."""
+        frame = self._frames[robot]
+        return Belief(
+            robot=robot,
+            step=frame.step if frame is not None else 0,
+            pose_map_robot=self.robots[robot].pose_odom,
+            grid=self._grid,
+            ranges_m=frame.ranges_m if frame is not None else np.zeros(0),
+        )
