@@ -16,6 +16,7 @@ from twc_env.maps_cli import add_maps_parser
 from twc_env.reproduce.runner import TABLES, add_parser
 
 if TYPE_CHECKING:
+    from twc_env.config import EnvConfig
     from twc_env.slam.engine import CooperativeSlam
     from twc_env.slam.team import TeamMapper
 
@@ -52,6 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     speed.add_argument("--steps", type=int, default=1500, help="steps per episode (default: %(default)s)")
     speed.add_argument("--episodes", type=int, default=3, help="seeds 0, 1, ... (default: %(default)s)")
     speed.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    speed.add_argument("--parts", action="store_true", help="the table of what costs what, instead of rates")
     speed.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one flat object")
     speed.set_defaults(run=_bench)
 
@@ -98,10 +100,21 @@ def _bench(options: argparse.Namespace) -> None:
 
     settings = {"map": options.map, "robots": options.robots, "lidar.beam_count": options.beams}
     config = override(EnvConfig(), {**settings, "max_cycles": options.steps, **assignments(options.set)})
+    if options.parts:
+        _bench_parts(config, options)
+        return
     figures = bench(config, options.episodes, report=lambda line: print(line, file=sys.stderr))
     for key, value in figures.items():
         print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
     _write_json(options.json, figures)
+
+
+def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
+    from twc_env.bench_parts import bench_parts, table_of
+
+    rows = bench_parts(config, options.episodes, report=lambda line: print(line, file=sys.stderr))
+    print(table_of(rows))
+    _write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows})
 
 
 def _record(options: argparse.Namespace) -> None:

@@ -1,0 +1,169 @@
+"""What costs what: the time of each part of a step, averaged over whole episodes.
+
+An episode is run twice. The first run is left alone and gives the CPU time of the whole; the second, the same to the
+bit, has a stopwatch around each part and gives the shares. A part's time is its own: what it spends inside another
+part counts there.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from twc_env.bench import time_environment, wander
+from twc_env.config import EnvConfig
+
+_CALIBRATION_CALLS = 20_000
+REST = "the rest"
+
+
+@dataclass(frozen=True, slots=True)
+class PartTime:
+    """One part of the step: medians over the episodes."""
+
+    part: str
+    is_engine: bool
+    robot_step_us: float
+    """CPU time per robot and step, amortised over the episode."""
+    share: float
+    """Of the whole step."""
+    calls_per_step: float
+
+
+def _parts() -> list[tuple[str, bool, Any, str]]:
+    """(part, whether it is of the engine, owner, function or method) of all that is timed."""
+    from twc_env.exploration import evaluation
+    from twc_env.exploration.observations import ObservationBuilder
+    from twc_env.slam import robot
+    from twc_env.slam.engine import CooperativeSlam
+    from twc_env.slam.loop_verification import LoopVerifier
+    from twc_env.slam.occupancy_grid import OccupancyGrid
+    from twc_env.slam.robot import RobotFrontEnd
+    from twc_env.slam.team import TeamMapper
+    from twc_env.world.world import World
+
+    return [
+        ("world: motion", False, World, "step"),
+        ("world: sensors", False, World, "sense"),
+        ("front end: filter", True, RobotFrontEnd, "_predict"),
+        ("front end: mates in the scan", True, robot, "mark_mates"),
+        ("front end: scan match", True, RobotFrontEnd, "_match"),
+        ("front end: signs and radio", True, RobotFrontEnd, "_remember_radio_and_signs"),
+        ("keyframe: making", True, RobotFrontEnd, "_make_keyframe"),
+        ("keyframe: local map", True, RobotFrontEnd, "_extend_local_map"),
+        ("front end: the rest", True, CooperativeSlam, "track"),
+        ("team: keyframe into the graph", True, TeamMapper, "_add"),
+        ("team: merged grid", True, OccupancyGrid, "integrate"),
+        ("team: place recognition", True, TeamMapper, "_propose"),
+        ("team: verification", True, LoopVerifier, "verify"),
+        ("team: merging", True, TeamMapper, "_try_merge"),
+        ("team: pose graph", True, TeamMapper, "_optimise"),
+        ("team: redrawing", True, TeamMapper, "_redraw"),
+        ("team: the rest", True, CooperativeSlam, "absorb"),
+        ("observation: map crop", False, ObservationBuilder, "_map"),
+        ("observation: the rest", False, ObservationBuilder, "build"),
+        ("reward: map against the truth", False, evaluation, "judge"),
+    ]
+
+
+class Stopwatch:
+    """Own times of functions that call each other."""
+
+    def __init__(self, clock: Callable[[], float] = time.perf_counter):
+        self._clock = clock
+        self.time_s: dict[str, float] = defaultdict(float)
+        self.calls: dict[str, int] = defaultdict(int)
+        self._running: list[list[float]] = []
+        """Of each timed call under way: the time spent inside other timed calls."""
+        self._overhead_s = 0.0
+        self._overhead_s = self._calibrated_overhead_s()
+
+    @contextmanager
+    def around(self, parts: list[tuple[str, bool, Any, str]]):
+        """Time these functions while the block runs."""
+        held = [(owner, name, owner.__dict__[name]) for _, _, owner, name in parts]
+        try:
+            for part, _, owner, name in parts:
+                setattr(owner, name, self.timed(part, getattr(owner, name)))
+            yield
+        finally:
+            for owner, name, function in held:
+                setattr(owner, name, function)
+
+    def timed(self, part: str, function: Callable) -> Callable:
+        """The function, with the stopwatch around it."""
+        clock, running, time_s, calls = self._clock, self._running, self.time_s, self.calls
+
+        def run(*arguments, **keywords):
+            inside = [0.0]
+            running.append(inside)
+            start = clock()
+            try:
+                return function(*arguments, **keywords)
+            finally:
+                spent = clock() - start
+                running.pop()
+                time_s[part] += spent - inside[0]
+                calls[part] += 1
+                if running:
+                    running[-1][0] += spent + self._overhead_s
+
+        return run
+
+    def _calibrated_overhead_s(self) -> float:
+        """What a stopwatch costs the caller of the function it times."""
+        empty = self.timed("", lambda: None)
+        clock = self._clock
+        start = clock()
+        for _ in range(_CALIBRATION_CALLS):
+            empty()
+        spent = (clock() - start) / _CALIBRATION_CALLS - self.time_s.pop("") / _CALIBRATION_CALLS
+        del self.calls[""]
+        return spent
+
+
+def bench_parts(config: EnvConfig, episodes: int, report: Callable[[str], None] = lambda _line: None) -> list[PartTime]:
+    """Time the parts over `episodes` episodes; the parts in the order of a step, what is left last."""
+    runs = []
+    for seed in range(episodes):
+        speed = time_environment(config, seed)
+        time_s, calls = _time_parts(config, seed)
+        whole = sum(time_s.values())
+        step_us = speed.cpu_s / speed.steps / config.robots * 1e6
+        runs.append({part: (spent / whole * step_us, spent / whole, calls[part]) for part, spent in time_s.items()})
+        report(f"seed {seed}: {step_us:.1f} us of CPU time per robot-step, team ATE {speed.team_ate_m:.3f} m")
+    is_engine = {part: engine for part, engine, _, _ in _parts()} | {REST: False}
+    rows = []
+    for part, engine in is_engine.items():
+        spent_us, shares, counts = zip(*(run.get(part, (0.0, 0.0, 0)) for run in runs), strict=True)
+        calls_per_step = statistics.median(counts) / config.max_cycles
+        rows.append(PartTime(part, engine, statistics.median(spent_us), statistics.median(shares), calls_per_step))
+    return rows
+
+
+def _time_parts(config: EnvConfig, seed: int) -> tuple[dict[str, float], dict[str, int]]:
+    """Seconds and calls of each part in one episode; `REST` is what no part claims."""
+    from twc_env.exploration.environment import ExplorationEnv
+
+    watch, parts = Stopwatch(), _parts()
+    env = ExplorationEnv(config=config)
+    env.reset(seed=seed)
+    step = watch.timed(REST, env.step)
+    with watch.around(parts):
+        for actions in wander(env, seed):
+            step(actions)
+    return dict(watch.time_s), watch.calls
+
+
+def table_of(rows: list[PartTime]) -> str:
+    """The parts as an aligned table, with the engine's and the whole step's sums."""
+    lines = [f"{'part':<32}{'us per robot-step':>18}{'share':>8}{'calls per step':>16}"]
+    lines += [f"{r.part:<32}{r.robot_step_us:>18.1f}{r.share:>8.1%}{r.calls_per_step:>16.2f}" for r in rows]
+    for name, chosen in (("the engine", [r for r in rows if r.is_engine]), ("the whole step", rows)):
+        lines.append(f"{name:<32}{sum(r.robot_step_us for r in chosen):>18.1f}{sum(r.share for r in chosen):>8.1%}")
+    return "\n".join(lines)
