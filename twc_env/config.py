@@ -174,7 +174,7 @@ class RadioConfig(_Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraConfig(_Checked):
+class SignsConfig(_Checked):
     """Which signs are read, and how OCR misreads them."""
 
     period_s: float = _number(0.5, 0.01, 60.0)
@@ -373,7 +373,7 @@ class EnvConfig(_Checked):
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     lidar: LidarConfig = field(default_factory=LidarConfig)
     radio: RadioConfig = field(default_factory=RadioConfig)
-    camera: CameraConfig = field(default_factory=CameraConfig)
+    signs: SignsConfig = field(default_factory=SignsConfig)
     link: LinkConfig = field(default_factory=LinkConfig)
     slam: SlamConfig = field(default_factory=SlamConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)

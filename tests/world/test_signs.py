@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from twc_env.config import CameraConfig
+from twc_env.config import SignsConfig
 from twc_env.world.floorplan import Floorplan, Sign, validate
 from twc_env.world.signs import SignCamera, misread
 
@@ -25,7 +25,7 @@ def room(inner_walls=(), signs=((0.0, 5.0, 0.0),)) -> Floorplan:
 
 
 def camera(plan=None, seed=0, **config) -> SignCamera:
-    return SignCamera(CameraConfig(**{**EXACT, **config}), plan or room(), 0, seed)
+    return SignCamera(SignsConfig(**{**EXACT, **config}), plan or room(), 0, seed)
 
 
 def towards_sign(x: float, y: float) -> np.ndarray:
@@ -88,11 +88,11 @@ def test_measured_bearing_and_range_scatter_as_configured():
 
 def test_clear_sight_reads_every_text_right():
     random = np.random.default_rng(0)
-    assert all(misread("A301 OPTICS LAB", CameraConfig(**CLEAR), random) == "A301 OPTICS LAB" for _ in range(100))
+    assert all(misread("A301 OPTICS LAB", SignsConfig(**CLEAR), random) == "A301 OPTICS LAB" for _ in range(100))
 
 
 def test_fragments_come_as_often_as_configured_with_10_to_45_percent_of_the_text():
-    config = CameraConfig(fragment_probability=0.2, character_error_probability=0.0)
+    config = SignsConfig(fragment_probability=0.2, character_error_probability=0.0)
     random, text = np.random.default_rng(0), "ABCDEFGHIJKLMNOPQRST"
     readings = [misread(text, config, random) for _ in range(5000)]
     fragments = [r for r in readings if r != text]
@@ -102,7 +102,7 @@ def test_fragments_come_as_often_as_configured_with_10_to_45_percent_of_the_text
 
 
 def test_characters_are_misread_as_often_as_configured():
-    config = CameraConfig(fragment_probability=0.0, character_error_probability=0.05)
+    config = SignsConfig(fragment_probability=0.0, character_error_probability=0.05)
     random, text = np.random.default_rng(1), "X" * 20
     wrong = longer = shorter = 0
     for _ in range(4000):
@@ -117,7 +117,7 @@ def test_characters_are_misread_as_often_as_configured():
 
 
 def test_substitutions_prefer_the_character_that_looks_alike():
-    config = CameraConfig(fragment_probability=0.0, character_error_probability=0.2)
+    config = SignsConfig(fragment_probability=0.0, character_error_probability=0.2)
     random = np.random.default_rng(2)
     seen = [c for _ in range(3000) for c in misread("OOOO", config, random) if c != "O"]
     assert seen.count("0") / len(seen) > 0.5
@@ -126,7 +126,7 @@ def test_substitutions_prefer_the_character_that_looks_alike():
 def test_a_reading_always_has_its_source_even_when_text_is_lost():
     config = {"fragment_probability": 0.0, "character_error_probability": 1.0}
     plan = room()
-    device = SignCamera(CameraConfig(**config), plan, 0, 0)
+    device = SignCamera(SignsConfig(**config), plan, 0, 0)
     for _ in range(200):
         readings, sources = device.read(np.array([3.0, 5.0, math.pi]))
         assert len(readings) == len(sources)

@@ -140,14 +140,14 @@ def test_a_building_too_small_for_the_team_is_refused():
 
 
 def test_sensors_fire_at_their_periods_staggered_over_the_robots():
-    w = world(radio={"scan_period_s": 0.3}, camera={"period_s": 0.5})
+    w = world(radio={"scan_period_s": 0.3}, signs={"period_s": 0.5})
     heard = np.array([[frame.wifi is not None for frame in step] for step in episode(w, 60)])
     for robot in range(3):
         assert np.array_equal(np.flatnonzero(heard[:, robot]) % 3, np.full(heard[:, robot].sum(), -robot % 3))
 
 
 def test_true_signs_match_the_readings_one_to_one():
-    w = world(camera={"fragment_probability": 0.0, "character_error_probability": 0.0})
+    w = world(signs={"fragment_probability": 0.0, "character_error_probability": 0.0})
     seen = 0
     for step in range(300):
         w.step(commands(step))
@@ -174,7 +174,7 @@ def test_robots_stay_on_open_floor():
 
 def test_settings_of_one_sensor_leave_the_noise_of_the_others_alone():
     plain = episode(world(seed=5), 30)
-    other = episode(world(seed=5, radio={"noise_std_db": 9.0}, camera={"range_noise_std_m": 0.5}), 30)
+    other = episode(world(seed=5, radio={"noise_std_db": 9.0}, signs={"range_noise_std_m": 0.5}), 30)
     for a, b in zip(plain, other, strict=True):
         for frame_a, frame_b in zip(a, b, strict=True):
             assert np.array_equal(frame_a.ranges_m, frame_b.ranges_m)

@@ -103,7 +103,7 @@ class ObservationBuilder:
         rows = np.zeros((config.observation.sign_slots, 3), np.float32)
         nearest = sorted(frame.signs, key=lambda s: s.range_m)[: len(rows)]
         for row, sign in zip(rows, nearest, strict=False):
-            row[:] = 1.0, sign.bearing_rad / math.pi, min(max(sign.range_m / config.camera.range_max_m, 0.0), 1.0)
+            row[:] = 1.0, sign.bearing_rad / math.pi, min(max(sign.range_m / config.signs.range_max_m, 0.0), 1.0)
         return rows
 
     def _team(self, mates: dict[int, list[float]]) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import cdist
 
-from twc_env.config import CameraConfig
+from twc_env.config import SignsConfig
 from twc_env.datasets.geojson import read_geojson
 from twc_env.datasets.indoor20 import FRESH_S, read_indoor20
 from twc_env.random_streams import random_stream
@@ -38,7 +38,7 @@ METHODS = ("text", "wifi", "twc", "fused")
 SAME_PLACE_M = 5.0
 PLACE_STEP_M = 4.0
 TRACE_SHARE = 0.8
-CAMERA = CameraConfig(range_max_m=8.0)
+CAMERA = SignsConfig(range_max_m=8.0)
 """Names over shops can be read from further away than door plates."""
 READ_PERIOD_S, READ_AROUND_S = 0.5, 2.0
 """How often names are read, and for how long before and after a scan."""

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twc_env.config import CameraConfig
+from twc_env.config import SignsConfig
 from twc_env.messages import SignReading
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, Floorplan
@@ -27,7 +27,7 @@ _ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"
 class SignCamera:
     """One robot's camera and OCR for one episode."""
 
-    def __init__(self, config: CameraConfig, plan: Floorplan, robot: int, seed: int):
+    def __init__(self, config: SignsConfig, plan: Floorplan, robot: int, seed: int):
         self._config, self._index = config, plan.wall_index
         self._texts = tuple(sign.text for sign in plan.signs)
         normals = np.array([(math.cos(s.facing_rad), math.sin(s.facing_rad)) for s in plan.signs]).reshape(-1, 2)
@@ -66,7 +66,7 @@ class SignCamera:
         return tuple(readings), tuple(sources)
 
 
-def misread(text: str, config: CameraConfig, random: np.random.Generator) -> str:
+def misread(text: str, config: SignsConfig, random: np.random.Generator) -> str:
     """One OCR reading of a text: sometimes a fragment, else single characters changed, lost or added (SPEC T3)."""
     if random.random() < config.fragment_probability:
         length = max(1, round(len(text) * random.uniform(_FRAGMENT_MIN, _FRAGMENT_MAX)))

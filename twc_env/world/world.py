@@ -43,7 +43,7 @@ class World:
         self._home = plan.home
         self._radio = _radio_model(config.radio, self._home)
         self._wifi_period = _period_steps(config.radio.scan_period_s, config)
-        self._camera_period = _period_steps(config.camera.period_s, config)
+        self._camera_period = _period_steps(config.signs.period_s, config)
 
     def reset(self, seed: int, starts: str | Array = "random") -> None:
         """Begin an episode. Starts: "random" (drawn by seed), "map" (the plan's own), or poses (n, 3).
@@ -58,7 +58,7 @@ class World:
         radius = config.dynamics.robot_radius_m
         self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
         self._receivers = [WifiReceiver(config.radio, self._radio, robot, seed) for robot in range(robots)]
-        self._cameras = [SignCamera(config.camera, self._home, robot, seed) for robot in range(robots)]
+        self._cameras = [SignCamera(config.signs, self._home, robot, seed) for robot in range(robots)]
         self._sensed_poses = self._dynamics.poses
         self._step = 0
         self.sighted_signs = ((),) * robots
