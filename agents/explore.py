@@ -17,7 +17,7 @@ from numba.core.event import TimingListener, register, unregister
 import twc_env
 from agents import picture
 from agents.policy import make_policy
-from twc_env import DataError, EnvConfig, EpisodeResult
+from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace
 from twc_env.config import to_dict
 from twc_env.datasets.frame_log import write_frame_log
 from twc_env.datasets.g2o import write_g2o
@@ -42,6 +42,8 @@ class Run:
     was_interrupted: bool
     frames: list[tuple[SensorFrame, ...]]
     """What every robot sensed, step by step; `python -m twc_env replay` runs the engine on them again."""
+    trace: EpisodeTrace
+    """Poses, maps and figures over time; `python -m twc_env replay RUN --html` shows them."""
 
 
 def explore(
@@ -59,7 +61,7 @@ def explore(
     env = twc_env.parallel_env(config=config, render_mode="rgb_array" if film else None)
     env.reset(seed=seed)
     policy.reset(seed, env.possible_agents)
-    frames = [env.frames]
+    frames, trace = [env.frames], EpisodeTrace(env)
     thought_s, env_s, counted, step, was_interrupted = 0.0, 0.0, 0, 0, False
     compiling = TimingListener()
     register(COMPILER_EVENT, compiling)
@@ -74,9 +76,10 @@ def explore(
             if is_finished:
                 break
             compiled_s = _seconds(compiling)
-            env.step(actions)
+            rewards = env.step(actions)[1]
             stepped = time.perf_counter() - (_seconds(compiling) - compiled_s)
             frames.append(env.frames)
+            trace.note(rewards)
             thought_s += thought - believed
             step += 1
             if step > WARM_UP_STEPS:
@@ -94,7 +97,7 @@ def explore(
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
-    return Run(result, _plain({**result.figures, "agent": agent, **speeds}), film, was_interrupted, frames)
+    return Run(result, _plain({**result.figures, "agent": agent, **speeds}), film, was_interrupted, frames, trace)
 
 
 def _seconds(compiling: TimingListener) -> float:
@@ -122,6 +125,7 @@ def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
         for robot in range(poses.shape[1]):
             write_tum(folder / "trajectories" / f"robot_{robot}_{kind}.tum", times_s, poses[:, robot])
     write_frame_log(folder / "frames.npz", result.config, run.frames)
+    run.trace.write(folder / "trace.npz")
     write_g2o(folder / "pose_graph.g2o", result.graph)
     for k, grid in enumerate(result.grids):
         if grid.log_odds.size:

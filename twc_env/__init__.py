@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from twc_env.errors import ActionError, ConfigError, DataError, MapError, TwcError
     from twc_env.exploration.environment import ExplorationEnv
     from twc_env.exploration.evaluation import EpisodeResult
+    from twc_env.exploration.trace import EpisodeTrace
     from twc_env.maps import load_map, map_names
     from twc_env.slam.engine import CooperativeSlam
 
@@ -32,6 +33,7 @@ __all__ = [
     "DataError",
     "EnvConfig",
     "EpisodeResult",
+    "EpisodeTrace",
     "ExplorationEnv",
     "MapError",
     "TwcError",
@@ -50,6 +52,7 @@ _HOME = {
     "DataError": "errors",
     "EnvConfig": "config",
     "EpisodeResult": "exploration.evaluation",
+    "EpisodeTrace": "exploration.trace",
     "ExplorationEnv": "exploration.environment",
     "MapError": "errors",
     "TwcError": "errors",

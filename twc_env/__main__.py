@@ -73,11 +73,15 @@ def _parser() -> argparse.ArgumentParser:
 
     replay = commands.add_parser(
         "replay",
-        help="run the SLAM engine on recorded sensor frames, without any world",
+        help="run the SLAM engine on recorded sensor frames, or make a page that plays a run",
         description="The engine sees the frames of a log (frames.npz of a run folder) and nothing else. "
-        "Prints what it found; the same log gives the same numbers every time.",
+        "Prints what it found; the same log gives the same numbers every time. With --html, nothing is run: the run "
+        "folder's trace.npz and report.json become one page with a time slider, to be opened in any browser.",
     )
-    replay.add_argument("log", type=Path, help="a frame log, frames.npz")
+    replay.add_argument("log", type=Path, help="a run folder, or a frame log (frames.npz)")
+    replay.add_argument(
+        "--html", type=Path, nargs="?", const=Path(), metavar="FILE", help="write the page (default: RUN/replay.html)"
+    )
     replay.add_argument("--truth", type=Path, metavar="FILE", help="truth.npz: also print the team's trajectory error")
     replay.add_argument(
         "--filter",
@@ -147,11 +151,21 @@ def _progress(done: int, total: int) -> None:
 
 
 def _replay(options: argparse.Namespace) -> None:
+    if options.html is not None:
+        from twc_env.replay_page import write_page
+
+        run = options.log if options.log.is_dir() else options.log.parent
+        print(write_page(run, run / "replay.html" if options.html == Path() else options.html))
+        return
+    _replay_frames(options, options.log / "frames.npz" if options.log.is_dir() else options.log)
+
+
+def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     from twc_env.config import digest, override
     from twc_env.datasets.frame_log import read_frame_log, read_truth_log
     from twc_env.slam.engine import CooperativeSlam
 
-    config, steps = read_frame_log(options.log)
+    config, steps = read_frame_log(log)
     config = override(config, {**assignments(options.set), "slam.odometry_filter.backend": options.filter})
     robots = 1 + max(frame.robot for frames in steps for frame in frames)
     engine = CooperativeSlam(config, robots)
@@ -164,7 +178,7 @@ def _replay(options: argparse.Namespace) -> None:
         engine.finish()
     team = engine.team
     figures = {
-        "log": str(options.log),
+        "log": str(log),
         "steps": len(steps),
         "filter": options.filter,
         "groups": [list(group.robots) for group in team.groups],

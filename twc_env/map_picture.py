@@ -10,25 +10,12 @@ from numpy.typing import NDArray
 from twc_env.config import RadioConfig
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan
+from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
 
 Array = NDArray
 
 LABELS_MAX = 60
 """With more rooms or signs than this, names are left out: they would lie on top of each other."""
-_SIGNAL_POINTS = 6000
-_SIGNAL_CLIP_DBM = (-90.0, -30.0)
-
-
-def strongest_signal_dbm(plan: Floorplan, points_m: Array, config: RadioConfig | None = None) -> Array:
-    """(k, 2) places -> (k,) mean strength of the best access point: path loss and walls, without shadowing."""
-    config = config or RadioConfig()
-    best = np.full(len(points_m), -np.inf)
-    for access_point in plan.access_points:
-        losses_db = plan.wall_index.crossing(access_point.position_m, points_m)[1]
-        distance_m = np.linalg.norm(points_m - access_point.position_m, axis=1)
-        path_loss_db = 10 * config.path_loss_exponent * np.log10(np.maximum(distance_m, config.distance_min_m))
-        best = np.maximum(best, config.power_at_1m_dbm - path_loss_db - losses_db)
-    return best
 
 
 def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = None, with_signal: bool = True) -> Path:
@@ -98,15 +85,11 @@ def _draw_signs(axes, plan: Floorplan) -> None:
 
 
 def _draw_signal(axes, figure, plan: Floorplan, config: RadioConfig | None) -> None:
-    x0, y0, x1, y1 = plan.bounds_m
-    step_m = max(0.1, float(np.sqrt((x1 - x0) * (y1 - y0) / _SIGNAL_POINTS)))
-    xs, ys = np.arange(x0 + step_m / 2, x1, step_m), np.arange(y0 + step_m / 2, y1, step_m)
-    points = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
-    signal = strongest_signal_dbm(plan, points, config)
-    signal[~plan.cells().is_free(points)] = np.nan
-    low, high = _SIGNAL_CLIP_DBM
+    signal, (x0, y0), step_m = signal_map_dbm(plan, config)
+    low, high = SIGNAL_SPAN_DBM
+    rows, columns = signal.shape
     image = axes.imshow(
-        signal.reshape(len(ys), len(xs)), origin="lower", extent=(x0, x0 + step_m * len(xs), y0, y0 + step_m * len(ys)),
+        signal, origin="lower", extent=(x0, x0 + step_m * columns, y0, y0 + step_m * rows),
         cmap="viridis", vmin=low, vmax=high, alpha=0.55,
     )  # fmt: skip
     figure.colorbar(image, ax=axes, label="mean strength of the best access point [dBm]", shrink=0.8, pad=0.02)

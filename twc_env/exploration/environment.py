@@ -167,6 +167,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """What each robot sensed in the last step; `twc_env.datasets.write_frame_log` records them."""
         return self._frames
 
+    @property
+    def record(self) -> evaluation.EpisodeRecord:
+        """What truly happened in this episode, for judging; no agent may read it."""
+        return self._record
+
     def belief(self, agent: str) -> Belief:
         """What one robot knows: the merged map of its group and where it is in it. Estimates only."""
         return self.engine.belief(self.possible_agents.index(agent))

@@ -63,6 +63,20 @@ class EpisodeResult:
     """The pose graph: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Progress:
+    """How far an episode has come, judged without leaving a mark on its record."""
+
+    verdicts: tuple[GroupVerdict, ...]
+    """Largest group first."""
+    alignment: Array
+    """(robots, 3) where the map of each robot's group lies in the building."""
+    closures: list[dict]
+    """As in `EpisodeResult`."""
+    figures: dict[str, float]
+    """coverage_correct, wall_iou, team_ate_m, merged_robots, wrong_pairs, closures_accepted, closures_rejected."""
+
+
 class EpisodeRecord:
     """What happened so far, step by step, kept for judging."""
 
@@ -129,7 +143,32 @@ def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerd
     verdicts = [judge_group(engine, g, record, cells) for g in range(len(engine.team.groups))]
     for verdict in verdicts:
         record.wrong_pairs.update(verdict.wrong_pairs)
+    return _largest_first(verdicts)
+
+
+def _largest_first(verdicts: list[GroupVerdict]) -> list[GroupVerdict]:
     return sorted(verdicts, key=lambda v: (-len(v.robots), -v.correct_area_m2))
+
+
+def progress(engine: CooperativeSlam, record: EpisodeRecord, cells: Cells) -> Progress:
+    """The figures that pictures over time show, by the same definitions as those of the report."""
+    verdicts = _largest_first([judge_group(engine, g, record, cells) for g in range(len(engine.team.groups))])
+    estimated = trajectories(engine, record.odom_poses)
+    alignment = team_alignment(engine, estimated, record.true_poses)
+    closures = _closures(engine, record, alignment)
+    status = [row["status"] for row in closures]
+    best = verdicts[0]
+    score = _score(engine.team.grid_of(engine.team.group_index(best.robots[0])), best.pose_building_map, cells)
+    figures = {
+        "coverage_correct": score.coverage_correct,
+        "wall_iou": score.wall_iou,
+        "team_ate_m": team_error_m(engine, estimated, record.true_poses),
+        "merged_robots": len(best.robots),
+        "wrong_pairs": sum(len(v.wrong_pairs) for v in verdicts),
+        "closures_accepted": status.count("accepted"),
+        "closures_rejected": status.count("rejected"),
+    }
+    return Progress(tuple(verdicts), alignment, closures, figures)
 
 
 def rightly_mapped_m2(verdicts: list[GroupVerdict]) -> float:

@@ -1,0 +1,128 @@
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env.__main__ import main
+from twc_env.bench import wander
+from twc_env.errors import DataError
+from twc_env.replay_page import write_page
+
+STEPS = 120
+
+
+def play(watched: bool):
+    env = twc_env.parallel_env(map="twin-02", robots=2, max_cycles=STEPS, config={"lidar.beam_count": 90})
+    env.reset(seed=3)
+    trace = twc_env.EpisodeTrace(env, period_s=1.0) if watched else None
+    seen = []
+    for actions in wander(env, 3):
+        observations, rewards, *_ = env.step(actions)
+        seen.append((observations["robot_0"]["map"].tobytes(), rewards["robot_0"]))
+        if trace is not None:
+            trace.note(rewards)
+    return env, trace, seen
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    env, trace, _ = play(watched=True)
+    trace.write(folder / "trace.npz")
+    (folder / "report.json").write_text(json.dumps({**env.result().figures, "agent": "wanderer"}))
+    return folder
+
+
+def data_of(page) -> dict:
+    text = page.read_text()
+    start = text.index('type="application/json">') + len('type="application/json">')
+    return json.loads(text[start : text.index("</script>", start)])
+
+
+def test_watching_changes_nothing():
+    env, _, seen = play(watched=True)
+    other, _, unwatched = play(watched=False)
+    assert seen == unwatched
+    assert env.result().figures == other.result().figures
+
+
+def test_the_last_moment_of_the_page_has_the_figures_of_the_report(run):
+    data = data_of(write_page(run, run / "page.html"))
+    last, report = data["moments"][-1], data["report"]
+    assert last["step"] == STEPS == report["steps"]
+    for key in ("coverage_correct", "wall_iou", "team_ate_m", "merged_robots", "bytes_sent"):
+        assert last["figures"][key] == pytest.approx(report[key], rel=1e-12), key
+    assert last["figures"]["closures_accepted"] == report["closures"]["accepted"]
+    assert len(data["true_poses"]) == len(data["estimated_poses"]) == STEPS + 1
+
+
+def test_long_episodes_keep_a_bounded_number_of_moments(monkeypatch):
+    monkeypatch.setattr("twc_env.exploration.trace.MOMENTS_MAX", 4)
+    _, trace, _ = play(watched=True)
+    assert len(trace._moments) <= 5
+
+
+def test_the_command_writes_the_page_into_the_run_folder(run, capsys):
+    assert main(["replay", str(run), "--html"]) == 0
+    assert (run / "replay.html").stat().st_size > 10_000
+    assert "replay.html" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["trace.npz", "report.json"])
+def test_a_missing_or_broken_file_of_the_run_is_named(run, tmp_path, name):
+    for other in ("trace.npz", "report.json"):
+        shutil.copy(run / other, tmp_path / other)
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:40])
+    with pytest.raises(DataError, match=name):
+        write_page(tmp_path, tmp_path / "page.html")
+    (tmp_path / name).unlink()
+    with pytest.raises(DataError, match=name):
+        write_page(tmp_path, tmp_path / "page.html")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium (extra 'dev')")
+    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not (chromium and driver):
+        pytest.skip("needs Debian's packages chromium and chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for argument in ("headless", "no-sandbox", "disable-gpu", "no-first-run", "disable-background-networking"):
+        options.add_argument(f"--{argument}")
+    options.add_argument("--window-size=1300,900")
+    with webdriver.Chrome(options=options, service=webdriver.ChromeService(driver)) as page:
+        yield page
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_browser_loads_plays_scrubs_and_shows_the_numbers_of_the_report(run, browser):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    wait = WebDriverWait(browser, 30)
+    browser.get(write_page(run, run / "page.html").as_uri())
+    wait.until(lambda b: b.find_element("tag name", "body").get_attribute("data-ready") == "yes")
+    picture = "return Array.from(document.getElementById('stage').getContext('2d').getImageData(0, 0, 900, 400).data)"
+    before = np.array(browser.execute_script(picture))
+    assert before.std() > 5.0  # something is drawn
+
+    browser.execute_script(
+        "const s = document.getElementById('slider'); s.value = 100; s.dispatchEvent(new Event('input'))"
+    )
+    assert "step 100" in browser.find_element("id", "time").text
+    assert not np.array_equal(before, browser.execute_script(picture))
+
+    browser.find_element("id", "play").click()
+    wait.until(lambda b: f"step {STEPS} of {STEPS}" in b.find_element("id", "time").text)
+    for layer in browser.find_elements("css selector", "[data-layer]"):
+        layer.click()
+
+    report = json.loads((run / "report.json").read_text())
+    for key in ("team_ate_m", "coverage_correct", "merged_robots", "bytes_sent", "path_length_m"):
+        row = browser.find_element("css selector", f"#figures [data-key='{key}']")
+        assert json.loads(row.get_attribute("data-value")) == report[key]
+        assert float(row.find_element("tag name", "b").text) == pytest.approx(report[key], abs=5e-5)
+    errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert errors == []

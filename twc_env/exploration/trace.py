@@ -1,0 +1,161 @@
+"""What an episode looked like over time: poses at every step, maps, closures and figures every few seconds.
+
+An `EpisodeTrace` watches an environment from outside, changes nothing in it, and is written to `trace.npz` of a run
+folder; `python -m twc_env replay RUN --html` makes a page of it. It holds the truth beside the estimates.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import to_dict
+from twc_env.errors import DataError
+from twc_env.exploration import evaluation
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.geometry import compose
+from twc_env.messages import GridMap
+from twc_env.world.signal_map import signal_map_dbm
+
+Array = NDArray
+
+FORMAT = "twc_env/trace-1"
+MOMENTS_MAX = 160
+"""With more moments than this, every second one is dropped and the next ones come half as often."""
+UNKNOWN, FREE, WALL = 0, 1, 2
+CLOSURE_KEYS = ("kind", "status", "reason", "correct", "target_m", "source_m")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layer:
+    """One group's map at one moment: 0 unknown, 1 free, 2 wall."""
+
+    robots: tuple[int, ...]
+    kind: Array
+    """(rows, columns) uint8; row 0 is the lowest y of the map frame."""
+    origin_m: tuple[float, float]
+    resolution_m: float
+    pose_building_map: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """The team's maps, closures and figures after one step."""
+
+    step: int
+    layers: tuple[Layer, ...]
+    """Largest group first."""
+    closures: tuple[dict[str, Any], ...]
+    """kind, status, reason, target_m, source_m; points in the building frame."""
+    figures: dict[str, float]
+
+
+class EpisodeTrace:
+    """Watches one episode: make it after `reset`, call `note` after every step, then `write`."""
+
+    def __init__(self, env: ExplorationEnv, period_s: float = 2.0):
+        self._env = env
+        self._period = max(1, round(period_s / env.config.dynamics.time_step_s))
+        self._estimated: list[Array] = []
+        """Per step (robots, 3), in the building frame as it was best laid at that time."""
+        self._rewards: list[float] = []
+        self._moments: list[Moment] = []
+        self._alignment = np.zeros((env.config.robots, 3))
+        self.note()
+
+    def note(self, rewards: dict[str, float] | None = None) -> None:
+        """Take down one step; `rewards` as `step` gave them."""
+        step = len(self._estimated)
+        self._rewards.append(sum(rewards.values()) if rewards else 0.0)
+        if step % self._period == 0:
+            self._add_moment(step)
+        self._estimated.append(self._laid_on_building())
+
+    def write(self, path: str | Path) -> None:
+        """Write the trace, up to the last step noted. Raises DataError when the file cannot be written."""
+        env, last = self._env, len(self._estimated) - 1
+        if self._moments[-1].step != last:
+            self._add_moment(last)
+        kinds = [layer.kind for moment in self._moments for layer in moment.layers]
+        packed = [zlib.compress(kind.tobytes(), 6) for kind in kinds]
+        plan = env.floorplan
+        signal_dbm, signal_origin_m, signal_cell_m = signal_map_dbm(plan, env.config.radio)
+        try:
+            np.savez_compressed(
+                path,
+                format=np.array(FORMAT),
+                config=np.array(json.dumps(to_dict(env.config), sort_keys=True)),
+                walls_m=plan.walls_m,
+                signs_m=np.array([s.position_m for s in plan.signs]).reshape(-1, 2),
+                access_points_m=np.array([a.position_m for a in plan.access_points]).reshape(-1, 2),
+                signal_dbm=signal_dbm.astype(np.float32),
+                signal_place=np.array([*signal_origin_m, signal_cell_m]),
+                true_poses=env.record.true_poses[: last + 1],
+                estimated_poses=np.array(self._estimated),
+                rewards=np.array(self._rewards),
+                maps=np.frombuffer(b"".join(packed), np.uint8),
+                map_ends=np.cumsum([len(p) for p in packed]),
+                moments=np.array(json.dumps([_described(moment) for moment in self._moments])),
+                sign_texts=np.array(json.dumps([s.text for s in plan.signs])),
+            )
+        except OSError as error:
+            raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
+
+    def _add_moment(self, step: int) -> None:
+        env = self._env
+        seen = evaluation.progress(env.engine, env.record, env.floorplan.cells())
+        self._alignment = seen.alignment
+        layers = tuple(
+            _layer(env.engine.team.grid_of(env.engine.team.group_index(v.robots[0])), v) for v in seen.verdicts
+        )
+        closures = tuple({key: row[key] for key in CLOSURE_KEYS} for row in seen.closures)
+        figures = {**seen.figures, "bytes_sent": env.bytes_sent, "reward_sum": sum(self._rewards)}
+        self._moments.append(Moment(step, layers, closures, figures))
+        if len(self._moments) > MOMENTS_MAX:
+            self._moments, self._period = self._moments[::2], 2 * self._period
+
+    def _laid_on_building(self) -> Array:
+        engine = self._env.engine
+        live = np.array([engine.pose_map_robot(robot) for robot in range(len(self._alignment))])
+        return compose(self._alignment, live)
+
+
+def _layer(grid: GridMap, verdict: evaluation.GroupVerdict) -> Layer:
+    kind = np.full(grid.log_odds.shape, UNKNOWN, np.uint8)
+    kind[grid.log_odds < 0] = FREE
+    kind[grid.log_odds > 0] = WALL
+    rows, columns = (np.flatnonzero(kind.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        rows = columns = np.zeros(1, int)
+    kind = kind[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    x, y = (np.asarray(grid.origin_m) + np.array([columns[0], rows[0]]) * grid.resolution_m).tolist()
+    pose_x, pose_y, heading = verdict.pose_building_map.tolist()
+    return Layer(verdict.robots, kind, (x, y), grid.resolution_m, (pose_x, pose_y, heading))
+
+
+def _described(moment: Moment) -> dict[str, Any]:
+    """All of a moment but the cells, ready for JSON."""
+    return {
+        "step": moment.step,
+        "figures": {key: float(value) for key, value in moment.figures.items()},
+        "closures": [
+            {key: np.asarray(value).tolist() if key.endswith("_m") else value for key, value in row.items()}
+            for row in moment.closures
+        ],
+        "layers": [
+            {
+                "robots": layer.robots,
+                "shape": layer.kind.shape,
+                "origin_m": layer.origin_m,
+                "resolution_m": layer.resolution_m,
+                "pose_building_map": layer.pose_building_map,
+            }
+            for layer in moment.layers
+        ],
+    }
