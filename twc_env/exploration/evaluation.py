@@ -150,7 +150,7 @@ def _largest_first(verdicts: list[GroupVerdict]) -> list[GroupVerdict]:
     return sorted(verdicts, key=lambda v: (-len(v.robots), -v.correct_area_m2))
 
 
-def progress(engine: CooperativeSlam, record: EpisodeRecord, cells: Cells) -> Progress:
+def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
     """The figures that pictures over time show, by the same definitions as those of the report."""
     verdicts = _largest_first([judge_group(engine, g, record, cells) for g in range(len(engine.team.groups))])
     estimated = trajectories(engine, record.odom_poses)
