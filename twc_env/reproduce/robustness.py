@@ -27,7 +27,7 @@ from twc_env.errors import ConfigError, DataError
 from twc_env.geometry import align_rigidly, between, compose, inverse
 from twc_env.reproduce.runner import Runner, data_folder, parse_seeds
 from twc_env.slam import robust_backend
-from twc_env.slam.robust_backend import Graph
+from twc_env.slam.pose_graph import Graph
 
 Array = NDArray
 
@@ -94,7 +94,7 @@ def run_case(case: Case, folder: Path) -> dict:
     graph, is_true = corrupt(clean, best, case.kind, case.share, case.seed)
     config = PoseGraphConfig(robust=METHODS[case.method], iterations_max=ITERATIONS_MAX.get(case.method, 100))
     began = time.perf_counter()
-    result = robust_backend.solve(start, *_parts(graph), config)
+    result = robust_backend.solve(start, *graph.parts, config)
     elapsed = time.perf_counter() - began
     believed = result.accepted & graph.is_closure
     right = int(np.count_nonzero(believed & is_true))
@@ -163,8 +163,8 @@ def _clean(folder: Path, dataset: str) -> tuple[Array, Graph, Array]:
     graph = read_graph(folder / f"{DATASETS[dataset]}.g2o.gz")
     start = dead_reckoning(graph)
     config = PoseGraphConfig(robust="none", iterations_max=100)
-    grown = robust_backend.solve(start, *_parts(graph), PoseGraphConfig(robust="ours")).poses
-    fits = [robust_backend.solve(begin, *_parts(graph), config).poses for begin in (start, grown)]
+    grown = robust_backend.solve(start, *graph.parts, PoseGraphConfig(robust="ours")).poses
+    fits = [robust_backend.solve(begin, *graph.parts, config).poses for begin in (start, grown)]
     return start, graph, min(fits, key=lambda poses: float(graph.squared_errors(poses).sum()))
 
 
@@ -193,10 +193,6 @@ def dead_reckoning(graph: Graph) -> Array:
             raise DataError(f"the pose graph has no odometry from vertex {node} to {node + 1}; it must be one chain")
         poses[node + 1] = compose(poses[node], graph.measured[steps[node]])
     return poses
-
-
-def _parts(graph: Graph) -> tuple[Array, Array, Array, Array]:
-    return graph.edges, graph.measured, graph.information, graph.is_closure
 
 
 def _row(key: tuple, parts: list[dict]) -> dict:

@@ -6,6 +6,8 @@ dynamic covariance scaling (DCS) or a Cauchy loss, so that one false closure can
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -15,12 +17,41 @@ from twc_env.slam.block_cholesky import BlockCholesky
 
 Array = NDArray
 
+GATE = 11.345
+"""99 % of chi squared with three degrees of freedom."""
 STEP_M, STEP_RAD = 2e-3, 1e-3
 """A step below both ends the optimisation."""
 NEGLIGIBLE = 1e-6
 """Weight from which on down an edge is not heard in a step."""
 DECREASE, STALLED_M = 1e-6, 0.1
 """So does a step shorter than this that takes a smaller share off the error."""
+
+
+@dataclass(frozen=True, slots=True)
+class Graph:
+    """A pose graph: edges (e, 2), measured (e, 3), information (e, 3, 3), is_closure (e,) bool."""
+
+    edges: Array
+    measured: Array
+    information: Array
+    is_closure: Array
+
+    @property
+    def parts(self) -> tuple[Array, Array, Array, Array]:
+        """Its four arrays, in the order of `optimise`."""
+        return self.edges, self.measured, self.information, self.is_closure
+
+    def of(self, kept: Array) -> Graph:
+        """The graph of some edges: (e,) bool or indices."""
+        return Graph(*(part[kept] for part in self.parts))
+
+    def fit(self, poses: Array, weight: Array, iterations_max: int = 100) -> Array:
+        """Poses after plain least squares with these weights (e,)."""
+        return weighted(poses, self.edges, self.measured, self.information, weight, iterations_max)
+
+    def squared_errors(self, poses: Array) -> Array:
+        """(e,) squared Mahalanobis length of each residual."""
+        return squared_errors(poses, self.edges, self.measured, self.information)
 
 
 def residuals(poses: Array, edges: Array, measured: Array) -> Array:

@@ -1,0 +1,167 @@
+"""Which closures agree with each other: groups of neighbours, and the largest pairwise consistent set (PCM).
+
+Two closures agree when what they say about their maps differs by no more than their own noise and the odometry between
+their ends explain (Mangelson 2018, pairwise consistency).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.geometry import compose, inverse
+from twc_env.slam.odometry_chains import Chains
+from twc_env.slam.pose_graph import GATE, Graph
+from twc_env.slam.twists import adjoint, turned
+
+Array = NDArray
+
+WINDOW_STEPS = 10
+"""Neighbours of one group lie at most this far apart at both ends."""
+
+
+class Pairs:
+    """Do two closures agree, given the odometry between their ends?
+
+    Each closure k claims that its second pose's map lies at T_k = X_i z X_j^-1 of its first pose's; two agree when
+    T_a T_b^-1 is a twist that their own noise and the odometry between their ends explain.
+    """
+
+    def __init__(self, graph: Graph, poses: Array, chains: Chains, closures: Array):
+        self.i, self.j = np.ascontiguousarray(graph.edges[closures].T)
+        put = compose(poses[self.i], graph.measured[closures])
+        claim = compose(put, inverse(poses[self.j]))
+        noise = turned(adjoint(put), np.linalg.inv(graph.information[closures]))
+        self._facts = (claim, adjoint(claim), noise, self.i, self.j, chains.step, chains.grown(poses))
+
+    def squared(self, a: Array, b: Array) -> Array:
+        """(k,) squared length of the disagreement of closures a, b (k,)."""
+        return _disagreements(a, b, *self._facts)
+
+    def agreement(self, members: Array, gate: float) -> Array:
+        """(m, m) whether members agree pairwise."""
+        return _agreement(members, gate, *self._facts)
+
+
+@njit(cache=True, error_model="numpy")
+def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown):
+    ta, tb = claim[a], claim[b]
+    turn = (ta[2] - tb[2] + np.pi) % (2 * np.pi) - np.pi
+    c, s = np.cos(turn), np.sin(turn)
+    x, y = ta[0] - (c * tb[0] - s * tb[1]), ta[1] - (s * tb[0] + c * tb[1])
+    half = turn / 2
+    ratio = 1.0 if abs(half) < 1e-6 else half / np.tan(half)
+    ex, ey = ratio * x + half * y, -half * x + ratio * y
+    back = 1.0 if step[j[a]] <= step[j[b]] else -1.0
+    forth = 1.0 if step[i[a]] <= step[i[b]] else -1.0
+    half_turned, total = np.empty((3, 3)), np.empty((3, 3))
+    ad, ga, gb = adjoint[a], grown[j[a]], grown[j[b]]
+    for p in range(3):
+        for q in range(3):
+            value = 0.0
+            for k in range(3):
+                value += ad[p, k] * (gb[k, q] - ga[k, q])
+            half_turned[p, q] = back * value
+    for p in range(3):
+        for q in range(p + 1):
+            value = noise[a, p, q] + noise[b, p, q] + forth * (grown[i[b], p, q] - grown[i[a], p, q])
+            for k in range(3):
+                value += half_turned[p, k] * ad[q, k]
+            total[p, q] = value
+    l00 = np.sqrt(total[0, 0])
+    l10, l20 = total[1, 0] / l00, total[2, 0] / l00
+    l11 = np.sqrt(total[1, 1] - l10 * l10)
+    l21 = (total[2, 1] - l20 * l10) / l11
+    l22 = np.sqrt(total[2, 2] - l20 * l20 - l21 * l21)
+    u = ex / l00
+    v = (ey - l10 * u) / l11
+    w = (turn - l20 * u - l21 * v) / l22
+    return u * u + v * v + w * w
+
+
+@njit(cache=True, error_model="numpy")
+def _disagreements(first, second, claim, adjoint, noise, i, j, step, grown):
+    out = np.empty(len(first))
+    for k in range(len(first)):
+        out[k] = _disagreement(first[k], second[k], claim, adjoint, noise, i, j, step, grown)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _agreement(members, gate, claim, adjoint, noise, i, j, step, grown):
+    out = np.zeros((len(members), len(members)), np.bool_)
+    for p in range(len(members)):
+        for q in range(p):
+            squared = _disagreement(members[p], members[q], claim, adjoint, noise, i, j, step, grown)
+            out[p, q] = out[q, p] = squared < gate
+    return out
+
+
+def pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
+    """The largest set found in which every pair agrees; separately for each pair of chains."""
+    chains = Chains(graph, poses)
+    poses = chains.dead_reckoning(poses)
+    closures = np.flatnonzero(graph.is_closure)
+    pairs = Pairs(graph, poses, chains, closures)
+    ends = np.stack([chains.chain[pairs.i], chains.chain[pairs.j]], axis=1)
+    accepted = ~graph.is_closure
+    for one in np.unique(ends, axis=0):
+        members = np.flatnonzero((ends == one).all(axis=1))
+        accepted[closures[members[_greedy_clique(pairs.agreement(members, GATE))]]] = True
+    return graph.fit(poses, accepted.astype(float)), accepted
+
+
+@njit(cache=True, error_model="numpy")
+def _greedy_clique(agree):
+    """Members of a large clique: from each of the best connected nodes, always add the one that keeps most choices."""
+    count = len(agree)
+    degree = agree.sum(axis=1)
+    seeds = np.argsort(-degree, kind="mergesort")[:10]
+    best = np.zeros(0, np.int64)
+    for seed in seeds:
+        choice = np.flatnonzero(agree[seed])
+        choice = choice[choice != seed]
+        votes = np.zeros(count, np.int64)
+        for a in choice:
+            for b in choice:
+                votes[a] += agree[a, b]
+        clique = [seed]
+        while len(choice):
+            chosen = choice[np.argmax(votes[choice])]
+            clique.append(chosen)
+            kept = [c for c in choice if agree[chosen, c] and c != chosen]
+            for c in choice:
+                if not agree[chosen, c] or c == chosen:
+                    for k in kept:
+                        votes[k] -= agree[k, c]
+            choice = np.array(kept, dtype=np.int64)
+        if len(clique) > len(best):
+            best = np.array(clique, dtype=np.int64)
+    return np.sort(best)
+
+
+def groups_of_neighbours(pairs: Pairs, chains: Chains) -> Array:
+    """(k,) number of each closure's group: neighbours within a window at both ends that agree, joined transitively."""
+    i, j = pairs.i, pairs.j
+    order = np.lexsort((np.arange(len(i)), chains.step[i], chains.chain[i]))
+    parent = np.arange(len(i))
+    for shift in range(1, len(order)):
+        a, b = order[:-shift], order[shift:]
+        near = (chains.chain[i[a]] == chains.chain[i[b]]) & (chains.step[i[b]] - chains.step[i[a]] <= WINDOW_STEPS)
+        if not near.any():
+            break
+        near &= chains.chain[j[a]] == chains.chain[j[b]]
+        near &= np.abs(chains.step[j[b]] - chains.step[j[a]]) <= WINDOW_STEPS
+        a, b = a[near], b[near]
+        if len(a):
+            agree = pairs.squared(a, b) < GATE
+            for x, y in zip(a[agree].tolist(), b[agree].tolist(), strict=True):
+                while parent[x] != x:
+                    x = parent[x]
+                while parent[y] != y:
+                    y = parent[y]
+                parent[max(x, y)] = min(x, y)
+    for k in range(len(parent)):
+        parent[k] = parent[parent[k]]
+    return np.unique(parent, return_inverse=True)[1]

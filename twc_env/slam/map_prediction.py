@@ -1,0 +1,181 @@
+"""What the map so far says about each closure: where it should lie, how surely, and how likely what it claims is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from twc_env.geometry import compose, inverse
+from twc_env.slam import pose_graph
+from twc_env.slam.odometry_chains import Chains
+from twc_env.slam.pose_graph import GATE, Graph
+from twc_env.slam.twists import adjoint, logarithm, squared_length, turned
+
+Array = NDArray
+
+MEDIAN_SQUARED = 2.366
+"""Median of chi squared with three degrees of freedom."""
+TAIL = 5.0
+"""Degrees of freedom of Student's t: real odometry errs more than its covariance says."""
+SCALE_GROUPS = 30
+"""Closures that must have been believed before the covariances' common scale is half learnt."""
+SCALE_MIN, SCALE_MAX, GATE_SCALE_MIN = 0.05, 10.0, 0.5
+KEYS_MAX = 500
+"""Poses whose joint covariance is kept; those between lie on the odometry from the one before."""
+LEVERAGE_MIN = 0.2
+"""Least share of its own noise that a closure's residual is taken to keep after the fit."""
+
+
+class MapPrediction:
+    """Joint covariance of the key poses (world twists) under odometry and the closures that are used."""
+
+    def __init__(self, graph: Graph, chains: Chains, closures: Array):
+        self._graph, self._chains, self._closures = graph, chains, closures
+        self._i, self._j = np.ascontiguousarray(graph.edges[closures].T)
+        self._noise = np.linalg.inv(graph.information[closures])
+        self._key_of, self._keys = self._choose_keys()
+        self._poses = np.zeros((len(chains.step), 3))
+        self.scale = 1.0
+        """How much larger squared errors are than the covariances say."""
+
+    def _choose_keys(self) -> tuple[Array, Array]:
+        order, step = np.array(self._chains.order), self._chains.step
+        is_end = np.zeros(len(order), bool)
+        is_end[self._i] = is_end[self._j] = True
+        is_key = is_end[order]
+        if is_key.sum() > KEYS_MAX:
+            is_key = step[order] % -(-len(order) // KEYS_MAX) == 0
+        is_key |= step[order] == 0
+        key_of = np.empty(len(order), np.int64)
+        key_of[order] = np.cumsum(is_key) - 1
+        return key_of, order[is_key]
+
+    def look(self, poses: Array, used: Array) -> None:
+        """Predict from these poses (n, 3) and the used closures (k,) indices into the closures."""
+        self._poses = poses
+        self._grown = self._chains.grown(poses)
+        keys, count = self._keys, len(self._keys)
+        hessian = np.zeros((count, 3, count, 3))
+        chain, step = self._chains.chain, self._chains.step
+        for k in range(count):
+            if step[keys[k]] == 0:
+                hessian[k, :, k] += np.eye(3) * (1e8 if k == 0 else 1e-1)
+        follows = np.flatnonzero(chain[keys[1:]] == chain[keys[:-1]])
+        weight = np.linalg.inv(self._chains.stretch(self._grown, keys[follows], keys[follows + 1]) + 1e-12 * np.eye(3))
+        _add_edges(hessian, follows, follows + 1, weight)
+        if len(used):
+            i, j = self._i[used], self._j[used]
+            covariance = self.own_noise(used) + self._off_key(i) + self._off_key(j)
+            _add_edges(hessian, self._key_of[i], self._key_of[j], np.linalg.inv(covariance))
+        self._joint = _inverse(hessian.reshape(3 * count, 3 * count)).reshape(count, 3, count, 3)
+        extent = np.ptp(poses[:, :2], axis=0) + 1.0
+        self._log_volume = math.log(extent[0] * extent[1] * 2 * math.pi / 8)
+
+    def learn_scale(self, speakers: Array) -> None:
+        """Learn from used closures how much smaller or larger errors are than their covariances say."""
+        self.scale = 1.0
+        if len(speakers):
+            ratio = max(float(np.median(self.contradicted(speakers))) / MEDIAN_SQUARED, 1e-3)
+            share = len(speakers) / (len(speakers) + SCALE_GROUPS)
+            self.scale = min(max(ratio**share, SCALE_MIN), SCALE_MAX)
+
+    @property
+    def gate_scale(self) -> float:
+        """By how much gates on squared errors are widened."""
+        return max(self.scale, GATE_SCALE_MIN)
+
+    def own_noise(self, closures: Array) -> Array:
+        """(k, 3, 3) covariance of the closures' measurements as world twists."""
+        return turned(self._claimed(closures), self._noise[closures])
+
+    def drift(self, closures: Array) -> Array:
+        """(k, 3, 3) covariance of the map's own prediction between the keys at the closures' ends."""
+        a, b = self._key_of[self._i[closures]], self._key_of[self._j[closures]]
+        cross = self._joint[a, :, b]
+        return self._joint[a, :, a] + self._joint[b, :, b] - cross - np.swapaxes(cross, 1, 2)
+
+    def predicted(self, closures: Array) -> tuple[Array, Array]:
+        """Error (k, 3) of closures as world twists, and the covariance (k, 3, 3) of prediction and measurement."""
+        i, j = self._i[closures], self._j[closures]
+        z = self._graph.measured[self._closures[closures]]
+        error = logarithm(compose(compose(self._poses[i], z), inverse(self._poses[j])))
+        same = (self._chains.chain[i] == self._chains.chain[j]) & (self._key_of[i] == self._key_of[j])
+        stretch = self._chains.stretch(self._grown, i, j)
+        off = np.where(same[:, None, None], stretch, self._off_key(i) + self._off_key(j))
+        return error, self.drift(closures) + off + self.own_noise(closures)
+
+    def evidence(self, error: Array, covariance: Array) -> Array:
+        """(k,) log of Student's t density against a place drawn from the whole building.
+
+        Drift beyond the building's size says nothing against a closure.
+        """
+        squared = squared_length(error, covariance) / self.scale
+        scale = math.lgamma((TAIL + 3) / 2) - math.lgamma(TAIL / 2) - 1.5 * math.log(TAIL * math.pi * self.scale)
+        peak = scale - 0.5 * np.linalg.slogdet(covariance)[1] + self._log_volume
+        return np.maximum(peak, 0.5) - (TAIL + 3) / 2 * np.log1p(squared / TAIL)
+
+    def contradicted(self, used: Array) -> Array:
+        """(k,) squared error of used closures against what all others say."""
+        drift = self.drift(used)
+        edges = self._closures[used]
+        residual = pose_graph.residuals(self._poses, self._graph.edges[edges], self._graph.measured[edges])
+        error = (self._claimed(used) @ residual[..., None])[..., 0]
+        own = self.own_noise(used)
+        root = np.linalg.inv(np.linalg.cholesky(own))
+        value, vector = np.linalg.eigh(turned(root, own - drift))  # its own noise less what the fit explains
+        part = np.swapaxes(vector, 1, 2) @ root @ error[..., None]
+        squared = (part[..., 0] ** 2 / np.maximum(value, LEVERAGE_MIN)).sum(axis=1)
+        plain = self._graph.squared_errors(self._poses)[edges]
+        return np.where(plain < GATE * min(self.scale, 1.0), np.minimum(squared, GATE * GATE_SCALE_MIN), squared)
+
+    def joint_of(self, closures: Array, covariance: Array) -> Array:
+        """(k, 3, k, 3) covariance of the predictions of several closures, `covariance` (k, 3, 3) on its diagonal."""
+        a, b = self._key_of[self._i[closures]], self._key_of[self._j[closures]]
+        count = len(closures)
+        joint = np.zeros((count, 3, count, 3))
+        for left, right, sign in ((b, b, 1.0), (b, a, -1.0), (a, b, -1.0), (a, a, 1.0)):
+            joint += sign * self._joint[left][:, :, right]
+        k = np.arange(count)
+        joint[k, :, k] = covariance
+        return joint
+
+    def _off_key(self, nodes: Array) -> Array:
+        return self._chains.stretch(self._grown, self._keys[self._key_of[nodes]], nodes)
+
+    def _claimed(self, closures: Array) -> Array:
+        """(k, 3, 3) from the frame where a closure puts its second pose into the world frame, for twists."""
+        return adjoint(compose(self._poses[self._i[closures]], self._graph.measured[self._closures[closures]]))
+
+
+def _inverse(matrix: Array) -> Array:
+    """Of a positive definite matrix."""
+    factor, _ = dpotrf(matrix.T, lower=0, overwrite_a=1)
+    lower = dpotri(factor, lower=0, overwrite_c=1)[0].T
+    _mirror(lower)
+    return lower
+
+
+@njit(cache=True, error_model="numpy")
+def _mirror(lower):
+    for row in range(len(lower)):
+        for column in range(row):
+            lower[column, row] = lower[row, column]
+
+
+@njit(cache=True, error_model="numpy")
+def _add_edges(hessian, a, b, weight):
+    """Add the Laplacian blocks of edges a - b (k,) with information (k, 3, 3) to (n, 3, n, 3)."""
+    for e in range(len(a)):
+        p, q = a[e], b[e]
+        if p == q:
+            continue
+        for i in range(3):
+            for j in range(3):
+                hessian[p, i, p, j] += weight[e, i, j]
+                hessian[q, i, q, j] += weight[e, i, j]
+                hessian[p, i, q, j] -= weight[e, i, j]
+                hessian[q, i, p, j] -= weight[e, i, j]
