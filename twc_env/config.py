@@ -167,6 +167,10 @@ class RadioConfig(_Checked):
     floor_height_m: float = _number(4.0, 0.5, 20.0)
     sweep_share: float = _number(1.0, 0.01, 1.0)
     """Share of the transmitters that one scan really listens to; the others keep their last reading."""
+    sweep_share_std: float = _number(0.0, 0.0, 1.0)
+    """How much that share differs from scan to scan: phones break sweeps off."""
+    sweep_duration_s: float = _number(0.0, 0.0, 60.0)
+    """Channels are listened to one after the other over this long, 2.4 GHz first: readings are that old at most."""
     stale_age_max_s: float = _number(0.0, 0.0, 3600.0)
     """Readings that a scan did not renew are repeated with their age until they are this old (0: never)."""
     high_band: HighBandConfig = field(default_factory=HighBandConfig)

@@ -104,7 +104,7 @@ def _read_file(path: Path, modified: int, seed: int, level: str | None) -> Floor
 
         return read_ros_map(path, seed)
     if suffix in (".png", ".pgm"):
-        from twc_env.datasets.raster import read_picture
+        from twc_env.datasets.picture import read_picture
 
         return read_picture(path, seed)
     raise MapError(f"{path.name}: unknown map format {suffix!r}; use .json, .yaml, .png, .pgm or .geojson (.gz)")

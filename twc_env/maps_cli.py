@@ -169,7 +169,7 @@ def _import(options: argparse.Namespace) -> None:
 
 
 def _picture(path: Path, seed: int, resolution_m: float) -> Floorplan:
-    from twc_env.datasets.raster import read_picture
+    from twc_env.datasets.picture import read_picture
 
     if not {".png", ".pgm"} & {suffix.lower() for suffix in path.suffixes}:
         raise MapError(f"--resolution is for .png and .pgm; leave it out for {path.name}")

@@ -8,7 +8,7 @@ import pytest
 import shapely
 
 from twc_env.config import EnvConfig
-from twc_env.datasets.house_expo import house_expo_plan, read_house_expo, simplified_ring
+from twc_env.datasets.house_expo import house_expo_plan, read_house_expo
 from twc_env.errors import MapError
 from twc_env.world.world import World
 
@@ -108,20 +108,6 @@ def test_files_that_are_missing_or_broken_are_refused(tmp_path):
     (tmp_path / "broken.json").write_text("{")
     with pytest.raises(MapError, match="not valid JSON"):
         read_house_expo(tmp_path / "broken.json")
-
-
-def test_simplifying_keeps_true_corners_and_drops_points_on_straight_walls():
-    ring = np.array([[0, 0], [1, 0.004], [2, 0], [2, 0], [4, 0], [4, 3], [2, 3.003], [0, 3]])
-    assert simplified_ring(ring, 0.01).tolist() == [[0, 0], [4, 0], [4, 3], [0, 3]]
-
-
-def test_simplifying_stays_within_the_tolerance():
-    random = np.random.default_rng(0)
-    angles = np.sort(random.uniform(0, 2 * np.pi, 400))
-    ring = np.column_stack([np.cos(angles), np.sin(angles)]) * (3 + 0.03 * random.standard_normal(400))[:, None]
-    kept = shapely.LinearRing(simplified_ring(ring, 0.05))
-    assert len(kept.coords) < 300
-    assert max(kept.distance(shapely.Point(p)) for p in ring) <= 0.05 + 1e-9
 
 
 @needs_data

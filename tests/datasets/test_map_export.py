@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from twc_env.datasets.map_export import export_map
-from twc_env.datasets.raster import read_grey, read_picture
+from twc_env.datasets.picture import read_picture
+from twc_env.datasets.raster import read_grey
 from twc_env.datasets.ros_map import read_ros_cells
 from twc_env.errors import MapError
 from twc_env.maps import load_map

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twc_env.config import EnvConfig
-from twc_env.datasets.raster import deepest_cell, free_edges, largest_part, plan_from_free, read_grey, read_picture
+from twc_env.datasets.picture import read_picture
+from twc_env.datasets.raster import deepest_cell, free_edges, largest_part, plan_from_free, read_grey
 from twc_env.errors import MapError
 from twc_env.maps import load_map
 from twc_env.world.world import World

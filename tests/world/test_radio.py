@@ -247,6 +247,28 @@ def test_a_scan_that_sweeps_part_of_the_channels_renews_that_share():
     assert 2.0 < np.mean(np.concatenate([scan.age_s for scan in scans[30:]])) < 7.0
 
 
+def test_sweeps_that_break_off_renew_shares_that_differ_from_scan_to_scan():
+    plan = hall(macs=(tuple(range(1, 201)),))
+    settings = {**SURE, "sweep_share": 0.5, "sweep_share_std": 0.2, "stale_age_max_s": 20.0}
+    config = RadioConfig(**settings)
+    receiver = WifiReceiver(config, RadioModel(config, plan), 0, 0)
+    shares = [(receiver.scan([1.0, 0.0], 2.0 * k).age_s == 0.0).mean() for k in range(300)]
+    assert np.mean(shares) == pytest.approx(0.5, abs=0.03)
+    assert np.std(shares) == pytest.approx(0.2, abs=0.03)
+
+
+def test_a_reading_is_as_old_as_the_sweep_says_when_its_channel_came():
+    plan = hall(macs=((1, 2), (3, 4)))
+    config = RadioConfig(
+        sweep_duration_s=2.0, stale_age_max_s=20.0, noise_std_db=0.0, high_band=HighBandConfig(share=0.5)
+    )
+    receiver = WifiReceiver(config, RadioModel(config, plan), 0, 0)
+    ages = receiver.scan([1.0, 0.0], 10.0).age_s
+    low, high = ages[::2], ages[1::2]
+    assert (low >= 1.0).all() and (low <= 2.0).all() and (high >= 0.0).all() and (high <= 1.0).all()
+    assert receiver.scan([1.0, 0.0], 12.0).age_s.tolist() == ages.tolist()
+
+
 def test_strong_signals_are_missed_with_the_configured_probability():
     config = RadioConfig(**SURE, miss_probability=0.25)
     receiver = WifiReceiver(config, RadioModel(config, hall(macs=[tuple(range(1, 101))])), robot=0, seed=0)

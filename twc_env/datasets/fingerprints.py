@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import gzip
 import io
 import lzma
@@ -41,6 +42,16 @@ class RadioSurvey:
     """(t,) int."""
     is_high_band: Array | None = None
     """(t,) bool: 5 GHz."""
+    age_s: Array | None = None
+    """(s, t) float32, how long before its scan each reading was really heard; NaN where not heard."""
+
+    def fresh(self, age_max_s: float) -> RadioSurvey:
+        """Without the readings that a scan repeats from longer ago; all of a set that tells no ages."""
+        if self.age_s is None:
+            return self
+        young = self.age_s <= age_max_s
+        rssi, age = (np.where(young, table, np.float32(np.nan)) for table in (self.rssi_dbm, self.age_s))
+        return dataclasses.replace(self, rssi_dbm=rssi, age_s=age)
 
     @property
     def transmitters(self) -> tuple[Array, Array, Array]:
@@ -89,7 +100,14 @@ def heard_only(rssi: Array) -> Array:
 
 
 def from_rows(
-    name: str, scan: Array, position_m: Array, time_s: Array, walk: Array, address: list[str], rssi_dbm: Array
+    name: str,
+    scan: Array,
+    position_m: Array,
+    time_s: Array,
+    walk: Array,
+    address: list[str],
+    rssi_dbm: Array,
+    age_s: Array | None = None,
 ) -> RadioSurvey:
     """A survey from single readings: `scan` (readings,) numbers the scan, whose place, time and walk the others tell.
 
@@ -98,9 +116,15 @@ def from_rows(
     _, first, which = np.unique(scan, return_index=True, return_inverse=True)
     addresses = sorted(set(address))
     column = {a: i for i, a in enumerate(addresses)}
-    table = np.full((len(first), len(addresses)), -np.inf, np.float32)
-    np.maximum.at(table, (which, np.array([column[a] for a in address], int)), np.asarray(rssi_dbm, np.float32))
-    table[~np.isfinite(table)] = np.nan
+    cells = (which, np.array([column[a] for a in address], int))
+    # Written in rising order: the strongest reading of a cell stays.
+    rising = np.argsort(rssi_dbm, kind="stable")
+    tables = []
+    for values in (rssi_dbm, age_s):
+        if values is not None:
+            table = np.full((len(first), len(addresses)), np.nan, np.float32)
+            table[cells[0][rising], cells[1][rising]] = values[rising]
+            tables.append(table)
     return RadioSurvey(
         name=name,
         position_m=position_m[first],
@@ -108,5 +132,6 @@ def from_rows(
         time_s=time_s[first] - time_s[first].min(),
         walk=walk[first],
         addresses=tuple(addresses),
-        rssi_dbm=table,
+        rssi_dbm=tables[0],
+        age_s=tables[1] if age_s is not None else None,
     )

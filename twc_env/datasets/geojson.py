@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.datasets.furnish import place_access_points
-from twc_env.datasets.house_expo import fill_ring, interior_point, simplified_ring
+from twc_env.datasets.house_expo import fill_ring, interior_point
+from twc_env.datasets.outline import simplified_ring
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
 from twc_env.random_streams import random_stream

@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.datasets.furnish import furnish
+from twc_env.datasets.outline import simplified_ring
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
 from twc_env.world.floorplan import CELLS_MAX, COORDINATE_MAX_M, Cells, Floorplan, Room, load_json, validate
@@ -50,21 +51,6 @@ def house_expo_plan(values: object, where: str, seed: int = 0) -> Floorplan:
     )
     rooms = _rooms(values.get("room_category", {}), plan.cells(), where)
     return validate(furnish(dataclasses.replace(plan, rooms=rooms), seed))
-
-
-def simplified_ring(ring: Array, tolerance_m: float) -> Array:
-    """Fewer corners of a closed ring (k, 2), none of the dropped ones farther than the tolerance (Douglas-Peucker)."""
-    is_repeated = np.all(ring == np.roll(ring, 1, axis=0), axis=1)
-    ring = ring[~is_repeated] if not is_repeated.all() else ring[:1]
-    if len(ring) < 4:
-        return ring
-    far = int(np.argmax(np.linalg.norm(ring - ring[0], axis=1)))
-    opened = np.ascontiguousarray(np.concatenate([ring, ring[:1]]))
-    keep = np.zeros(len(opened), np.bool_)
-    keep[[0, far, -1]] = True
-    _keep_corners(opened, 0, far, tolerance_m, keep)
-    _keep_corners(opened, far, len(opened) - 1, tolerance_m, keep)
-    return ring[keep[:-1]]
 
 
 def _contour(values: dict, where: str) -> Array:
@@ -131,26 +117,6 @@ def _free_share(cells: Cells, x1: float, y1: float, x2: float, y2: float) -> flo
         return 0.0  # more than half of it is off the plan
     points = np.stack(np.meshgrid(np.arange(x1 + 0.05, x2, 0.1), np.arange(y1 + 0.05, y2, 0.1)), axis=-1)
     return float(cells.is_free(points).mean()) if points.size else 0.0
-
-
-@njit(cache=True, error_model="numpy")
-def _keep_corners(points, begin, end, tolerance, keep):
-    stack = [(begin, end)]
-    while len(stack) > 0:
-        i, j = stack.pop()
-        ex, ey = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
-        length2 = max(ex * ex + ey * ey, 1e-18)
-        worst, at = tolerance * tolerance, -1
-        for k in range(i + 1, j):
-            ax, ay = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1]
-            t = min(max((ax * ex + ay * ey) / length2, 0.0), 1.0)
-            gap2 = (ax - t * ex) ** 2 + (ay - t * ey) ** 2
-            if gap2 > worst:
-                worst, at = gap2, k
-        if at >= 0:
-            keep[at] = True
-            stack.append((i, at))
-            stack.append((at, j))
 
 
 @njit(cache=True, error_model="numpy")

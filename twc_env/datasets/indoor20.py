@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,8 @@ FRESH_S = 4.0
 def read_indoor20(folder: str | Path, age_max_s: float = FRESH_S, traces_max: int | None = None) -> RadioSurvey:
     """All traces of one floor folder. Scans lie where the walker was, by interpolation between the waypoints.
 
+    Readings older than `age_max_s` are left out (infinity keeps all).
+
     Raises DataError for a folder without traces and for broken lines.
     """
     paths = sorted((Path(folder) / "traces").glob("*.txt*"))[:traces_max]
@@ -27,20 +30,11 @@ def read_indoor20(folder: str | Path, age_max_s: float = FRESH_S, traces_max: in
     parts = [part for number, path in enumerate(paths) if (part := _trace(path, number, age_max_s)) is not None]
     if not parts:
         raise DataError(f"no trace of {folder} holds a WiFi scan between waypoints; check the folder")
-    scan, places, times, walks, rssi, high = (np.concatenate([p[k] for p in parts]) for k in range(6))
-    addresses = [address for part in parts for address in part[6]]
-    survey = from_rows(f"indoor20/{Path(folder).name}", scan, places, times, walks, addresses, rssi)
+    scan, places, times, walks, rssi, age, high = (np.concatenate([p[k] for p in parts]) for k in range(7))
+    addresses = [address for part in parts for address in part[7]]
+    survey = from_rows(f"indoor20/{Path(folder).name}", scan, places, times, walks, addresses, rssi, age)
     is_high = dict(zip(addresses, high.tolist(), strict=True))
-    return RadioSurvey(
-        name=survey.name,
-        position_m=survey.position_m,
-        floor=survey.floor,
-        time_s=survey.time_s,
-        walk=survey.walk,
-        addresses=survey.addresses,
-        rssi_dbm=survey.rssi_dbm,
-        is_high_band=np.array([is_high[a] for a in survey.addresses]),
-    )
+    return dataclasses.replace(survey, is_high_band=np.array([is_high[a] for a in survey.addresses]))
 
 
 def _trace(path: Path, number: int, age_max_s: float):
@@ -67,5 +61,6 @@ def _trace(path: Path, number: int, age_max_s: float):
     values, addresses = values[kept], [r[4] for r, keep in zip(readings, kept, strict=True) if keep]
     places = np.column_stack([np.interp(values[:, 0], route[:, 0], route[:, k]) for k in (1, 2)])
     # Times are unix milliseconds; the walk's number keeps scans of two phones at one moment apart.
-    scan = values[:, 0] + number * 1e13
-    return scan, places, values[:, 0] / 1000, np.full(len(values), number), values[:, 1], values[:, 2] > 4000, addresses
+    time_ms, rssi, mhz, seen_ms = values.T
+    scan, walk = time_ms + number * 1e13, np.full(len(values), number)
+    return scan, places, time_ms / 1000, walk, rssi, (time_ms - seen_ms) / 1000, mhz > 4000, addresses

@@ -11,33 +11,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twc_env.datasets.furnish import furnish
 from twc_env.errors import MapError
-from twc_env.world.floorplan import CELLS_MAX, Floorplan, load_bytes, validate
+from twc_env.world.floorplan import CELLS_MAX, Floorplan, load_bytes
 
 Array = NDArray
 
-PICTURE_RESOLUTION_M = 0.05
-"""Pixel size assumed where a picture names none."""
-FREE_ABOVE = 250
-"""Pixels brighter than this are free."""
 WALL_LOSS_DB = 5.0
 """Of a whole wall; each of its two faces carries half."""
 SPECK_M2 = 0.02
 """Obstacles smaller than this are taken for dirt."""
 STRIP_M = 0.2
 """Free strips no wider than this, where no robot fits, are taken for stray beams and gaps of the scan."""
-
-
-def read_picture(path: str | Path, seed: int = 0, resolution_m: float = PICTURE_RESOLUTION_M) -> Floorplan:
-    """A .png or .pgm(.gz) picture with white free space; signs and access points are placed by seed.
-
-    Raises MapError when the picture cannot be read or shows no free space.
-    """
-    path = Path(path)
-    grey = read_grey(path)
-    name = path.name.split(".")[0]
-    return validate(furnish(plan_from_free(grey[::-1] > FREE_ABOVE, resolution_m, name), seed))
 
 
 def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequence[float] = (0.0, 0.0)) -> Floorplan:
@@ -78,6 +62,11 @@ def largest_part(free: Array) -> Array:
     """Only the largest 4-connected part of the free cells."""
     labels, sizes = _label(np.ascontiguousarray(free), False)
     return labels == np.argmax(sizes) + 1 if len(sizes) else np.zeros_like(free)
+
+
+def parts(free: Array) -> tuple[Array, Array]:
+    """The 4-connected parts of the free cells: labels (rows, columns) from 1, and the parts' sizes in cells."""
+    return _label(np.ascontiguousarray(free), False)
 
 
 def deepest_cell(free: Array) -> tuple[int, int]:

@@ -131,14 +131,16 @@ def simulate(
     """
     model = model or RadioModel(config, plan)
     table = np.full((len(survey.position_m), len(model.macs)), np.nan, np.float32)
+    ages = table.copy()
     receivers: dict[int, WifiReceiver] = {}
     for k, (place, walk) in enumerate(zip(survey.position_m, survey.walk.tolist(), strict=True)):
         device = walk if phones else 0
         if device not in receivers:
             receivers[device] = WifiReceiver(config, model, device, seed)
         scan = receivers[device].scan(place, float(survey.time_s[k]))
-        fresh = slice(None) if scan.age_s is None else scan.age_s <= 0.0
-        table[k, np.searchsorted(model.macs, scan.macs[fresh])] = scan.rssi_dbm[fresh]
+        columns = np.searchsorted(model.macs, scan.macs)
+        table[k, columns] = scan.rssi_dbm
+        ages[k, columns] = 0.0 if scan.age_s is None else scan.age_s
     return dataclasses.replace(
         survey,
         addresses=tuple(str(mac) for mac in model.macs),
@@ -146,6 +148,7 @@ def simulate(
         transmitter_m=None,
         transmitter_floor=None,
         is_high_band=model.band_of == 1,
+        age_s=ages,
     )
 
 

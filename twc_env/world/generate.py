@@ -32,6 +32,7 @@ SPLIT_AREA_M2 = (100.0, 2000.0)
 """Areas in the splits are drawn from this range, evenly on a logarithmic scale."""
 ROBOT_RADIUS_M = 0.2
 """Every room can be reached by a robot of this radius."""
+_NAMED_MAX = 5
 _SPLIT_SEEDS = {"train": 0, "validation": 1_000_000, "test": 2_000_000}
 _OUTER_DB, _INNER_DB, _FURNITURE_DB, _RACK_DB = 8.0, 4.5, 2.0, 3.0
 _ROOM_MIN = 25
@@ -268,14 +269,18 @@ def check_reachable(plan: Floorplan, radius_m: float = ROBOT_RADIUS_M) -> Floorp
     if len(sizes) < 2:
         raise MapError(f"map {plan.name!r} has no room for a robot of radius {radius_m:g} m; widen the floor")
     largest = 1 + int(np.argmax(sizes[1:]))
+    out_of_reach = []
     for room in plan.rooms:
         low = np.floor((room.polygon_m.min(axis=0) - cells.origin_m) / cells.resolution_m).astype(int).clip(0)
         high = np.ceil((room.polygon_m.max(axis=0) - cells.origin_m) / cells.resolution_m).astype(int)
         if not (labels[low[1] : high[1], low[0] : high[0]] == largest).any():
-            raise MapError(
-                f"map {plan.name!r}: room {room.name!r} cannot be reached by a robot of radius {radius_m:g} m; "
-                "widen its door or clear the way"
-            )
+            out_of_reach.append(repr(room.name))
+    if out_of_reach:
+        raise MapError(
+            f"map {plan.name!r}: {len(out_of_reach)} of {len(plan.rooms)} rooms cannot be reached by a robot of radius "
+            f"{radius_m:g} m ({', '.join(out_of_reach[:_NAMED_MAX])}"
+            f"{', ...' if len(out_of_reach) > _NAMED_MAX else ''}); widen their doors or clear the way"
+        )
     return plan
 
 

@@ -103,6 +103,10 @@ class RadioModel:
         radios, self.radio_of = np.unique(3 * self.access_point_of + self.band_of, return_inverse=True)
         self.radio_count = len(radios)
         """Transmitting boxes: addresses of one access point and band share one."""
+        self.sweep_age_s = np.zeros(len(self.macs))
+        """(transmitters,) how long before the end of a sweep each one's channel is listened to."""
+        if config.sweep_duration_s:
+            self.sweep_age_s = config.sweep_duration_s * _sweep_places(plan.digest, radios)[self.radio_of]
         self._source_count_wifi = len(access_points)
         self._has_floors, self._has_cells = bool(self._floor_losses_db.any()), len(cells) > 0
         self._is_low_band_only = not self.band_of.any()
@@ -208,15 +212,16 @@ class WifiReceiver:
             self._detection.random(count), self._floors_dbm, config.detection_slope_db, config.miss_probability,
             config.quantisation_db, heard,
         )  # fmt: skip
-        if config.sweep_share < 1.0:
-            heard &= self._sweep.random(count) < config.sweep_share
+        if config.sweep_share < 1.0 or config.sweep_share_std:
+            share = config.sweep_share + config.sweep_share_std * self._sweep.standard_normal()
+            heard &= self._sweep.random(count) < share
         if config.stale_age_max_s > 0.0:
             return self._with_stale(rssi, heard, time_s)
         return WifiScan(self._model.macs[heard], rssi[heard])
 
     def _with_stale(self, rssi: Array, heard: Array, time_s: float) -> WifiScan:
         """What was heard now, and what was heard not too long ago, with its age."""
-        self._kept_dbm[heard], self._kept_time_s[heard] = rssi[heard], time_s
+        self._kept_dbm[heard], self._kept_time_s[heard] = rssi[heard], (time_s - self._model.sweep_age_s)[heard]
         age_s = time_s - self._kept_time_s
         listed = age_s <= self._config.stale_age_max_s
         return WifiScan(self._model.macs[listed], self._kept_dbm[listed], age_s[listed])
@@ -241,6 +246,12 @@ def _building_stream(digest: str, what: str, mac: int) -> np.random.Generator:
 
 def _power_offset_db(config: RadioConfig, digest: str, mac: int) -> float:
     return config.power_spread_db * _building_stream(digest, "power", int(mac)).standard_normal()
+
+
+def _sweep_places(digest: str, radios: Array) -> Array:
+    """(radios,) in [0, 1): how far from a sweep's end the channel comes; receivers go through 5 GHz last."""
+    channel = np.array([_building_stream(digest, "channel", int(radio)).random() for radio in radios])
+    return 0.5 * channel + 0.5 * (radios % 3 != HIGH_BAND)
 
 
 def _shadowing_waves(length_m: float, digest: str, mac: int) -> Array:
