@@ -3,45 +3,50 @@ import pytest
 
 from twc_env.config import DynamicsConfig
 from twc_env.world.dynamics import Dynamics
+from twc_env.world.wall_index import index_walls
 
 ROOM = np.array([[[0, 0], [6, 0]], [[6, 0], [6, 6]], [[6, 6], [0, 6]], [[0, 6], [0, 0]]], float)
 
 
-def drive(dynamics: Dynamics, commands, steps: int) -> None:
+def robots_in(config: DynamicsConfig, walls_m: np.ndarray, starts) -> Dynamics:
+    return Dynamics(config, index_walls(walls_m, np.ones(len(walls_m))), np.array(starts, float))
+
+
+def drive(dynamics, commands, steps: int) -> None:
     for _ in range(steps):
         dynamics.step(np.array(commands, float))
 
 
 def test_a_robot_drives_straight_at_the_commanded_speed():
-    dynamics = Dynamics(DynamicsConfig(acceleration_max_m_s2=100.0), ROOM, [[1, 3, 0]])
+    dynamics = robots_in(DynamicsConfig(acceleration_max_m_s2=100.0), ROOM, [[1, 3, 0]])
     drive(dynamics, [[0.5, 0.0]], 40)
     assert dynamics.poses[0] == pytest.approx([3.0, 3.0, 0.0], abs=1e-9)
 
 
 def test_a_turning_robot_follows_the_arc():
     config = DynamicsConfig(acceleration_max_m_s2=100.0, turn_acceleration_max_rad_s2=1000.0)
-    dynamics = Dynamics(config, ROOM, [[3, 2, 0]])
+    dynamics = robots_in(config, ROOM, [[3, 2, 0]])
     drive(dynamics, [[0.5, 0.5]], 31)
     angle = 0.5 * 3.1
     assert dynamics.poses[0] == pytest.approx([3 + np.sin(angle), 3 - np.cos(angle), angle], abs=0.02)
 
 
 def test_headings_stay_within_half_a_turn():
-    dynamics = Dynamics(DynamicsConfig(), ROOM, [[3, 3, 3.0]])
+    dynamics = robots_in(DynamicsConfig(), ROOM, [[3, 3, 3.0]])
     drive(dynamics, [[0.0, 1.5]], 100)
     assert -np.pi <= dynamics.poses[0, 2] < np.pi
 
 
 def test_commands_are_cut_to_the_limits():
     config = DynamicsConfig(speed_max_m_s=0.4, turn_rate_max_rad_s=0.2)
-    dynamics = Dynamics(config, ROOM, [[1, 3, 0], [3, 5, 0]])
+    dynamics = robots_in(config, ROOM, [[1, 3, 0], [3, 5, 0]])
     drive(dynamics, [[99.0, 0.0], [0.0, -99.0]], 50)
     assert 2.8 < dynamics.poses[0, 0] <= 3.0 + 1e-9
     assert -1.0 - 1e-9 <= dynamics.poses[1, 2] < -0.95
 
 
 def test_speed_grows_no_faster_than_the_acceleration_allows():
-    dynamics = Dynamics(DynamicsConfig(acceleration_max_m_s2=1.0), ROOM, [[1, 3, 0]])
+    dynamics = robots_in(DynamicsConfig(acceleration_max_m_s2=1.0), ROOM, [[1, 3, 0]])
     positions = []
     for _ in range(20):
         positions.append(dynamics.poses[0, 0])
@@ -57,7 +62,7 @@ def test_robots_cannot_pass_through_walls(speed, step_s):
     config = DynamicsConfig(speed_max_m_s=speed, time_step_s=step_s, acceleration_max_m_s2=100.0)
     inner = np.array([[[3, 0], [3, 6]], [[0, 3], [6, 3]]], float)
     starts = [[1, 1, 0.0], [5, 1, 1.0], [1, 5, 2.0], [5, 5, 3.0]]
-    dynamics = Dynamics(config, np.concatenate([ROOM, inner]), starts)
+    dynamics = robots_in(config, np.concatenate([ROOM, inner]), starts)
     for _ in range(40):
         drive(dynamics, np.column_stack([np.full(4, speed), random.uniform(-1.5, 1.5, 4)]), 5)
         assert ((dynamics.poses[:, :2] > 3) == np.array([[0, 0], [1, 0], [0, 1], [1, 1]])).all()
@@ -66,21 +71,21 @@ def test_robots_cannot_pass_through_walls(speed, step_s):
 
 
 def test_a_robot_against_a_wall_keeps_its_radius_from_it():
-    dynamics = Dynamics(DynamicsConfig(), ROOM, [[4, 3, 0]])
+    dynamics = robots_in(DynamicsConfig(), ROOM, [[4, 3, 0]])
     drive(dynamics, [[1.0, 0.0]], 60)
     assert dynamics.poses[0, 0] == pytest.approx(5.8, abs=0.02)
     assert dynamics.poses[0, 1:] == pytest.approx([3.0, 0.0], abs=1e-9)
 
 
 def test_a_robot_slides_along_a_wall_without_being_turned():
-    dynamics = Dynamics(DynamicsConfig(), ROOM, [[1, 5.7, 0.5]])
+    dynamics = robots_in(DynamicsConfig(), ROOM, [[1, 5.7, 0.5]])
     drive(dynamics, [[1.0, 0.0]], 30)
     assert dynamics.poses[0, 0] > 2.5
     assert dynamics.poses[0, 2] == pytest.approx(0.5)
 
 
 def test_contact_with_a_wall_is_flagged_and_ends():
-    dynamics = Dynamics(DynamicsConfig(), ROOM, [[5, 3, 0], [1, 1, 0]])
+    dynamics = robots_in(DynamicsConfig(), ROOM, [[5, 3, 0], [1, 1, 0]])
     assert not dynamics.contacts.any()
     drive(dynamics, [[1.0, 0.0], [0.0, 0.0]], 30)
     assert dynamics.contacts.tolist() == [True, False]
@@ -89,7 +94,7 @@ def test_contact_with_a_wall_is_flagged_and_ends():
 
 
 def test_robots_that_meet_are_both_flagged_and_keep_apart():
-    dynamics = Dynamics(DynamicsConfig(), ROOM, [[2, 3, 0], [4, 3, np.pi], [1, 1, 0]])
+    dynamics = robots_in(DynamicsConfig(), ROOM, [[2, 3, 0], [4, 3, np.pi], [1, 1, 0]])
     drive(dynamics, [[1.0, 0.0], [1.0, 0.0], [0.0, 0.0]], 30)
     assert dynamics.contacts.tolist() == [True, True, False]
     assert np.hypot(*(dynamics.poses[0] - dynamics.poses[1])[:2]) >= 0.36
@@ -97,7 +102,7 @@ def test_robots_that_meet_are_both_flagged_and_keep_apart():
 
 def test_a_blocked_robot_regains_speed_only_by_accelerating():
     config = DynamicsConfig(acceleration_max_m_s2=1.0, turn_rate_max_rad_s=10.0, turn_acceleration_max_rad_s2=1000.0)
-    dynamics = Dynamics(config, ROOM, [[5, 3, 0]])
+    dynamics = robots_in(config, ROOM, [[5, 3, 0]])
     drive(dynamics, [[1.0, 0.0]], 30)
     drive(dynamics, [[0.0, 10.0]], 3)
     before = dynamics.poses[0].copy()

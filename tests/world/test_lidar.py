@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from twc_env.config import LidarConfig
 from twc_env.maps import load_map
-from twc_env.world import lidar as lidar_module
 from twc_env.world.lidar import Lidar, glass_walls
 from twc_env.world.wall_index import index_walls
+from twc_env.world.world import start_places
 
 SQUARE = np.array([[[0, 0], [4, 0]], [[4, 0], [4, 4]], [[4, 4], [0, 4]], [[0, 4], [0, 0]]], float)
 FAR_SQUARE = SQUARE + 100.0
@@ -18,12 +18,6 @@ FAR_SQUARE = SQUARE + 100.0
 
 def scanner(walls=SQUARE, robots=1, seed=0, radius_m=0.2, **config) -> Lidar:
     return Lidar(LidarConfig(**config), index_walls(walls, np.ones(len(walls))), radius_m, robots, seed)
-
-
-@pytest.fixture(params=["sweep", "walk"])
-def method(request, monkeypatch):
-    """Both ways to scan must measure the same."""
-    monkeypatch.setattr(lidar_module, "_SWEEP_WALLS_MAX", 10**9 if request.param == "sweep" else 0)
 
 
 def square_range(x: float, y: float, angle_rad: float) -> float:
@@ -34,14 +28,14 @@ def square_range(x: float, y: float, angle_rad: float) -> float:
 
 
 @pytest.mark.parametrize("pose", [(2.0, 2.0, 0.0), (0.7, 3.1, 1.1), (3.9, 0.1, -3.0)])
-def test_ranges_in_a_square_room_have_their_closed_form(method, pose):
+def test_ranges_in_a_square_room_have_their_closed_form(pose):
     beams = 180
     ranges = scanner(beam_count=beams).true_ranges(np.array([pose]))[0]
     expected = [square_range(pose[0], pose[1], pose[2] + 2 * np.pi * b / beams) for b in range(beams)]
     assert ranges == pytest.approx(np.array(expected), abs=1e-9)
 
 
-def test_beam_zero_points_ahead_and_beams_run_counter_clockwise(method):
+def test_beam_zero_points_ahead_and_beams_run_counter_clockwise():
     ranges = scanner(beam_count=8).true_ranges(np.array([[1.0, 1.5, 0.0]]))[0]
     assert ranges[[0, 2, 4, 6]] == pytest.approx([3.0, 2.5, 1.0, 1.5])
 
@@ -62,24 +56,43 @@ def test_ranges_agree_with_shapely_on_random_walls(seed, count):
         hits = lines.intersection(shapely.LineString([pose[:2], tip]))
         expected.append(12.0 if hits.is_empty else min(12.0, here.distance(hits)))
     index = index_walls(walls, np.ones(len(walls)))
-    for limit in (10**9, 0):
-        lidar_module._SWEEP_WALLS_MAX, kept = limit, lidar_module._SWEEP_WALLS_MAX
-        found = Lidar(config, index, 0.2, 1, 0).true_ranges(pose[None])[0]
-        lidar_module._SWEEP_WALLS_MAX = kept
-        assert found == pytest.approx(np.array(expected), abs=1e-7)
+    found = Lidar(config, index, 0.2, 1, 0).true_ranges(pose[None])[0]
+    assert found == pytest.approx(np.array(expected), abs=1e-7)
 
 
-def test_both_methods_agree_on_a_bundled_map(monkeypatch):
-    plan = load_map("twin-02")
-    poses = np.array([[5.5, 5.0, 0.3], [20.0, 1.3, 2.0], [30.0, -3.0, -1.0]])
-    ranges = []
-    for limit in (10**9, 0):
-        monkeypatch.setattr(lidar_module, "_SWEEP_WALLS_MAX", limit)
-        ranges.append(Lidar(LidarConfig(), plan.wall_index, 0.2, 3, 0).true_ranges(poses))
-    assert ranges[0] == pytest.approx(ranges[1], abs=1e-9)
+def nearest_hit(walls_m, pose, angle_rad: float, far_m: float) -> float:
+    """One beam against every wall, by solving position + r direction = begin + t extent."""
+    extents, away = walls_m[:, 1] - walls_m[:, 0], walls_m[:, 0] - pose[:2]
+    dx, dy = np.cos(angle_rad), np.sin(angle_rad)
+    closing = dx * extents[:, 1] - dy * extents[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = (away[:, 0] * dy - away[:, 1] * dx) / closing
+        distance = (away[:, 0] * extents[:, 1] - away[:, 1] * extents[:, 0]) / closing
+    hits = distance[(along >= -1e-9) & (along <= 1 + 1e-9) & (distance >= 0)]
+    return min(far_m, hits.min(initial=far_m))
 
 
-def test_no_return_reads_exactly_the_maximum_range(method):
+@pytest.mark.parametrize("name", ["twin-02", "gen:ward:800:3"])
+def test_every_beam_ends_where_a_plain_loop_over_all_walls_says(name):
+    plan, config = load_map(name), LidarConfig(beam_count=90)
+    places = start_places(plan)[:: len(start_places(plan)) // 12]
+    for k, place in enumerate(places):
+        pose = np.array([*place, 0.7 * k])
+        found = Lidar(config, plan.wall_index, 0.2, 1, 0).true_ranges(pose[None])[0]
+        angles = pose[2] + 2 * np.pi * np.arange(90) / 90
+        expected = [nearest_hit(plan.walls_m, pose, angle, config.range_max_m) for angle in angles]
+        assert found == pytest.approx(np.array(expected), abs=1e-9)
+
+
+@pytest.mark.parametrize("y", [0.0, 1e-18, -1e-18, 1e-13, -1e-13])
+def test_a_wall_seen_exactly_edge_on_blinds_no_other_beam(y):
+    edge_on = np.array([[[-3.0, y], [-1.0, -y]], [[1.0, -y], [2.0, y]]])
+    for walls in (edge_on, edge_on[:, ::-1]):
+        ranges = scanner(walls, beam_count=180).true_ranges(np.zeros((1, 3)))[0]
+        assert (ranges[1:90] == 10.0).all() and (ranges[91:] == 10.0).all()
+
+
+def test_no_return_reads_exactly_the_maximum_range():
     ranges = scanner(FAR_SQUARE, range_max_m=7.5, range_noise_std_m=0.1).scan(np.zeros((1, 3)))
     assert (ranges == 7.5).all()
 

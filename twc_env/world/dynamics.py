@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pymunk import batch
 
 from twc_env.config import DynamicsConfig
+from twc_env.world.wall_index import WallIndex
 
 Array = NDArray
 
@@ -20,8 +21,6 @@ _STRIDE_RADII = 0.25
 _SLOP_M = 1e-3
 """How far bodies may overlap without being pushed apart."""
 _PENETRATION_KEPT_PER_S = 1e-6
-_ROBOT = 1
-"""Collision type of robots; walls have 0."""
 _READ = batch.BodyFields.POSITION | batch.BodyFields.ANGLE | batch.BodyFields.VELOCITY
 _WRITE = batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY
 
@@ -29,13 +28,12 @@ _WRITE = batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY
 class Dynamics:
     """All robots of one episode and the walls around them."""
 
-    def __init__(self, config: DynamicsConfig, walls_m: Array, starts: Array):
-        """Walls (w, 2, 2) and start poses (n, 3) in one frame; the robots begin at rest."""
-        self._space = _walled_space(walls_m)
-        self._space.on_collision(_ROBOT, None, post_solve=self._note_contact)
+    def __init__(self, config: DynamicsConfig, index: WallIndex, starts: Array):
+        """Walls and start poses (n, 3) in one frame; the robots begin at rest."""
+        self._space, self._index, self._radius_m = _walled_space(index.walls_m), index, config.robot_radius_m
         starts = np.asarray(starts, float)
-        for index, pose in enumerate(starts):
-            _add_robot(self._space, index, pose, config.robot_radius_m)
+        for pose in starts:
+            _add_robot(self._space, pose, config.robot_radius_m)
         self._limits = np.array(
             [
                 config.speed_max_m_s,
@@ -53,12 +51,9 @@ class Dynamics:
         self._outgoing, self._incoming = batch.Buffer(), batch.Buffer()
         self._outgoing.set_float_buf(self._velocities)
         self._read_bodies()
-        self.contacts = np.zeros(len(starts), bool)
-        """(n,) whether the robot touched a wall or a robot in the last step."""
 
     def step(self, commands: Array) -> None:
         """Advance one time step; commands (n, 2) are forward speed [m/s] and turn rate [rad/s], cut to the limits."""
-        self.contacts = np.zeros(self._count, bool)
         commands = np.asarray(commands, float)
         _drive(self.poses, self._speeds, commands, self._limits, self._time_step_s, self._velocities)
         batch.set_space_bodies(self._space, _WRITE, self._outgoing)
@@ -72,40 +67,64 @@ class Dynamics:
         bodies = np.frombuffer(self._incoming.float_buf()).reshape(self._count + 1, 5)
         self.poses, self._speeds = np.empty((self._count, 3)), np.empty(self._count)
         """poses: (n, 3) true poses, a new array with every step; speeds: (n,) along the heading [m/s]."""
-        _unpack(bodies, self.poses, self._speeds)
-
-    def _note_contact(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
-        for shape in arbiter.shapes:
-            if shape.collision_type == _ROBOT:
-                self.contacts[shape.body.robot] = True
+        self.contacts = np.empty(self._count, np.bool_)
+        """(n,) whether the robot touches a wall or a robot at the end of the step; a new array with every step."""
+        i = self._index
+        _unpack(
+            bodies, i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members, self._radius_m,
+            self.poses, self._speeds, self.contacts,
+        )  # fmt: skip
 
 
 def _walled_space(walls_m: Array) -> pymunk.Space:
     space = pymunk.Space()
     space.collision_slop = _SLOP_M
     space.collision_bias = _PENETRATION_KEPT_PER_S
-    space.add(*(pymunk.Segment(space.static_body, a, b, 0.0) for a, b in np.asarray(walls_m, float).tolist()))
+    space.add(*(pymunk.Segment(space.static_body, a, b, 0.0) for a, b in walls_m.reshape(-1, 2, 2).tolist()))
     return space
 
 
-def _add_robot(space: pymunk.Space, index: int, pose: Array, radius_m: float) -> None:
+def _add_robot(space: pymunk.Space, pose: Array, radius_m: float) -> None:
     # An infinite moment of inertia: contacts push a robot, they never turn it. Nothing rubs (friction is 0).
     body = pymunk.Body(_MASS_KG, math.inf)
     body.position, body.angle = (float(pose[0]), float(pose[1])), float(pose[2])
-    body.robot = index
-    disc = pymunk.Circle(body, radius_m)
-    disc.collision_type = _ROBOT
-    space.add(body, disc)
+    space.add(body, pymunk.Circle(body, radius_m))
 
 
 @njit(cache=True, error_model="numpy")
-def _unpack(bodies, poses, speeds):
-    """x, y, heading and velocity x, y of each body -> poses and speeds ahead."""
-    for i in range(poses.shape[0]):
-        heading = bodies[i, 2]
-        poses[i, 0], poses[i, 1] = bodies[i, 0], bodies[i, 1]
+def _unpack(bodies, walls, origin, bucket, rows, columns, first, members, radius, poses, speeds, contacts):
+    """x, y, heading and velocity x, y of each body -> poses, speeds ahead, and who touches something."""
+    robots = poses.shape[0]
+    for i in range(robots):
+        x, y, heading = bodies[i, 0], bodies[i, 1], bodies[i, 2]
+        poses[i, 0], poses[i, 1] = x, y
         poses[i, 2] = (heading + np.pi) % (2.0 * np.pi) - np.pi
         speeds[i] = bodies[i, 3] * np.cos(heading) + bodies[i, 4] * np.sin(heading)
+        contacts[i] = _touches_wall(walls, origin, bucket, rows, columns, first, members, x, y, radius)
+    for i in range(robots):
+        for j in range(i):
+            dx, dy = poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]
+            if dx * dx + dy * dy < 4.0 * radius * radius:
+                contacts[i] = contacts[j] = True
+
+
+@njit(cache=True, error_model="numpy")
+def _touches_wall(walls, origin, bucket, rows, columns, first, members, x, y, radius):
+    c0 = max(int(np.floor((x - radius - origin[0]) / bucket)), 0)
+    c1 = min(int(np.floor((x + radius - origin[0]) / bucket)), columns - 1)
+    r0 = max(int(np.floor((y - radius - origin[1]) / bucket)), 0)
+    r1 = min(int(np.floor((y + radius - origin[1]) / bucket)), rows - 1)
+    for r in range(r0, r1 + 1):
+        for c in range(c0, c1 + 1):
+            for m in range(first[r * columns + c], first[r * columns + c + 1]):
+                w = members[m]
+                ax, ay = x - walls[w, 0], y - walls[w, 1]
+                ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
+                t = min(max((ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
+                dx, dy = ax - t * ex, ay - t * ey
+                if dx * dx + dy * dy < radius * radius:
+                    return True
+    return False
 
 
 @njit(cache=True, error_model="numpy")

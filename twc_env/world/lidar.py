@@ -13,13 +13,13 @@ from twc_env.config import LidarConfig
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.materials import MATERIALS
-from twc_env.world.noise import StepNoise
+from twc_env.world.noise import QUANTILE_BITS, QUANTILES_PER_WORD, StepBits, StepNoise, normal_quantiles
 from twc_env.world.wall_index import WallIndex, index_walls
 
 Array = NDArray
 
-_SWEEP_WALLS_MAX = 300
-"""Up to this many walls are swept one by one; with more, each beam walks the buckets of the wall index."""
+_EDGE_BEAMS = 0.02
+"""Ends of walls are looked up this far beyond where their rough angle says, and then tested exactly."""
 
 
 class Lidar:
@@ -40,8 +40,10 @@ class Lidar:
         if glass and config.glass_return_probability < 1.0:
             self._solid, self._glass_m = _apart(index, glass)
         angles = 2 * math.pi * np.arange(config.beam_count) / config.beam_count
-        self._directions = np.column_stack([np.cos(angles), np.sin(angles)])  # (beams, 2)
-        self._noise = StepNoise([random_stream(seed, "lidar", robot) for robot in range(robots)], config.beam_count)
+        self._directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, beams)
+        self._near, self._stamps = np.empty((6, len(index.walls_m))), np.full(len(index.walls_m), -1, np.int64)
+        words = -(-config.beam_count // QUANTILES_PER_WORD)
+        self._noise = StepBits([random_stream(seed, "lidar", robot) for robot in range(robots)], words)
         self._chance = {
             source: StepNoise(
                 [random_stream(seed, source, robot) for robot in range(robots)], config.beam_count, "random"
@@ -59,7 +61,7 @@ class Lidar:
                 config.glass_return_probability, math.cos(config.glass_incidence_max_rad),
                 config.glass_incidence_max_rad, ranges,
             )  # fmt: skip
-        _add_noise(ranges, self._noise.next(), config.range_noise_std_m, config.range_max_m)
+        _add_noise(ranges, self._noise.next(), normal_quantiles(), config.range_noise_std_m, config.range_max_m)
         if config.dropout_probability > 0.0:
             ranges[self._chance["lidar-dropout"].next() < config.dropout_probability] = config.range_max_m
         return ranges
@@ -70,15 +72,11 @@ class Lidar:
 
     def _ranges(self, poses: Array, i: WallIndex) -> Array:
         ranges = np.empty((len(poses), self._config.beam_count))
-        far = self._config.range_max_m
-        if len(i.walls_m) <= _SWEEP_WALLS_MAX:
-            _sweep_walls(i.walls_m, poses, self._directions, far, ranges)
-        else:
-            _walk_buckets(
-                i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members, poses, self._directions, far, ranges
-            )
-        if len(poses) > 1:
-            _sweep_discs(poses, self._radius_m, self._directions, far, ranges)
+        self._stamps.fill(-1)
+        _sweep(
+            i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members, poses, self._directions, self._radius_m,
+            self._config.range_max_m, self._near, self._stamps, ranges,
+        )  # fmt: skip
         return ranges
 
 
@@ -97,104 +95,129 @@ def _apart(index: WallIndex, glass: tuple[int, ...]) -> tuple[WallIndex, Array]:
 
 
 @njit(cache=True, error_model="numpy")
-def _sweep_walls(walls, poses, directions, far, ranges):
-    """Angular z-buffer: each wall is drawn into the beams it covers, the nearest wins."""
-    beams = directions.shape[0]
-    per_beam = beams / (2.0 * np.pi)
-    for i in range(poses.shape[0]):
-        x, y = poses[i, 0], poses[i, 1]
-        c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-        for b in range(beams):
-            ranges[i, b] = far
-        for w in range(walls.shape[0]):
+def _rough_angle(x, y):
+    """The angle of (x, y) in [-pi, pi] to 1e-5 rad, without a branch (Abramowitz and Stegun 4.4.49)."""
+    ax, ay = abs(x), abs(y)
+    z = min(ax, ay) / max(max(ax, ay), 1e-300)
+    q = z * z
+    angle = z * (0.9998660 + q * (-0.3302995 + q * (0.1801410 + q * (-0.0851330 + q * 0.0208351))))
+    angle = 0.5 * np.pi - angle if ay > ax else angle
+    angle = np.pi - angle if x < 0.0 else angle
+    return -angle if y < 0.0 else angle
+
+
+@njit(cache=True, error_model="numpy")
+def _gather(walls, origin, bucket, rows, columns, first, members, x, y, c, s, far, robot, near, stamps):
+    """Walls of the buckets around a robot that come within its range -> how many.
+
+    Columns of near: begin x, y and extent x, y in the robot frame, ends in counter-clockwise order.
+    """
+    c0 = max(int(np.floor((x - far - origin[0]) / bucket)), 0)
+    c1 = min(int(np.floor((x + far - origin[0]) / bucket)), columns - 1)
+    r0 = max(int(np.floor((y - far - origin[1]) / bucket)), 0)
+    r1 = min(int(np.floor((y + far - origin[1]) / bucket)), rows - 1)
+    count = 0
+    if c0 > c1:
+        return 0
+    for r in range(r0, r1 + 1):
+        for m in range(first[r * columns + c0], first[r * columns + c1 + 1]):
+            w = members[m]
+            if stamps[w] == robot:
+                continue
+            stamps[w] = robot
             ax, ay = walls[w, 0] - x, walls[w, 1] - y
             ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
             t = min(max(-(ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
             nx, ny = ax + t * ex, ay + t * ey
             if nx * nx + ny * ny > far * far:
                 continue
-            # Into the robot frame, with the ends in counter-clockwise order.
-            px, py = c * ax + s * ay, c * ay - s * ax
-            fx, fy = c * ex + s * ey, c * ey - s * ex
+            if ax * ey - ay * ex < 0.0:
+                ax, ay, ex, ey = ax + ex, ay + ey, -ex, -ey
+            near[0, count], near[1, count] = c * ax + s * ay, c * ay - s * ax
+            near[2, count], near[3, count] = c * ex + s * ey, c * ey - s * ex
+            count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _sweep(
+    walls, origin, bucket, rows, columns, first, members, poses, directions, radius, far, near, stamps, ranges
+):
+    """Angular z-buffer: each wall near a robot is drawn into the beams it covers, the nearest wins.
+
+    It holds inverse ranges, which are linear over a wall. Rough angles tell which beams a wall covers, and the
+    outermost of them are tested exactly.
+    """
+    beams = directions.shape[1]
+    per_beam = beams / (2.0 * np.pi)
+    edge = _EDGE_BEAMS + 2e-5 * per_beam
+    for i in range(poses.shape[0]):
+        c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+        count = _gather(
+            walls, origin, bucket, rows, columns, first, members, poses[i, 0], poses[i, 1], c, s, far, i, near, stamps
+        )
+        for w in range(count):
+            near[4, w] = _rough_angle(near[0, w], near[1, w])
+            near[5, w] = _rough_angle(near[0, w] + near[2, w], near[1, w] + near[3, w])
+        buffer = ranges[i]
+        buffer[:] = 1.0 / far
+        for w in range(count):
+            px, py, fx, fy = near[0, w], near[1, w], near[2, w], near[3, w]
             offset = px * fy - py * fx
-            if offset < 0.0:
-                px, py, fx, fy = px + fx, py + fy, -fx, -fy
-                offset = -offset
-            begin, end = np.arctan2(py, px), np.arctan2(py + fy, px + fx)
-            if end < begin:
+            if offset < 1e-12:
+                continue
+            begin, end = near[4, w], near[5, w]
+            if end < begin - 1.0:
                 end += 2.0 * np.pi
+            elif end > begin + 4.0:  # edge-on, at the cut of the angles
+                begin += 2.0 * np.pi
             if begin < 0.0:
                 begin += 2.0 * np.pi
                 end += 2.0 * np.pi
-            first = int(np.ceil(begin * per_beam - 1e-9))
-            last = min(int(np.floor(end * per_beam + 1e-9)), first + beams - 1, 2 * beams - 1)
-            for k in range(first, last + 1):
-                b = k if k < beams else k - beams
-                closing = directions[b, 0] * fy - directions[b, 1] * fx
-                if closing > 1e-12:
-                    ranges[i, b] = min(ranges[i, b], offset / closing)
-
-
-@njit(cache=True, error_model="numpy")
-def _walk_buckets(walls, origin, bucket, rows, columns, first, members, poses, directions, far, ranges):
-    """Each beam visits the buckets on its way until a wall in them is nearer than the next bucket."""
-    for i in range(poses.shape[0]):
-        gx, gy = (poses[i, 0] - origin[0]) / bucket, (poses[i, 1] - origin[1]) / bucket
-        c0, s0 = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-        for b in range(directions.shape[0]):
-            dx = c0 * directions[b, 0] - s0 * directions[b, 1]
-            dy = s0 * directions[b, 0] + c0 * directions[b, 1]
-            column, row = int(np.floor(gx)), int(np.floor(gy))
-            step_c, step_r = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-            rate_x, rate_y = bucket / max(abs(dx), 1e-12), bucket / max(abs(dy), 1e-12)
-            next_x = (column + 1 - gx if dx > 0 else gx - column) * rate_x
-            next_y = (row + 1 - gy if dy > 0 else gy - row) * rate_y
-            nearest, entered = far, 0.0
-            while entered <= nearest and 0 <= column < columns and 0 <= row < rows:
-                cell = row * columns + column
-                for m in range(first[cell], first[cell + 1]):
-                    w = members[m]
-                    ax, ay = walls[w, 0] - poses[i, 0], walls[w, 1] - poses[i, 1]
-                    ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
-                    closing = dx * ey - dy * ex
-                    if abs(closing) < 1e-12:
-                        continue
-                    along = (ax * dy - ay * dx) / closing
-                    if -1e-9 <= along <= 1.0 + 1e-9:
-                        distance = (ax * ey - ay * ex) / closing
-                        if 0.0 <= distance < nearest:
-                            nearest = distance
-                entered = min(next_x, next_y)
-                if next_x < next_y:
-                    next_x += rate_x
-                    column += step_c
-                else:
-                    next_y += rate_y
-                    row += step_r
-            ranges[i, b] = nearest
-
-
-@njit(cache=True, error_model="numpy")
-def _sweep_discs(poses, radius, directions, far, ranges):
-    """The other robots as discs."""
-    beams = directions.shape[0]
-    per_beam = beams / (2.0 * np.pi)
-    for i in range(poses.shape[0]):
-        c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+            low = int(np.ceil(begin * per_beam - edge))
+            high = min(int(np.floor(end * per_beam + edge)), low + beams - 1)
+            if low <= high and _turns_left(px, py, low, directions) < 0.0:
+                low += 1
+            if low <= high and _turns_left(px + fx, py + fy, high, directions) > 0.0:
+                high -= 1
+            gx, gy = fx / offset, fy / offset
+            for b in range(low, min(high + 1, beams)):
+                buffer[b] = max(buffer[b], directions[0, b] * gy - directions[1, b] * gx)
+            for b in range(max(low - beams, 0), high + 1 - beams):
+                buffer[b] = max(buffer[b], directions[0, b] * gy - directions[1, b] * gx)
+        for b in range(beams):
+            buffer[b] = min(1.0 / buffer[b], far)
         for j in range(poses.shape[0]):
-            wx, wy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
-            distance2 = wx * wx + wy * wy
-            if i == j or distance2 > (far + radius) ** 2 or distance2 <= radius * radius:
-                continue
-            px, py = c * wx + s * wy, c * wy - s * wx
-            middle, half = np.arctan2(py, px), np.arcsin(radius / np.sqrt(distance2))
-            for k in range(int(np.ceil((middle - half) * per_beam)), int(np.floor((middle + half) * per_beam)) + 1):
-                b = k % beams
-                ahead = px * directions[b, 0] + py * directions[b, 1]
-                aside = px * directions[b, 1] - py * directions[b, 0]
-                inside = radius * radius - aside * aside
-                if inside >= 0.0:
-                    ranges[i, b] = min(ranges[i, b], ahead - np.sqrt(inside))
+            if j != i:
+                wx, wy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
+                _draw_disc(c * wx + s * wy, c * wy - s * wx, radius, directions, far, buffer)
+
+
+@njit(cache=True, error_model="numpy")
+def _turns_left(x, y, beam, directions):
+    """Positive where a beam points to the left of the point (x, y), negative to the right, 0 within rounding."""
+    b = beam % directions.shape[1]
+    dx, dy = directions[0, b], directions[1, b]
+    cross = x * dy - y * dx
+    return 0.0 if abs(cross) <= 1e-9 * abs(x * dx + y * dy) else cross
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_disc(px, py, radius, directions, far, ranges):
+    """Another robot, its middle at (px, py) in the robot frame."""
+    beams = directions.shape[1]
+    per_beam = beams / (2.0 * np.pi)
+    distance2 = px * px + py * py
+    if distance2 > (far + radius) ** 2 or distance2 <= radius * radius:
+        return
+    middle, half = np.arctan2(py, px), np.arcsin(radius / np.sqrt(distance2))
+    for k in range(int(np.ceil((middle - half) * per_beam)), int(np.floor((middle + half) * per_beam)) + 1):
+        b = k % beams
+        ahead = px * directions[0, b] + py * directions[1, b]
+        aside = px * directions[1, b] - py * directions[0, b]
+        inside = radius * radius - aside * aside
+        if inside >= 0.0:
+            ranges[b] = min(ranges[b], ahead - np.sqrt(inside))
 
 
 @njit(cache=True, error_model="numpy")
@@ -210,9 +233,9 @@ def _see_glass(panes, poses, directions, chance, head_on, cos_max, incidence_max
             ex, ey = panes[w, 2] - panes[w, 0], panes[w, 3] - panes[w, 1]
             length = np.sqrt(ex * ex + ey * ey)
             offset = ax * ey - ay * ex
-            for b in range(directions.shape[0]):
-                dx = c * directions[b, 0] - s * directions[b, 1]
-                dy = s * directions[b, 0] + c * directions[b, 1]
+            for b in range(directions.shape[1]):
+                dx = c * directions[0, b] - s * directions[1, b]
+                dy = s * directions[0, b] + c * directions[1, b]
                 closing = dx * ey - dy * ex
                 cos_incidence = abs(closing) / length
                 if cos_incidence <= cos_max or offset * closing < 0.0:
@@ -225,8 +248,10 @@ def _see_glass(panes, poses, directions, chance, head_on, cos_max, incidence_max
 
 
 @njit(cache=True, error_model="numpy")
-def _add_noise(ranges, noise, std, far):
+def _add_noise(ranges, words, quantiles, std, far):
     for i in range(ranges.shape[0]):
         for b in range(ranges.shape[1]):
-            if ranges[i, b] < far:
-                ranges[i, b] = min(max(ranges[i, b] + std * noise[i, b], 0.0), far)
+            shift = np.uint64(QUANTILE_BITS * (b % QUANTILES_PER_WORD))
+            pick = (words[i, b // QUANTILES_PER_WORD] >> shift) & np.uint64((1 << QUANTILE_BITS) - 1)
+            noisy = min(max(ranges[i, b] + std * quantiles[pick], 0.0), far)
+            ranges[i, b] = noisy if ranges[i, b] < far else far

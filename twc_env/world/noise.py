@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,22 +12,70 @@ from numpy.typing import NDArray
 Array = NDArray
 
 _STEPS = 64
+QUANTILE_BITS = 12
+"""A quantile number: five of them come out of one 64-bit word."""
+QUANTILES_PER_WORD = 5
 
 
 class StepNoise:
     """Numbers for each step from one stream per robot; the same numbers as if drawn step by step."""
 
     def __init__(self, streams: Sequence[np.random.Generator], count: int, kind: str = "standard_normal"):
-        """`count` numbers per robot and step; kind names the generator's method, "standard_normal" or "random"."""
-        self._draws = [getattr(stream, kind) for stream in streams]
+        """`count` numbers per robot and step; kind: "standard_normal" or "random" (uniform in [0, 1))."""
+        self._sources = [(streams, count, kind)]
         self._numbers = np.empty((_STEPS, len(streams), count))
         self._used = _STEPS
+
+    def beside(self, streams: Sequence[np.random.Generator], count: int, kind: str = "standard_normal") -> StepNoise:
+        """The same with further numbers of other streams in the columns behind."""
+        self._sources.append((streams, count, kind))
+        steps, robots, columns = self._numbers.shape
+        self._numbers, self._used = np.empty((steps, robots, columns + count)), _STEPS
+        return self
 
     def next(self) -> Array:
         """(robots, count) numbers of the next step; valid until the call after."""
         if self._used == _STEPS:
-            for robot, draw in enumerate(self._draws):
-                self._numbers[:, robot] = draw(self._numbers.shape[::2])
-            self._used = 0
+            self._draw()
         self._used += 1
         return self._numbers[self._used - 1]
+
+    def _draw(self) -> None:
+        first = 0
+        for streams, count, kind in self._sources:
+            for robot, stream in enumerate(streams):
+                self._numbers[:, robot, first : first + count] = getattr(stream, kind)((_STEPS, count))
+            first += count
+        self._used = 0
+
+
+class StepBits:
+    """Random 64-bit words for each step from one stream per robot, for noise that a kernel makes out of them."""
+
+    def __init__(self, streams: Sequence[np.random.Generator], count: int):
+        self._streams = streams
+        self._words = np.empty((_STEPS, len(streams), count), np.uint64)
+        self._used = _STEPS
+
+    def next(self) -> Array:
+        """(robots, count) uint64 of the next step; valid until the call after."""
+        if self._used == _STEPS:
+            for robot, stream in enumerate(self._streams):
+                self._words[:, robot] = stream.integers(0, 2**64, self._words.shape[::2], np.uint64)
+            self._used = 0
+        self._used += 1
+        return self._words[self._used - 1]
+
+
+@cache
+def normal_quantiles() -> Array:
+    """(4096,) normal deviates of unit variance, one in the middle of each of as many equally likely intervals.
+
+    A random 12-bit number picks one: normal noise to three digits (largest deviate 3.7) for a tenth of the time that
+    exact deviates take.
+    """
+    count = 1 << QUANTILE_BITS
+    inverse = NormalDist().inv_cdf
+    upper = np.array([inverse((k + 0.5) / count) for k in range(count // 2, count)])
+    quantiles = np.concatenate([-upper[::-1], upper])
+    return quantiles / np.sqrt(np.mean(quantiles**2))

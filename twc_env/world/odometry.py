@@ -95,22 +95,21 @@ class Odometry:
             ]
         )
 
-        self._noise = StepNoise(streams, 3)
-        self._gyro_noise = StepNoise(gyro_streams, 1)
-        self._slip = StepNoise(slip_streams, 2, "random")
+        self._noise = StepNoise(streams, 3).beside(gyro_streams, 1).beside(slip_streams, 2, "random")
 
     def measure(self, poses_before: Array, poses: Array) -> tuple[Array, Array]:
         """True poses (n, 3) at the last frame and now -> odometry (n, 3), gyro turn rate (n,) [rad/s]."""
         odometry, turn_rates = np.empty((len(poses), 3)), np.empty(len(poses))
         _measure(
             poses_before, poses, self._biases, self._white, self._slips_per_m, self._time_step_s,
-            self._noise.next(), self._slip.next(), self._gyro_noise.next(), odometry, turn_rates,
+            self._noise.next(), odometry, turn_rates,
         )  # fmt: skip
         return odometry, turn_rates
 
 
 @njit(cache=True, error_model="numpy")
-def _measure(before, now, biases, white, slips_per_m, time_step, normal, slip, gyro_normal, odometry, turn_rates):
+def _measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates):
+    """Columns of noise: three normal deviates for odometry, one for the gyro, and two uniform ones for slip."""
     for i in range(now.shape[0]):
         c, s = np.cos(before[i, 2]), np.sin(before[i, 2])
         wx, wy = now[i, 0] - before[i, 0], now[i, 1] - before[i, 1]
@@ -118,11 +117,11 @@ def _measure(before, now, biases, white, slips_per_m, time_step, normal, slip, g
         turn = (now[i, 2] - before[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
         distance = np.sqrt(dx * dx + dy * dy)
         stretch = 1.0 + biases[i, 0]
-        if slip[i, 0] < slips_per_m * distance:
-            stretch += white[3] * slip[i, 1]
+        if noise[i, 4] < slips_per_m * distance:
+            stretch += white[3] * noise[i, 5]
         blur = white[0] * np.sqrt(distance)
-        odometry[i, 0] = stretch * dx + blur * normal[i, 0]
-        odometry[i, 1] = stretch * dy + 0.5 * blur * normal[i, 1]
+        odometry[i, 0] = stretch * dx + blur * noise[i, 0]
+        odometry[i, 1] = stretch * dy + 0.5 * blur * noise[i, 1]
         spread = np.sqrt(white[1] * white[1] * distance + white[2] * white[2] * abs(turn))
-        odometry[i, 2] = turn * (1.0 + biases[i, 2]) + biases[i, 1] * distance + spread * normal[i, 2]
-        turn_rates[i] = (turn + white[4] * gyro_normal[i, 0]) / time_step + biases[i, 3]
+        odometry[i, 2] = turn * (1.0 + biases[i, 2]) + biases[i, 1] * distance + spread * noise[i, 2]
+        turn_rates[i] = (turn + white[4] * noise[i, 3]) / time_step + biases[i, 3]

@@ -53,7 +53,7 @@ class World:
         config, robots = self.config, self.config.robots
         start_poses_home = self._start_poses(seed, starts)
         self.start_poses = self._in_building(start_poses_home)
-        self._dynamics = Dynamics(config.dynamics, self._home.walls_m, start_poses_home)
+        self._dynamics = Dynamics(config.dynamics, self._home.wall_index, start_poses_home)
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
         radius = config.dynamics.robot_radius_m
         self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
