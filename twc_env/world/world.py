@@ -41,6 +41,7 @@ class World:
         """For each robot the true signs (plan numbers) behind the readings of its last frame; for metrics only."""
         # All is computed where the building was drawn: moving it changes not even the rounding.
         self._home = plan.home
+        self._is_moved = bool(plan.pose_building_home.any())
         self._radio = _radio_model(config.radio, self._home)
         self._wifi_period = _period_steps(config.radio.scan_period_s, config)
         self._camera_period = _period_steps(config.signs.period_s, config)
@@ -61,55 +62,60 @@ class World:
         self._cameras = [SignCamera(config.signs, self._home, robot, seed) for robot in range(robots)]
         self._sensed_poses = self._dynamics.poses
         self._step = 0
+        self._note_poses()
         self.sighted_signs = ((),) * robots
 
     @property
     def poses(self) -> Array:
-        """(n, 3) true poses in the building frame."""
-        return self._in_building(self._dynamics.poses)
+        """(n, 3) true poses in the building frame; read-only."""
+        return self._poses
 
     @property
     def contacts(self) -> Array:
-        """(n,) whether each robot touched something in the last step."""
+        """(n,) whether each robot touches something."""
         return self._dynamics.contacts
 
     def step(self, commands: Array) -> None:
         """Move all robots for one time step; commands (n, 2) [m/s, rad/s]."""
         self._dynamics.step(commands)
         self._step += 1
+        self._note_poses()
 
     def sense(self) -> tuple[SensorFrame, ...]:
-        """One frame per robot: all that leaves the world."""
-        poses = self._dynamics.poses
+        """One frame per robot: all that leaves the world. Its arrays are read-only."""
+        poses, step = self._dynamics.poses, self._step
         odometry, turn_rates = self._odometry.measure(self._sensed_poses, poses)
         ranges = self._lidar.scan(poses)
-        time_s = self._step * self.config.dynamics.time_step_s
-        if self._step == 0:
+        if step == 0:
             odometry, turn_rates = np.zeros_like(odometry), np.zeros_like(turn_rates)
-        frames, sighted = [], []
-        for robot, pose in enumerate(poses):
-            readings, sources = self._read_signs(robot, pose)
-            wifi = self._scan_wifi(robot, pose)
-            turn_rate = float(turn_rates[robot])
-            frames.append(
-                SensorFrame(robot, self._step, time_s, odometry[robot], turn_rate, ranges[robot], wifi, readings)
-            )
-            sighted.append(sources)
+        odometry.flags.writeable = ranges.flags.writeable = False  # beliefs and logs share them
+        time_s = step * self.config.dynamics.time_step_s
+        wifi: list[WifiScan | None] = [None] * len(poses)
+        for robot in self._due(self._wifi_period):
+            wifi[robot] = self._receivers[robot].scan(poses[robot, :2], time_s)
+        signs: list[tuple[SignReading, ...]] = [()] * len(poses)
+        sighted: list[tuple[int, ...]] = [()] * len(poses)
+        for robot in self._due(self._camera_period):
+            signs[robot], sighted[robot] = self._cameras[robot].read(poses[robot])
         self._sensed_poses = poses
         self.sighted_signs = tuple(sighted)
-        return tuple(frames)
+        return tuple(
+            [
+                SensorFrame(robot, step, time_s, odometry[robot], turn_rate, ranges[robot], wifi[robot], signs[robot])
+                for robot, turn_rate in enumerate(turn_rates.tolist())
+            ]
+        )
 
-    def _scan_wifi(self, robot: int, pose: Array) -> WifiScan | None:
-        is_due = (self._step + robot) % self._wifi_period == 0
-        return self._receivers[robot].scan(pose[:2], self._step * self.config.dynamics.time_step_s) if is_due else None
+    def _due(self, period: int) -> range:
+        """The robots whose sensor of that period reads in this step; they take turns."""
+        return range(-self._step % period, self.config.robots, period)
 
-    def _read_signs(self, robot: int, pose: Array) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
-        is_due = (self._step + robot) % self._camera_period == 0
-        return self._cameras[robot].read(pose) if is_due else ((), ())
+    def _note_poses(self) -> None:
+        self._poses = self._in_building(self._dynamics.poses)
+        self._poses.flags.writeable = False
 
     def _in_building(self, poses_home: Array) -> Array:
-        pose = self.plan.pose_building_home
-        return compose(pose, poses_home) if pose.any() else poses_home.copy()
+        return compose(self.plan.pose_building_home, poses_home) if self._is_moved else poses_home.view()
 
     def _start_poses(self, seed: int, starts: str | Array) -> Array:
         """(n, 3) in the home frame."""
