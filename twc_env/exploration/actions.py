@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from gymnasium import spaces
+from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import DynamicsConfig
@@ -32,13 +33,15 @@ def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config:
         commands = _one_by_one(actions, agents)
     if commands.shape != (len(agents), 2) or commands.dtype.kind not in "fiu":
         commands = _one_by_one(actions, agents)
-    if not np.abs(commands).max() <= 1.0 + TOLERANCE:  # also true for NaN
+    commands = commands.astype(np.float64)
+    if not _scale(commands, config.speed_max_m_s, config.turn_rate_max_rad_s):
+        commands = np.array([actions[agent] for agent in agents], np.float64)
         row = int(np.argmax(~np.all(np.abs(commands) <= 1.0 + TOLERANCE, axis=1)))
         raise ActionError(
             f"action of {agents[row]!r} must be finite and in [-1, 1]; got {actions[agents[row]]!r}: "
             "clip it, or use an agent whose output is squashed"
         )
-    return commands.clip(-1.0, 1.0) * (config.speed_max_m_s, config.turn_rate_max_rad_s)
+    return commands
 
 
 def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
@@ -57,3 +60,15 @@ def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
                 f"action of {agent!r} must be 2 numbers (forward speed, turn rate) in [-1, 1]; got {actions[agent]!r}"
             ) from None
     return commands
+
+
+@njit(cache=True, error_model="numpy")
+def _scale(commands, speed_max, turn_rate_max):
+    """Shares (n, 2) -> commands, in place, cut to the maxima; False when one of them is no share."""
+    for i in range(commands.shape[0]):
+        for k in range(2):
+            if not abs(commands[i, k]) <= 1.0 + TOLERANCE:  # also true for NaN
+                return False
+        commands[i, 0] = min(max(commands[i, 0], -1.0), 1.0) * speed_max
+        commands[i, 1] = min(max(commands[i, 1], -1.0), 1.0) * turn_rate_max
+    return True

@@ -210,15 +210,13 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def _think(self, frames: tuple[SensorFrame, ...]) -> None:
         """Front ends, link and team mapper take in one set of frames."""
         self._frames = frames
-        for frame in frames:
-            frame.ranges_m.flags.writeable = False  # beliefs and logs share it
         for keyframe in self.engine.track(frames):
             self._send(keyframe)
         self.engine.absorb(self._steps, self._link.deliver())
         self._record.append(
             self._world.poses,
-            np.array([robot.pose_odom for robot in self.engine.robots]),
-            np.array([frame.odometry for frame in frames]),
+            [robot.pose_odom for robot in self.engine.robots],
+            [frame.odometry for frame in frames],
             self._world.contacts,
         )
 
@@ -237,7 +235,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if is_last or self._steps % self.config.reward.period_steps == 0:
             verdicts = evaluation.judge(self.engine, self._record, self._cells)
             self._area_m2 = evaluation.rightly_mapped_m2(verdicts)
-        estimated = np.array([self.engine.pose_map_robot(r) for r in range(self.config.robots)])
+        estimated = [self.engine.pose_map_robot(r) for r in range(self.config.robots)]
         transition = rewards.Transition(self._world.poses, estimated, self._world.contacts, self._area_m2, before)
         return [rewards.terms(transition, robot) for robot in range(self.config.robots)]
 

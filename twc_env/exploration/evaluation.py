@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,19 +85,30 @@ class EpisodeRecord:
         self.count = 0
         self._poses = np.zeros((256, 3, robots, 3))
         """True pose, front-end pose and measured motion of each step; grows."""
-        self.contact_count = 0
-        self._touching = np.zeros(robots, bool)
+        self._contacts = np.zeros((256, robots), bool)
         self.wrong_pairs: set[tuple[int, int]] = set()
 
-    def append(self, true_poses: Array, odom_poses: Array, odometry: Array, contacts: Array) -> None:
+    def append(
+        self, true_poses: Array, odom_poses: Sequence[Array], odometry: Sequence[Array], contacts: Array
+    ) -> None:
         """Note one step: truth, front-end poses, measured motion, and contacts, one row per robot."""
         if self.count == len(self._poses):
             self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
+            self._contacts = np.concatenate([self._contacts, np.zeros_like(self._contacts)])
         now = self._poses[self.count]
-        now[0], now[1], now[2] = true_poses, odom_poses, odometry
-        self.contact_count += int((contacts & ~self._touching).sum())
-        self._touching = contacts.copy()
+        now[0] = true_poses
+        for robot, pose in enumerate(odom_poses):
+            now[1, robot] = pose
+        for robot, motion in enumerate(odometry):
+            now[2, robot] = motion
+        self._contacts[self.count] = contacts
         self.count += 1
+
+    @property
+    def contact_count(self) -> int:
+        """Contacts that began after the start, summed over robots."""
+        contacts = self._contacts[: self.count]
+        return int(np.count_nonzero(contacts[1:] & ~contacts[:-1]))
 
     @property
     def true_poses(self) -> Array:

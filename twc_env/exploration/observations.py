@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import between
-from twc_env.messages import Belief, SensorFrame
+from twc_env.messages import Belief, SensorFrame, WifiScan
 
 Array = NDArray
 
@@ -43,6 +43,9 @@ class ObservationBuilder:
     def __init__(self, config: EnvConfig, robot: int):
         self._config = config
         self._robot, self._robots = robot, config.robots
+        self._beams, self._per_metre = config.lidar.beam_count, 1.0 / config.lidar.range_max_m
+        self._map_shape = (3, config.observation.map_cells, config.observation.map_cells)
+        self._sign_shape, self._team_shape = (config.observation.sign_slots, 3), (max(config.robots - 1, 1), 4)
         self._known_macs = np.zeros(0, np.int64)
         """Ascending."""
         self._slot_of_known = np.zeros(0, np.int64)
@@ -50,21 +53,23 @@ class ObservationBuilder:
 
     def build(self, frame: SensorFrame, belief: Belief) -> dict[str, Array]:
         """The observation after one frame."""
-        config = self._config
         mates = {mate: between(belief.pose_map_robot, pose).tolist() for mate, pose in belief.mates.items()}
+        lidar, pose = np.empty(self._beams, np.float32), np.empty(4, np.float32)
+        _fill(frame.ranges_m, self._per_metre, *belief.pose_map_robot.tolist(), lidar, pose)
         return {
-            "lidar": (frame.ranges_m / config.lidar.range_max_m).clip(0.0, 1.0).astype(np.float32),
+            "lidar": lidar,
             "map": self._map(belief, mates),
-            "pose": _pose(belief),
+            "pose": pose,
             "wifi": self._update_wifi(frame),
             "signs": self._signs(frame),
             "team": self._team(mates),
         }
 
     def _map(self, belief: Belief, mates: dict[int, list[float]]) -> Array:
-        shape = self._config.observation
-        crop = np.zeros((3, shape.map_cells, shape.map_cells), np.uint8)
-        grid, pose = belief.grid, belief.pose_map_robot
+        crop = np.zeros(self._map_shape, np.uint8)
+        grid, pose, shape = belief.grid, belief.pose_map_robot, self._config.observation
+        if grid.log_odds.size == 0:
+            return crop
         x, y = pose[:2] - grid.origin_m
         _crop(grid.log_odds, x, y, pose[2], 1.0 / grid.resolution_m, shape.map_cell_m, crop)
         half = shape.map_cells // 2
@@ -76,38 +81,35 @@ class ObservationBuilder:
 
     def _update_wifi(self, frame: SensorFrame) -> Array:
         scan = frame.wifi
-        if scan is not None:
-            self._wifi[:] = 0.0
-            level = ((scan.rssi_dbm - RSSI_ZERO_DBM) / RSSI_SPAN_DB).clip(0.0, 1.0)
-            slots = self._slots_of(scan.macs, level)
-            mine = slots < len(self._wifi)
-            self._wifi[slots[mine]] = level[mine]
+        if scan is not None and not self._place(scan):
+            self._learn(scan.macs, scan.rssi_dbm)
+            self._place(scan)
         return self._wifi.copy()
 
-    def _slots_of(self, macs: Array, level: Array) -> Array:
-        """(heard,) slot of each transmitter; new ones get the next slots, the strongest first."""
+    def _place(self, scan: WifiScan) -> bool:
+        return _place(scan.macs, scan.rssi_dbm, self._known_macs, self._slot_of_known, self._wifi)
+
+    def _learn(self, macs: Array, rssi_dbm: Array) -> None:
+        """Give each new transmitter the next slot, the strongest first."""
         known = self._known_macs
-        place = np.searchsorted(known, macs)
-        if len(known) == 0 or not np.array_equal(known[np.minimum(place, len(known) - 1)], macs):
-            new = np.setdiff1d(macs, known, assume_unique=True)
-            strongest_first = new[np.argsort(-level[np.searchsorted(macs, new)], kind="stable")]
-            merged = np.concatenate([known, strongest_first])
-            slots = np.concatenate([self._slot_of_known, len(known) + np.arange(len(new))])
-            order = np.argsort(merged)
-            self._known_macs, self._slot_of_known = merged[order], slots[order]
-            place = np.searchsorted(self._known_macs, macs)
-        return self._slot_of_known[place]
+        new = np.setdiff1d(macs, known, assume_unique=True)
+        strongest_first = new[np.argsort(-rssi_dbm[np.searchsorted(macs, new)], kind="stable")]
+        merged = np.concatenate([known, strongest_first])
+        slots = np.concatenate([self._slot_of_known, len(known) + np.arange(len(new))])
+        order = np.argsort(merged)
+        self._known_macs, self._slot_of_known = merged[order], slots[order]
 
     def _signs(self, frame: SensorFrame) -> Array:
-        config = self._config
-        rows = np.zeros((config.observation.sign_slots, 3), np.float32)
+        rows = np.zeros(self._sign_shape, np.float32)
+        if not frame.signs:
+            return rows
         nearest = sorted(frame.signs, key=lambda s: s.range_m)[: len(rows)]
         for row, sign in zip(rows, nearest, strict=False):
-            row[:] = 1.0, sign.bearing_rad / math.pi, min(max(sign.range_m / config.signs.range_max_m, 0.0), 1.0)
+            row[:] = 1.0, sign.bearing_rad / math.pi, min(max(sign.range_m / self._config.signs.range_max_m, 0.0), 1.0)
         return rows
 
     def _team(self, mates: dict[int, list[float]]) -> Array:
-        rows = np.zeros((max(self._robots - 1, 1), 4), np.float32)
+        rows = np.zeros(self._team_shape, np.float32)
         for mate, (x, y, heading) in mates.items():
             distance = math.hypot(x, y)
             row = mate if mate < self._robot else mate - 1
@@ -115,10 +117,30 @@ class ObservationBuilder:
         return rows
 
 
-def _pose(belief: Belief) -> Array:
-    x, y, heading = belief.pose_map_robot.tolist()
-    x, y = (min(max(v, -POSE_LIMIT_M), POSE_LIMIT_M) for v in (x, y))
-    return np.array([x, y, math.cos(heading), math.sin(heading)], np.float32)
+@njit(cache=True, error_model="numpy")
+def _fill(ranges, per_metre, x, y, heading, lidar, pose):
+    """The blocks `lidar` and `pose`."""
+    for b in range(min(ranges.shape[0], lidar.shape[0])):
+        lidar[b] = min(max(ranges[b] * per_metre, 0.0), 1.0)
+    pose[0] = min(max(x, -POSE_LIMIT_M), POSE_LIMIT_M)
+    pose[1] = min(max(y, -POSE_LIMIT_M), POSE_LIMIT_M)
+    pose[2], pose[3] = math.cos(heading), math.sin(heading)
+
+
+@njit(cache=True, error_model="numpy")
+def _place(macs, rssi_dbm, known_macs, slot_of_known, wifi):
+    """Strengths into the slots of their transmitters; both lists of addresses ascend. False when one is not known."""
+    wifi[:] = 0.0
+    k = 0
+    for t in range(macs.shape[0]):
+        while k < known_macs.shape[0] and known_macs[k] < macs[t]:
+            k += 1
+        if k == known_macs.shape[0] or known_macs[k] != macs[t]:
+            return False
+        slot = slot_of_known[k]
+        if slot < wifi.shape[0]:
+            wifi[slot] = min(max((rssi_dbm[t] - RSSI_ZERO_DBM) / RSSI_SPAN_DB, 0.0), 1.0)
+    return True
 
 
 @njit(cache=True, error_model="numpy")

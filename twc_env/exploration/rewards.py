@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from numpy.typing import NDArray
@@ -17,8 +18,8 @@ class Transition:
 
     true_poses: Array
     """(robots, 3) in the building frame."""
-    estimated_poses: Array
-    """(robots, 3) each in the map frame of its group."""
+    estimated_poses: Sequence[Array]
+    """One (3,) per robot, in the map frame of its group."""
     contacts: Array
     """(robots,) bool: touched a wall or a mate."""
     correct_area_m2: float
@@ -41,4 +42,8 @@ def terms(transition: Transition, robot: int) -> dict[str, float]:
 
 def weigh(values: dict[str, float], weights: RewardConfig) -> float:
     """The reward: each term times the weight of its name."""
-    return sum(getattr(weights, name) * value for name, value in values.items())
+    reward = 0.0
+    for name, value in values.items():
+        if value:  # most terms are 0 in most steps
+            reward += getattr(weights, name) * value
+    return reward

@@ -140,9 +140,7 @@ def _gather(walls, origin, bucket, rows, columns, first, members, x, y, c, s, fa
 
 
 @njit(cache=True, error_model="numpy")
-def _sweep(
-    walls, origin, bucket, rows, columns, first, members, poses, directions, radius, far, near, stamps, ranges
-):
+def _sweep(walls, origin, bucket, rows, columns, first, members, poses, directions, radius, far, near, stamps, ranges):
     """Angular z-buffer: each wall near a robot is drawn into the beams it covers, the nearest wins.
 
     It holds inverse ranges, which are linear over a wall. Rough angles tell which beams a wall covers, and the
