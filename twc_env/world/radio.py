@@ -19,8 +19,10 @@ from twc_env.config import RadioConfig
 from twc_env.geometry import inverse, transform_points
 from twc_env.messages import WifiScan
 from twc_env.random_streams import random_stream
+from twc_env.world.crossing_table import CrossingTable
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.materials import wall_loss_db
+from twc_env.world.noise import StepNoise
 from twc_env.world.wall_index import WallIndex
 
 Array = NDArray
@@ -50,7 +52,7 @@ class _Sources:
     floors: Array
     """(sources,) ceilings in between."""
     waves: Array
-    """(sources, waves, 3) of the shadowing field."""
+    """(3, waves, sources) x and y frequency [rad/m] and phase of the shadowing field."""
     shadowing_std_db: Array
     """(sources,)."""
 
@@ -108,17 +110,23 @@ class RadioModel:
         if config.sweep_duration_s:
             self.sweep_age_s = config.sweep_duration_s * _sweep_places(plan.digest, radios)[self.radio_of]
         self._source_count_wifi = len(access_points)
-        self._has_floors, self._has_cells = bool(self._floor_losses_db.any()), len(cells) > 0
-        self._is_low_band_only = not self.band_of.any()
-        self._low_index = self._index_of_band[LOW_BAND] or plan.wall_index
+        self._has_cells = len(cells) > 0
+        self._levels_dbm = self._power_dbm - self._floor_losses_db + self._power_offsets_db
+        bands = 3 if self.band_of.any() else 1
+        losses_db = [i.loss_db if i is not None else np.zeros(len(plan.walls_m)) for i in self._index_of_band[:bands]]
+        self._crossings = CrossingTable(
+            self._index, self._sources.position_m[: len(access_points)], np.array(losses_db)
+        )
+        self._crossed = np.zeros(len(access_points), np.int64), np.zeros((bands, len(access_points)))
+        self._fields = np.empty((2, len(self._sources.position_m)))
 
     def shadowing_db(self, position_m: Array) -> Array:
         """(access points,) the fixed deviation of each signal at a place (2,) of the building frame."""
-        sources = self._sources
-        shadowing = np.empty(len(sources.position_m))
+        shadowing, sources = np.empty(len(self._sources.position_m)), self._sources
         _shadowing(
-            np.asarray(position_m, float), self._pose_home_building, sources.waves, sources.shadowing_std_db, shadowing
-        )
+            float(position_m[0]), float(position_m[1]), self._pose_home_building, sources.waves,
+            sources.shadowing_std_db, shadowing,
+        )  # fmt: skip
         return shadowing
 
     def walls_crossed(self, position_m: Array) -> Array:
@@ -127,30 +135,29 @@ class RadioModel:
 
     def mean_rssi_dbm(self, position_m: Array) -> Array:
         """(transmitters,) strength at a place (2,) before fading, device offset and noise."""
-        position, sources = np.asarray(position_m, float), self._sources
+        x, y, sources = float(position_m[0]), float(position_m[1]), self._sources
         mean = np.empty(len(self.macs))
         _mean_rssi(
-            position, sources.position_m, sources.height_m, self._wall_losses_db(position), self.shadowing_db(position),
-            self._power_dbm, self._exponent, self._config.distance_min_m,
-            self.access_point_of, self.band_of, self._power_offsets_db, mean,
+            x, y, self._pose_home_building, sources.position_m, sources.height_m, sources.waves,
+            sources.shadowing_std_db, self._wall_losses_db(x, y), self._levels_dbm, self._exponent,
+            self._config.distance_min_m, self.access_point_of, self.band_of, self._fields, mean,
         )  # fmt: skip
-        if self._has_floors:
-            mean -= self._floor_losses_db
         if self._has_cells:
-            mean[self.band_of == CELL_BAND] -= self._sector_loss_db(position)
+            mean[self.band_of == CELL_BAND] -= self._sector_loss_db(np.array([x, y]))
         return mean
 
-    def _wall_losses_db(self, position: Array) -> Array:
+    def _wall_losses_db(self, x: float, y: float) -> Array:
         """(bands, sources); bands that nobody sends on stay empty."""
-        if self._is_low_band_only:
-            return self._low_index.crossing(position, self._sources.position_m)[1][None]
-        ends = self._near_ends(position)
-        losses = np.zeros((3, len(ends)))
-        for band, index in enumerate(self._index_of_band):
-            if index is not None:
-                mine = slice(self._source_count_wifi, None) if band == CELL_BAND else slice(0, self._source_count_wifi)
-                losses[band, mine] = index.crossing(position, ends[mine])[1]
-        return losses
+        counts, losses = self._crossed
+        self._crossings.crossed(x, y, counts, losses)
+        if not self._has_cells:
+            return losses
+        position, count = np.array([x, y]), len(counts)
+        outside, index = self._near_ends(position)[count:], self._index_of_band[CELL_BAND]
+        assert index is not None
+        among_cells = np.zeros((3, len(outside)))
+        among_cells[CELL_BAND] = index.crossing(position, outside)[1]
+        return np.concatenate([losses, among_cells], axis=1)
 
     def _near_ends(self, position: Array) -> Array:
         """(sources, 2) where each signal starts; masts are drawn in to just outside the building."""
@@ -188,10 +195,13 @@ class WifiReceiver:
 
     def __init__(self, config: RadioConfig, model: RadioModel, robot: int, seed: int):
         self._config, self._model = config, model
-        self._noise = random_stream(seed, "wifi-noise", robot)
-        self._detection = random_stream(seed, "wifi-detection", robot)
+        count = len(model.macs)
+        noise, detection = random_stream(seed, "wifi-noise", robot), random_stream(seed, "wifi-detection", robot)
+        self._draws = StepNoise([noise], count).beside([detection], count, "random")
         self._fading = random_stream(seed, "wifi-fading", robot)
         self._sweep = random_stream(seed, "wifi-sweep", robot)
+        is_sweep_whole = config.sweep_share == 1.0 and not config.sweep_share_std
+        self._hears_all_now = is_sweep_whole and config.stale_age_max_s == 0.0
         device = random_stream(seed, "wifi-device", robot)
         self._device_offset_db = config.device_offset_std_db * device.standard_normal()
         self._floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
@@ -203,21 +213,22 @@ class WifiReceiver:
     def scan(self, position_m: Array, time_s: float = 0.0) -> WifiScan:
         """Hear what can be heard at a true position (2,); the time dates readings that are repeated later."""
         self._refresh_fading(position_m)
-        count = len(self._model.macs)
-        rssi = self._model.mean_rssi_dbm(position_m)
-        heard = np.empty(count, np.bool_)
-        config = self._config
-        _receive(
-            rssi, self._fading_db, self._device_offset_db, config.noise_std_db, self._noise.standard_normal(count),
-            self._detection.random(count), self._floors_dbm, config.detection_slope_db, config.miss_probability,
-            config.quantisation_db, heard,
+        rssi, all_macs, config = self._model.mean_rssi_dbm(position_m), self._model.macs, self._config
+        count = len(all_macs)
+        heard, macs, readings = np.empty(count, np.bool_), np.empty(count, np.int64), np.empty(count)
+        heard_count = _receive(
+            rssi, self._fading_db, self._device_offset_db, config.noise_std_db, self._draws.next()[0],
+            self._floors_dbm, config.detection_slope_db, config.miss_probability, config.quantisation_db,
+            all_macs, heard, macs, readings,
         )  # fmt: skip
+        if self._hears_all_now:
+            return WifiScan(macs[:heard_count], readings[:heard_count])
         if config.sweep_share < 1.0 or config.sweep_share_std:
             share = config.sweep_share + config.sweep_share_std * self._sweep.standard_normal()
             heard &= self._sweep.random(count) < share
         if config.stale_age_max_s > 0.0:
             return self._with_stale(rssi, heard, time_s)
-        return WifiScan(self._model.macs[heard], rssi[heard])
+        return WifiScan(all_macs[heard], rssi[heard])
 
     def _with_stale(self, rssi: Array, heard: Array, time_s: float) -> WifiScan:
         """What was heard now, and what was heard not too long ago, with its age."""
@@ -294,7 +305,7 @@ def _sources(config: RadioConfig, plan: Floorplan, access_points, cells: list[tu
         position_m=positions,
         height_m=floors * config.floor_height_m,
         floors=floors,
-        waves=np.array(waves).reshape(-1, _WAVES, 3),
+        waves=np.ascontiguousarray(np.array(waves).reshape(-1, _WAVES, 3).T),
         shadowing_std_db=np.array(stds, float),
     )
 
@@ -349,34 +360,53 @@ def _scaled(plan: Floorplan, factor: float | Array) -> WallIndex:
 
 
 @njit(cache=True, error_model="numpy")
-def _shadowing(position, pose_home_building, waves, stds, shadowing):
+def _shadowing(x, y, pose_home_building, waves, stds, shadowing):
+    """Sum of cosines per source; the loop over sources is innermost, so that they are worked out side by side."""
     c, s = np.cos(pose_home_building[2]), np.sin(pose_home_building[2])
-    x = pose_home_building[0] + c * position[0] - s * position[1]
-    y = pose_home_building[1] + s * position[0] + c * position[1]
-    for a in range(waves.shape[0]):
-        amplitude = stds[a] * np.sqrt(2.0 / waves.shape[1])
-        total = 0.0
-        for k in range(waves.shape[1]):
-            total += np.cos(waves[a, k, 0] * x + waves[a, k, 1] * y + waves[a, k, 2])
-        shadowing[a] = amplitude * total
+    home_x = pose_home_building[0] + c * x - s * y
+    home_y = pose_home_building[1] + s * x + c * y
+    shadowing[:] = 0.0
+    for k in range(waves.shape[1]):
+        for a in range(waves.shape[2]):
+            turns = (waves[0, k, a] * home_x + waves[1, k, a] * home_y + waves[2, k, a]) * (0.5 / np.pi)
+            # The sine's series to 1e-9 on the quarter turn around the nearest zero, instead of a call per cosine.
+            z = 2.0 * np.pi * (0.25 - abs(turns - np.floor(turns + 0.5)))
+            q = z * z
+            tail = q * (1 / 362880 - q * (1 / 39916800 - q * (1 / 6227020800)))
+            shadowing[a] += z * (1.0 - q * (1 / 6 - q * (1 / 120 - q * (1 / 5040 - tail))))
+    for a in range(waves.shape[2]):
+        shadowing[a] *= stds[a] * np.sqrt(2.0 / waves.shape[1])
 
 
 @njit(cache=True, error_model="numpy")
 def _mean_rssi(
-    position, sources, heights, losses, shadowing, power, exponent, distance_min, owners, bands, offsets, mean
-):
+    x, y, pose_home_building, sources, heights, waves, stds, losses, levels, exponent, distance_min, owners, bands,
+    fields, mean,
+):  # fmt: skip
+    shadowing, path_loss = fields[0], fields[1]
+    _shadowing(x, y, pose_home_building, waves, stds, shadowing)
+    for a in range(sources.shape[0]):
+        dx, dy, dz = sources[a, 0] - x, sources[a, 1] - y, heights[a]
+        path_loss[a] = 10.0 * np.log10(max(np.sqrt(dx * dx + dy * dy + dz * dz), distance_min))
     for t in range(owners.shape[0]):
         a = owners[t]
-        dx, dy, dz = sources[a, 0] - position[0], sources[a, 1] - position[1], heights[a]
-        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-        path_loss = 10.0 * exponent[t] * np.log10(max(distance, distance_min))
-        mean[t] = power[t] - path_loss - losses[bands[t], a] + shadowing[a] + offsets[t]
+        mean[t] = levels[t] - exponent[t] * path_loss[a] - losses[bands[t], a] + shadowing[a]
 
 
 @njit(cache=True, error_model="numpy")
-def _receive(rssi, fading, device_offset, noise_std, noise, chance, floors, slope, missed, step, heard):
-    """Turn mean strengths into readings, in place."""
-    for t in range(rssi.shape[0]):
-        level = rssi[t] + fading[t] + device_offset + noise_std * noise[t]
-        heard[t] = chance[t] * (1.0 + np.exp((floors[t] - level) / slope)) < 1.0 - missed
+def _receive(
+    rssi, fading, device_offset, noise_std, draws, floors, slope, missed, step, all_macs, heard, macs, readings
+):
+    """Turn mean strengths into readings, in place; what is heard is also listed in macs and readings -> how many.
+
+    Draws: a normal deviate for each transmitter, then a uniform one for each.
+    """
+    transmitters, count = rssi.shape[0], 0
+    for t in range(transmitters):
+        level = rssi[t] + fading[t] + device_offset + noise_std * draws[t]
+        heard[t] = draws[transmitters + t] * (1.0 + np.exp((floors[t] - level) / slope)) < 1.0 - missed
         rssi[t] = step * np.floor(level / step + 0.5)
+        if heard[t]:
+            macs[count], readings[count] = all_macs[t], rssi[t]
+            count += 1
+    return count
