@@ -112,12 +112,12 @@ class RadioModel:
         self._source_count_wifi = len(access_points)
         self._has_cells = len(cells) > 0
         self._levels_dbm = self._power_dbm - self._floor_losses_db + self._power_offsets_db
-        bands = 3 if self.band_of.any() else 1
-        losses_db = [i.loss_db if i is not None else np.zeros(len(plan.walls_m)) for i in self._index_of_band[:bands]]
+        used = 3 if self.band_of.any() else 1
+        losses_db = [i.loss_db if i is not None else np.zeros(len(plan.walls_m)) for i in self._index_of_band[:used]]
         self._crossings = CrossingTable(
             self._index, self._sources.position_m[: len(access_points)], np.array(losses_db)
         )
-        self._crossed = np.zeros(len(access_points), np.int64), np.zeros((bands, len(access_points)))
+        self._crossed = np.zeros(len(access_points), np.int64), np.zeros((used, len(access_points)))
         self._fields = np.empty((2, len(self._sources.position_m)))
 
     def shadowing_db(self, position_m: Array) -> Array:
