@@ -39,22 +39,23 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
     """(part, whether it is of the engine, owner, function or method) of all that is timed."""
     from twc_env.exploration import evaluation
     from twc_env.exploration.observations import ObservationBuilder
-    from twc_env.slam import robot
     from twc_env.slam.engine import CooperativeSlam
     from twc_env.slam.loop_verification import LoopVerifier
+    from twc_env.slam.mate_detection import MateMarker
     from twc_env.slam.occupancy_grid import OccupancyGrid
-    from twc_env.slam.robot import RobotFrontEnd
+    from twc_env.slam.odometry_filter import CompiledFilters
+    from twc_env.slam.robot import FrontEnds, RobotFrontEnd
     from twc_env.slam.team import TeamMapper
     from twc_env.world.world import World
 
     return [
         ("world: motion", False, World, "step"),
         ("world: sensors", False, World, "sense"),
-        ("front end: filter", True, RobotFrontEnd, "_predict"),
-        ("front end: mates in the scan", True, robot, "mark_mates"),
-        ("front end: scan match", True, RobotFrontEnd, "_match"),
-        ("front end: signs and radio", True, RobotFrontEnd, "_remember_radio_and_signs"),
-        ("keyframe: making", True, RobotFrontEnd, "_make_keyframe"),
+        ("front end: filter", True, CompiledFilters, "predict"),
+        ("front end: mates in the scan", True, MateMarker, "mark"),
+        ("front end: scan match", True, FrontEnds, "_match"),
+        ("front end: signs and radio", True, FrontEnds, "_remember"),
+        ("keyframe: making", True, RobotFrontEnd, "make_keyframe"),
         ("keyframe: local map", True, RobotFrontEnd, "_extend_local_map"),
         ("front end: the rest", True, CooperativeSlam, "track"),
         ("team: keyframe into the graph", True, TeamMapper, "_add"),

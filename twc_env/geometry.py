@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,6 +54,15 @@ def transform_points(pose_a_b: ArrayLike, points_b: ArrayLike) -> Array:
     pose, points = np.asarray(pose_a_b, float), np.asarray(points_b, float)
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return points @ np.array([[c, s], [-s, c]]) + pose[:2]
+
+
+@lru_cache(maxsize=16)
+def beam_directions(beam_count: int) -> Array:
+    """(beams, 2) cosine and sine of each beam's angle in the robot frame; read-only."""
+    angles = np.arange(beam_count) * (2 * np.pi / beam_count)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    directions.flags.writeable = False
+    return directions
 
 
 def align_rigidly(points_from: ArrayLike, points_to: ArrayLike) -> Array:

@@ -1,9 +1,16 @@
 import numpy as np
 import pytest
 
-from twc_env.slam.mate_detection import StillDiscs, mark_mates
+from twc_env.slam.mate_detection import MateMarker, StillDiscs
 
 RANGE_MAX_M, RADIUS_M = 10.0, 0.2
+
+
+def marked(ranges: np.ndarray, radius_m: float = RADIUS_M) -> np.ndarray:
+    """The scan as a marker of two robots gives it for the second."""
+    marker = MateMarker(2, len(ranges), RANGE_MAX_M, radius_m)
+    marker.mark(np.array([1]), np.stack([np.zeros_like(ranges), ranges]))
+    return marker.marked_m[1]
 
 
 def disc(scan: np.ndarray, centre, radius_m: float = RADIUS_M, pose=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
@@ -27,45 +34,45 @@ def room(walls, scan):
 )
 def test_a_mate_in_the_open_is_marked_and_nothing_else(room, centre):
     ranges, is_mate = disc(room, centre)
-    marked, _ = mark_mates(ranges, RANGE_MAX_M, RADIUS_M)
+    scan = marked(ranges)
     assert is_mate.sum() >= 2
-    assert np.abs(marked) == pytest.approx(ranges)
-    assert np.array_equal(marked < 0, is_mate)
+    assert np.abs(scan) == pytest.approx(ranges)
+    assert np.array_equal(scan < 0, is_mate)
 
 
 def test_two_mates_are_both_marked(room):
     ranges, first = disc(room, (1.5, 0.4))
     ranges, second = disc(ranges, (-1.0, -1.2))
-    assert np.array_equal(mark_mates(ranges, RANGE_MAX_M, RADIUS_M)[0] < 0, first | second)
+    assert np.array_equal(marked(ranges) < 0, first | second)
 
 
 def test_an_empty_room_has_no_mates(room, office, scan):
-    assert np.all(mark_mates(room, RANGE_MAX_M, RADIUS_M)[0] >= 0)
-    assert np.all(mark_mates(np.full(180, RANGE_MAX_M), RANGE_MAX_M, RADIUS_M)[0] >= 0)
-    assert np.all(mark_mates(np.full(180, 1.0), RANGE_MAX_M, RADIUS_M)[0] >= 0)
+    assert np.all(marked(room) >= 0)
+    assert np.all(marked(np.full(180, RANGE_MAX_M)) >= 0)
+    assert np.all(marked(np.full(180, 1.0)) >= 0)
 
 
 def test_a_pillar_of_another_size_stays_a_wall(room):
     ranges, _ = disc(room, (1.5, 0.4), radius_m=0.5)
-    assert np.all(mark_mates(ranges, RANGE_MAX_M, RADIUS_M)[0] >= 0)
+    assert np.all(marked(ranges) >= 0)
 
 
 def test_a_square_pillar_stays_a_wall(walls, scan):
     both = np.concatenate(
         [walls((-4, -3), (5, -3), (5, 3), (-4, 3)), walls((0.8, -0.35), (1.5, -0.35), (1.5, 0.35), (0.8, 0.35))]
     )
-    assert np.all(mark_mates(scan(both, (0.0, 0.0, 0.0)), RANGE_MAX_M, RADIUS_M)[0] >= 0)
+    assert np.all(marked(scan(both, (0.0, 0.0, 0.0))) >= 0)
 
 
 def test_a_radius_of_zero_marks_nothing(room):
     ranges, _ = disc(room, (1.5, 0.4))
-    assert np.array_equal(mark_mates(ranges, RANGE_MAX_M, 0.0)[0], ranges)
+    assert np.array_equal(marked(ranges, 0.0), ranges)
 
 
 def test_marking_leaves_the_scan_alone(room):
     ranges, _ = disc(room, (1.5, 0.4))
     before = ranges.copy()
-    mark_mates(ranges, RANGE_MAX_M, RADIUS_M)[0]
+    marked(ranges)
     assert np.array_equal(ranges, before)
 
 

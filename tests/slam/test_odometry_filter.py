@@ -1,3 +1,5 @@
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -5,11 +7,39 @@ from hypothesis import strategies as st
 
 from twc_env.config import OdometryFilterConfig
 from twc_env.geometry import compose, wrap_angle
-from twc_env.slam.odometry_filter import CompiledFilter, FilterpyFilter, make_filter
+from twc_env.slam.odometry_filter import CompiledFilters, FilterpyFilters, make_filters
 
 DT_S = 0.1
 CONFIG = OdometryFilterConfig()
-BOTH = pytest.mark.parametrize("kind", [CompiledFilter, FilterpyFilter])
+
+
+class Single:
+    """The second of two robots' filters; the first must never stir."""
+
+    def __init__(self, kind, config):
+        self._filters, self._robots = kind(config, 2), np.array([1])
+
+    @property
+    def state(self) -> np.ndarray:
+        assert not self._filters.states[0].any()
+        return self._filters.states[1]
+
+    @property
+    def covariance(self) -> np.ndarray:
+        return self._filters.covariances[1]
+
+    def predict(self, odometry, turn_rate_rad_s, dt_s) -> None:
+        self._filters.predict(
+            self._robots, np.stack([odometry, odometry]), np.full(2, turn_rate_rad_s), np.full(2, dt_s)
+        )
+
+    def update(self, pose, information) -> None:
+        self._filters.update(
+            self._robots, np.stack([pose, pose]), np.stack([information, information]), np.ones(2, bool)
+        )
+
+
+BOTH = pytest.mark.parametrize("kind", [partial(Single, CompiledFilters), partial(Single, FilterpyFilters)])
 
 
 SHARP = np.diag([1e4, 1e4, 1e5])
@@ -25,7 +55,7 @@ def random_information(random) -> np.ndarray:
 @given(st.integers(0, 10_000))
 def test_the_compiled_filter_equals_filterpy_over_two_hundred_steps(seed):
     random = np.random.default_rng(seed)
-    compiled, oracle = CompiledFilter(CONFIG), FilterpyFilter(CONFIG)
+    compiled, oracle = Single(CompiledFilters, CONFIG), Single(FilterpyFilters, CONFIG)
     for step in range(200):
         odometry = random.normal(0, 1, 3) * (0.1, 0.03, 0.15)
         turn_rate = odometry[2] / DT_S + random.normal(0, 0.2)
@@ -123,7 +153,7 @@ def test_a_measured_heading_across_the_seam_is_taken_the_short_way(kind, side):
     ekf = kind(CONFIG)
     for _ in range(31):
         ekf.predict(np.array([0.0, 0.0, 0.1 * side]), side / 1.0, DT_S)
-    before = ekf.state[2]
+    before = float(ekf.state[2])
     measured = wrap_angle(before + 0.15 * side)
     assert measured * side < 0
     ekf.update(np.array([*ekf.state[:2], measured]), SHARP)
@@ -154,15 +184,16 @@ def test_a_corridor_match_corrects_across_and_leaves_the_axis_alone(kind):
     assert ekf.covariance[1, 1] < 0.2 * spread[1, 1]
 
 
-@BOTH
+@pytest.mark.parametrize("kind", [CompiledFilters, FilterpyFilters])
 def test_measuring_leaves_the_measurement_alone(kind):
-    ekf, pose, information = kind(CONFIG), np.array([0.1, 0.0, 3.0]), np.diag([100.0, 100.0, 100.0])
-    ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
-    ekf.update(pose, information)
-    assert pose.tolist() == [0.1, 0.0, 3.0]
-    assert np.array_equal(information, np.diag([100.0, 100.0, 100.0]))
+    filters, robots = kind(CONFIG, 1), np.zeros(1, np.int64)
+    poses, information = np.array([[0.1, 0.0, 3.0]]), np.diag([100.0, 100.0, 100.0])[None]
+    filters.predict(robots, np.array([[0.1, 0.0, 0.0]]), np.zeros(1), np.full(1, DT_S))
+    filters.update(robots, poses, information, np.ones(1, bool))
+    assert poses.tolist() == [[0.1, 0.0, 3.0]]
+    assert np.array_equal(information[0], np.diag([100.0, 100.0, 100.0]))
 
 
 def test_the_config_names_the_filter():
-    assert isinstance(make_filter(OdometryFilterConfig(backend="compiled")), CompiledFilter)
-    assert isinstance(make_filter(OdometryFilterConfig(backend="filterpy")), FilterpyFilter)
+    assert isinstance(make_filters(OdometryFilterConfig(backend="compiled"), 1), CompiledFilters)
+    assert isinstance(make_filters(OdometryFilterConfig(backend="filterpy"), 1), FilterpyFilters)

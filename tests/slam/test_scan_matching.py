@@ -12,7 +12,7 @@ RANGE_MAX_M = 10.0
 
 
 def field_of(walls, scan, *poses, size_m: float = 26.0):
-    field = LineField(np.zeros(2), size_m, 0.1, RANGE_MAX_M)
+    field = LineField(size_m, 0.1, RANGE_MAX_M)
     poses = np.array(poses, float)
     field.add(poses, np.array([scan(walls, pose) for pose in poses]))
     return field
@@ -66,7 +66,7 @@ def test_refining_from_the_truth_stays_there(office, scan):
 
 
 def test_nothing_is_matched_where_there_are_no_walls(office, scan):
-    field = LineField(np.zeros(2), 20.0, 0.1, RANGE_MAX_M)
+    field = LineField(20.0, 0.1, RANGE_MAX_M)
     guess = np.array([0.1, 0.2, 0.3])
     match = refine(field, points_at(office, scan, np.zeros(3)), guess)
     assert match.weight < 5

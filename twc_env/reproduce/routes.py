@@ -21,7 +21,7 @@ from twc_env.config import EnvConfig
 from twc_env.errors import MapError
 from twc_env.geometry import wrap_angle
 from twc_env.messages import Keyframe
-from twc_env.slam.robot import RobotFrontEnd
+from twc_env.slam.robot import FrontEnds
 from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.world import World
 
@@ -125,7 +125,7 @@ def walk(config: EnvConfig, plan: Floorplan, way_m: Array, robot: int, seed: int
     world = World(config, plan)
     heading = math.atan2(*(way_m[5] - way_m[0])[::-1])
     world.reset(1000 * seed + robot, starts=np.array([[*way_m[0], heading]]))
-    front_end = RobotFrontEnd(0, config)
+    front_end = FrontEnds(config, 1)
     result, passes, waiting, at = Walk(), _Passes(), [], 0
     limit = 20 * int(np.hypot(*np.diff(way_m, axis=0).T).sum() / (CRUISE_M_S * config.dynamics.time_step_s) + 100)
     for _ in range(limit):
@@ -133,8 +133,7 @@ def walk(config: EnvConfig, plan: Floorplan, way_m: Array, robot: int, seed: int
         pose = world.poses[0]
         readings = list(zip(frame.signs, world.sighted_signs[0], strict=True))
         waiting += [(reading, sign, pose[:2].copy(), frame.time_s) for reading, sign in readings]
-        keyframe = front_end.update(frame)
-        if keyframe is not None:
+        for keyframe in front_end.update([frame]):
             keyframe = dataclasses.replace(keyframe, robot=robot)
             result.keyframes.append(keyframe)
             result.poses.append(pose.copy())

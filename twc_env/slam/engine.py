@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.geometry import compose
 from twc_env.messages import Belief, Keyframe, SensorFrame
-from twc_env.slam.robot import RobotFrontEnd
+from twc_env.slam.robot import FrontEnds
 from twc_env.slam.team import TeamMapper
 
 Array = NDArray
@@ -24,7 +24,8 @@ class CooperativeSlam:
     """
 
     def __init__(self, config: EnvConfig, robot_count: int):
-        self.robots = [RobotFrontEnd(robot, config) for robot in range(robot_count)]
+        self._front_ends = FrontEnds(config, robot_count)
+        self.robots = self._front_ends.robots
         self.team = TeamMapper(config, robot_count)
         self._frames: list[SensorFrame | None] = [None] * robot_count
         self._poses_map_robot = [np.zeros(3)] * robot_count
@@ -32,13 +33,9 @@ class CooperativeSlam:
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Run the front end of each frame's robot; the keyframes that came of it, in order."""
-        keyframes = []
         for frame in frames:
             self._frames[frame.robot] = frame
-            keyframe = self.robots[frame.robot].update(frame)
-            if keyframe is not None:
-                keyframes.append(keyframe)
-        return keyframes
+        return self._front_ends.update(frames)
 
     def absorb(self, step: int, keyframes: list[Keyframe]) -> None:
         """Take the keyframes that reached the mapper into the team's map."""

@@ -63,7 +63,7 @@ class LoopVerifier:
         self._noise = noise
         self._range_max_m = range_max_m
         size_m = 2 * (range_max_m + config.cloud_reach_m + 1.0)
-        self._field = LineField(np.zeros(2), size_m, FIELD_CELL_M, range_max_m)
+        self._field = LineField(size_m, FIELD_CELL_M, range_max_m)
         self._drawn: tuple[int, int] | None = None
 
     def verify(

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twc_env.geometry import compose
+from twc_env.geometry import beam_directions
 
 Array = NDArray
 
@@ -32,11 +32,23 @@ MEMORY = 100
 
 
 @njit(cache=True, error_model="numpy")
-def _mark(ranges, range_max, radius, out, discs):
+def _is_disc(ranges, directions, first, count, cx, cy, radius):
+    """Whether the end points of these beams lie on the disc."""
+    beams = ranges.shape[0]
+    for k in range(first, first + count):
+        i = k % beams
+        x, y = ranges[i] * directions[i, 0] - cx, ranges[i] * directions[i, 1] - cy
+        if abs(math.sqrt(x * x + y * y) - radius) > SHAPE_TOLERANCE_M:
+            return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _mark(ranges, range_max, radius, directions, out, discs):
     """Write the marked scan to out and a row (x, y, first beam, beams) for each disc; gives how many there are."""
-    found = 0
     beams = ranges.shape[0]
     step = 2 * math.pi / beams
+    found = 0
     out[:] = ranges
     start = -1
     for i in range(beams):  # begin behind a jump, so that no disc is cut in two
@@ -45,51 +57,97 @@ def _mark(ranges, range_max, radius, out, discs):
             break
     if start < 0:
         return found
+    previous = ranges[start - 1]
     i = start
-    while i < start + beams:
+    end = start + beams
+    while i < end:
         first = i
-        nearest = ranges[i % beams]
-        while i + 1 < start + beams and abs(ranges[(i + 1) % beams] - ranges[i % beams]) <= STEP_MAX_M:
-            i += 1
-            nearest = min(nearest, ranges[i % beams])
-        count = i - first + 1
+        last = ranges[i] if i < beams else ranges[i - beams]
+        begin = nearest = last
         i += 1
+        following = begin
+        while i < end:
+            following = ranges[i] if i < beams else ranges[i - beams]
+            if abs(following - last) > STEP_MAX_M:
+                break
+            last = following
+            nearest = min(nearest, last)
+            i += 1
+        if i == end:
+            following = ranges[start]
+        beside, previous = previous, last
+        if beside < begin + BACKGROUND_MIN_M or following < last + BACKGROUND_MIN_M:
+            continue
         if nearest >= range_max or nearest <= 0.0:
             continue
-        widest = 2 * math.asin(min(radius / (nearest + radius), 1.0)) / step + 2
-        if count > widest:
-            continue
-        if ranges[(first - 1) % beams] < ranges[first % beams] + BACKGROUND_MIN_M:
-            continue
-        if ranges[i % beams] < ranges[(i - 1) % beams] + BACKGROUND_MIN_M:
+        count = i - first
+        if count > 2 * math.asin(min(radius / (nearest + radius), 1.0)) / step + 2:
             continue
         middle = 0.5 * (first + i - 1) * step
         cx, cy = (nearest + radius) * math.cos(middle), (nearest + radius) * math.sin(middle)
-        is_disc = True
-        if count >= FEW_BEAMS:
-            for k in range(first, i):
-                r = ranges[k % beams]
-                x, y = r * math.cos(k * step) - cx, r * math.sin(k * step) - cy
-                if abs(math.sqrt(x * x + y * y) - radius) > SHAPE_TOLERANCE_M:
-                    is_disc = False
-        if is_disc:
-            for k in range(first, i):
-                out[k % beams] = -ranges[k % beams]
-            if found < discs.shape[0]:
-                discs[found, 0], discs[found, 1], discs[found, 2], discs[found, 3] = cx, cy, first % beams, count
-                found += 1
+        if count >= FEW_BEAMS and not _is_disc(ranges, directions, first, count, cx, cy, radius):
+            continue
+        for k in range(first, i):
+            out[k % beams] = -ranges[k % beams]
+        if found < discs.shape[0]:
+            discs[found, 0], discs[found, 1], discs[found, 2], discs[found, 3] = cx, cy, first % beams, count
+            found += 1
     return found
 
 
-def mark_mates(ranges_m: Array, range_max_m: float, radius_m: float) -> tuple[Array, Array]:
-    """A scan (beams,) in which the beams that met a mate are negative: free up to there, but no wall.
+@njit(cache=True, error_model="numpy")
+def _mark_all(robots, ranges, range_max, radius, directions, marked, discs, counts):
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        counts[k] = _mark(ranges[k], range_max, radius, directions, marked[k], discs[k])
 
-    radius_m is that of a robot; 0 marks nothing. Also gives a row (x [m], y [m], first beam, beams) for each mate, its
-    centre in the robot frame.
-    """
-    marked, discs = np.array(ranges_m, np.float64), np.empty((DISCS_MAX, 4))
-    count = _mark(ranges_m, range_max_m, radius_m, marked, discs) if radius_m > 0 else 0
-    return marked, discs[:count]
+
+class MateMarker:
+    """Finds mates in the scans of all robots at once."""
+
+    def __init__(self, count: int, beam_count: int, range_max_m: float, radius_m: float):
+        """radius_m is that of a robot; 0 marks nothing."""
+        self._range_max_m, self._radius_m = range_max_m, radius_m
+        self._directions = beam_directions(beam_count)
+        self.marked_m = np.zeros((count, beam_count))
+        """(n, beams) the scans, in which the beams that met a mate are negative: free up to there, but no wall."""
+        self._discs, self._counts = np.zeros((count, DISCS_MAX, 4)), np.zeros(count, np.int64)
+
+    def mark(self, robots: Array, ranges_m: Array) -> None:
+        """Mark the scans (n, beams) of these robots (k,)."""
+        if self._radius_m > 0:
+            _mark_all(
+                robots, ranges_m, self._range_max_m, self._radius_m, self._directions, self.marked_m, self._discs,
+                self._counts,
+            )  # fmt: skip
+        else:
+            self.marked_m[robots] = ranges_m[robots]
+
+    def discs_of(self, robot: int) -> Array:
+        """A row (x [m], y [m], first beam, beams) for each mate last seen, its centre in the robot frame."""
+        return self._discs[robot, : self._counts[robot]]
+
+
+@njit(cache=True, error_model="numpy")
+def _unmark(scan, discs, pose, seen, following, travel, time):
+    """See `StillDiscs.unmark`; gives the row of `seen` that is overwritten next."""
+    beams = scan.shape[0]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for d in range(discs.shape[0]):
+        x, y = pose[0] + c * discs[d, 0] - s * discs[d, 1], pose[1] + s * discs[d, 0] + c * discs[d, 1]
+        held, nearest = 0, np.inf
+        for i in range(seen.shape[0]):
+            away = max(abs(seen[i, 0] - x), abs(seen[i, 1] - y))
+            if away < nearest:
+                held, nearest = i, away
+        if nearest >= STILL_M:
+            seen[following, 0], seen[following, 1], seen[following, 2], seen[following, 3] = x, y, travel, time
+            following = (following + 1) % seen.shape[0]
+        elif time - seen[held, 3] >= STILL_S and travel - seen[held, 2] >= STILL_TRAVEL_M:
+            for k in range(int(discs[d, 3])):
+                i = (int(discs[d, 2]) + k) % beams
+                scan[i] = abs(scan[i])
+    return following
 
 
 class StillDiscs:
@@ -102,13 +160,5 @@ class StillDiscs:
 
     def unmark(self, scan: Array, discs: Array, pose_odom: Array, travel_m: float, time_s: float) -> None:
         """Make the beams (beams,) on discs that stood still for long, seen from more than one place, walls again."""
-        for x, y, first, count in discs.tolist():
-            centre = compose(pose_odom, [x, y, 0.0])[:2]
-            away = np.abs(self._seen[:, :2] - centre).max(axis=1)
-            held = int(np.argmin(away))
-            if away[held] >= STILL_M:
-                self._seen[self._next] = *centre, travel_m, time_s
-                self._next = (self._next + 1) % MEMORY
-            elif time_s - self._seen[held, 3] >= STILL_S and travel_m - self._seen[held, 2] >= STILL_TRAVEL_M:
-                beams = (int(first) + np.arange(int(count))) % len(scan)
-                scan[beams] = np.abs(scan[beams])
+        if len(discs):
+            self._next = _unmark(scan, discs, pose_odom, self._seen, self._next, travel_m, time_s)

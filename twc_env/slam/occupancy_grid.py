@@ -24,12 +24,6 @@ FREE_MARGIN_CELLS = 0.5
 """Free space ends this far before the measured wall."""
 
 
-def beam_directions(beam_count: int) -> tuple[Array, Array]:
-    """(beams,) cosine and sine of each beam's angle in the robot frame."""
-    angles = np.arange(beam_count) * (2 * np.pi / beam_count)
-    return np.cos(angles), np.sin(angles)
-
-
 @njit(cache=True, error_model="numpy")
 def _fill_crossings(px, py, qx, qy, row_low, row_high, crossings, counts):
     """Note where the polygon edge p-q crosses the centre line of each row, sorted by column."""

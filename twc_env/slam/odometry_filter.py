@@ -1,6 +1,6 @@
 """Fuse odometry, gyro and scan matching: an extended Kalman filter over (x, y, heading, gyro bias).
 
-The same equations stand here twice: `CompiledFilter`, used in the hot path, and `FilterpyFilter` on filterpy's
+The same equations stand here twice: `CompiledFilters`, used in the hot path, and `FilterpyFilters` on filterpy's
 ExtendedKalmanFilter, which is the oracle it is tested against and an option of the log tools.
 """
 
@@ -163,49 +163,90 @@ def invert_symmetric(matrix: Array) -> Array:
     return out
 
 
-class CompiledFilter:
-    """The filter of the hot path."""
+@njit(cache=True, error_model="numpy")
+def _predict_all(states, covariances, robots, odometry, turn_rates, dts, config):
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        if dts[k] > 0.0:
+            _predict(states[k], covariances[k], odometry[k], turn_rates[k], dts[k], config)
 
-    def __init__(self, config: OdometryFilterConfig):
+
+@njit(cache=True, error_model="numpy")
+def _update_all(states, covariances, robots, poses, information, is_matched):
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        if is_matched[k]:
+            _update_pose(states[k], covariances[k], poses[k], information[k])
+
+
+class CompiledFilters:
+    """One filter per robot, all in one compiled call: those of the hot path."""
+
+    def __init__(self, config: OdometryFilterConfig, count: int):
         self._values = _process_values(config)
-        self.state = np.zeros(4)
-        """(x [m], y [m], heading [rad], gyro bias [rad/s]) in the odom frame; the heading is not wrapped."""
-        self.covariance = np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2])
+        self.states = np.zeros((count, 4))
+        """(n, 4) x [m], y [m], heading [rad], gyro bias [rad/s] in its odom frame; the heading is not wrapped."""
+        self.covariances = np.tile(np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2]), (count, 1, 1))
+        """(n, 4, 4)."""
 
-    def predict(self, odometry: Array, turn_rate_rad_s: float, dt_s: float) -> None:
-        """Move by one frame's odometry (3,) and gyro."""
-        _predict(self.state, self.covariance, odometry, turn_rate_rad_s, dt_s, self._values)
+    def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
+        """Move these robots (k,) by one frame: odometry (n, 3), gyro (n,) and time since the last one (n,).
 
-    def update(self, pose: Array, information: Array) -> None:
-        """Correct with a pose (3,) measured by scan matching and its information (3, 3), which may be singular."""
-        _update_pose(self.state, self.covariance, pose, information)
+        Where no time has passed nothing moves.
+        """
+        _predict_all(self.states, self.covariances, robots, odometry, turn_rates_rad_s, dts_s, self._values)
+
+    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
+        """Correct these robots (k,) where they were matched (n,).
+
+        poses (n, 3) measured by scan matching, their information (n, 3, 3) may be singular.
+        """
+        _update_all(self.states, self.covariances, robots, poses, information, is_matched)
 
 
-class FilterpyFilter:
-    """The same filter on filterpy."""
+class FilterpyFilters:
+    """The same filters on filterpy."""
 
-    def __init__(self, config: OdometryFilterConfig):
+    def __init__(self, config: OdometryFilterConfig, count: int):
         from filterpy.kalman import ExtendedKalmanFilter
 
         self._config = config
         self._values = _process_values(config)
-        self._ekf = ExtendedKalmanFilter(dim_x=4, dim_z=3)
-        self._ekf.x = np.zeros(4)
-        self._ekf.P = np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2])
+        self._filters = [ExtendedKalmanFilter(dim_x=4, dim_z=3) for _ in range(count)]
+        for ekf in self._filters:
+            ekf.x = np.zeros(4)
+            ekf.P = np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2])
 
     @property
-    def state(self) -> Array:
-        """(x [m], y [m], heading [rad], gyro bias [rad/s]) in the odom frame."""
-        return self._ekf.x
+    def states(self) -> Array:
+        """See `CompiledFilters`."""
+        return np.array([ekf.x for ekf in self._filters])
 
     @property
-    def covariance(self) -> Array:
-        """(4, 4)."""
-        return self._ekf.P
+    def covariances(self) -> Array:
+        """(n, 4, 4)."""
+        return np.array([ekf.P for ekf in self._filters])
 
-    def predict(self, odometry: Array, turn_rate_rad_s: float, dt_s: float) -> None:
-        """Move by one frame's odometry (3,) and gyro."""
-        ekf, (dx, dy, turn_odometry) = self._ekf, odometry
+    def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
+        """See `CompiledFilters`."""
+        for k in robots:
+            if dts_s[k] > 0.0:
+                self._predict(self._filters[k], odometry[k], float(turn_rates_rad_s[k]), float(dts_s[k]))
+
+    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
+        """See `CompiledFilters`."""
+        for k in robots:
+            if is_matched[k]:
+                self._filters[k].update(
+                    poses[k].copy(),
+                    HJacobian=lambda _x: np.eye(3, 4),
+                    Hx=lambda x: x[:3],
+                    R=np.linalg.inv(information[k] + INFORMATION_MIN * np.eye(3)),
+                    residual=_pose_difference,
+                )
+
+    def _predict(self, ekf, odometry: Array, turn_rate_rad_s: float, dt_s: float) -> None:
+        dx, dy, turn_odometry = odometry
         turn = (turn_rate_rad_s - ekf.x[3]) * dt_s
         c, s = math.cos(ekf.x[2]), math.sin(ekf.x[2])
         mx, my = c * dx - s * dy, s * dx + c * dy
@@ -224,23 +265,13 @@ class FilterpyFilter:
             R=np.array([[self._config.odometry_turn_std_rad**2 + self._config.turn_std_rad**2]]),
         )
 
-    def update(self, pose: Array, information: Array) -> None:
-        """Correct with a pose (3,) measured by scan matching and its information (3, 3), which may be singular."""
 
-        def residual(a, b):
-            d = a - b
-            d[2] = wrap_angle(d[2])
-            return d
-
-        self._ekf.update(
-            np.asarray(pose),
-            HJacobian=lambda _x: np.eye(3, 4),
-            Hx=lambda x: x[:3],
-            R=np.linalg.inv(information + INFORMATION_MIN * np.eye(3)),
-            residual=residual,
-        )
+def _pose_difference(a: Array, b: Array) -> Array:
+    d = a - b
+    d[2] = wrap_angle(d[2])
+    return d
 
 
-def make_filter(config: OdometryFilterConfig) -> CompiledFilter | FilterpyFilter:
-    """The filter that `config.backend` names."""
-    return FilterpyFilter(config) if config.backend == "filterpy" else CompiledFilter(config)
+def make_filters(config: OdometryFilterConfig, count: int) -> CompiledFilters | FilterpyFilters:
+    """One filter per robot, of the kind that `config.backend` names."""
+    return FilterpyFilters(config, count) if config.backend == "filterpy" else CompiledFilters(config, count)

@@ -31,8 +31,10 @@ def fingerprint(
     scans = [_fresh(scan, age_max_s) for scan in scans]
     macs = np.concatenate([scan.macs for scan in scans])
     levels = np.concatenate([scan.rssi_dbm for scan in scans])
+    ends = np.cumsum([len(scan.macs) for scan in scans])
     out_macs, out_levels = np.empty(len(macs), np.int64), np.empty(len(macs))
-    count = _clipped_means(macs, levels, detection_min * len(scans) - 1e-9, STD_MODES[std_mode], out_macs, out_levels)
+    count_min = detection_min * len(scans) - 1e-9
+    count = _clipped_means(macs, levels, ends, count_min, STD_MODES[std_mode], out_macs, out_levels)
     return Fingerprint(out_macs[:count].copy(), out_levels[:count].copy())
 
 
@@ -45,38 +47,50 @@ def _fresh(scan: WifiScan, age_max_s: float) -> WifiScan:
 
 
 @njit(cache=True, error_model="numpy")
-def _clipped_means(macs, levels, count_min, std_mode, out_macs, out_levels):
-    """For each transmitter with enough readings the mean of those within one spread; gives how many there are."""
-    order = np.argsort(macs, kind="mergesort")
+def _clipped_means(macs, levels, ends, count_min, std_mode, out_macs, out_levels):
+    """For each transmitter with enough readings the mean of those within one spread; gives how many there are.
+
+    The scans stand one behind the other, each ascending; they are read side by side, lowest transmitter first.
+    """
+    scans = ends.shape[0]
+    at = np.zeros(scans, np.int64)
+    at[1:] = ends[:-1]
+    heard = np.empty(scans)
     found = 0
-    first = 0
-    while first < len(order):
-        mac = macs[order[first]]
-        last, total = first, 0.0
-        while last < len(order) and macs[order[last]] == mac:
-            total += levels[order[last]]
-            last += 1
-        n = last - first
-        if n >= count_min:
-            mean = total / n
-            squares = 0.0
-            for k in range(first, last):
-                squares += (levels[order[k]] - mean) ** 2
-            if std_mode == 0:
-                squares /= n
-            elif std_mode == 1:
-                squares /= max(n - 1, 1)
-            limit = math.sqrt(squares) + 1e-9
-            kept, kept_total = 0, 0.0
-            for k in range(first, last):
-                if abs(levels[order[k]] - mean) <= limit:
-                    kept += 1
-                    kept_total += levels[order[k]]
-            out_macs[found] = mac
-            out_levels[found] = kept_total / kept if kept else mean
-            found += 1
-        first = last
-    return found
+    while True:
+        mac = np.int64(0)
+        is_done = True
+        for k in range(scans):
+            if at[k] < ends[k] and (is_done or macs[at[k]] < mac):
+                mac, is_done = macs[at[k]], False
+        if is_done:
+            return found
+        n, total = 0, 0.0
+        for k in range(scans):
+            if at[k] < ends[k] and macs[at[k]] == mac:
+                heard[n] = levels[at[k]]
+                total += heard[n]
+                n += 1
+                at[k] += 1
+        if n < count_min:
+            continue
+        mean = total / n
+        squares = 0.0
+        for k in range(n):
+            squares += (heard[k] - mean) ** 2
+        if std_mode == 0:
+            squares /= n
+        elif std_mode == 1:
+            squares /= max(n - 1, 1)
+        limit = math.sqrt(squares) + 1e-9
+        kept, kept_total = 0, 0.0
+        for k in range(n):
+            if abs(heard[k] - mean) <= limit:
+                kept += 1
+                kept_total += heard[k]
+        out_macs[found] = mac
+        out_levels[found] = kept_total / kept if kept else mean
+        found += 1
 
 
 def mac_similarity(a: Fingerprint, b: Fingerprint) -> float:

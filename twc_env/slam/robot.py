@@ -1,163 +1,209 @@
-"""One robot's front end: sensor frames in, a smooth pose estimate and keyframes out."""
+"""The robots' front ends: sensor frames in, a smooth pose estimate and keyframes out.
+
+What every step costs is computed for all robots at once, over common arrays; what a keyframe costs, robot by robot.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import between, compose, inverse, wrap_angle
-from twc_env.messages import Keyframe, SensorFrame, SignObservation
-from twc_env.slam.mate_detection import StillDiscs, mark_mates
-from twc_env.slam.odometry_filter import make_filter, motion_covariance
+from twc_env.geometry import between, wrap_angle
+from twc_env.messages import Keyframe, SensorFrame, SignObservation, WifiScan
+from twc_env.slam.mate_detection import MateMarker, StillDiscs
+from twc_env.slam.odometry_filter import make_filters, motion_covariance
 from twc_env.slam.radio_fingerprint import fingerprint
-from twc_env.slam.scan_matching import LineField
+from twc_env.slam.scan_matching import LineField, LineFields, Matches
 
 Array = NDArray
 
-INNOVATION_MAX_M = 0.4
-INNOVATION_MAX_RAD = 0.25
-"""A match that jumps further than this from the prediction is not believed."""
-MATCHED_SHARE_MIN = 0.3
-"""Nor is one that explains fewer of the beams."""
 MOTION_STD_MIN = np.array([0.01, 0.01, 0.003])
 """Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""
-
-
 REDRAW_SPACING_M = 0.9
 """When the local map moves on, of the older keyframes every one this far along the path is drawn again."""
-NOTHING_MATCHED = np.zeros((3, 3))
+
+
+@njit(cache=True, error_model="numpy")
+def _arrive(robots, states, odometry, dts, keyframe_poses, distance, turn, poses, travels, steps, is_new):
+    """Poses after the step, path lengths, and whether each robot has come to a new place."""
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        poses[k, 0], poses[k, 1] = states[k, 0], states[k, 1]
+        poses[k, 2] = (states[k, 2] + math.pi) % (2 * math.pi) - math.pi
+        if dts[k] > 0.0:
+            travels[k] += math.sqrt(odometry[k, 0] ** 2 + odometry[k, 1] ** 2)
+            steps[k] += 1
+        dx, dy = poses[k, 0] - keyframe_poses[k, 0], poses[k, 1] - keyframe_poses[k, 1]
+        turned = (poses[k, 2] - keyframe_poses[k, 2] + math.pi) % (2 * math.pi) - math.pi
+        is_new[k] = not (math.sqrt(dx * dx + dy * dy) < distance and abs(turned) < turn)
+
+
+class FrontEnds:
+    """Odometry, gyro and scan matching against a local map, each robot in its own odom frame (it starts at 0, 0, 0).
+
+    No robot's estimate depends on another's.
+    """
+
+    def __init__(self, config: EnvConfig, count: int):
+        local, noise, beams = config.slam.local_map, config.slam.odometry_filter, config.lidar.beam_count
+        self._rule, self._local = config.slam.keyframe, local
+        masks = self._rule.mask_mates and config.robots > 1
+        radius_m = config.dynamics.robot_radius_m if masks else 0.0
+        self._marker = MateMarker(count, beams, config.lidar.range_max_m, radius_m)
+        self._filters = make_filters(noise, count)
+        self._fields = LineFields(count, local.size_m, local.resolution_m, config.lidar.range_max_m, beams)
+        self._match_variance_m2 = noise.match_std_m**2 * noise.match_correlation
+        self._matches = Matches(count)
+        self._ranges_m, self._odometry = np.zeros((count, beams)), np.zeros((count, 3))
+        self._turn_rates_rad_s, self._times_s, self._dts_s = np.zeros(count), np.zeros(count), np.zeros(count)
+        self._travels_m, self._steps = np.zeros(count), np.zeros(count, np.int64)
+        self._keyframe_poses = np.full((count, 3), np.nan)
+        """Where each robot's last keyframe was taken; NaN before the first."""
+        self._is_new = np.zeros(count, bool)
+        self.robots = [RobotFrontEnd(r, config, self._fields.fields[r]) for r in range(count)]
+        """What each robot remembers for itself."""
+        self.poses_odom = np.zeros((count, 3))
+        """(n, 3) the estimates after the latest frames; a new array with every update."""
+
+    def update(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
+        """Take in at most one frame per robot; gives a keyframe of each robot that has come to a new place."""
+        robots = np.array([frame.robot for frame in frames])
+        for frame in frames:
+            k = frame.robot
+            self._ranges_m[k] = frame.ranges_m
+            self._odometry[k] = frame.odometry
+            self._turn_rates_rad_s[k] = frame.turn_rate_rad_s
+            self._dts_s[k] = frame.time_s - self._times_s[k]
+            self._times_s[k] = frame.time_s
+        self._filters.predict(robots, self._odometry, self._turn_rates_rad_s, self._dts_s)
+        self._marker.mark(robots, self._ranges_m)
+        self._match(robots)
+        self.poses_odom = self.poses_odom.copy()
+        _arrive(
+            robots, self._filters.states, self._odometry, self._dts_s, self._keyframe_poses, self._rule.distance_m,
+            self._rule.turn_rad, self.poses_odom, self._travels_m, self._steps, self._is_new,
+        )  # fmt: skip
+        return self._remember(frames)
+
+    def _match(self, robots: Array) -> None:
+        """Lay the scans on the local maps and correct the filters."""
+        states, matches = self._filters.states, self._matches
+        self._fields.match(robots, self._marker.marked_m, states, self._local, self._match_variance_m2, matches)
+        self._filters.update(robots, matches.poses, matches.information, matches.is_matched)
+
+    def _remember(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
+        keyframes = []
+        is_new = self._is_new.tolist()
+        for frame in frames:
+            k = frame.robot
+            pose, robot = self.poses_odom[k], self.robots[k]
+            robot.pose_odom = pose
+            if frame.wifi is not None:
+                robot.scans.append((frame.time_s, frame.wifi))
+            if frame.signs:
+                robot.read_signs(frame, pose)
+            if is_new[k]:
+                scan = self._marker.marked_m[k].copy()
+                robot.still.unmark(scan, self._marker.discs_of(k), pose, self._travels_m[k], frame.time_s)
+                keyframe = robot.make_keyframe(
+                    frame, scan, pose, float(self._travels_m[k]), int(self._steps[k]), self._matches.information[k]
+                )
+                self._keyframe_poses[k], self._steps[k] = pose, 0
+                keyframes.append(keyframe)
+        return keyframes
 
 
 class RobotFrontEnd:
-    """Odometry, gyro and scan matching against a local map, in the robot's own odom frame (it starts at 0, 0, 0)."""
+    """What one robot remembers: keyframes, its local map, and what it read and heard since the last keyframe."""
 
-    def __init__(self, robot: int, config: EnvConfig):
+    def __init__(self, robot: int, config: EnvConfig, field: LineField):
         self.robot = robot
         self._config = config.slam
-        self._range_max_m = config.lidar.range_max_m
-        self._mate_radius_m = (
-            config.dynamics.robot_radius_m if config.slam.keyframe.mask_mates and config.robots > 1 else 0.0
-        )
-        self._still = StillDiscs()
-        self._filter = make_filter(config.slam.odometry_filter)
-        local = config.slam.local_map
-        self._field = LineField(np.zeros(2), local.size_m, local.resolution_m, self._range_max_m)
-        noise = config.slam.odometry_filter
-        self._match_variance_m2 = noise.match_std_m**2 * noise.match_correlation
-        self._recentre_m = max(0.5 * local.size_m - self._range_max_m - 1.0, 1.0)
+        self._field = field
         self._centre_m = np.zeros(2)
+        self._recentre_m = max(0.5 * config.slam.local_map.size_m - config.lidar.range_max_m - 1.0, 1.0)
+        rule = config.slam.keyframe
+        self.scans: deque[tuple[float, WifiScan]] = deque(maxlen=rule.fingerprint_scans_max)
+        """The latest radio scans with their times [s]."""
+        self.still = StillDiscs()
         self._keyframes: list[Keyframe] = []
-        self._scans: deque = deque(maxlen=config.slam.keyframe.fingerprint_scans_max)
-        self._readings: list[tuple[str, Array, float]] = []
-        self._travel_m = 0.0
-        self._time_s = 0.0
-        self._steps_since_keyframe = 0
-        self._match_information = NOTHING_MATCHED
+        self._readings: list[tuple[str, float, float, float]] = []
+        """Text, place [m, m] and facing [rad] in the odom frame of each sign read since the last keyframe."""
         self.pose_odom = np.zeros(3)
         """(3,) the estimate after the latest frame."""
 
-    def update(self, frame: SensorFrame) -> Keyframe | None:
-        """Take in one frame; gives a keyframe when the robot has come to a new place."""
-        self._predict(frame)
-        scan, discs = mark_mates(frame.ranges_m, self._range_max_m, self._mate_radius_m)
-        if self._keyframes:
-            self._match(scan)
-        x, y, heading, _ = self._filter.state.tolist()
-        self.pose_odom = np.array([x, y, (heading + math.pi) % (2 * math.pi) - math.pi])
-        self._remember_radio_and_signs(frame)
-        if not self._is_new_place():
-            return None
-        self._still.unmark(scan, discs, self.pose_odom, self._travel_m, frame.time_s)
-        keyframe = self._make_keyframe(frame, scan)
-        self._keyframes.append(keyframe)
-        self._extend_local_map(keyframe)
-        return keyframe
-
-    def _predict(self, frame: SensorFrame) -> None:
-        dt_s = frame.time_s - self._time_s
-        self._time_s = frame.time_s
-        if dt_s <= 0.0:
-            return
-        self._filter.predict(frame.odometry, frame.turn_rate_rad_s, dt_s)
-        dx, dy, _ = frame.odometry.tolist()
-        self._travel_m += math.hypot(dx, dy)
-        self._steps_since_keyframe += 1
-
-    def _match(self, ranges_m: Array) -> None:
-        local = self._config.local_map
-        guess = self._filter.state[:3].copy()
-        pose, information, share = self._field.match_scan(
-            ranges_m, guess, local.match_distance_max_m, local.match_iterations_max, local.degenerate_share,
-            self._match_variance_m2,
-        )  # fmt: skip
-        jump_x, jump_y, turn = (pose - guess).tolist()
-        self._match_information = NOTHING_MATCHED
-        if share < MATCHED_SHARE_MIN or math.hypot(jump_x, jump_y) > INNOVATION_MAX_M or abs(turn) > INNOVATION_MAX_RAD:
-            return
-        self._match_information = information
-        self._filter.update(pose, information)
-
-    def _remember_radio_and_signs(self, frame: SensorFrame) -> None:
-        if frame.wifi is not None:
-            self._scans.append((frame.time_s, frame.wifi))
+    def read_signs(self, frame: SensorFrame, pose_odom: Array) -> None:
+        """Note the signs of a frame with the walls they hang on."""
+        x, y, heading = pose_odom.tolist()
         for sign in frame.signs:
-            angle = self.pose_odom[2] + sign.bearing_rad
-            position = self.pose_odom[:2] + sign.range_m * np.array([math.cos(angle), math.sin(angle)])
-            facing = self._field.facing_at(position, self.pose_odom[:2])
-            self._readings.append((sign.text, position, facing))
+            angle = heading + sign.bearing_rad
+            place = x + sign.range_m * math.cos(angle), y + sign.range_m * math.sin(angle)
+            self._readings.append((sign.text, *place, self._field.facing_at(place, (x, y))))
 
-    def _is_new_place(self) -> bool:
-        if not self._keyframes:
-            return True
-        rule = self._config.keyframe
-        dx, dy, turn = (self.pose_odom - self._keyframes[-1].pose_odom).tolist()
-        turn = (turn + math.pi) % (2 * math.pi) - math.pi
-        return math.hypot(dx, dy) >= rule.distance_m or abs(turn) >= rule.turn_rad
+    def make_keyframe(
+        self, frame: SensorFrame, scan: Array, pose_odom: Array, travel_m: float, steps: int, matched: Array
+    ) -> Keyframe:
+        """Remember this place and draw it into the local map.
 
-    def _make_keyframe(self, frame: SensorFrame, scan: Array) -> Keyframe:
+        scan (beams,) with mates marked, steps since the last keyframe, matched (3, 3) information of the last match.
+        """
         rule = self._config.keyframe
         motion, covariance = np.zeros(3), np.zeros((3, 3))
         if self._keyframes:
-            motion = between(self._keyframes[-1].pose_odom, self.pose_odom)
-            covariance = motion_covariance(
-                self._motion_variance(), self._keyframes[-1].pose_odom[2], 0.5 * self._match_information, MOTION_STD_MIN
-            )
-        recent = [scan for time_s, scan in self._scans if time_s > frame.time_s - rule.fingerprint_window_s]
-        robot_odom = inverse(self.pose_odom)
-        signs = tuple(
-            SignObservation(text, compose(robot_odom, [*position, 0.0])[:2], float(wrap_angle(facing + robot_odom[2])))
-            for text, position, facing in self._readings
-        )
-        self._readings = []
-        self._steps_since_keyframe = 0
-        return Keyframe(
+            last = self._keyframes[-1]
+            motion = between(last.pose_odom, pose_odom)
+            variance = self._motion_variance(steps, travel_m - last.travel_m)
+            covariance = motion_covariance(variance, last.pose_odom[2], 0.5 * matched, MOTION_STD_MIN)
+        recent = [scan for time_s, scan in self.scans if time_s > frame.time_s - rule.fingerprint_window_s]
+        keyframe = Keyframe(
             robot=self.robot,
             index=len(self._keyframes),
             step=frame.step,
             time_s=frame.time_s,
-            pose_odom=self.pose_odom.copy(),
+            pose_odom=pose_odom.copy(),
             motion=motion,
             motion_covariance=covariance,
-            travel_m=self._travel_m,
+            travel_m=travel_m,
             ranges_m=scan,
-            signs=signs,
+            signs=self._signs_seen_from(pose_odom),
             fingerprint=fingerprint(recent, rule.fingerprint_detection_min, rule.std_mode, rule.fingerprint_age_max_s),
         )
+        self._keyframes.append(keyframe)
+        self._extend_local_map(keyframe)
+        return keyframe
 
-    def _motion_variance(self) -> Array:
+    def _signs_seen_from(self, pose_odom: Array) -> tuple[SignObservation, ...]:
+        """The signs read since the last keyframe, in the frame of this one."""
+        if not self._readings:
+            return ()
+        px, py, heading = pose_odom.tolist()
+        c, s = math.cos(heading), math.sin(heading)
+        signs = tuple(
+            SignObservation(
+                text,
+                np.array([c * (x - px) + s * (y - py), c * (y - py) - s * (x - px)]),
+                float(wrap_angle(facing - heading)),
+            )
+            for text, x, y, facing in self._readings
+        )
+        self._readings = []
+        return signs
+
+    def _motion_variance(self, steps: int, length_m: float) -> Array:
         """(3,) odometry's variances since the last keyframe [m2, m2, rad2]."""
-        noise, steps = self._config.odometry_filter, self._steps_since_keyframe
-        length = self._travel_m - self._keyframes[-1].travel_m
-        moved = steps * noise.position_std_m**2 + length * noise.position_std_per_m**2
+        noise = self._config.odometry_filter
+        moved = steps * noise.position_std_m**2 + length_m * noise.position_std_per_m**2
         return np.array([moved, moved, steps * noise.turn_std_rad**2])
 
     def _extend_local_map(self, keyframe: Keyframe) -> None:
         position = keyframe.pose_odom[:2]
-        if np.hypot(*(position - self._centre_m)) <= self._recentre_m:
+        if math.dist(position, self._centre_m) <= self._recentre_m:
             self._field.add(keyframe.pose_odom[None], keyframe.ranges_m[None])
             return
         self._centre_m = position

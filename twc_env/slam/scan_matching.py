@@ -7,142 +7,87 @@ costs one look-up per beam and residuals are exact distances, not distances to c
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.config import LocalMapConfig
+from twc_env.geometry import beam_directions
+from twc_env.slam.wall_drawing import draw_scans
+
 Array = NDArray
 
-REACH_M = 0.45
-"""Cells further from a wall than this know nothing of it."""
 FAR_M = 1e3
 """Distance of a cell that knows no wall."""
 SIGN_TO_WALL_M = 0.3
 """A sign hangs on the wall that is at most this far away."""
 WEIGHT_MIN = 5.0
 """With less than this sum of weights nothing was matched."""
-SAME_WALL_M = 0.02
-"""A piece of wall this near to a line that is already known adds nothing."""
-JUMP_MAX_M = 0.5
-"""Neighbouring beams whose end points are further apart lie on different surfaces."""
 ROBUST_SCALE_M = 0.08
 """Residual at which a beam has lost half of its weight (Cauchy)."""
+STOP_M, STOP_RAD = 1e-3, 5e-4
+"""A smaller step ends a match ..."""
+TRACKING_STOP_M, TRACKING_STOP_RAD = 2e-3, 1e-3
+"""... or one smaller than this where the robot is only tracked: the next would be lost in the noise of the scan."""
+INNOVATION_MAX_M, INNOVATION_MAX_RAD = 0.4, 0.25
+"""A match that jumps further than this from the prediction is not believed."""
+MATCHED_SHARE_MIN = 0.3
+"""Nor is one that explains fewer of the beams."""
 
 
 @njit(cache=True, error_model="numpy")
-def _stamp(distance, lines, inverse_m, ax, ay, bx, by):
-    """Tell the cells around the wall piece a-b [m from the field's corner] of its line, where it is the nearest."""
-    height, width = distance.shape
-    ex, ey = bx - ax, by - ay
-    length = math.sqrt(ex * ex + ey * ey)
-    if length < 1e-6:
-        return
-    ex /= length
-    ey /= length
-    nx, ny = -ey, ex
-    offset = nx * ax + ny * ay
-    mx, my = 0.5 * (ax + bx), 0.5 * (ay + by)
-    column, row = int(mx * inverse_m), int(my * inverse_m)
-    if 0 <= row < height and 0 <= column < width and distance[row, column] < REACH_M:
-        known = lines[row, column]
-        is_parallel = abs(known[0] * nx + known[1] * ny) > 0.97
-        gap = abs(known[0] * mx + known[1] * my - known[2])
-        if is_parallel and gap < SAME_WALL_M and distance[row, column] < 1.0 / inverse_m:
-            return
-    cell = 1.0 / inverse_m
-    first_column = max(0, int((min(ax, bx) - REACH_M) * inverse_m))
-    last_column = min(width - 1, int((max(ax, bx) + REACH_M) * inverse_m))
-    first_row = max(0, int((min(ay, by) - REACH_M) * inverse_m))
-    last_row = min(height - 1, int((max(ay, by) + REACH_M) * inverse_m))
-    for r in range(first_row, last_row + 1):
-        cy = (r + 0.5) * cell
-        for c in range(first_column, last_column + 1):
-            cx = (c + 0.5) * cell
-            along = (cx - ax) * ex + (cy - ay) * ey
-            across = nx * cx + ny * cy - offset
-            beyond = max(0.0, max(-along, along - length))
-            d = math.sqrt(across * across + beyond * beyond)
-            if d < distance[r, c]:
-                distance[r, c] = d
-                lines[r, c, 0] = nx
-                lines[r, c, 1] = ny
-                lines[r, c, 2] = offset
-
-
-@njit(cache=True, error_model="numpy")
-def _add_scan(distance, lines, origin_x, origin_y, inverse_m, x, y, heading, ranges, range_max):
-    beams = ranges.shape[0]
-    step = 2 * math.pi / beams
-    have_previous = False
-    px = py = 0.0
-    for k in range(-1, beams):
-        i = k if k >= 0 else beams - 1
-        if ranges[i] >= range_max or ranges[i] < 0.0:
-            have_previous = False
-            continue
-        angle = heading + i * step
-        qx = x + ranges[i] * math.cos(angle) - origin_x
-        qy = y + ranges[i] * math.sin(angle) - origin_y
-        if have_previous and k >= 0 and (qx - px) ** 2 + (qy - py) ** 2 < JUMP_MAX_M**2:
-            _stamp(distance, lines, inverse_m, px, py, qx, qy)
-        px, py, have_previous = qx, qy, True
-
-
-@njit(cache=True, error_model="numpy")
-def _add_scans(distance, lines, origin_x, origin_y, inverse_m, poses, scans, range_max):
-    for k in range(poses.shape[0]):
-        _add_scan(
-            distance, lines, origin_x, origin_y, inverse_m, poses[k, 0], poses[k, 1], poses[k, 2], scans[k], range_max
-        )
-
-
-@njit(cache=True, error_model="numpy")
-def _points_of(ranges, range_max, points):
+def _points_of(ranges, range_max, directions, points):
     """End points of the beams that returned, in the robot frame; gives their number."""
-    step = 2 * math.pi / ranges.shape[0]
     n = 0
     for i in range(ranges.shape[0]):
         if 0.0 <= ranges[i] < range_max:
-            points[n, 0] = ranges[i] * math.cos(i * step)
-            points[n, 1] = ranges[i] * math.sin(i * step)
+            points[n, 0] = ranges[i] * directions[i, 0]
+            points[n, 1] = ranges[i] * directions[i, 1]
             n += 1
     return n
 
 
 @njit(cache=True, error_model="numpy")
-def _normal_equations(distance, lines, origin_x, origin_y, inverse_m, points, n, x, y, heading, distance_max, h, g):
+def _normal_equations(walls, origin, inverse_m, points, n, x, y, heading, distance_max, h, g):
     """Sum J^T w J (h: 6 upper entries) and J^T w e (g: 3) over the points; gives the sum of weights."""
-    height, width = distance.shape
+    height, width = walls.shape[0], walls.shape[1]
     c, s = math.cos(heading), math.sin(heading)
-    h[:] = 0.0
-    g[:] = 0.0
-    total = 0.0
+    x -= origin[0]
+    y -= origin[1]
+    total = h0 = h1 = h2 = h3 = h4 = h5 = g0 = g1 = g2 = 0.0
     for i in range(n):
         rx, ry = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
-        qx, qy = x + rx - origin_x, y + ry - origin_y
+        qx, qy = x + rx, y + ry
         if qx < 0.0 or qy < 0.0:
             continue
         column, row = int(qx * inverse_m), int(qy * inverse_m)
-        if row >= height or column >= width or distance[row, column] > distance_max:
+        if row >= height or column >= width:
             continue
-        nx, ny = lines[row, column, 0], lines[row, column, 1]
-        e = nx * qx + ny * qy - lines[row, column, 2]
+        wall = walls[row, column]
+        if wall[3] > distance_max:
+            continue
+        nx, ny = wall[0], wall[1]
+        e = nx * qx + ny * qy - wall[2]
         if abs(e) > distance_max:
             continue
-        w = 1.0 / (1.0 + (e / ROBUST_SCALE_M) ** 2)
+        w = 1.0 / (1.0 + e * e * (1.0 / ROBUST_SCALE_M**2))
         jt = ny * rx - nx * ry
-        h[0] += w * nx * nx
-        h[1] += w * nx * ny
-        h[2] += w * nx * jt
-        h[3] += w * ny * ny
-        h[4] += w * ny * jt
-        h[5] += w * jt * jt
-        g[0] += w * nx * e
-        g[1] += w * ny * e
-        g[2] += w * jt * e
+        wx, wy, we = w * nx, w * ny, w * e
+        h0 += wx * nx
+        h1 += wx * ny
+        h2 += wx * jt
+        h3 += wy * ny
+        h4 += wy * jt
+        h5 += w * jt * jt
+        g0 += we * nx
+        g1 += we * ny
+        g2 += we * jt
         total += w
+    h[0], h[1], h[2], h[3], h[4], h[5] = h0, h1, h2, h3, h4, h5
+    g[0], g[1], g[2] = g0, g1, g2
     return total
 
 
@@ -170,35 +115,22 @@ def _solve3(h, g, damping, out):
 
 @njit(cache=True, error_model="numpy")
 def _refine(
-    distance,
-    lines,
-    origin_x,
-    origin_y,
-    inverse_m,
-    points,
-    n,
-    guess,
-    distance_max,
-    iterations,
-    degenerate_share,
-    pose,
-    h,
+    walls, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad, pose, h
 ):
     """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
 
-    Writes the pose and the final h. Gives (iterations, sum of weights, is_degenerate, direction x, direction y).
+    Writes the pose and the final h. Gives (sum of weights, is_degenerate, direction x, direction y).
     """
     g = np.zeros(3)
     delta = np.zeros(3)
-    pose[:] = guess
+    pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
     total = 0.0
     vx = vy = 0.0
     degenerate = False
-    it = 0
-    for it in range(iterations):  # noqa: B007
+    for _ in range(iterations):
         total = _normal_equations(
-            distance, lines, origin_x, origin_y, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, h, g
-        )
+            walls, origin, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, h, g
+        )  # fmt: skip
         if total < WEIGHT_MIN:
             break
         weakest, vx, vy = _weakest_direction(h)
@@ -208,33 +140,33 @@ def _refine(
             along = delta[0] * vx + delta[1] * vy
             delta[0] -= along * vx
             delta[1] -= along * vy
-        pose += delta
-        if abs(delta[0]) < 1e-3 and abs(delta[1]) < 1e-3 and abs(delta[2]) < 5e-4:
+        pose[0] += delta[0]
+        pose[1] += delta[1]
+        pose[2] += delta[2]
+        if abs(delta[0]) < stop_m and abs(delta[1]) < stop_m and abs(delta[2]) < stop_rad:
             break
-    return it + 1, total, degenerate, vx, vy
+    return total, degenerate, vx, vy
 
 
 @njit(cache=True, error_model="numpy")
-def _score(distance, origin_x, origin_y, inverse_m, points, n, stride, x, y, c, s):
-    height, width = distance.shape
+def _score(walls, origin, inverse_m, points, n, stride, x, y, c, s):
+    height, width = walls.shape[0], walls.shape[1]
     total = 0.0
     for i in range(0, n, stride):
-        qx = x + c * points[i, 0] - s * points[i, 1] - origin_x
-        qy = y + s * points[i, 0] + c * points[i, 1] - origin_y
+        qx = x + c * points[i, 0] - s * points[i, 1] - origin[0]
+        qy = y + s * points[i, 0] + c * points[i, 1] - origin[1]
         if qx < 0.0 or qy < 0.0:
             continue
         column, row = int(qx * inverse_m), int(qy * inverse_m)
         if row < height and column < width:
-            d = distance[row, column]
+            d = walls[row, column, 3]
             if d < 0.3:
                 total += 1.0 - d / 0.3
     return total
 
 
 @njit(cache=True, error_model="numpy")
-def _correlate(
-    distance, origin_x, origin_y, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best
-):
+def _correlate(walls, origin, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best):
     """Brute force over a window around guess, nearest first; writes the best pose, gives its mean score in [0, 1]."""
     best_score = -1.0
     turns = int(window_rad / step_rad)
@@ -245,9 +177,8 @@ def _correlate(
         for j in range(-moves, moves + 1):
             for i in range(-moves, moves + 1):
                 score = _score(
-                    distance, origin_x, origin_y, inverse_m, points, n, stride,
-                    guess[0] + i * step_m, guess[1] + j * step_m, c, s,
-                )  # fmt: skip
+                    walls, origin, inverse_m, points, n, stride, guess[0] + i * step_m, guess[1] + j * step_m, c, s
+                )
                 if score > best_score:
                     best_score = score
                     best[0], best[1], best[2] = guess[0] + i * step_m, guess[1] + j * step_m, heading
@@ -255,18 +186,18 @@ def _correlate(
 
 
 @njit(cache=True, error_model="numpy")
-def _share_near(distance, origin_x, origin_y, inverse_m, points, n, pose, near_m):
+def _share_near(walls, origin, inverse_m, points, n, pose, near_m):
     """Share of the points within near_m of a wall."""
-    height, width = distance.shape
+    height, width = walls.shape[0], walls.shape[1]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     count = 0
     for i in range(n):
-        qx = pose[0] + c * points[i, 0] - s * points[i, 1] - origin_x
-        qy = pose[1] + s * points[i, 0] + c * points[i, 1] - origin_y
+        qx = pose[0] + c * points[i, 0] - s * points[i, 1] - origin[0]
+        qy = pose[1] + s * points[i, 0] + c * points[i, 1] - origin[1]
         if qx < 0.0 or qy < 0.0:
             continue
         column, row = int(qx * inverse_m), int(qy * inverse_m)
-        if row < height and column < width and distance[row, column] <= near_m:
+        if row < height and column < width and walls[row, column, 3] <= near_m:
             count += 1
     return count / max(n, 1)
 
@@ -288,19 +219,30 @@ def _information(h, degenerate, vx, vy, scale, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _match_scan(
-    distance, lines, origin_x, origin_y, inverse_m, ranges, range_max, guess, distance_max, iterations,
-    degenerate_share, scale, points, pose, information,
+def _match_scans(
+    walls, origins, inverse_m, robots, scans, directions, range_max, guesses, distance_max, iterations,
+    degenerate_share, variance, share_min, jump_max_m, jump_max_rad, points, poses, information, is_matched,
 ):  # fmt: skip
-    """A whole scan against the field; writes pose (3,) and information (3, 3), gives (points, sum of weights)."""
-    n = _points_of(ranges, range_max, points)
+    """Each robot's scan against its own field; see `LineFields.match`."""
     h = np.zeros(6)
-    _, total, degenerate, vx, vy = _refine(
-        distance, lines, origin_x, origin_y, inverse_m, points, n, guess, distance_max, iterations, degenerate_share,
-        pose, h,
-    )  # fmt: skip
-    _information(h, degenerate, vx, vy, scale, information)
-    return n, total
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        n = _points_of(scans[k], range_max, directions, points)
+        total, degenerate, vx, vy = _refine(
+            walls[k], origins[k], inverse_m, points, n, guesses[k], distance_max, iterations, degenerate_share,
+            TRACKING_STOP_M, TRACKING_STOP_RAD, poses[k], h,
+        )  # fmt: skip
+        jump_x, jump_y = poses[k, 0] - guesses[k, 0], poses[k, 1] - guesses[k, 1]
+        is_matched[k] = (
+            total >= WEIGHT_MIN
+            and total >= share_min * n
+            and math.sqrt(jump_x * jump_x + jump_y * jump_y) <= jump_max_m
+            and abs(poses[k, 2] - guesses[k, 2]) <= jump_max_rad
+        )
+        if is_matched[k]:
+            _information(h, degenerate, vx, vy, variance, information[k])
+        else:
+            information[k] = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -328,67 +270,39 @@ class Match:
 class LineField:
     """The walls of a neighbourhood, ready for matching; a square of cells in some fixed frame."""
 
-    def __init__(self, centre_m: Array, size_m: float, resolution_m: float, range_max_m: float):
-        cells = int(round(size_m / resolution_m))
-        self.origin_m = np.asarray(centre_m, float)[:2] - 0.5 * cells * resolution_m
+    def __init__(
+        self,
+        size_m: float,
+        resolution_m: float,
+        range_max_m: float,
+        storage: tuple[Array, Array] | None = None,
+    ):
+        """Empty and centred on 0, 0. storage: walls (cells, cells, 4) and corner (2,) to use instead of new arrays."""
         self.range_max_m = range_max_m
         self._inverse_m = 1.0 / resolution_m
-        self._distance = np.empty((cells, cells), np.float32)
-        self._lines = np.zeros((cells, cells, 3), np.float32)
-        self._points = np.empty((0, 2))
-        self.reset(centre_m)
+        self._walls, self._origin_m = storage or field_storage(size_m, resolution_m)
+        self.reset(np.zeros(2))
 
     def reset(self, centre_m: Array) -> None:
         """Forget all walls and move to another centre."""
-        half = 0.5 * len(self._distance) / self._inverse_m
-        self.origin_m = np.asarray(centre_m, float)[:2] - half
-        self._distance.fill(FAR_M)
+        half = 0.5 * len(self._walls) / self._inverse_m
+        self._origin_m[:] = centre_m[0] - half, centre_m[1] - half
+        self._walls[:, :, 3] = FAR_M
 
     def add(self, poses: Array, scans: Array) -> None:
         """Draw the walls seen by scans (k, beams) [m] at poses (k, 3)."""
-        _add_scans(self._distance, self._lines, *self._frame, poses, scans, self.range_max_m)
+        directions = beam_directions(scans.shape[1])
+        draw_scans(self._walls, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m)
 
     def refine(self, points: Array, guess: Array, distance_max_m: float, iterations: int, degenerate_share: float):
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
         pose, h = np.empty(3), np.zeros(6)
-        _, weight, degenerate, vx, vy = _refine(
-            self._distance,
-            self._lines,
-            *self._frame,
-            points,
-            len(points),
-            guess,
-            distance_max_m,
-            iterations,
-            degenerate_share,
-            pose,
-            h,
-        )
+        weight, degenerate, vx, vy = _refine(
+            *self._field, points, len(points), guess, distance_max_m, iterations, degenerate_share, STOP_M, STOP_RAD,
+            pose, h,
+        )  # fmt: skip
         hessian = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
         return Match(pose, hessian, weight, degenerate, np.array([vx, vy]))
-
-    def match_scan(
-        self,
-        ranges_m: Array,
-        guess: Array,
-        distance_max_m: float,
-        iterations: int,
-        degenerate_share: float,
-        variance_m2: float,
-    ) -> tuple[Array, Array, float]:
-        """`refine` for a whole scan (beams,) in one compiled call.
-
-        variance_m2 is the squared error of one beam, times how many beams count as one. Gives the pose (3,), its
-        information (3, 3) and the share of the returned beams that the field explains.
-        """
-        if len(self._points) < len(ranges_m):
-            self._points = np.empty((len(ranges_m), 2))
-        pose, information = np.empty(3), np.empty((3, 3))
-        count, weight = _match_scan(
-            self._distance, self._lines, *self._frame, ranges_m, self.range_max_m, guess, distance_max_m, iterations,
-            degenerate_share, variance_m2, self._points, pose, information,
-        )  # fmt: skip
-        return pose, information, weight / count if weight >= WEIGHT_MIN else 0.0
 
     def correlate(
         self, points: Array, guess: Array, window: tuple[float, float], step: tuple[float, float], stride: int = 1
@@ -396,31 +310,80 @@ class LineField:
         """Search a window [m, rad] around guess in steps [m, rad] -> (best pose (3,), mean score in [0, 1])."""
         best = np.array(guess, float)
         score = _correlate(
-            self._distance, *self._frame, points, len(points), np.asarray(guess, float), *window, *step, stride, best
-        )
+            *self._field, points, len(points), np.asarray(guess, float), *window, *step, stride, best
+        )  # fmt: skip
         return best, score
 
     def share_near(self, points: Array, pose: Array, near_m: float) -> float:
         """Share of points (n, 2), seen from pose, that lie within near_m of a wall."""
-        return _share_near(self._distance, *self._frame, points, len(points), pose, near_m)
+        return _share_near(*self._field, points, len(points), pose, near_m)
 
-    def facing_at(self, position: Array, seen_from: Array) -> float:
+    def facing_at(self, position: Sequence[float] | Array, seen_from: Sequence[float] | Array) -> float:
         """Outward normal [rad] of the wall at a position, on the side it is seen from; NaN where no wall is near."""
-        column, row = ((np.asarray(position) - self.origin_m) * self._inverse_m).astype(int)
-        if not (0 <= row < len(self._distance) and 0 <= column < len(self._distance)):
+        x, y = position
+        origin_x, origin_y = self._origin_m.tolist()
+        column, row = math.floor((x - origin_x) * self._inverse_m), math.floor((y - origin_y) * self._inverse_m)
+        if not (0 <= row < len(self._walls) and 0 <= column < len(self._walls)):
             return math.nan
-        if self._distance[row, column] > SIGN_TO_WALL_M:
+        nx, ny, _, distance = self._walls[row, column].tolist()
+        if distance > SIGN_TO_WALL_M:
             return math.nan
-        nx, ny = self._lines[row, column, :2].tolist()
-        towards = nx * (seen_from[0] - position[0]) + ny * (seen_from[1] - position[1])
+        towards = nx * (seen_from[0] - x) + ny * (seen_from[1] - y)
         return math.atan2(ny, nx) if towards >= 0 else math.atan2(-ny, -nx)
 
     @property
-    def _frame(self) -> tuple[float, float, float]:
-        return self.origin_m[0], self.origin_m[1], self._inverse_m
+    def _field(self) -> tuple[Array, Array, float]:
+        return self._walls, self._origin_m, self._inverse_m
+
+
+class LineFields:
+    """One field per robot in common memory, so that all their scans are matched in one compiled call."""
+
+    def __init__(self, count: int, size_m: float, resolution_m: float, range_max_m: float, beam_count: int):
+        self._range_max_m = range_max_m
+        self._inverse_m = 1.0 / resolution_m
+        self._walls, self._origins_m = field_storage(size_m, resolution_m, count)
+        self._directions, self._points = beam_directions(beam_count), np.empty((beam_count, 2))
+        self.fields = [
+            LineField(size_m, resolution_m, range_max_m, storage)
+            for storage in zip(self._walls, self._origins_m, strict=True)
+        ]
+
+    def match(
+        self, robots: Array, scans: Array, guesses: Array, rule: LocalMapConfig, variance_m2: float, matches: Matches
+    ) -> None:
+        """Fill in the rows of `matches` for these robots (k,).
+
+        scans (n, beams) and guesses (n, >= 3) have a row per robot; variance_m2 is the squared error of one beam, times
+        how many beams count as one.
+        """
+        _match_scans(
+            self._walls, self._origins_m, self._inverse_m, robots, scans, self._directions, self._range_max_m, guesses,
+            rule.match_distance_max_m, rule.match_iterations_max, rule.degenerate_share, variance_m2,
+            MATCHED_SHARE_MIN, INNOVATION_MAX_M, INNOVATION_MAX_RAD, self._points, matches.poses, matches.information,
+            matches.is_matched,
+        )  # fmt: skip
+
+
+class Matches:
+    """What scan matching says of each robot's pose."""
+
+    def __init__(self, count: int):
+        self.poses = np.zeros((count, 3))
+        """(n, 3) in the frame of the robot's field."""
+        self.information = np.zeros((count, 3, 3))
+        """(n, 3, 3) of the poses; zeros where nothing was matched."""
+        self.is_matched = np.zeros(count, bool)
+        """(n,) whether the pose is to be believed: near the guess, and enough beams speak for it."""
+
+
+def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Array, Array]:
+    """Walls ([count,] cells, cells, 4), each cell with normal, offset and distance, and corners ([count,] 2)."""
+    cells = int(round(size_m / resolution_m))
+    return np.zeros((*count, cells, cells, 4), np.float32), np.zeros((*count, 2))
 
 
 def scan_points(ranges_m: Array, range_max_m: float) -> Array:
     """(n, 2) end points, in the robot frame, of the beams that returned from something that stands still."""
     points = np.empty((len(ranges_m), 2))
-    return points[: _points_of(ranges_m, range_max_m, points)]
+    return points[: _points_of(ranges_m, range_max_m, beam_directions(len(ranges_m)), points)]
