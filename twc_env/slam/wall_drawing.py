@@ -18,7 +18,7 @@ JUMP_MAX_M = 0.5
 """Neighbouring beams whose end points are further apart lie on different surfaces."""
 PIECE_M = 0.3
 """Neighbouring end points are joined to pieces of wall about this long ..."""
-STRAIGHT_M = 0.03
+STRAIGHT_M = 0.02
 """... if none of them is further than this from the chord."""
 
 
