@@ -81,12 +81,12 @@ def test_a_map_of_finer_cells_covers_the_same_area():
 
 
 @settings(max_examples=40)
-@given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.integers(0, 1000))
-def test_the_score_does_not_depend_on_the_frame_the_map_is_kept_in(x, y, heading, seed):
+@given(st.integers(-200, 200), st.integers(-200, 200), st.floats(-3, 3), st.integers(0, 1000))
+def test_the_score_does_not_depend_on_the_frame_the_map_is_kept_in(x_cm, y_cm, heading, seed):
     rng = np.random.default_rng(seed)
     free, wall = room(20, 20)
     log_odds = (drawn(free, wall) * (rng.random((20, 20)) < 0.8)).astype(np.int16)
-    alignment = np.array([x, y, heading])
+    alignment = np.array([x_cm / 100 + 0.003, y_cm / 100 + 0.003, heading])  # no centre lies on a border of cells
     shift_m = np.array([3.0, -7.0])  # the map frame moves by whole cells of the same grid
     moved = geometry.compose(alignment, np.array([*(-shift_m), 0.0]))
     before, after = score(log_odds, free, wall, alignment), score(log_odds, free, wall, moved, origin=shift_m)
@@ -96,12 +96,12 @@ def test_the_score_does_not_depend_on_the_frame_the_map_is_kept_in(x, y, heading
 
 
 @settings(max_examples=40)
-@given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.integers(0, 1000))
-def test_shares_lie_between_zero_and_one_and_match_a_plain_loop(x, y, heading, seed):
+@given(st.integers(-200, 200), st.integers(-200, 200), st.floats(-3, 3), st.integers(0, 1000))
+def test_shares_lie_between_zero_and_one_and_match_a_plain_loop(x_cm, y_cm, heading, seed):
     rng = np.random.default_rng(seed)
     free, wall = room(15, 18)
     log_odds = rng.integers(-2, 3, (13, 21)).astype(np.int16)
-    pose = np.array([x, y, heading])
+    pose = np.array([x_cm / 100 + 0.003, y_cm / 100 + 0.003, heading])  # no centre lies on a border of cells
     result = score(log_odds, free, wall, pose)
     assert 0 <= result.map_iou <= 1 and 0 <= result.wall_iou <= 1 and 0 <= result.coverage_correct <= 1
     cells = np.argwhere(free)
@@ -112,3 +112,35 @@ def test_shares_lie_between_zero_and_one_and_match_a_plain_loop(x, y, heading, s
     assert result.correct_area_m2 == pytest.approx(expected, abs=0.011)
     alone = mapping.correct_area_m2(log_odds, ORIGIN_M, 0.1, pose, free, ORIGIN_M, 0.1)
     assert alone == result.correct_area_m2
+
+
+WALL_M = np.array([[[1.0, 1.0], [3.0, 1.0]]])
+
+
+def thickness(rows, pose=(0.0, 0.0, 0.0), walls_m=WALL_M):
+    """Of a map that shows the wall from (1, 1) to (3, 1) in these rows of cells."""
+    log_odds = np.zeros((40, 40), np.int16)
+    log_odds[np.array(rows), 10:30] = WALL
+    return mapping.wall_thickness_m(log_odds, ORIGIN_M, 0.1, np.array(pose, float), walls_m)
+
+
+def test_a_wall_drawn_twice_is_twice_as_thick_as_one_drawn_once():
+    assert thickness([10]) == pytest.approx(0.1, rel=0.02)
+    assert thickness([10, 13]) == pytest.approx(0.2, rel=0.02)
+    assert thickness([10, 11, 12]) == pytest.approx(0.3, rel=0.02)
+
+
+def test_what_stands_far_from_all_walls_has_no_thickness():
+    assert thickness([10, 35]) == pytest.approx(0.1, rel=0.02)
+    assert np.isnan(thickness([35]))
+
+
+def test_walls_that_the_map_does_not_show_are_not_thin():
+    with_unseen = np.concatenate([WALL_M, [[[1.0, 20.0], [30.0, 20.0]]]])
+    assert thickness([10], walls_m=with_unseen) == pytest.approx(thickness([10]))
+
+
+def test_thickness_is_measured_where_the_alignment_lays_the_map():
+    pose = np.array([2.0, -1.0, 0.7])
+    turned = np.stack([geometry.transform_points(pose, WALL_M[0])])
+    assert thickness([10, 12], pose, turned) == pytest.approx(thickness([10, 12]), rel=0.03)

@@ -1,7 +1,7 @@
 """Numbers that say how good an episode was: plain arrays in, numbers out."""
 
 from twc_env.metrics.closures import ClosureScore, closure_is_correct, score_closures
-from twc_env.metrics.mapping import MapScore, correct_area_m2, score_map
+from twc_env.metrics.mapping import MapScore, correct_area_m2, score_map, wall_thickness_m
 from twc_env.metrics.merging import implied_frames, wrong_pairs
 from twc_env.metrics.trajectory import (
     absolute_trajectory_error_m,
@@ -24,5 +24,6 @@ __all__ = [
     "score_closures",
     "score_map",
     "stuck_share",
+    "wall_thickness_m",
     "wrong_pairs",
 ]

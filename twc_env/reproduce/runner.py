@@ -23,6 +23,7 @@ TABLES: dict[str, str] = {
     "odometry": "odometry",
     "radio-model": "radio_model",
     "twc-table1": "twc_table1",
+    "twc-table2": "twc_table2",
     "real-places": "real_places",
     "robustness": "robustness",
 }
@@ -125,7 +126,7 @@ def add_parser(commands) -> None:
         module = import_module(f"twc_env.reproduce.{module_name}")
         table = tables.add_parser(name, help=module.SUMMARY, description=module.__doc__)
         module.add_arguments(table)
-        table.add_argument("--json", type=Path, metavar="FILE", help="write the rows")
+        table.add_argument("--json", type=Path, metavar="FILE", help="write the rows, and pictures beside them")
         table.add_argument(
             "--cache", type=Path, default=Path("runs/reproduce"), help="finished parts (default: %(default)s)"
         )
@@ -142,3 +143,5 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(rows, indent=2) + "\n")
+        for path in getattr(module, "draw", lambda *_: ())(options, options.json.parent):
+            print(path)

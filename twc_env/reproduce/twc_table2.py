@@ -1,0 +1,219 @@
+"""Table II of TWC-SLAM: how far the maps of its two scenes are off, by place recogniser and back end.
+
+The walks of Table I are mapped by every recogniser with every back end of `offline_mapping`; `fused` also by the
+engine itself, keyframe by keyframe as in an episode (back end `live`). The recognisers have the paper's settings: text
+at alpha 1.0, WiFi at beta = gamma = 1.0, twc at 0.8, lidar and fused at their defaults. `odometry` closes no loops: its
+rows show what the front end alone is worth, each robot in a frame of its own.
+
+`epe_m` is the paper's figure: how far the end of each path lies from where it truly is as seen from its start, mean
+over robots. It is blind to maps folded in the middle; `ate_m` (all keyframes, each group of robots aligned once) and
+`wall_thickness_m` are not: the latter is of the largest group's point cloud in cells of 0.1 m, where ghost walls stay
+(in an occupancy grid a folded map rubs out its own walls, and those left look thin). `closure_precision` is of the
+closures that the back end believed, `merged` the share of walks whose robots all end up in one map. Nothing here was
+fitted to scene #02. `--verified` lets only closures that scan matching confirms into the other back ends too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env import metrics
+from twc_env.config import EnvConfig, override
+from twc_env.maps import load_map
+from twc_env.reproduce.offline_mapping import (
+    BACKENDS,
+    Matched,
+    OfflineMap,
+    build,
+    candidates,
+    in_time,
+    match,
+    point_cloud,
+    wall_thickness_m,
+)
+from twc_env.reproduce.routes import Walk
+from twc_env.reproduce.runner import Runner, parse_seeds
+from twc_env.reproduce.twc_table1 import SCENES, walk_scene
+from twc_env.slam.team import TeamMapper
+
+Array = NDArray
+
+SUMMARY = "TWC-SLAM Table II: errors of the maps by text, WiFi, both, laser and all cues fused, by back end"
+
+METHODS: dict[str, dict[str, object]] = {
+    "lidar": {},
+    "text": {"text_similarity_min": 1.0},
+    "wifi": {"mac_similarity_min": 1.0, "rssi_similarity_min": 1.0},
+    "twc": {},
+    "fused": {},
+    "odometry": {},
+}
+"""Settings of place recognition; the name is that of the recogniser."""
+LIVE = "live"
+LIDAR = EnvConfig().lidar
+PRINT = {
+    "#01": {"lidar": 1.69, "text": 0.35, "wifi": 3.16, "twc": 0.21},
+    "#02": {"lidar": 1.41, "text": 1.67, "wifi": 1.56, "twc": 0.16},
+}
+"""End point errors as printed [m]; `lidar` stands for DCL-SLAM."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the table."""
+    parser.add_argument("--seeds", type=parse_seeds, default=list(range(20)), help="walks (default: 0-19)")
+    parser.add_argument("--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="default: both")
+    parser.add_argument("--verified", action="store_true", help="every back end gets only what scan matching confirms")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per scene, method and back end, as means over the walks."""
+    parts = list(itertools.product(options.scenes, options.seeds))
+    results = runner.each(
+        parts, lambda part: map_scene(part[0], part[1], options.verified), lambda part: f"{part[0]} seed {part[1]}"
+    )
+    table = []
+    for scene in options.scenes:
+        runs = [result for (name, _), result in zip(parts, results, strict=True) if name == scene]
+        table += [_summary(scene, [run[k] for run in runs]) for k in range(len(runs[0]))]
+    return table
+
+
+def scene_config(scene: str, method: str = "fused") -> EnvConfig:
+    """Settings of a scene with a method's place recognition."""
+    map_name, orders = SCENES[scene]
+    recognition = {"recogniser": method, **METHODS[method]} if method != "odometry" else {}
+    return override(
+        EnvConfig(map=map_name, robots=len(orders)),
+        {f"slam.place_recognition.{key}": value for key, value in recognition.items()},
+    )
+
+
+def map_scene(scene: str, seed: int, is_verified: bool = False) -> list[dict]:
+    """All methods with all back ends on one walk: figures of each."""
+    walks = walk_scene(scene_config(scene), SCENES[scene][1], seed)
+    figures = []
+    for method, backend, matched, built in maps_of(scene, walks, is_verified):
+        figures.append({"method": method, "backend": backend, **_judge(scene, walks, matched, built)})
+    live = map_live(scene, walks)
+    return [*figures, {"method": "fused", "backend": LIVE, **_judge(scene, walks, [], live)}]
+
+
+def maps_of(
+    scene: str, walks: Sequence[Walk], is_verified: bool = False
+) -> list[tuple[str, str, list[Matched], OfflineMap]]:
+    """(method, back end, what was matched, map) for all methods and back ends."""
+    maps = []
+    for method in METHODS:
+        config = scene_config(scene, method)
+        matched = match(config, walks, candidates(config, walks)) if method != "odometry" else []
+        for backend in BACKENDS:
+            maps.append((method, backend, matched, build(walks, matched, backend, is_verified or backend == "ours")))
+    return maps
+
+
+def map_live(scene: str, walks: Sequence[Walk]) -> OfflineMap:
+    """The map of the engine's own mapper, which gets the keyframes one by one."""
+    config = override(scene_config(scene), {"slam.pose_graph.robust": "ours"})
+    team = TeamMapper(config, len(walks))
+    for keyframe in in_time([w.keyframes for w in walks]):
+        team.update(keyframe.step, [keyframe])
+    team.finish()
+    poses = tuple(team.poses_of(robot).copy() for robot in range(len(walks)))
+    groups = sorted((group.robots for group in team.groups), key=lambda robots: (-len(robots), robots))
+    return OfflineMap(poses, tuple(groups), np.zeros(0, bool))
+
+
+def _judge(scene: str, walks: Sequence[Walk], matched: Sequence[Matched], built: OfflineMap) -> dict:
+    true = [np.array(walk.poses) for walk in walks]
+    squares = []
+    for group in built.groups:
+        estimated = np.concatenate([built.poses[robot] for robot in group])
+        error_m = metrics.absolute_trajectory_error_m(estimated, np.concatenate([true[robot] for robot in group]))
+        squares += [error_m**2] * len(estimated)
+    walls_m = load_map(SCENES[scene][0]).walls_m
+    right = np.array([m.is_right for m in matched], bool)[built.accepted[: len(matched)]]
+    return {
+        "epe_m": float(np.mean([metrics.end_point_error_m(*pair) for pair in zip(built.poses, true, strict=True)])),
+        "ate_m": math.sqrt(float(np.mean(squares))),
+        "wall_thickness_m": wall_thickness_m(point_cloud(walks, built, LIDAR.range_max_m), walls_m),
+        "travel_m": sum(walk.travel_m for walk in walks),
+        "closures": len(right),
+        "closure_precision": float(right.mean()) if len(right) else math.nan,
+        "merged": len(built.groups) == 1,
+    }
+
+
+# --- the rows ---
+
+
+def _summary(scene: str, runs: list[dict]) -> dict:
+    method, backend = runs[0]["method"], runs[0]["backend"]
+    values = {key: np.array([run[key] for run in runs], float) for key in runs[0] if key not in ("method", "backend")}
+    means = {key: _rounded(value, np.mean) for key, value in values.items()}
+    return {
+        "scene": scene,
+        "method": method,
+        "backend": backend,
+        **{key: means[key] for key in ("epe_m", "ate_m", "wall_thickness_m", "travel_m")},
+        "paper_epe_m": PRINT[scene].get(method, math.nan),
+        "seeds": len(runs),
+        "sd": _rounded(values["epe_m"], np.std),
+        "epe_worst_m": _rounded(values["epe_m"], np.max),
+        "ate_worst_m": _rounded(values["ate_m"], np.max),
+        **{key: means[key] for key in ("closures", "closure_precision", "merged")},
+    }
+
+
+def _rounded(values: Array, statistic) -> float:
+    known = values[np.isfinite(values)]
+    return round(float(statistic(known)), 4) if len(known) else math.nan
+
+
+def remarks(table: list[dict]) -> list[str]:
+    """The order of the methods beside the printed one, and the paper's claim recomputed (SPEC T20)."""
+    lines = []
+    for scene in dict.fromkeys(row["scene"] for row in table):
+        printed = sorted(PRINT[scene], key=PRINT[scene].__getitem__)
+        lines.append(f"{scene} order of end point errors, print: {' < '.join(printed)}")
+        for backend in BACKENDS:
+            errors = {r["method"]: r["epe_m"] for r in table if (r["scene"], r["backend"]) == (scene, backend)}
+            found = sorted(printed, key=errors.__getitem__)
+            lines.append(f"{scene} {backend:>6}: {' < '.join(f'{method} {errors[method]:.2f}' for method in found)}")
+    lines += [
+        f"twc with back end {backend} against {method}: {100 * reduction_of_means(table, method, backend):.0f} % less "
+        f"error, as the ratio of means over the scenes (print: {100 * _printed_reduction(method):.0f} %)"
+        for method, backend in itertools.product(("lidar", "text", "wifi"), ("plain", "robust"))
+    ]
+    return lines
+
+
+def reduction_of_means(table: Sequence[dict], method: str, backend: str) -> float:
+    """1 - mean(twc) / mean(method) of the end point errors over the scenes (SPEC T20)."""
+    means = {
+        m: float(np.mean([row["epe_m"] for row in table if (row["method"], row["backend"]) == (m, backend)]))
+        for m in (method, "twc")
+    }
+    return 1.0 - means["twc"] / means[method]
+
+
+def _printed_reduction(method: str) -> float:
+    means = {m: float(np.mean([scene[m] for scene in PRINT.values()])) for m in (method, "twc")}
+    return 1.0 - means["twc"] / means[method]
+
+
+def draw(options: argparse.Namespace, folder: Path) -> list[Path]:
+    """The paper's figures 4 to 6 for the first walk of each scene."""
+    from twc_env.reproduce.twc_pictures import draw_scene
+
+    paths = []
+    for scene in options.scenes:
+        walks = walk_scene(scene_config(scene), SCENES[scene][1], options.seeds[0])
+        paths += draw_scene(scene, walks, maps_of(scene, walks, options.verified), folder)
+    return paths
