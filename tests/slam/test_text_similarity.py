@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twc_env.slam.text_similarity import normalise, text_similarities, text_similarity
+from twc_env.slam.text_similarity import AlikeTexts, normalise, text_similarities, text_similarity
 
 texts = st.text("ABE3O0 I1", max_size=9)
 
@@ -71,3 +71,14 @@ def test_normalising_ignores_case_and_spaces():
 @given(texts)
 def test_normalising_twice_changes_nothing(text):
     assert normalise(normalise(text)) == normalise(text)
+
+
+def test_alike_texts_are_those_that_a_comparison_with_all_would_find():
+    texts = ["ROOM 101", "ROOM 102", "TOILET", "", "ROOM 101", "R00M 101", "EXIT"]
+    alike = AlikeTexts(0.8)
+    for text in texts:
+        alike.number_of(text)
+    distinct = list(dict.fromkeys(texts))
+    for text in [*distinct, "ROOM 10", "T0ILET"]:
+        expected = {k: text_similarity(text, other) for k, other in enumerate(distinct)}
+        assert dict(alike.alike(text)) == {k: pytest.approx(s) for k, s in expected.items() if s >= 0.8}

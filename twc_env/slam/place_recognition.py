@@ -20,9 +20,9 @@ from twc_env.config import PlaceRecognitionConfig
 from twc_env.geometry import compose, inverse
 from twc_env.messages import Fingerprint, Keyframe, LoopCandidate, SignObservation
 from twc_env.slam.place_evidence import PlaceMemory
-from twc_env.slam.radio_fingerprint import mac_similarity, rssi_distance_db, rssi_similarity
+from twc_env.slam.radio_fingerprint import FingerprintTable, mac_similarity, rssi_distance_db, rssi_similarity
 from twc_env.slam.scan_descriptor import compare, compare_many, describe, ring_key
-from twc_env.slam.text_similarity import normalise, text_similarities, text_similarity
+from twc_env.slam.text_similarity import AlikeTexts, normalise, text_similarity
 
 Array = NDArray
 
@@ -74,12 +74,11 @@ def similarities(target: Keyframe, source: Keyframe, rule: PlaceRecognitionConfi
     clean = normalise if rule.normalise_text else str
     text = max((text_similarity(clean(a.text), clean(b.text)) for a in target.signs for b in source.signs), default=0.0)
     macs = mac_similarity(target.fingerprint, source.fingerprint)
-    return Similarities(text, macs, _rssi_cue(target.fingerprint, source.fingerprint, rule)[0])
+    return Similarities(text, macs, _rssi_cue(*rssi_distance_db(target.fingerprint, source.fingerprint), rule)[0])
 
 
-def _rssi_cue(target: Fingerprint, source: Fingerprint, rule: PlaceRecognitionConfig) -> tuple[float, bool]:
+def _rssi_cue(distance_db: float, shared: int, rule: PlaceRecognitionConfig) -> tuple[float, bool]:
     """The likeness of two fingerprints' strengths, and whether it reaches gamma."""
-    distance_db, shared = rssi_distance_db(target, source)
     if rule.rssi_mode == "paper":
         return distance_db, shared > 0 and distance_db >= rule.rssi_similarity_min
     rssi = rssi_similarity(distance_db, shared, rule.rssi_tolerance_db)
@@ -109,28 +108,36 @@ class TextWifiRecogniser:
 
     def __init__(self, config: PlaceRecognitionConfig):
         self._config = config
-        self._texts: list[str] = []
+        self._texts = AlikeTexts(config.text_similarity_min - 1e-9)
+        self._numbers_of: list[list[int]] = []
+        """Of each text the places where it was read, by number."""
         self._recent: dict[tuple[int, str], deque[tuple[float, Array]]] = {}
         self._places: list[tuple[Keyframe, SignObservation]] = []
+        self._fingerprints = FingerprintTable()
+        """One row per place."""
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """See `Recogniser`; the better of two texts speaks for a pair."""
-        rule = self._config
         best: dict[tuple[int, int], LoopCandidate] = {}
         readings = [(self._key(sign.text), sign) for sign in keyframe.signs]
         for text, sign in readings:
-            similarity = text_similarities(text, self._texts)
-            for k in np.flatnonzero(similarity >= rule.text_similarity_min - 1e-9):
+            if math.isnan(sign.facing_rad):
+                continue
+            similarity = self._like_text(text, keyframe, skipped_robots)
+            for k, macs, rssi in self._like_radio(sorted(similarity), keyframe.fingerprint):
                 target, target_sign = self._places[k]
-                if target.robot in skipped_robots:
-                    continue
-                if target.robot == keyframe.robot and keyframe.travel_m - target.travel_m < rule.revisit_travel_m:
-                    continue
-                candidate = self._compare(target, target_sign, keyframe, sign, float(similarity[k]))
-                if candidate is None:
-                    continue
-                held = best.get(candidate.target)
-                if held is None or candidate.text_similarity > held.text_similarity:
+                held = best.get((target.robot, target.index))
+                if held is None or similarity[k] > held.text_similarity:
+                    candidate = LoopCandidate(
+                        target=(target.robot, target.index),
+                        source=(keyframe.robot, keyframe.index),
+                        guess=_meet_at_sign(target_sign, sign),
+                        recogniser=self.name,
+                        sign_m=target_sign.position_m,
+                        text_similarity=similarity[k],
+                        mac_similarity=macs,
+                        rssi_similarity=rssi,
+                    )
                     best[candidate.target] = candidate
         for text, sign in readings:
             self._remember(text, keyframe, sign)
@@ -140,6 +147,32 @@ class TextWifiRecogniser:
         """The smallest of the three similarities: at this threshold for all of them the pair would just pass."""
         cues = similarities(target, source, self._config)
         return min(cues.text, cues.macs, cues.rssi)
+
+    def _like_text(self, text: str, keyframe: Keyframe, skipped_robots: Sequence[int]) -> dict[int, float]:
+        """Numbers of the places whose text is alike and that the keyframe may be compared with -> similarity."""
+        found = {}
+        latest_m = keyframe.travel_m - self._config.revisit_travel_m
+        for other, similarity in self._texts.alike(text):
+            for k in self._numbers_of[other]:
+                target = self._places[k][0]
+                is_own = target.robot == keyframe.robot
+                if target.robot not in skipped_robots and not (is_own and target.travel_m > latest_m):
+                    found[k] = similarity
+        return found
+
+    def _like_radio(self, numbers: list[int], fingerprint: Fingerprint) -> list[tuple[int, float, float]]:
+        """Those of the places whose fingerprint passes, with the similarities of transmitters and of strengths."""
+        rule = self._config
+        if not numbers:
+            return []
+        macs, distance_db, shared = self._fingerprints.compare(numbers, fingerprint)
+        passed = []
+        for k, mac, distance, count in zip(numbers, macs.tolist(), distance_db.tolist(), shared.tolist(), strict=True):
+            if mac >= rule.mac_similarity_min - 1e-9:
+                rssi, is_alike = _rssi_cue(distance, count, rule)
+                if is_alike:
+                    passed.append((k, mac, rssi))
+        return passed
 
     def _remember(self, text: str, keyframe: Keyframe, sign: SignObservation) -> None:
         """Keep a reading, unless no wall is known behind it or the same robot read the same just before."""
@@ -151,39 +184,15 @@ class TextWifiRecogniser:
                 return
         recent = self._recent.setdefault((keyframe.robot, text), deque(maxlen=4))
         recent.append((keyframe.travel_m, position))
-        self._texts.append(text)
+        number = self._texts.number_of(text)
+        if number == len(self._numbers_of):
+            self._numbers_of.append([])
+        self._numbers_of[number].append(len(self._places))
         self._places.append((keyframe, sign))
+        self._fingerprints.append(keyframe.fingerprint)
 
     def _key(self, text: str) -> str:
         return normalise(text) if self._config.normalise_text else text
-
-    def _compare(
-        self,
-        target: Keyframe,
-        target_sign: SignObservation,
-        source: Keyframe,
-        source_sign: SignObservation,
-        text: float,
-    ) -> LoopCandidate | None:
-        rule = self._config
-        if math.isnan(target_sign.facing_rad) or math.isnan(source_sign.facing_rad):
-            return None
-        macs = mac_similarity(target.fingerprint, source.fingerprint)
-        if macs < rule.mac_similarity_min - 1e-9:
-            return None
-        rssi, is_alike = _rssi_cue(target.fingerprint, source.fingerprint, rule)
-        if not is_alike:
-            return None
-        return LoopCandidate(
-            target=(target.robot, target.index),
-            source=(source.robot, source.index),
-            guess=_meet_at_sign(target_sign, source_sign),
-            recogniser=self.name,
-            sign_m=target_sign.position_m,
-            text_similarity=text,
-            mac_similarity=macs,
-            rssi_similarity=rssi,
-        )
 
 
 class TextRecogniser(TextWifiRecogniser):
@@ -195,24 +204,8 @@ class TextRecogniser(TextWifiRecogniser):
         """Similarity of the two texts most alike."""
         return similarities(target, source, self._config).text
 
-    def _compare(
-        self,
-        target: Keyframe,
-        target_sign: SignObservation,
-        source: Keyframe,
-        source_sign: SignObservation,
-        text: float,
-    ) -> LoopCandidate | None:
-        if math.isnan(target_sign.facing_rad) or math.isnan(source_sign.facing_rad):
-            return None
-        return LoopCandidate(
-            target=(target.robot, target.index),
-            source=(source.robot, source.index),
-            guess=_meet_at_sign(target_sign, source_sign),
-            recogniser=self.name,
-            sign_m=target_sign.position_m,
-            text_similarity=text,
-        )
+    def _like_radio(self, numbers: list[int], fingerprint: Fingerprint) -> list[tuple[int, float, float]]:
+        return [(k, math.nan, math.nan) for k in numbers]
 
 
 class _PlacesOnTheWay:
@@ -285,7 +278,7 @@ class WifiRecogniser:
             macs = mac_similarity(target.fingerprint, keyframe.fingerprint)
             if macs < rule.mac_similarity_min - 1e-9:
                 continue
-            rssi, is_alike = _rssi_cue(target.fingerprint, keyframe.fingerprint, rule)
+            rssi, is_alike = _rssi_cue(*rssi_distance_db(target.fingerprint, keyframe.fingerprint), rule)
             if is_alike:
                 found.append((min(macs, rssi), int(k), macs, rssi))
         found.sort(key=lambda entry: (-entry[0], entry[1]))
