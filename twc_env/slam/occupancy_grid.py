@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.geometry import beam_directions
 from twc_env.messages import GridMap
 
 Array = NDArray
@@ -47,11 +48,20 @@ def _fill_crossings(px, py, qx, qy, row_low, row_high, crossings, counts):
 
 
 @njit(cache=True, error_model="numpy")
-def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, x, y, heading, ranges, range_max, crossings, counts):
+def _lower(levels):
+    """Make these cells freer; in 16 bits throughout, which is twice as fast."""
+    for i in range(levels.shape[0]):
+        level = levels[i]
+        levels[i] = np.int16(level + LOG_ODDS_FREE) if level >= LOG_ODDS_MIN - LOG_ODDS_FREE else np.int16(LOG_ODDS_MIN)
+
+
+@njit(cache=True, error_model="numpy")
+def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, crossings, counts):
     height, width = log_odds.shape
     beams = ranges.shape[0]
-    step = 2 * math.pi / beams
-    gx, gy = (x - origin_x) * inverse_m - 0.5, (y - origin_y) * inverse_m - 0.5
+    c, s = math.cos(pose[2]) * inverse_m, math.sin(pose[2]) * inverse_m
+    gx, gy = (pose[0] - origin_x) * inverse_m - 0.5, (pose[1] - origin_y) * inverse_m - 0.5
+    margin = FREE_MARGIN_CELLS / inverse_m
     reach = 0.0
     for i in range(beams):
         reach = max(reach, min(abs(ranges[i]), range_max))
@@ -61,27 +71,27 @@ def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, x, y, heading, rang
     for row in range(row_low, row_high + 1):
         counts[row - row_low] = 0
     previous_x = previous_y = 0.0
-    for i in range(-1, beams):
-        angle = heading + i * step
-        r = max(min(abs(ranges[i]), range_max) * inverse_m - FREE_MARGIN_CELLS, 0.0)
-        qx, qy = gx + r * math.cos(angle), gy + r * math.sin(angle)
-        if i >= 0:
+    for k in range(-1, beams):
+        i = k if k >= 0 else beams - 1
+        r = max(min(abs(ranges[i]), range_max) - margin, 0.0)
+        dx, dy = r * directions[i, 0], r * directions[i, 1]
+        qx, qy = gx + c * dx - s * dy, gy + s * dx + c * dy
+        if k >= 0:
             _fill_crossings(previous_x, previous_y, qx, qy, row_low, row_high, crossings, counts)
         previous_x, previous_y = qx, qy
     for row in range(row_low, row_high + 1):
-        pairs = counts[row - row_low] // 2
-        for p in range(pairs):
+        for p in range(counts[row - row_low] // 2):
             first = max(0, crossings[row - row_low, 2 * p])
             last = min(width, crossings[row - row_low, 2 * p + 1])
-            for column in range(first, last):
-                log_odds[row, column] = max(log_odds[row, column] + LOG_ODDS_FREE, LOG_ODDS_MIN)
+            if first < last:
+                _lower(log_odds[row, first:last])
     last_row = last_column = -1
     for i in range(beams):
         if ranges[i] >= range_max or ranges[i] < 0.0:
             continue
-        angle = heading + i * step
-        column = int(math.floor((x + ranges[i] * math.cos(angle) - origin_x) * inverse_m))
-        row = int(math.floor((y + ranges[i] * math.sin(angle) - origin_y) * inverse_m))
+        dx, dy = ranges[i] * directions[i, 0], ranges[i] * directions[i, 1]
+        column = int(math.floor(gx + 0.5 + c * dx - s * dy))
+        row = int(math.floor(gy + 0.5 + s * dx + c * dy))
         if row < 0 or column < 0 or row >= height or column >= width or (row == last_row and column == last_column):
             continue
         last_row, last_column = row, column
@@ -89,12 +99,26 @@ def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, x, y, heading, rang
 
 
 @njit(cache=True, error_model="numpy")
-def _integrate_many(log_odds, origin_x, origin_y, inverse_m, poses, scans, range_max, crossings, counts):
+def _integrate_many(log_odds, origin_x, origin_y, inverse_m, poses, directions, scans, range_max, crossings, counts):
     for k in range(poses.shape[0]):
         _integrate_scan(
-            log_odds, origin_x, origin_y, inverse_m, poses[k, 0], poses[k, 1], poses[k, 2], scans[k], range_max,
-            crossings, counts,
-        )  # fmt: skip
+            log_odds, origin_x, origin_y, inverse_m, poses[k], directions, scans[k], range_max, crossings, counts
+        )
+
+
+@njit(cache=True, error_model="numpy")
+def _extent(poses, scans, range_max):
+    """Lowest x and y, highest x and y that the scans can touch [m]."""
+    low_x = low_y = np.inf
+    high_x = high_y = -np.inf
+    reach = 0.0
+    for k in range(poses.shape[0]):
+        low_x, high_x = min(low_x, poses[k, 0]), max(high_x, poses[k, 0])
+        low_y, high_y = min(low_y, poses[k, 1]), max(high_y, poses[k, 1])
+        for i in range(scans.shape[1]):
+            reach = max(reach, abs(scans[k, i]))
+    reach = min(reach, range_max)
+    return low_x - reach, low_y - reach, high_x + reach, high_y + reach
 
 
 class OccupancyGrid:
@@ -113,17 +137,22 @@ class OccupancyGrid:
         """Forget everything."""
         self.log_odds = np.zeros((0, 0), np.int16)
         self.origin_m = np.zeros(2)
+        self._bounds_m = (math.inf, math.inf, -math.inf, -math.inf)
+        """Left, bottom, right and top end."""
         self._snapshot: GridMap | None = None
 
     def integrate(self, poses: Array, scans: Array) -> None:
         """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall."""
         if len(poses) == 0:
             return
-        reach = min(float(np.abs(scans).max()), self.range_max_m)
-        self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
+        low_x, low_y, high_x, high_y = _extent(poses, scans, self.range_max_m)
+        left, bottom, right, top = self._bounds_m
+        if low_x < left or low_y < bottom or high_x > right or high_y > top:
+            self._grow(np.array([low_x, low_y]), np.array([high_x, high_y]))
+            left, bottom, _, _ = self._bounds_m
         _integrate_many(
-            self.log_odds, self.origin_m[0], self.origin_m[1], 1.0 / self.resolution_m, poses, scans, self.range_max_m,
-            self._crossings, self._counts,
+            self.log_odds, left, bottom, 1.0 / self.resolution_m, poses, beam_directions(scans.shape[1]), scans,
+            self.range_max_m, self._crossings, self._counts,
         )  # fmt: skip
 
     def snapshot(self) -> GridMap:
@@ -135,12 +164,10 @@ class OccupancyGrid:
             self._snapshot = GridMap(*views, self.resolution_m)
         return self._snapshot
 
-    def _cover(self, low_m: Array, high_m: Array) -> None:
-        """Make the grid hold the box low_m..high_m."""
+    def _grow(self, low_m: Array, high_m: Array) -> None:
+        """Make the grid hold the box low_m..high_m too, with some room to spare."""
         rows, columns = self.log_odds.shape
         top = self.origin_m + np.array([columns, rows]) * self.resolution_m
-        if rows and np.all(low_m >= self.origin_m) and np.all(high_m <= top):
-            return
         old_low, old_high = (self.origin_m, top) if rows else (low_m, high_m)
         first = np.floor((np.minimum(low_m - self.PADDING_M, old_low)) / self.resolution_m)
         last = np.ceil((np.maximum(high_m + self.PADDING_M, old_high)) / self.resolution_m)
@@ -155,3 +182,5 @@ class OccupancyGrid:
         self.log_odds, self.origin_m, self._snapshot = grown, first * self.resolution_m, None
         self._crossings = np.zeros((shape[0] + 4, self._crossings.shape[1]), np.int32)
         self._counts = np.zeros(shape[0] + 4, np.int32)
+        high = self.origin_m + shape[::-1] * self.resolution_m
+        self._bounds_m = (*self.origin_m.tolist(), *high.tolist())
