@@ -23,7 +23,7 @@ from twc_env.datasets.frame_log import write_frame_log
 from twc_env.datasets.g2o import write_g2o
 from twc_env.datasets.ros_map import write_ros_map
 from twc_env.datasets.tum import write_tum
-from twc_env.messages import SensorFrame
+from twc_env.messages import Contacts, SensorFrame
 
 WARM_UP_STEPS = 10
 """Steps at the start that the speed figures leave out."""
@@ -41,6 +41,7 @@ class Run:
     film: picture.Film | None
     was_interrupted: bool
     frames: list[tuple[SensorFrame, ...]]
+    contacts: list[Contacts]
     """What every robot sensed, step by step; `python -m twc_env replay` runs the engine on them again."""
     trace: EpisodeTrace
     """Poses, maps and figures over time; `python -m twc_env replay RUN --html` shows them."""
@@ -61,7 +62,7 @@ def explore(
     env = twc_env.parallel_env(config=config, render_mode="rgb_array" if film else None)
     env.reset(seed=seed)
     policy.reset(seed, env.possible_agents)
-    frames, trace = [env.frames], EpisodeTrace(env)
+    frames, contacts, trace = [env.frames], [env.contacts], EpisodeTrace(env)
     thought_s, env_s, counted, step, was_interrupted = 0.0, 0.0, 0, 0, False
     compiling = TimingListener()
     register(COMPILER_EVENT, compiling)
@@ -79,6 +80,7 @@ def explore(
             rewards = env.step(actions)[1]
             stepped = time.perf_counter() - (_seconds(compiling) - compiled_s)
             frames.append(env.frames)
+            contacts.append(env.contacts)
             trace.note(rewards)
             thought_s += thought - believed
             step += 1
@@ -97,7 +99,9 @@ def explore(
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
-    return Run(result, _plain({**result.figures, "agent": agent, **speeds}), film, was_interrupted, frames, trace)
+    return Run(
+        result, _plain({**result.figures, "agent": agent, **speeds}), film, was_interrupted, frames, contacts, trace
+    )
 
 
 def _seconds(compiling: TimingListener) -> float:
@@ -124,7 +128,7 @@ def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
         poses = getattr(result, f"{kind}_poses")
         for robot in range(poses.shape[1]):
             write_tum(folder / "trajectories" / f"robot_{robot}_{kind}.tum", times_s, poses[:, robot])
-    write_frame_log(folder / "frames.npz", result.config, run.frames)
+    write_frame_log(folder / "frames.npz", result.config, run.frames, run.contacts)
     run.trace.write(folder / "trace.npz")
     write_g2o(folder / "pose_graph.g2o", result.graph)
     for k, grid in enumerate(result.grids):

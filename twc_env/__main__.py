@@ -131,16 +131,17 @@ def _record(options: argparse.Namespace) -> None:
     settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
     env = ExplorationEnv(config=override(EnvConfig(), {**settings, **assignments(options.set)}))
     env.reset(seed=options.seed)
-    steps = [env.frames]
+    steps, contacts = [env.frames], [env.contacts]
     for actions in wander(env, options.seed):
         env.step(actions)
         steps.append(env.frames)
+        contacts.append(env.contacts)
         _progress(len(steps) - 1, env.config.max_cycles)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"cannot make the folder {options.out}: {error.strerror}; choose another with --out") from error
-    write_frame_log(options.out / "frames.npz", env.config, steps)
+    write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
     write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
     print(f"recorded {len(steps) - 1} steps of {env.config.robots} robots: {options.out}/frames.npz and truth.npz")
 
@@ -162,7 +163,7 @@ def _replay(options: argparse.Namespace) -> None:
 
 def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     from twc_env.config import digest, override
-    from twc_env.datasets.frame_log import read_frame_log, read_truth_log
+    from twc_env.datasets.frame_log import read_contacts, read_frame_log, read_truth_log
     from twc_env.slam.engine import CooperativeSlam
 
     config, steps = read_frame_log(log)
@@ -170,8 +171,9 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     robots = 1 + max(frame.robot for frames in steps for frame in frames)
     engine = CooperativeSlam(config, robots)
     odom_poses = []
+    contacts = read_contacts(log)
     for count, frames in enumerate(steps):
-        engine.update(frames)
+        engine.update(frames, contacts[count] if contacts else None)
         odom_poses.append([front_end.pose_odom for front_end in engine.robots])
         _progress(count + 1, len(steps))
     if steps[-1][0].step >= config.max_cycles:  # the episode was played to its end, where the mapper clears its desk
@@ -200,11 +202,11 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
 def _error_of_log(engine: CooperativeSlam, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:
     """Team ATE [m] over a whole log, each group of robots aligned once."""
     from twc_env.errors import DataError
-    from twc_env.exploration.evaluation import team_error_m, trajectories
+    from twc_env.exploration.evaluation import team_error_m
 
     if odom_poses.shape != true_poses.shape:
         raise DataError(f"the truth has shape {true_poses.shape}, the log {odom_poses.shape}: give the pair of one run")
-    return team_error_m(engine, trajectories(engine, odom_poses), true_poses)
+    return team_error_m(engine, odom_poses, true_poses)
 
 
 def _write_maps(folder: Path, team: TeamMapper) -> None:

@@ -195,9 +195,19 @@ class SignsConfig(_Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkConfig(_Checked):
-    """The radio link from each robot to the team's mapper; what is lost is sent again in the next step."""
+    """Radio between the robots: who hears whom, and what is sent; what is lost is sent again in the next step."""
 
+    topology: str = _choice("central", "peer")
+    """`central`: all robots reach one mapper from everywhere; `peer`: every robot has its own mapper, fed by its own
+    keyframes and by those that robots in range carry, their own and others' (store and forward)."""
     loss_probability: float = _number(0.0, 0.0, 0.99)
+    """Chance that all that one robot sends to one listener in one step is lost."""
+    range_max_m: float = _number(15.0, 0.0, 1e5)
+    """Of `peer`: robots further apart do not hear each other."""
+    wall_range_m: float = _number(0.0, 0.0, 1e5)
+    """Of `peer`: every wall between two robots shortens their range by so much; `range_max_m` leaves line of sight."""
+    scan_on_request: bool = False
+    """Keyframes travel as pose, texts and fingerprint; scans only follow where a mapper asks for them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

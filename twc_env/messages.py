@@ -102,6 +102,16 @@ class Keyframe:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Contacts:
+    """Who reached whom over the radio in one step. Rows listen: all robots, or the one mapper; columns send: robots."""
+
+    tried: Array
+    """(listeners, robots) bool: near enough, so that what there was to say was sent."""
+    heard: Array
+    """(listeners, robots) bool: and it was not lost."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LoopCandidate:
     """A pair of keyframes that look like one place, not yet checked by geometry."""
 
@@ -177,7 +187,7 @@ class Belief:
     """(3,)."""
     grid: GridMap
     mates: dict[int, Array] = field(default_factory=dict)
-    """Robots of the same group: robot -> (3,) estimated pose in the same map frame."""
+    """Robots of the same group: robot -> (3,) estimated pose in the same map frame, where it was last heard of."""
     signs: tuple[KnownSign, ...] = ()
     ranges_m: Array | None = None
     """(beams,) the robot's latest scan."""

@@ -9,6 +9,7 @@ import pytest
 
 from twc_env.config import EnvConfig, override
 from twc_env.geometry import align_rigidly, between, compose
+from twc_env.messages import Contacts
 from twc_env.slam.engine import CooperativeSlam
 
 REPLAY = """
@@ -177,14 +178,12 @@ def test_a_robot_without_signs_or_radio_still_maps(recorded):
 def test_keyframes_that_arrive_late_end_in_the_same_map_of_one_robot(recorded):
     config, frames, _ = recorded
     prompt, late = CooperativeSlam(config, 1), CooperativeSlam(config, 1)
-    waiting = []
-    for step in frames[:150]:
+    in_touch, apart = (Contacts(np.array([[there]]), np.array([[there]])) for there in (True, False))
+    for count, step in enumerate(frames[:150]):
         prompt.update(step[:1])
-        waiting += late.track(step[:1])
-        if len(waiting) > 4:
-            late.absorb(step[0].step, waiting)
-            waiting = []
-    late.absorb(150, waiting)
+        late.update(step[:1], in_touch if count % 40 == 39 else apart)
+    assert len(late.team.poses_of(0)) < len(prompt.team.poses_of(0))
+    late.absorb(150, in_touch)
     for engine in (prompt, late):
         engine.finish()
     assert len(late.team.poses_of(0)) == len(prompt.team.poses_of(0))

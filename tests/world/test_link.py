@@ -3,51 +3,41 @@ import pytest
 
 from twc_env.config import LinkConfig
 from twc_env.world.link import Link
+from twc_env.world.wall_index import index_walls
+
+IN_A_ROW = np.array([[0.0, 0.0], [4.0, 0.0], [9.0, 0.0]])
 
 
-def link(loss: float, robots: int = 2, seed: int = 0) -> Link:
-    return Link(LinkConfig(loss_probability=loss), robots, np.random.default_rng(seed))
+def link(robots: int = 3, seed: int = 0, walls_m=((2.0, -1.0), (2.0, 1.0)), **settings) -> Link:
+    walls = index_walls(np.array([walls_m]), np.array([4.0]))
+    return Link(LinkConfig(**settings), robots, walls, np.random.default_rng(seed))
 
 
-def test_a_sound_link_delivers_all_at_once_in_order():
-    channel = link(0.0)
-    for number in range(3):
-        channel.send(1, "keyframe", f"b{number}", 10)
-    channel.send(0, "text", "a0", 4)
-    assert channel.deliver() == ["a0", "b0", "b1", "b2"]
-    assert channel.deliver() == []
-    assert channel.bytes_sent == {"text": 4, "keyframe": 30}
+def test_the_central_mapper_is_reached_from_everywhere():
+    contacts = link().contacts(1e6 * IN_A_ROW)
+    assert contacts.tried.shape == (1, 3)
+    assert contacts.tried.all() and contacts.heard.all()
 
 
-def test_a_lossy_link_loses_nothing_for_good_and_keeps_each_robots_order():
-    channel = link(0.6, seed=1)
-    arrived = []
-    for step in range(200):
-        if step < 50:
-            for robot in (0, 1):
-                channel.send(robot, "keyframe", (robot, step), 1)
-        arrived += channel.deliver()
-    for robot in (0, 1):
-        assert [payload for payload in arrived if payload[0] == robot] == [(robot, step) for step in range(50)]
+def test_peers_hear_each_other_up_to_the_range_and_never_themselves():
+    contacts = link(topology="peer", range_max_m=5.0).contacts(IN_A_ROW)
+    assert contacts.tried.astype(int).tolist() == [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+    assert np.array_equal(contacts.tried, contacts.heard)
 
 
-def test_what_is_sent_again_counts_again():
-    channel = link(0.5, robots=1, seed=2)
-    for step in range(2000):
-        channel.send(0, "pose", step, 12)
-        channel.deliver()
-    for _ in range(3000):
-        channel.deliver()
-    assert channel.bytes_sent["pose"] / (12 * 2000) == pytest.approx(2.0, rel=0.08)
+def test_a_wall_shortens_the_range_of_those_it_stands_between():
+    contacts = link(topology="peer", range_max_m=5.0, wall_range_m=2.0).contacts(IN_A_ROW)
+    assert contacts.tried.astype(int).tolist() == [[0, 0, 0], [0, 0, 1], [0, 1, 0]]
+
+
+def test_what_is_lost_was_tried():
+    channel = link(loss_probability=0.3, seed=1)
+    heard = np.array([channel.contacts(IN_A_ROW).heard for _ in range(2000)])
+    assert heard.mean() == pytest.approx(0.7, abs=0.02)
+    assert channel.contacts(IN_A_ROW).tried.all()
 
 
 def test_equal_seeds_lose_the_same_messages():
-    histories = []
-    for _ in range(2):
-        channel = link(0.5, seed=7)
-        history = []
-        for step in range(50):
-            channel.send(0, "pose", step, 12)
-            history.append(channel.deliver())
-        histories.append(history)
-    assert histories[0] == histories[1]
+    first, second = (link(topology="peer", loss_probability=0.5, seed=7) for _ in range(2))
+    for _ in range(50):
+        assert np.array_equal(first.contacts(IN_A_ROW).heard, second.contacts(IN_A_ROW).heard)

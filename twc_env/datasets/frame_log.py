@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig, from_dict, to_dict
 from twc_env.errors import DataError
-from twc_env.messages import SensorFrame, SignReading, WifiScan
+from twc_env.messages import Contacts, SensorFrame, SignReading, WifiScan
 
 Array = NDArray
 
@@ -21,8 +21,13 @@ FORMAT = "twc_env/frames-1"
 TRUTH_FORMAT = "twc_env/truth-1"
 
 
-def write_frame_log(path: str | Path, config: EnvConfig, steps: Sequence[Sequence[SensorFrame]]) -> None:
-    """Write the frames of an episode (one sequence of frames per step) to a compressed .npz file."""
+def write_frame_log(
+    path: str | Path, config: EnvConfig, steps: Sequence[Sequence[SensorFrame]], contacts: Sequence[Contacts] = ()
+) -> None:
+    """Write the frames of an episode (one sequence of frames per step) to a compressed .npz file.
+
+    `contacts`, one per step, say who heard whom; a log without them is replayed with all robots in touch.
+    """
     frames = [frame for step in steps for frame in step]
     if not frames:
         raise DataError(f"no frames to write to {path}: record at least one step")
@@ -46,6 +51,8 @@ def write_frame_log(path: str | Path, config: EnvConfig, steps: Sequence[Sequenc
         sign_frame=np.array([k for k, _ in signs], np.int64),
         sign_place=np.array([(s.bearing_rad, s.range_m) for _, s in signs]).reshape(-1, 2),
         sign_text=np.array(json.dumps([s.text for _, s in signs])),
+        contacts_tried=np.array([c.tried for c in contacts], bool),
+        contacts_heard=np.array([c.heard for c in contacts], bool),
     )
 
 
@@ -65,6 +72,14 @@ def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame,
         return from_dict(json.loads(str(log["config"]))), _steps(log)
     except (KeyError, IndexError) as error:
         raise DataError(f"{path} lacks or contradicts {error}; record it again") from error
+
+
+def read_contacts(path: str | Path) -> list[Contacts]:
+    """Who heard whom in each step of a recording; empty where the log does not say. Raises DataError as above."""
+    log = _read(path, FORMAT, "frame log")
+    if "contacts_heard" not in log:
+        return []
+    return [Contacts(tried, heard) for tried, heard in zip(log["contacts_tried"], log["contacts_heard"], strict=True)]
 
 
 def write_truth_log(path: str | Path, seed: int, map_name: str, true_poses: Array) -> None:

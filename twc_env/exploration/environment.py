@@ -18,11 +18,11 @@ from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards
 from twc_env.exploration.observations import ObservationBuilder, observation_space
 from twc_env.maps import load_map
-from twc_env.messages import Belief, Keyframe, SensorFrame
+from twc_env.messages import Belief, Contacts, SensorFrame
 from twc_env.random_streams import random_stream
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.world.floorplan import Floorplan
-from twc_env.world.link import BYTES_PER_BEAM, BYTES_PER_FINGERPRINT_MAC, BYTES_PER_POSE, Link
+from twc_env.world.link import Link
 from twc_env.world.world import World
 
 Array = NDArray
@@ -119,7 +119,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._world.reset(self._seed, starts)
         count = self.config.robots
         self._engine = make_engine(self.config, count)
-        self._link = Link(self.config.link, count, random_stream(self._seed, "link"))
+        self._link = Link(self.config.link, count, self.floorplan.home.wall_index, random_stream(self._seed, "link"))
         self._builders = [ObservationBuilder(self.config, robot) for robot in range(count)]
         self._record = evaluation.EpisodeRecord(count)
         self._area_m2 = 0.0
@@ -172,6 +172,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """What truly happened in this episode, for judging; no agent may read it."""
         return self._record
 
+    @property
+    def contacts(self) -> Contacts:
+        """Who heard whom in the last step."""
+        return self._contacts
+
     def belief(self, agent: str) -> Belief:
         """What one robot knows: the merged map of its group and where it is in it. Estimates only."""
         return self.engine.belief(self.possible_agents.index(agent))
@@ -179,7 +184,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     @property
     def bytes_sent(self) -> int:
         """Bytes put on the air so far, by all robots."""
-        return sum(self._link.bytes_sent.values())
+        return sum(self.engine.bytes_sent.values())
 
     def state(self) -> Array:
         """(6 robots,) float32 for centralised critics; holds truth: each robot's true, then its estimated pose."""
@@ -190,7 +195,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def result(self) -> evaluation.EpisodeResult:
         """Judge the episode so far against the truth; call it before the next `reset`."""
         return evaluation.evaluate(
-            self.config, self._seed or 0, self.floorplan, self.engine, self._record, self._link.bytes_sent
+            self.config, self._seed or 0, self.floorplan, self.engine, self._record, self.engine.bytes_sent
         )
 
     def render(self) -> Array | None:
@@ -208,27 +213,17 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return int(np.random.default_rng().integers(2**31)) if self._seed is None else self._seed + 1
 
     def _think(self, frames: tuple[SensorFrame, ...]) -> None:
-        """Front ends, link and team mapper take in one set of frames."""
+        """Front ends, link and mappers take in one set of frames."""
         self._frames = frames
-        for keyframe in self.engine.track(frames):
-            self._send(keyframe)
-        self.engine.absorb(self._steps, self._link.deliver())
+        self._contacts = self._link.contacts(self._world.poses_home[:, :2])
+        self.engine.track(frames)
+        self.engine.absorb(self._steps, self._contacts)
         self._record.append(
             self._world.poses,
             [robot.pose_odom for robot in self.engine.robots],
             [frame.odometry for frame in frames],
             self._world.contacts,
         )
-
-    def _send(self, keyframe: Keyframe) -> None:
-        texts = sum(len(sign.text.encode()) + BYTES_PER_POSE for sign in keyframe.signs)
-        count = (
-            BYTES_PER_POSE
-            + BYTES_PER_BEAM * len(keyframe.ranges_m)
-            + BYTES_PER_FINGERPRINT_MAC * len(keyframe.fingerprint.macs)
-            + texts
-        )
-        self._link.send(keyframe.robot, "keyframe", keyframe, count)
 
     def _judge(self, is_last: bool) -> list[dict[str, float]]:
         before = self._area_m2

@@ -15,8 +15,10 @@ from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
 from twc_env.geometry import between, compose, transform_points
 from twc_env.messages import GridMap
+from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
 from twc_env.slam.occupancy_grid import OccupancyGrid
+from twc_env.slam.team import TeamMapper
 from twc_env.world.floorplan import Cells, Floorplan
 
 Array = NDArray
@@ -27,9 +29,11 @@ STUCK_RADIUS_M = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroupVerdict:
-    """One group of robots against the truth."""
+    """One map that robots believe in, and the robots whose keyframes it holds, against the truth."""
 
+    view: View
     robots: tuple[int, ...]
+    grid: GridMap
     pose_building_map: Array
     """(3,) the one rigid alignment that lays the group's map on the building."""
     wrong_pairs: tuple[tuple[int, int], ...]
@@ -128,13 +132,13 @@ class EpisodeRecord:
         return poses
 
 
-def judge_group(engine: Engine, group: int, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
+def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     """Lay a group's map on the building and measure it."""
-    team = engine.team
-    robots = team.groups[group].robots
+    team, robots = view.mapper, view.robots
+    grid = team.grid_of(view.group)
     counts = [len(team.keyframes[r]) for r in robots]
     if not any(counts):
-        return GroupVerdict(robots, np.zeros(3), (), 0.0)
+        return GroupVerdict(view, robots, grid, np.zeros(3), (), 0.0)
     estimated = np.concatenate([team.poses_of(r) for r in robots])
     true = np.concatenate([record.true_poses[team.keyframe_steps(r), r] for r in robots])
     pose = metrics.align_team(estimated, true)
@@ -143,38 +147,39 @@ def judge_group(engine: Engine, group: int, record: EpisodeRecord, cells: Cells)
         frames = metrics.implied_frames(estimated, true, np.repeat(np.arange(len(robots)), counts))
         pairs = metrics.wrong_pairs(frames, estimated[:, :2].mean(axis=0))
         wrong = tuple((robots[i], robots[j]) for i, j in pairs)
-    grid = team.grid_of(group)
     area = metrics.correct_area_m2(
         grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m
     )
-    return GroupVerdict(robots, pose, wrong, area)
+    return GroupVerdict(view, robots, grid, pose, wrong, area)
+
+
+def verdicts_of(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:
+    """Every map that some robot believes in, that with most robots (then most area) first; leaves no mark."""
+    verdicts = [judge_view(view, record, cells) for view in engine.views()]
+    return sorted(verdicts, key=lambda v: (-len(v.robots), -v.correct_area_m2))
 
 
 def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:
-    """Every group against the truth, the group with most robots (then most area) first."""
-    verdicts = [judge_group(engine, g, record, cells) for g in range(len(engine.team.groups))]
+    """`verdicts_of`, with wrong pairs noted in the record."""
+    verdicts = verdicts_of(engine, record, cells)
     for verdict in verdicts:
         record.wrong_pairs.update(verdict.wrong_pairs)
-    return _largest_first(verdicts)
-
-
-def _largest_first(verdicts: list[GroupVerdict]) -> list[GroupVerdict]:
-    return sorted(verdicts, key=lambda v: (-len(v.robots), -v.correct_area_m2))
+    return verdicts
 
 
 def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
     """The figures that pictures over time show, by the same definitions as those of the report."""
-    verdicts = _largest_first([judge_group(engine, g, record, cells) for g in range(len(engine.team.groups))])
+    verdicts = verdicts_of(engine, record, cells)
     estimated = trajectories(engine, record.odom_poses)
-    alignment = team_alignment(engine, estimated, record.true_poses)
-    closures = _closures(engine, record, alignment)
+    alignment = team_alignment(engine, record.odom_poses, record.true_poses)
+    closures = _closures(engine, verdicts[0], record, alignment)
     status = [row["status"] for row in closures]
     best = verdicts[0]
-    score = _score(engine.team.grid_of(engine.team.group_index(best.robots[0])), best.pose_building_map, cells)
+    score = _score(best.grid, best.pose_building_map, cells)
     figures = {
         "coverage_correct": score.coverage_correct,
         "wall_iou": score.wall_iou,
-        "team_ate_m": team_error_m(engine, estimated, record.true_poses),
+        "team_ate_m": _error_m(alignment, estimated, record.true_poses),
         "merged_robots": len(best.robots),
         "wrong_pairs": sum(len(v.wrong_pairs) for v in verdicts),
         "closures_accepted": status.count("accepted"),
@@ -184,40 +189,56 @@ def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
 
 
 def rightly_mapped_m2(verdicts: list[GroupVerdict]) -> float:
-    """Correctly mapped area of the largest group without a wrong pair; 0 when there is none."""
+    """Largest correctly mapped area of a map without a wrong pair that some robot believes in; 0 if there is none."""
     return max((v.correct_area_m2 for v in verdicts if not v.wrong_pairs), default=0.0)
 
 
 def trajectories(engine: Engine, odom_poses: Array) -> Array:
-    """(steps + 1, robots, 3) each step's pose hung on the optimised keyframe before it, in the group's map frame.
+    """(steps + 1, robots, 3) each step's pose hung on the optimised keyframe before it, in the map that its robot sees.
 
     odom_poses (steps + 1, robots, 3): the front ends' estimates of all steps.
     """
-    poses = np.zeros_like(odom_poses)
-    for robot in range(poses.shape[1]):
-        odom = odom_poses[:, robot]
-        steps = engine.team.keyframe_steps(robot)
-        if len(steps) == 0:
-            poses[:, robot] = odom
-            continue
-        held = np.clip(np.searchsorted(steps, np.arange(len(odom)), side="right") - 1, 0, None)
-        anchors = np.array([k.pose_odom for k in engine.team.keyframes[robot]])
-        poses[:, robot] = compose(engine.team.poses_of(robot)[held], between(anchors[held], odom))
-    return poses
+    robots = range(odom_poses.shape[1])
+    return np.stack([_trajectory(engine.mapper_of(r), r, odom_poses[:, r]) for r in robots], axis=1)
 
 
-def team_alignment(engine: Engine, estimated: Array, true: Array) -> Array:
-    """(robots, 3) the one rigid motion of each robot's group that lays its map on the building."""
-    alignment = np.zeros((true.shape[1], 3))
-    for group in engine.team.groups:
-        members = list(group.robots)
-        alignment[members] = metrics.align_team(estimated[:, members], true[:, members])
+def _trajectory(mapper: TeamMapper, robot: int, odom: Array) -> Array:
+    """(steps + 1, 3) of one robot in the map of its group in one mapper."""
+    steps = mapper.keyframe_steps(robot)
+    if len(steps) == 0:
+        return odom
+    held = np.clip(np.searchsorted(steps, np.arange(len(odom)), side="right") - 1, 0, None)
+    anchors = np.array([k.pose_odom for k in mapper.keyframes[robot]])
+    return compose(mapper.poses_of(robot)[held], between(anchors[held], odom))
+
+
+def team_alignment(engine: Engine, odom_poses: Array, true_poses: Array) -> Array:
+    """(robots, 3) the one rigid motion that lays the map each robot believes in on the building.
+
+    It weighs all steps of all robots of the map; a mate's steps count up to its last keyframe that the mapper has.
+    """
+    alignment = np.zeros((true_poses.shape[1], 3))
+    for view in engine.views():
+        estimated, true = [], []
+        for robot in view.robots:
+            steps = view.mapper.keyframe_steps(robot)
+            end = len(true_poses) if robot in view.viewers else int(steps[-1]) + 1
+            estimated.append(_trajectory(view.mapper, robot, odom_poses[:, robot])[:end])
+            true.append(true_poses[:end, robot])
+        alignment[list(view.viewers)] = metrics.align_team(np.concatenate(estimated), np.concatenate(true))
     return alignment
 
 
-def team_error_m(engine: Engine, estimated: Array, true: Array) -> float:
-    """Root mean square position error over all steps and robots, each group aligned once as a whole."""
-    aligned = compose(team_alignment(engine, estimated, true)[None], estimated)
+def team_error_m(engine: Engine, odom_poses: Array, true_poses: Array) -> float:
+    """Root mean square position error over all steps and robots, each robot's map aligned once as a whole.
+
+    odom_poses, true_poses (steps + 1, robots, 3).
+    """
+    return _error_m(team_alignment(engine, odom_poses, true_poses), trajectories(engine, odom_poses), true_poses)
+
+
+def _error_m(alignment: Array, estimated: Array, true: Array) -> float:
+    aligned = compose(alignment[None], estimated)
     return float(np.sqrt(((aligned[..., :2] - true[..., :2]) ** 2).sum(axis=-1).mean()))
 
 
@@ -228,11 +249,10 @@ def evaluate(
     cells = floorplan.cells()
     verdicts = judge(engine, record, cells)
     estimated, true = trajectories(engine, record.odom_poses), record.true_poses
-    alignment = team_alignment(engine, estimated, true)
+    alignment = team_alignment(engine, record.odom_poses, record.true_poses)
     best = verdicts[0]
-    group = engine.team.group_index(best.robots[0])
-    score = _score(engine.team.grid_of(group), best.pose_building_map, cells)
-    closures = _closures(engine, record, alignment)
+    score = _score(best.grid, best.pose_building_map, cells)
+    closures = _closures(engine, best, record, alignment)
     counted = metrics.score_closures([c["correct"] for c in closures], [c["status"] == "accepted" for c in closures])
     reckoned = record.odometry_poses()
     by_odometry = _score_odometry(engine, reckoned, true, config, cells)
@@ -250,7 +270,7 @@ def evaluate(
         "wall_iou": score.wall_iou,
         "merged_robots": len(best.robots),
         "wrong_merges": len(record.wrong_pairs),
-        "team_ate_m": team_error_m(engine, estimated, true),
+        "team_ate_m": _error_m(alignment, estimated, true),
         "per_robot_ate_m": [metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in robots],
         "epe_m": float(np.mean([metrics.end_point_error_m(estimated[:, r], true[:, r]) for r in robots])),
         "odometry_ate_m": metrics.absolute_trajectory_error_m(reckoned, true),
@@ -283,10 +303,10 @@ def evaluate(
         estimated_poses=estimated,
         odometry_poses=reckoned,
         groups=tuple(v.robots for v in verdicts),
-        grids=tuple(_copy(engine.team.grid_of(engine.team.group_index(v.robots[0]))) for v in verdicts),
+        grids=tuple(_copy(v.grid) for v in verdicts),
         pose_building_map=np.array([v.pose_building_map for v in verdicts]),
         closures=closures,
-        graph=engine.team.graph(),
+        graph=best.view.mapper.graph(),
     )
 
 
@@ -314,9 +334,10 @@ def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.Map
 def _map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
     """The map that the keyframes' scans would give at other poses (steps + 1, robots, 3)."""
     grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
-    for robot, keyframes in enumerate(engine.team.keyframes):
+    for robot in range(poses.shape[1]):
+        mapper = engine.mapper_of(robot)
+        keyframes, steps = mapper.keyframes[robot], mapper.keyframe_steps(robot)
         if keyframes:
-            steps = engine.team.keyframe_steps(robot)
             grid.integrate(poses[steps, robot], np.array([k.ranges_m for k in keyframes]))
     return grid.snapshot()
 
@@ -336,15 +357,25 @@ def _score_odometry(engine: Engine, reckoned: Array, true: Array, config: EnvCon
     return _score(_map_at(engine, reckoned, config), metrics.align_team(reckoned, true), cells)
 
 
-def _closures(engine: Engine, record: EpisodeRecord, alignment: Array) -> list[dict]:
+def _closures(engine: Engine, best: GroupVerdict, record: EpisodeRecord, alignment: Array) -> list[dict]:
+    """The closures of the mapper behind the best map."""
+    mapper = best.view.mapper
+    viewer = best.view.viewers[0]
+
+    def place(key: tuple[int, int]) -> tuple[Array, Array]:
+        """True pose of a keyframe, and where it is believed to be in the building (2,)."""
+        robot, index = key
+        shown = (mapper, alignment[viewer]) if robot in best.robots else (engine.mapper_of(robot), alignment[robot])
+        true = record.true_poses[mapper.keyframe_steps(robot)[index], robot]
+        return true, transform_points(shown[1], shown[0].poses_of(robot)[index : index + 1, :2])[0]
+
     rows = []
-    for closure in engine.team.closures:
-        (target_robot, i), (source_robot, j) = closure.candidate.target, closure.candidate.source
-        true_target = record.true_poses[engine.team.keyframe_steps(target_robot)[i], target_robot]
-        true_source = record.true_poses[engine.team.keyframe_steps(source_robot)[j], source_robot]
+    for closure in mapper.closures:
+        (true_target, target_m), (true_source, source_m) = (
+            place(closure.candidate.target),
+            place(closure.candidate.source),
+        )
         correct = metrics.closure_is_correct(closure.pose_target_source, between(true_target, true_source))
-        target_m = transform_points(alignment[target_robot], engine.team.poses_of(target_robot)[i : i + 1, :2])[0]
-        source_m = transform_points(alignment[source_robot], engine.team.poses_of(source_robot)[j : j + 1, :2])[0]
         rows.append(
             {
                 "kind": closure.candidate.recogniser,

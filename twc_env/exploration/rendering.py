@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twc_env.exploration.evaluation import EpisodeRecord, judge_group
+from twc_env.exploration.evaluation import EpisodeRecord, verdicts_of
 from twc_env.geometry import compose, inverse
 from twc_env.messages import GridMap
 from twc_env.slam.modes import Engine
@@ -137,18 +137,17 @@ def _draw_ring(image, u0, v0, radius, half_width, colour):
 
 def scene_of(floorplan: Floorplan, engine: Engine, record: EpisodeRecord, cells: Cells) -> Scene:
     """The present moment of an episode, every group's map laid on the building as well as one rigid motion can."""
-    verdicts = [judge_group(engine, g, record, cells) for g in range(len(engine.team.groups))]
-    verdicts.sort(key=lambda v: (-len(v.robots), -v.correct_area_m2))
+    verdicts = verdicts_of(engine, record, cells)
     true = record.true_poses
     estimated = np.zeros((true.shape[1], 3))
     for verdict in verdicts:
-        for robot in verdict.robots:
+        for robot in verdict.view.viewers:
             estimated[robot] = compose(verdict.pose_building_map, engine.pose_map_robot(robot))
     return Scene(
         walls=cells.wall,
         origin_m=cells.origin_m,
         resolution_m=cells.resolution_m,
-        grids=tuple(engine.team.grid_of(engine.team.group_index(v.robots[0])) for v in verdicts),
+        grids=tuple(v.grid for v in verdicts),
         pose_building_map=np.array([v.pose_building_map for v in verdicts]),
         true_poses=true[-1],
         estimated_poses=estimated,

@@ -111,9 +111,7 @@ class EpisodeTrace:
         env = self._env
         seen = evaluation.progress(env.engine, env.record, env.floorplan.cells())
         self._alignment = seen.alignment
-        layers = tuple(
-            _layer(env.engine.team.grid_of(env.engine.team.group_index(v.robots[0])), v) for v in seen.verdicts
-        )
+        layers = tuple(_layer(v.grid, v) for v in seen.verdicts)
         closures = tuple({key: row[key] for key in CLOSURE_KEYS} for row in seen.closures)
         figures = {**seen.figures, "bytes_sent": env.bytes_sent, "reward_sum": sum(self._rewards)}
         self._moments.append(Moment(step, layers, closures, figures))

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import compose
-from twc_env.messages import Belief, Keyframe, SensorFrame
+from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
+from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
 
 Array = NDArray
@@ -51,13 +52,26 @@ class DeadReckoning:
             self.robots[frame.robot].update(frame)
         return []
 
-    def absorb(self, step: int, keyframes: list[Keyframe]) -> None:
+    @property
+    def bytes_sent(self) -> dict[str, int]:
+        """Nothing is sent."""
+        return {}
+
+    def mapper_of(self, robot: int) -> TeamMapper:
+        """The mapper that maps nothing."""
+        return self.team
+
+    def views(self) -> list[View]:
+        """One empty map per robot."""
+        return [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
+
+    def absorb(self, step: int, contacts: Contacts | None = None) -> None:
         """Nothing arrives."""
 
     def finish(self) -> None:
         """Nothing waits."""
 
-    def update(self, frames: Sequence[SensorFrame]) -> None:
+    def update(self, frames: Sequence[SensorFrame], contacts: Contacts | None = None) -> None:
         """The same as `track`."""
         self.track(frames)
 

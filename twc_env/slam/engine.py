@@ -3,58 +3,113 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import compose
-from twc_env.messages import Belief, Keyframe, SensorFrame
+from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
+from twc_env.slam.exchange import Exchange
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.team import TeamMapper
 
 Array = NDArray
 
 
-class CooperativeSlam:
-    """One front end per robot and the team's mapper.
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One map that robots believe in: a group of one mapper, and the robots that look at it."""
 
-    `track` runs the front ends and gives the keyframes to send; `absorb` takes in those that arrived. `update` does
-    both where nothing lies between.
+    mapper: TeamMapper
+    group: int
+    viewers: tuple[int, ...]
+    """With one mapper for all, the whole group; otherwise the one robot whose mapper this is."""
+
+    @property
+    def robots(self) -> tuple[int, ...]:
+        """All robots whose keyframes the map holds."""
+        return self.mapper.groups[self.group].robots
+
+
+class CooperativeSlam:
+    """One front end per robot, and one mapper for all or one on each robot (`link.topology`).
+
+    `track` runs the front ends; `absorb` lets the robots talk and the mappers think. `update` does both.
     """
 
     def __init__(self, config: EnvConfig, robot_count: int):
         self._front_ends = FrontEnds(config, robot_count)
         self.robots = self._front_ends.robots
-        self.team = TeamMapper(config, robot_count)
+        self._is_central = config.link.topology == "central"
+        homes = [None] if self._is_central else range(robot_count)
+        self.mappers = [TeamMapper(config, robot_count, home) for home in homes]
+        self._exchange = Exchange(config, robot_count)
+        everyone = np.ones((len(self.mappers), robot_count), bool)
+        if not self._is_central:
+            np.fill_diagonal(everyone, False)
+        self._all_in_touch = Contacts(everyone, everyone)
         self._frames: list[SensorFrame | None] = [None] * robot_count
         self._poses_map_robot = [np.zeros(3)] * robot_count
         self._last_step = 0
 
+    @property
+    def team(self) -> TeamMapper:
+        """The one mapper of all robots; where each has its own, that of robot 0."""
+        return self.mappers[0]
+
+    @property
+    def bytes_sent(self) -> dict[str, int]:
+        """Kind of message -> bytes put on the air so far."""
+        return self._exchange.bytes_sent
+
+    def mapper_of(self, robot: int) -> TeamMapper:
+        """The mapper whose map this robot believes in."""
+        return self.mappers[0 if self._is_central else robot]
+
+    def views(self) -> list[View]:
+        """Every map that some robot believes in."""
+        if self._is_central:
+            return [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
+        return [View(mapper, mapper.group_index(r), (r,)) for r, mapper in enumerate(self.mappers)]
+
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
-        """Run the front end of each frame's robot; the keyframes that came of it, in order."""
+        """Run the front end of each frame's robot; the keyframes that came of it, in order, ready to be sent."""
         for frame in frames:
             self._frames[frame.robot] = frame
-        return self._front_ends.update(frames)
+        keyframes = self._front_ends.update(frames)
+        for keyframe in keyframes:
+            self._exchange.add(keyframe)
+        return keyframes
 
-    def absorb(self, step: int, keyframes: list[Keyframe]) -> None:
-        """Take the keyframes that reached the mapper into the team's map."""
+    def absorb(self, step: int, contacts: Contacts | None = None) -> None:
+        """Exchange what the contacts of this step allow (None: all are in touch), and let the mappers take it in."""
         self._last_step = step
-        self.team.update(step, keyframes)
+        deliveries = self._exchange.deliver(contacts or self._all_in_touch, [mapper.wanted for mapper in self.mappers])
+        for mapper, delivery in zip(self.mappers, deliveries, strict=True):
+            mapper.update(step, delivery.keyframes, delivery.scans)
+        self._locate()
+
+    def _locate(self) -> None:
         self._poses_map_robot = [
-            compose(self.team.pose_map_odom(robot), front_end.pose_odom) for robot, front_end in enumerate(self.robots)
+            compose(self.mapper_of(robot).pose_map_odom(robot), front_end.pose_odom)
+            for robot, front_end in enumerate(self.robots)
         ]
         for pose in self._poses_map_robot:
             pose.flags.writeable = False  # beliefs show it to planners
 
     def finish(self) -> None:
-        """Work off all that waits in the team's mapper (end of an episode or log)."""
-        self.team.finish()
-        self.absorb(self._last_step, [])
+        """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""
+        for mapper in self.mappers:
+            mapper.finish()
+            mapper.update(self._last_step, [])
+        self._locate()
 
-    def update(self, frames: Sequence[SensorFrame]) -> None:
-        """`track` and `absorb` at once, for logs and perfect links."""
-        self.absorb(frames[0].step, self.track(frames))
+    def update(self, frames: Sequence[SensorFrame], contacts: Contacts | None = None) -> None:
+        """`track` and `absorb` at once."""
+        self.track(frames)
+        self.absorb(frames[0].step, contacts)
 
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) estimate of a robot in its group's map frame, as of the last `absorb`."""
@@ -62,15 +117,19 @@ class CooperativeSlam:
 
     def belief(self, robot: int, with_signs: bool = True) -> Belief:
         """What this robot knows now; `with_signs=False` leaves out the team's list of signs, which takes a while."""
-        team, frame = self.team, self._frames[robot]
-        group = team.group_index(robot)
+        mapper, frame = self.mapper_of(robot), self._frames[robot]
+        group = mapper.group_index(robot)
         return Belief(
             robot=robot,
             step=frame.step if frame is not None else 0,
             pose_map_robot=self.pose_map_robot(robot),
-            grid=team.grid_of(group),
-            mates={mate: self.pose_map_robot(mate) for mate in team.groups[group].robots if mate != robot},
-            signs=team.signs_of(group) if with_signs else (),
+            grid=mapper.grid_of(group),
+            mates={mate: self._pose_of_mate(mapper, mate) for mate in mapper.groups[group].robots if mate != robot},
+            signs=mapper.signs_of(group) if with_signs else (),
             ranges_m=frame.ranges_m if frame is not None else np.zeros(0),
-            map_version=team.groups[group].version,
+            map_version=mapper.groups[group].version,
         )
+
+    def _pose_of_mate(self, mapper: TeamMapper, mate: int) -> Array:
+        """(3,) where a mate is, as far as this mapper has heard: now, or at its last keyframe that came."""
+        return self.pose_map_robot(mate) if self._is_central else mapper.poses_of(mate)[-1]

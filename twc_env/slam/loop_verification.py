@@ -94,6 +94,15 @@ class LoopVerifier:
         status = "rejected" if reason else "accepted"
         return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
 
+    def compared(
+        self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
+    ) -> list[tuple[int, int]]:
+        """(robot, keyframe index) of every scan that `verify` would look at."""
+        reach = self._config.cloud_reach_m
+        near = _neighbours(target_path[candidate.target[1]], target_path, reach)
+        near += _neighbours(source_path[candidate.source[1]], source_path, min(reach, SPACING_M))
+        return [(k.robot, k.index) for k in near]
+
     def _refine(self, points: Array, guess: Array) -> tuple[Match, float]:
         """The match from a guess, and the share of the points that then lie on walls."""
         match = self._field.refine(points, guess, REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE)

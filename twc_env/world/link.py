@@ -1,42 +1,45 @@
-"""The radio link from each robot to the team's mapper: what arrives in which step, and what it costs in bytes."""
+"""The radio link: which robots reach which listeners in a step."""
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
+from numpy.typing import NDArray
 
 from twc_env.config import LinkConfig
+from twc_env.messages import Contacts
+from twc_env.world.wall_index import WallIndex
 
-BYTES_PER_BEAM = 2
-BYTES_PER_FINGERPRINT_MAC = 7
-"""Six bytes of address and one of strength."""
-BYTES_PER_POSE = 12
+Array = NDArray
 
 
 class Link:
-    """Stores what robots send and forwards it; a lost message is sent again in the next step, in order per robot."""
+    """Decides contacts from true positions; what is said over them is the engine's business."""
 
-    def __init__(self, config: LinkConfig, robots: int, random: np.random.Generator):
-        self._loss_probability = config.loss_probability
-        self._random = random
-        self._queues: tuple[deque, ...] = tuple(deque() for _ in range(robots))
-        self.bytes_sent: dict[str, int] = {}
-        """Kind of message -> bytes put on the air so far; what had to be sent twice counts twice."""
+    def __init__(self, config: LinkConfig, robots: int, walls: WallIndex, random: np.random.Generator):
+        self._config, self._walls, self._random = config, walls, random
+        listeners = robots if config.topology == "peer" else 1
+        self._always = np.ones((listeners, robots), bool)
+        if config.topology == "peer":
+            np.fill_diagonal(self._always, False)
 
-    def send(self, robot: int, kind: str, payload: object, byte_count: int) -> None:
-        """Queue one message of a robot."""
-        self._queues[robot].append((kind, payload, byte_count))
+    def contacts(self, positions_m: Array) -> Contacts:
+        """The contacts of one step at true positions (robots, 2) in the frame of the walls."""
+        config = self._config
+        tried = self._in_range(positions_m) if config.topology == "peer" else self._always
+        if config.loss_probability == 0.0:
+            return Contacts(tried, tried)
+        return Contacts(tried, tried & (self._random.random(tried.shape) >= config.loss_probability))
 
-    def deliver(self) -> list:
-        """The payloads that arrive in this step, robot by robot in the order they were sent."""
-        arrived = []
-        for queue in self._queues:
-            while queue:
-                kind, payload, byte_count = queue[0]
-                self.bytes_sent[kind] = self.bytes_sent.get(kind, 0) + byte_count
-                if self._loss_probability > 0 and self._random.random() < self._loss_probability:
-                    break
-                arrived.append(payload)
-                queue.popleft()
-        return arrived
+    def _in_range(self, positions_m: Array) -> Array:
+        """(robots, robots) bool, symmetric: the distance and the walls between two robots leave them in range."""
+        apart_m = np.hypot(*(positions_m[:, None] - positions_m[None]).T)
+        if self._config.wall_range_m > 0.0:
+            apart_m = apart_m + self._config.wall_range_m * self._walls_between(positions_m)
+        return self._always & (apart_m <= self._config.range_max_m)
+
+    def _walls_between(self, positions_m: Array) -> Array:
+        counts = np.zeros((len(positions_m), len(positions_m)))
+        for first in range(len(positions_m) - 1):
+            later = np.ascontiguousarray(positions_m[first + 1 :])
+            counts[first, first + 1 :] = self._walls.crossing(positions_m[first], later)[0]
+        return counts + counts.T

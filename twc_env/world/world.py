@@ -71,6 +71,11 @@ class World:
         return self._poses
 
     @property
+    def poses_home(self) -> Array:
+        """(n, 3) true poses in the frame in which the building was drawn."""
+        return self._dynamics.poses
+
+    @property
     def contacts(self) -> Array:
         """(n,) whether each robot touches something."""
         return self._dynamics.contacts

@@ -1,0 +1,109 @@
+"""One mapper per robot: limited range, store and forward, scans on request."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env.config import override
+from twc_env.exploration.observations import ObservationBuilder
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.loop_verification import LoopVerifier
+
+STEPS = 350
+PEERS = {"link.topology": "peer", "link.range_max_m": 6.0, "link.scan_on_request": True, "link.loss_probability": 0.3}
+
+
+@pytest.fixture(scope="module")
+def played(explore):
+    """A team of peers, its log, its frames and contacts, and the scans that every verification looked at."""
+    env = twc_env.parallel_env(robots=3, config=PEERS, max_cycles=STEPS)
+    looked_at = []
+    verify = LoopVerifier.verify
+
+    def watched(self, candidate, target_path, source_path):
+        looked_at.append((self, self.compared(candidate, target_path, source_path)))
+        return verify(self, candidate, target_path, source_path)
+
+    frames, contacts = [], []
+    think = env._think
+
+    def recording(now):
+        think(now)
+        frames.append(pickle.loads(pickle.dumps(now)))
+        contacts.append(env.contacts)
+
+    env._think = recording
+    LoopVerifier.verify = watched
+    try:
+        log = explore(STEPS, env=env)
+    finally:
+        LoopVerifier.verify = verify
+    return log, frames, contacts, looked_at
+
+
+def test_what_was_sensed_and_heard_gives_the_same_observations_again(played):
+    log, frames, contacts, _ = played
+    engine = CooperativeSlam(log.env.config, 3)
+    builders = [ObservationBuilder(log.env.config, robot) for robot in range(3)]
+    for step, (now, heard) in enumerate(zip(frames, contacts, strict=True)):
+        engine.update(now, heard)
+        if step == STEPS:
+            engine.finish()
+        for agent, builder, frame in zip(log.env.possible_agents, builders, now, strict=True):
+            built = builder.build(frame, engine.belief(frame.robot))
+            assert all(np.array_equal(built[key], log.observations[step][agent][key]) for key in built)
+
+
+def test_a_verification_looks_at_scans_that_have_come_and_no_others(played):
+    log, _, _, looked_at = played
+    engine = log.env.engine
+    home_of = {id(mapper._search._verifier): robot for robot, mapper in enumerate(engine.mappers)}
+    foreign = 0
+    for verifier, keys in looked_at:
+        home = home_of[id(verifier)]
+        for key in keys:
+            assert key[0] == home or key in engine._exchange._scans[home]
+            foreign += key[0] != home
+    assert foreign > 0
+
+
+def test_robots_that_met_share_a_map_and_each_has_its_own(played):
+    log = played[0]
+    engine = log.env.engine
+    views = engine.views()
+    assert [view.viewers for view in views] == [(0,), (1,), (2,)]
+    assert max(len(view.robots) for view in views) >= 2
+    known = [[len(path) for path in mapper.keyframes] for mapper in engine.mappers]
+    own = [len(engine.mapper_of(r).keyframes[r]) for r in range(3)]
+    assert all(counts[r] == own[r] for r, counts in enumerate(known))
+    assert any(counts[r] < own[r] for counts in known for r in range(3)), "somebody lags behind"
+
+
+def test_the_report_judges_peers_as_it_judges_a_team(played):
+    figures = played[0].env.result().figures
+    assert figures["merged_robots"] >= 2 and figures["wrong_merges"] == 0
+    assert figures["team_ate_m"] < 0.1
+    assert 0.05 < figures["coverage_correct"] <= 1.0
+    assert figures["bytes_by_kind"]["inventory"] > 0 and figures["bytes_by_kind"]["request"] > 0
+    assert sum(rewards["robot_0"] for rewards in played[0].rewards) > 10
+
+
+def test_beliefs_of_robots_that_never_meet_hold_themselves_alone(explore):
+    log = explore(60, robots=3, config={"link.topology": "peer", "link.range_max_m": 0.0})
+    assert log.env.bytes_sent == 0
+    for robot, agent in enumerate(log.env.possible_agents):
+        assert log.env.belief(agent).mates == {}
+        assert [len(path) > 0 for path in log.env.engine.mappers[robot].keyframes] == [r == robot for r in range(3)]
+
+
+def test_asking_for_scans_saves_bytes_until_the_first_merge(explore):
+    sent = {}
+    for on_request in (False, True):
+        config = override(twc_env.EnvConfig(), {"link.scan_on_request": on_request})
+        log = explore(120, robots=3, config={"link.scan_on_request": on_request})
+        assert log.env.config.link == config.link
+        sent[on_request] = log.env.engine.bytes_sent
+    assert sent[True]["fingerprint"] == sent[False]["fingerprint"] > 0
+    assert sent[True]["scan"] < 0.8 * sent[False]["scan"]

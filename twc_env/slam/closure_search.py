@@ -1,0 +1,112 @@
+"""From new keyframes to measured closures: who looks alike, what was tried before, and whose turn it is."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import between
+from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
+from twc_env.slam.group_maps import GroupMaps
+from twc_env.slam.loop_verification import LoopVerifier
+from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
+from twc_env.slam.team_graph import TeamGraph
+
+REPEAT_REACH_M = 2.0
+"""Proposals nearer than this, along both paths, to an earlier one of the same kind are not tried again ..."""
+REPEAT_REACH_APART_M = 0.75
+"""... while the two robots do not share a map yet, when every closure counts."""
+PROXIMITY_PERIOD_M = 1.5
+"""Path length between two searches for near keyframes."""
+TIED_M = 3.0
+"""Inside one map, a robot whose last closure is nearer than this along its path needs no other yet."""
+
+
+class ClosureSearch:
+    """Candidates wait in queues; each step verifies a few of them."""
+
+    def __init__(self, config: EnvConfig, graph: TeamGraph, maps: GroupMaps, robot_count: int):
+        self._rule = config.slam.place_recognition
+        self._graph, self._maps = graph, maps
+        self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
+        self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "proximity")}
+        self._verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar.range_max_m)
+        self._waiting: dict[str, deque[LoopCandidate]] = {name: deque() for name in self._filters}
+        self._without_scans: list[LoopCandidate] = []
+        self._searched_m = [0.0] * robot_count
+        self._tied_m = [-np.inf] * robot_count
+
+    @property
+    def has_more(self) -> bool:
+        """Whether candidates wait for their turn."""
+        return any(self._waiting.values())
+
+    def propose(self, keyframe: Keyframe) -> None:
+        """Queue what a new keyframe looks like."""
+        group_of = self._maps.group_of
+        group = group_of[keyframe.robot]
+        is_tied = keyframe.travel_m - self._tied_m[keyframe.robot] < TIED_M
+        mates = self._maps.groups[group].robots if is_tied else ()
+        candidates = self._recogniser.propose(keyframe, skipped_robots=mates)
+        near = None if is_tied else self._near_keyframe(keyframe)
+        if near is not None:
+            candidates.append(near)
+        for candidate in candidates:
+            target = self._graph.keyframe(candidate.target)
+            reach = REPEAT_REACH_M if group_of[target.robot] == group else REPEAT_REACH_APART_M
+            if self._filters[candidate.recogniser].is_new(target, keyframe, reach):
+                self._waiting[candidate.recogniser].append(candidate)
+
+    def _near_keyframe(self, keyframe: Keyframe) -> LoopCandidate | None:
+        """The nearest keyframe of the same map that the path alone does not tie to this one."""
+        reach_m = self._rule.proximity_m
+        if reach_m <= 0 or keyframe.travel_m - self._searched_m[keyframe.robot] < PROXIMITY_PERIOD_M:
+            return None
+        self._searched_m[keyframe.robot] = keyframe.travel_m
+        here = self._graph.poses_of(keyframe.robot)[-1]
+        best, best_m, best_pose = None, reach_m, here
+        for robot in self._maps.groups[self._maps.group_of[keyframe.robot]].robots:
+            poses = self._graph.poses_of(robot)
+            if robot == keyframe.robot:
+                travels = self._graph.travels_of(robot)
+                poses = poses[: int(np.searchsorted(travels, keyframe.travel_m - self._rule.revisit_travel_m))]
+            if len(poses) == 0:
+                continue
+            away = np.linalg.norm(poses[:, :2] - here[:2], axis=1)
+            nearest = int(np.argmin(away))
+            if away[nearest] < best_m:
+                best, best_m, best_pose = (robot, nearest), away[nearest], poses[nearest]
+        if best is None:
+            return None
+        return LoopCandidate(best, (keyframe.robot, keyframe.index), between(best_pose, here), "proximity")
+
+    def note_tie(self, closure: LoopClosure) -> None:
+        """A closure was accepted: its robots need no other for a while."""
+        for key in (closure.candidate.target, closure.candidate.source):
+            self._tied_m[key[0]] = max(self._tied_m[key[0]], self._graph.keyframe(key).travel_m)
+
+    def untie(self, robots: tuple[int, ...]) -> None:
+        """The ties of these robots were a mistake: look for others at once."""
+        for robot in robots:
+            self._tied_m[robot] = -np.inf
+
+    def next_closure(self) -> LoopClosure | None:
+        """Verify the first candidate whose scans are here; None when none waits. Missing scans are asked for."""
+        while True:
+            queue = self._waiting[self._recogniser.name] or self._waiting["proximity"]
+            if not queue:
+                return None
+            candidate = queue.popleft()
+            paths = self._graph.keyframes[candidate.target[0]], self._graph.keyframes[candidate.source[0]]
+            if self._maps.ask_for(self._verifier.compared(candidate, *paths)):
+                self._without_scans.append(candidate)
+            else:
+                return self._verifier.verify(candidate, *paths)
+
+    def wake(self) -> None:
+        """Scans have come: candidates that waited for them have their turn first."""
+        for candidate in reversed(self._without_scans):
+            self._waiting[candidate.recogniser].appendleft(candidate)
+        self._without_scans.clear()

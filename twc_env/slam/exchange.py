@@ -1,0 +1,119 @@
+"""What robots tell each other and what it costs: keyframes travel on until every mapper has them (store and forward).
+
+Each mapper holds the first so many keyframes of every robot, in order; so one number per robot says what it lacks. With
+`scan_on_request` a keyframe travels as its pose, texts and fingerprint, and a scan only to the mapper that asks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twc_env.config import EnvConfig
+from twc_env.messages import Contacts, Keyframe
+
+BYTES_PER_BEAM = 2
+BYTES_PER_FINGERPRINT_MAC = 7
+"""Six bytes of address and one of strength."""
+BYTES_PER_POSE = 12
+BYTES_PER_COVARIANCE = 12
+"""Six half-precision numbers."""
+BYTES_PER_REQUEST = 4
+"""Robot and number of the keyframe whose scan is wanted."""
+BYTES_PER_COUNT = 2
+"""One entry of the list that says how many keyframes of each robot somebody holds."""
+
+KINDS = ("pose", "text", "fingerprint", "scan", "request", "inventory")
+
+
+@dataclass(slots=True)
+class Delivery:
+    """What reaches one mapper in one step."""
+
+    keyframes: list[Keyframe] = field(default_factory=list)
+    scans: list[tuple[int, int]] = field(default_factory=list)
+    """(robot, keyframe index) of scans that came on request."""
+
+
+class Exchange:
+    """Who holds which keyframes and scans; contacts in, deliveries out. Lost messages are repeated, and cost again."""
+
+    def __init__(self, config: EnvConfig, robot_count: int):
+        self._on_request = config.link.scan_on_request
+        self._is_central = config.link.topology == "central"
+        mappers = 1 if self._is_central else robot_count
+        self._paths: list[list[Keyframe]] = [[] for _ in range(robot_count)]
+        self._held = np.zeros((mappers, robot_count), np.int64)
+        """How many keyframes of each robot a mapper holds."""
+        self._scans: list[set[tuple[int, int]]] = [set() for _ in range(mappers)]
+        """Scans of others that a mapper asked for and got."""
+        self._told = np.full((mappers, mappers, robot_count), -1)
+        """What a peer was last told of another's holdings: (teller, told, robots)."""
+        self.bytes_sent = dict.fromkeys(KINDS, 0)
+        """Kind of message -> bytes put on the air so far; what had to be sent twice counts twice."""
+
+    def add(self, keyframe: Keyframe) -> None:
+        """A robot made a keyframe."""
+        self._paths[keyframe.robot].append(keyframe)
+
+    def deliver(self, contacts: Contacts, wanted: Sequence[Collection[tuple[int, int]]]) -> list[Delivery]:
+        """One step: what arrives at each mapper; `wanted` are the scans that each asks for.
+
+        A keyframe travels one hop per step. Where several can tell a listener the same, the first one does.
+        """
+        deliveries = [Delivery() for _ in self._held]
+        if not self._is_central:
+            for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
+                self._hand_over(delivery, robot, robot, len(self._paths[robot]))
+        before = self._held.copy()
+        for listener, sender in np.argwhere(contacts.tried).tolist():
+            is_heard = bool(contacts.heard[listener, sender])
+            if not self._is_central:
+                self._tell_holdings(listener, sender, is_heard)
+            self._tell_keyframes(deliveries[listener], listener, sender, before, is_heard)
+            self._tell_scans(deliveries[listener], listener, sender, wanted[listener], is_heard)
+        return deliveries
+
+    def _tell_holdings(self, listener: int, sender: int, is_heard: bool) -> None:
+        """The listener says what it holds, when that changed since it last told this sender."""
+        if np.array_equal(self._told[listener, sender], self._held[listener]):
+            return
+        self.bytes_sent["inventory"] += BYTES_PER_COUNT * len(self._paths)
+        if is_heard:
+            self._told[listener, sender] = self._held[listener]
+
+    def _tell_keyframes(self, delivery: Delivery, listener: int, sender: int, before, is_heard: bool) -> None:
+        for robot in (sender,) if self._is_central else range(len(self._paths)):
+            end = len(self._paths[robot]) if robot == sender else int(before[sender, robot])
+            for keyframe in self._paths[robot][self._held[listener, robot] : end]:
+                self._count(keyframe)
+            if is_heard:
+                self._hand_over(delivery, listener, robot, end)
+
+    def _hand_over(self, delivery: Delivery, listener: int, robot: int, end: int) -> None:
+        first = int(self._held[listener, robot])
+        if end > first:
+            delivery.keyframes += self._paths[robot][first:end]
+            self._held[listener, robot] = end
+
+    def _tell_scans(self, delivery: Delivery, listener: int, sender: int, wanted, is_heard: bool) -> None:
+        for key in wanted:
+            robot, index = key
+            has_it = robot == sender or (not self._is_central and key in self._scans[sender])
+            if not has_it or key in self._scans[listener]:
+                continue
+            self.bytes_sent["request"] += BYTES_PER_REQUEST
+            self.bytes_sent["scan"] += BYTES_PER_BEAM * len(self._paths[robot][index].ranges_m)
+            if is_heard:
+                self._scans[listener].add(key)
+                delivery.scans.append(key)
+
+    def _count(self, keyframe: Keyframe) -> None:
+        sent = self.bytes_sent
+        sent["pose"] += BYTES_PER_POSE + BYTES_PER_COVARIANCE
+        sent["text"] += sum(len(sign.text.encode()) + BYTES_PER_POSE for sign in keyframe.signs)
+        sent["fingerprint"] += BYTES_PER_FINGERPRINT_MAC * len(keyframe.fingerprint.macs)
+        if not self._on_request:
+            sent["scan"] += BYTES_PER_BEAM * len(keyframe.ranges_m)

@@ -1,0 +1,149 @@
+"""Which robots share a map, and the map of each such group, drawn from the scans that the mapper has."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import compose, wrap_angle
+from twc_env.messages import GridMap, Keyframe
+from twc_env.slam.occupancy_grid import OccupancyGrid
+from twc_env.slam.team_graph import TeamGraph
+
+Array = NDArray
+
+MOVED_M, MOVED_RAD = 0.04, 0.008
+"""The map is drawn anew when a keyframe has moved by more than this from where it was drawn."""
+
+
+@dataclass(slots=True, eq=False)
+class Group:
+    """Robots that share one map."""
+
+    robots: tuple[int, ...]
+    grid: OccupancyGrid
+    version: int = 0
+    """Grows when the map was drawn anew."""
+
+
+class GroupMaps:
+    """Groups of robots and their grids. `home`: the robot this runs on; None for the one mapper of all."""
+
+    def __init__(self, config: EnvConfig, graph: TeamGraph, home: int | None, robot_count: int):
+        self._resolution_m, self._lidar = config.slam.resolution_m, config.lidar
+        self._graph, self._home, self._on_request = graph, home, config.link.scan_on_request
+        self.groups = [Group((r,), self._new_grid()) for r in range(robot_count)]
+        self.group_of = list(range(robot_count))
+        """Which of `groups` each robot belongs to."""
+        self._drawn = np.zeros((64, 3))
+        """Where each node stands in the map as drawn."""
+        self._scan_here = np.zeros(64, bool)
+        """Which nodes' scans have come; the others may be drawn by their own robot only."""
+        self.wanted: dict[tuple[int, int], None] = {}
+        """Scans to ask for, in order."""
+
+    def add(self, keyframe: Keyframe, node: int) -> None:
+        """A new keyframe: draw its scan, or ask for it where some robot would see it."""
+        if node == len(self._drawn):
+            self._drawn = np.concatenate([self._drawn, np.zeros_like(self._drawn)])
+            self._scan_here = np.concatenate([self._scan_here, np.zeros_like(self._scan_here)])
+        self._scan_here[node] = not self._on_request or keyframe.robot == self._home
+        self._drawn[node] = self._graph.poses[node]
+        group = self.group_of[keyframe.robot]
+        if self._may_draw(group)[node]:
+            self._draw(group, np.array([node]))
+        elif self._is_seen(group):
+            self.wanted[keyframe.robot, keyframe.index] = None
+
+    def receive(self, scans: Sequence[tuple[int, int]]) -> None:
+        """Scans that were asked for have come."""
+        for key in scans:
+            self.wanted.pop(key, None)
+            node, group = self._graph.node(key), self.group_of[key[0]]
+            is_drawn = self._may_draw(group)[node]
+            self._scan_here[node] = True
+            if not is_drawn:
+                self._draw(group, np.array([node]))
+
+    def ask_for(self, keys: Collection[tuple[int, int]]) -> bool:
+        """Want those scans of these keyframes that are not here; whether there are any."""
+        if not self._on_request:
+            return False
+        missing = [key for key in keys if not self._scan_here[self._graph.node(key)]]
+        self.wanted.update(dict.fromkeys(missing))
+        return len(missing) > 0
+
+    def known_grid(self, robots: Sequence[int], group: int) -> GridMap:
+        """What some robots of a group have seen, as far as this mapper may know it, in the group's frame."""
+        if not self._on_request and len(robots) == len(self.groups[group].robots):
+            return self.groups[group].grid.snapshot()
+        nodes = self._graph.nodes_of(robots)
+        nodes = nodes[self._scan_here[nodes]]
+        grid = self._new_grid()
+        grid.integrate(self._graph.poses[nodes], self._graph.scans[nodes])
+        return grid.snapshot()
+
+    def merge(self, a: int, b: int, pose_a_b: Array) -> None:
+        """Carry group b into the map of group a; b's number goes to the group after it."""
+        into, other = self.groups[a], self.groups[b]
+        moved = self._graph.nodes_of(other.robots)
+        self._graph.place(moved, compose(pose_a_b, self._graph.poses[moved]), other.robots)
+        robots = tuple(sorted(into.robots + other.robots))
+        self.groups[a] = Group(robots, self._new_grid(), into.version + other.version + 1)
+        del self.groups[b]
+        self._renumber()
+        if self._is_seen(self.group_of[robots[0]]):
+            self.ask_for([(robot, k.index) for robot in robots for k in self._graph.keyframes[robot]])
+        self.redraw(self.group_of[robots[0]])
+
+    def split(self, group: int, parts: Sequence[Sequence[int]]) -> None:
+        """Take a group apart; each part keeps the frame it was in, the first part the group's number."""
+        version = self.groups[group].version
+        made = [Group(tuple(sorted(part)), self._new_grid(), version) for part in parts]
+        self.groups[group] = made[0]
+        self.groups += made[1:]
+        self._renumber()
+        for one in made:
+            self.redraw(self.group_of[one.robots[0]])
+
+    def _renumber(self) -> None:
+        for index, group in enumerate(self.groups):
+            for robot in group.robots:
+                self.group_of[robot] = index
+
+    def redraw_if_moved(self, group: int) -> None:
+        """Draw the map anew where keyframes have moved enough to show."""
+        nodes = self._graph.nodes_of(self.groups[group].robots)
+        moved = np.abs(self._graph.poses[nodes] - self._drawn[nodes])
+        if len(nodes) and (moved[:, :2].max() > MOVED_M or np.abs(wrap_angle(moved[:, 2])).max() > MOVED_RAD):
+            self.redraw(group)
+
+    def redraw(self, group: int) -> None:
+        """Draw a group's map anew, from where its keyframes stand now."""
+        nodes = self._graph.nodes_of(self.groups[group].robots)
+        self.groups[group].grid.clear()
+        self._drawn[nodes] = self._graph.poses[nodes]
+        self._draw(group, nodes[self._may_draw(group)[nodes]])
+        self.groups[group].version += 1
+
+    def _draw(self, group: int, nodes: Array) -> None:
+        self.groups[group].grid.integrate(self._graph.poses[nodes], self._graph.scans[nodes])
+
+    def _new_grid(self) -> OccupancyGrid:
+        return OccupancyGrid(self._resolution_m, self._lidar.range_max_m, self._lidar.beam_count)
+
+    def _may_draw(self, group: int) -> Array:
+        """(nodes,) bool: scans that are here; a robot that is alone in its map draws all its own where they are."""
+        count = len(self._graph.poses)
+        if self._home is None and len(self.groups[group].robots) == 1:
+            return np.ones(count, bool)
+        return self._scan_here[:count]
+
+    def _is_seen(self, group: int) -> bool:
+        """Whether some robot sees the map that this mapper draws of a group of several."""
+        robots = self.groups[group].robots
+        return len(robots) > 1 and (self._home is None or self._home in robots)

@@ -1,0 +1,83 @@
+"""The evidence for and against putting two groups of robots into one map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import MergingConfig
+from twc_env.geometry import compose, inverse
+from twc_env.messages import GridMap, LoopClosure
+from twc_env.slam import map_merging
+from twc_env.slam.map_merging import MergeProposal
+from twc_env.slam.team_graph import TeamGraph
+
+Array = NDArray
+
+
+class MergeJudge:
+    """Asks closures, fingerprints and walls about a merge of robots `a` with robots `b`."""
+
+    def __init__(self, config: MergingConfig, graph: TeamGraph):
+        self._rule, self._graph = config, graph
+
+    def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
+        """Where the robots that are not in `a` lie in the map of `a`, by closures between the two."""
+        if len(closures) < self._rule.closures_min:
+            return None
+        return map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
+
+    def _as_a_to_b(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> tuple[Array, Array, Array, Array]:
+        """Keyframe poses in a, in b, the measured pose of the latter in the former (k, 3), and the signs in a (k, 2).
+
+        A sign is placed by the keyframe of a, so that signs are compared in one frame.
+        """
+        poses, node = self._graph.poses, self._graph.node
+        in_a, in_b, measured, signs = [], [], [], []
+        for closure in closures:
+            target, source, z = closure.candidate.target, closure.candidate.source, closure.pose_target_source
+            sign = closure.candidate.sign_m if closure.candidate.sign_m is not None else np.zeros(2)
+            if target[0] not in a:
+                sign = compose(inverse(z), [*sign, 0.0])[:2]
+                target, source, z = source, target, inverse(z)
+            signs.append(compose(poses[node(target)], [*sign, 0.0])[:2])
+            in_a.append(poses[node(target)])
+            in_b.append(poses[node(source)])
+            measured.append(z)
+        return np.array(in_a), np.array(in_b), np.array(measured), np.array(signs)
+
+    def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
+        """Whether places that the merge brings together sound alike; None while too few can be compared."""
+        positions, robots, travels, prints, is_b = [], [], [], [], []
+        for group in (a, b):
+            for robot in group:
+                poses = self._graph.poses_of(robot)
+                poses = compose(pose_a_b, poses) if group is b else poses
+                positions.append(poses[:, :2])
+                robots += [robot] * len(poses)
+                travels.append(self._graph.travels_of(robot))
+                prints += [k.fingerprint for k in self._graph.keyframes[robot]]
+                is_b += [group is b] * len(poses)
+        return map_merging.wifi_agrees(
+            np.concatenate(positions), np.array(robots), np.concatenate(travels), prints, np.array(is_b)
+        )
+
+    def overlap(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, reach_m: float) -> list[tuple[int, int]]:
+        """(robot, keyframe index) of the keyframes of each side that the merge would put near one of the other."""
+        names = [[(r, k.index) for r in side for k in self._graph.keyframes[r]] for side in (a, b)]
+        poses = [np.concatenate([self._graph.poses_of(r) for r in side]) for side in (a, b)]
+        apart = poses[0][:, None, :2] - compose(pose_a_b, poses[1])[None, :, :2]
+        near = np.hypot(apart[..., 0], apart[..., 1]) < reach_m
+        chosen = near.any(axis=1), near.any(axis=0)
+        return [
+            name
+            for side, is_near in zip(names, chosen, strict=True)
+            for name, n in zip(side, is_near, strict=True)
+            if n
+        ]
+
+    def walls_disagree(self, grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> bool:
+        """Whether too many walls of one map stand in the free space of the other."""
+        return map_merging.wall_contradiction(grid_a, grid_b, pose_a_b) > self._rule.contradiction_max

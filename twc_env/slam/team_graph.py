@@ -1,0 +1,198 @@
+"""What one mapper holds of its team: keyframes of all robots as nodes of one pose graph, and the edges between them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.geometry import compose, inverse
+from twc_env.messages import Keyframe, KnownSign, LoopClosure
+from twc_env.slam.odometry_filter import invert_symmetric
+from twc_env.slam.pose_graph import Graph
+
+Array = NDArray
+
+ODOMETRY = -1
+SAME_SIGN_M = 1.0
+
+
+class Growing:
+    """Rows of numbers that grow one at a time without copying each time."""
+
+    def __init__(self, *shape: int, dtype: type = np.float64):
+        self._data: Array = np.zeros((64, *shape), dtype)
+        self.count = 0
+
+    def append(self, row) -> None:
+        """Add one row."""
+        if self.count == len(self._data):
+            self._data = np.concatenate([self._data, np.zeros_like(self._data)])
+        self._data[self.count] = row
+        self.count += 1
+
+    @property
+    def rows(self) -> Array:
+        """All rows so far; may be written to."""
+        return self._data[: self.count]
+
+
+class TeamGraph:
+    """Nodes are keyframes in the order of their arrival, edges odometry and closures; everything is kept in arrays."""
+
+    def __init__(self, robot_count: int, beam_count: int):
+        self.keyframes: list[list[Keyframe]] = [[] for _ in range(robot_count)]
+        self.closures: list[LoopClosure] = []
+        """Every closure that was ever verified, with what became of it."""
+        self._poses, self._scans = Growing(3), Growing(beam_count)
+        self._robot_of_node = Growing(dtype=np.int64)
+        self._nodes: list[list[int]] = [[] for _ in range(robot_count)]
+        self._steps = [Growing(dtype=np.int64) for _ in range(robot_count)]
+        self._travels = [Growing() for _ in range(robot_count)]
+        self._ends, self._measured, self._information = Growing(2, dtype=np.int64), Growing(3), Growing(3, 3)
+        self._closure_of_edge, self._is_used = Growing(dtype=np.int64), Growing(dtype=bool)
+        self.signs_read = [0] * robot_count
+        """Texts read by each robot."""
+        self._number_of: dict[int, int] = {}
+        self._edge_of_closure: dict[int, int] = {}
+        self._map_odom: list[Array | None] = [np.zeros(3) for _ in range(robot_count)]
+
+    @property
+    def poses(self) -> Array:
+        """(nodes, 3) of all keyframes, each in its group's map frame."""
+        return self._poses.rows
+
+    @property
+    def scans(self) -> Array:
+        """(nodes, beams) of all keyframes [m]."""
+        return self._scans.rows
+
+    def poses_of(self, robot: int) -> Array:
+        """(keyframes, 3) of one robot."""
+        return self._poses.rows[self._nodes[robot]]
+
+    def steps_of(self, robot: int) -> Array:
+        """(keyframes,) the step at which each was taken."""
+        return self._steps[robot].rows
+
+    def travels_of(self, robot: int) -> Array:
+        """(keyframes,) path length up to each [m]."""
+        return self._travels[robot].rows
+
+    def nodes_of(self, robots: Sequence[int]) -> Array:
+        """(k,) nodes of some robots, ascending."""
+        return np.flatnonzero(np.isin(self._robot_of_node.rows, robots))
+
+    def node(self, key: tuple[int, int]) -> int:
+        """The node of a robot's keyframe."""
+        return self._nodes[key[0]][key[1]]
+
+    def keyframe(self, key: tuple[int, int]) -> Keyframe:
+        """A robot's keyframe."""
+        return self.keyframes[key[0]][key[1]]
+
+    def pose_map_odom(self, robot: int) -> Array:
+        """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
+        held = self._map_odom[robot]
+        if held is None:
+            held = compose(self._poses.rows[self._nodes[robot][-1]], inverse(self.keyframes[robot][-1].pose_odom))
+            self._map_odom[robot] = held
+        return held
+
+    def add_keyframe(self, keyframe: Keyframe) -> int:
+        """The node of a new keyframe, put where odometry leads from the robot's last one."""
+        robot, nodes = keyframe.robot, self._nodes[keyframe.robot]
+        node = self._poses.count
+        self._poses.append(compose(self._poses.rows[nodes[-1]], keyframe.motion) if nodes else np.zeros(3))
+        self._scans.append(keyframe.ranges_m)
+        self._robot_of_node.append(robot)
+        if nodes:
+            self._add_edge(nodes[-1], node, keyframe.motion, keyframe.motion_covariance, ODOMETRY, True)
+        nodes.append(node)
+        self._map_odom[robot] = None
+        self.keyframes[robot].append(keyframe)
+        self._steps[robot].append(keyframe.step)
+        self._travels[robot].append(keyframe.travel_m)
+        self.signs_read[robot] += len(keyframe.signs)
+        return node
+
+    def add_closure(self, closure: LoopClosure) -> None:
+        """Note a verified closure; it is no edge before `tie`."""
+        self._number_of[id(closure)] = len(self.closures)
+        self.closures.append(closure)
+
+    def tie(self, closure: LoopClosure, is_used: bool) -> None:
+        """Make a noted closure an edge, or change whether its edge is used."""
+        number = self._number_of[id(closure)]
+        if number in self._edge_of_closure:
+            self._is_used.rows[self._edge_of_closure[number]] = is_used
+            return
+        self._edge_of_closure[number] = self._ends.count
+        ends = self.node(closure.candidate.target), self.node(closure.candidate.source)
+        self._add_edge(*ends, closure.pose_target_source, closure.covariance, number, is_used)
+
+    def _add_edge(self, first: int, second: int, measured: Array, covariance: Array, closure: int, used: bool) -> None:
+        self._ends.append((first, second))
+        self._measured.append(measured)
+        self._information.append(invert_symmetric(covariance))
+        self._closure_of_edge.append(closure)
+        self._is_used.append(used)
+
+    def place(self, nodes: Sequence[int] | Array, poses: Array, robots: Sequence[int]) -> None:
+        """Move nodes, all of these robots, to new poses."""
+        self._poses.rows[nodes] = poses
+        for robot in robots:
+            self._map_odom[robot] = None
+
+    def part(self, robots: Sequence[int]) -> tuple[Array, Array, Graph, Array]:
+        """Nodes (n,) and edges (e,) among some robots, these as a graph of their own, and which edges are used (e,)."""
+        inside = np.isin(self._robot_of_node.rows, robots)
+        local = np.cumsum(inside) - 1
+        ends = self._ends.rows
+        edges = np.flatnonzero(inside[ends[:, 0]] & inside[ends[:, 1]])
+        graph = Graph(
+            local[ends[edges]],
+            self._measured.rows[edges],
+            self._information.rows[edges],
+            self._closure_of_edge.rows[edges] != ODOMETRY,
+        )
+        return np.flatnonzero(inside), edges, graph, self._is_used.rows[edges]
+
+    def mark(self, edges: Array, is_used: Array, reasons: dict[int, str]) -> None:
+        """Note which edges (e,) are used now; `reasons` by position in `edges` say why closures are not."""
+        for k in np.flatnonzero(self._closure_of_edge.rows[edges] != ODOMETRY):
+            closure = self.closures[self._closure_of_edge.rows[edges[k]]]
+            if is_used[k] != self._is_used.rows[edges[k]] or closure.status == "pending":
+                closure.status = "accepted" if is_used[k] else "rejected"
+                closure.reason = "" if is_used[k] else reasons[int(k)]
+        self._is_used.rows[edges] = is_used
+
+    def signs(self, robots: Sequence[int]) -> tuple[KnownSign, ...]:
+        """The texts read by some robots of one group, each once per place."""
+        places: dict[str, list[Array]] = {}
+        for robot in robots:
+            poses = self.poses_of(robot)
+            for keyframe in self.keyframes[robot]:
+                for sign in keyframe.signs:
+                    position = compose(poses[keyframe.index], [*sign.position_m, 0.0])[:2]
+                    known = places.setdefault(sign.text, [])
+                    if all(math.dist(position, other) >= SAME_SIGN_M for other in known):
+                        known.append(position)
+        return tuple(KnownSign(text, position) for text, known in places.items() for position in known)
+
+    def as_arrays(self) -> dict[str, Array | list[str]]:
+        """The graph of what is used: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
+        ids = np.zeros((self._poses.count, 2), np.int64)
+        for robot, nodes in enumerate(self._nodes):
+            ids[nodes] = np.stack([np.full(len(nodes), robot), np.arange(len(nodes))], axis=1)
+        used = self._is_used.rows
+        return {
+            "nodes": self._poses.rows.copy(),
+            "node_ids": ids,
+            "edges_ij": self._ends.rows[used],
+            "edges_z": self._measured.rows[used],
+            "edges_information": self._information.rows[used],
+            "edges_kind": ["odometry" if c == ODOMETRY else "closure" for c in self._closure_of_edge.rows[used]],
+        }
