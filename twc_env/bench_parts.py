@@ -39,13 +39,17 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
     """(part, whether it is of the engine, owner, function or method) of all that is timed."""
     from twc_env.exploration import evaluation
     from twc_env.exploration.observations import ObservationBuilder
+    from twc_env.slam.closure_search import ClosureSearch
     from twc_env.slam.engine import CooperativeSlam
+    from twc_env.slam.exchange import Exchange
+    from twc_env.slam.group_maps import GroupMaps
     from twc_env.slam.loop_verification import LoopVerifier
     from twc_env.slam.mate_detection import MateMarker
     from twc_env.slam.occupancy_grid import OccupancyGrid
     from twc_env.slam.odometry_filter import CompiledFilters
     from twc_env.slam.robot import FrontEnds, RobotFrontEnd
     from twc_env.slam.team import TeamMapper
+    from twc_env.slam.team_graph import TeamGraph
     from twc_env.world.world import World
 
     return [
@@ -58,13 +62,14 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("keyframe: making", True, RobotFrontEnd, "make_keyframe"),
         ("keyframe: local map", True, RobotFrontEnd, "_extend_local_map"),
         ("front end: the rest", True, CooperativeSlam, "track"),
-        ("team: keyframe into the graph", True, TeamMapper, "_add"),
+        ("messages", True, Exchange, "deliver"),
+        ("team: keyframe into the graph", True, TeamGraph, "add_keyframe"),
         ("team: merged grid", True, OccupancyGrid, "integrate"),
-        ("team: place recognition", True, TeamMapper, "_propose"),
+        ("team: place recognition", True, ClosureSearch, "propose"),
         ("team: verification", True, LoopVerifier, "verify"),
         ("team: merging", True, TeamMapper, "_try_merge"),
         ("team: pose graph", True, TeamMapper, "_optimise"),
-        ("team: redrawing", True, TeamMapper, "_redraw"),
+        ("team: redrawing", True, GroupMaps, "redraw"),
         ("team: the rest", True, CooperativeSlam, "absorb"),
         ("observation: map crop", False, ObservationBuilder, "_map"),
         ("observation: the rest", False, ObservationBuilder, "build"),

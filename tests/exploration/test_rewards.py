@@ -8,13 +8,16 @@ from twc_env import metrics
 from twc_env.config import RewardConfig
 from twc_env.exploration.evaluation import GroupVerdict, rightly_mapped_m2
 from twc_env.exploration.rewards import Transition, terms, weigh
+from twc_env.messages import GridMap
 from twc_env.slam import map_merging
+from twc_env.slam.engine import View
 
 STEPS = 300
 
 
 def verdict(robots, area_m2, wrong_pairs=()):
-    return GroupVerdict(robots, np.zeros(3), tuple(wrong_pairs), area_m2)
+    nothing = GridMap(np.zeros((0, 0), np.int16), np.zeros(2), 0.1)
+    return GroupVerdict(View(None, 0, robots), robots, nothing, np.zeros(3), tuple(wrong_pairs), area_m2)
 
 
 def mapped_areas(result) -> dict[tuple[int, ...], float]:
