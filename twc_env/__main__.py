@@ -54,7 +54,16 @@ def _parser() -> argparse.ArgumentParser:
     speed.add_argument("--episodes", type=int, default=3, help="seeds 0, 1, ... (default: %(default)s)")
     speed.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
     speed.add_argument("--parts", action="store_true", help="the table of what costs what, instead of rates")
-    speed.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one flat object")
+    speed.add_argument(
+        "--peers",
+        action="store_true",
+        help="in one run on one core: ours beside IR-SIM and MPE2 (pip install 'twc_env[peers]'), start-up, memory, "
+        "two workers; fixed settings",
+    )
+    speed.add_argument(
+        "--scaling", action="store_true", help="cost of the world against walls, beams, robots and area; large resets"
+    )
+    speed.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one object")
     speed.set_defaults(run=_bench)
 
     record = commands.add_parser(
@@ -107,16 +116,32 @@ def _bench(options: argparse.Namespace) -> None:
     if options.parts:
         _bench_parts(config, options)
         return
-    figures = bench(config, options.episodes, report=lambda line: print(line, file=sys.stderr))
+    if options.peers or options.scaling:
+        figures = _bench_peers(options)
+    else:
+        figures = bench(config, options.episodes, report=_report)
     for key, value in figures.items():
-        print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
+        if key != "scaling":
+            print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
     _write_json(options.json, figures)
+
+
+def _bench_peers(options: argparse.Namespace) -> dict:
+    from twc_env.bench_peers import bench_peers
+    from twc_env.bench_scaling import bench_large_reset, bench_scaling
+
+    figures = bench_peers(report=_report) if options.peers else {}
+    return figures | bench_large_reset() | {"scaling": bench_scaling(report=_report)}
+
+
+def _report(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
     from twc_env.bench_parts import bench_parts, table_of
 
-    rows = bench_parts(config, options.episodes, report=lambda line: print(line, file=sys.stderr))
+    rows = bench_parts(config, options.episodes, report=_report)
     print(table_of(rows))
     _write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows})
 

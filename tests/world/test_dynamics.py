@@ -108,3 +108,24 @@ def test_a_blocked_robot_regains_speed_only_by_accelerating():
     before = dynamics.poses[0].copy()
     drive(dynamics, [[1.0, 0.0]], 1)
     assert np.hypot(*(dynamics.poses[0] - before)[:2]) < 0.03
+
+
+def test_steps_without_the_rigid_body_world_are_those_it_would_have_taken():
+    random = np.random.default_rng(3)
+    inner = np.array([[[3, 0], [3, 2.2]], [[0, 3], [2, 3]]], float)
+    starts = [[1, 1, 0.0], [5, 1, 1.0], [4, 4.5, 2.0]]
+    mixed, asked = (robots_in(DynamicsConfig(), np.concatenate([ROOM, inner]), starts) for _ in range(2))
+    calls = []
+    collide = mixed._collide
+    mixed._collide = lambda: (calls.append(1), collide())
+    touched = 0
+    for _ in range(60):
+        commands = np.column_stack([random.uniform(0, 1, 3), random.uniform(-1.5, 1.5, 3)])
+        for _ in range(10):
+            mixed.step(commands)
+            asked._gaps.fill(0.0)  # as if a wall were always near
+            asked.step(commands)
+            assert mixed.poses == pytest.approx(asked.poses, abs=1e-9)
+            assert mixed.contacts.tolist() == asked.contacts.tolist()
+            touched += mixed.contacts.sum()
+    assert touched > 20 and 0 < len(calls) < 600

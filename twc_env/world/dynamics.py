@@ -21,12 +21,18 @@ _STRIDE_RADII = 0.25
 _SLOP_M = 1e-3
 """How far bodies may overlap without being pushed apart."""
 _PENETRATION_KEPT_PER_S = 1e-6
-_READ = batch.BodyFields.POSITION | batch.BodyFields.ANGLE | batch.BodyFields.VELOCITY
-_WRITE = batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY
+_STATE = (
+    batch.BodyFields.POSITION | batch.BodyFields.ANGLE | batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY
+)
+_CLEAR_M = 1e-6
+"""Gaps larger than the step by this much are not closed in it."""
 
 
 class Dynamics:
-    """All robots of one episode and the walls around them."""
+    """All robots of one episode and the walls around them.
+
+    The rigid-body world is asked only in steps in which something could touch: what moves freely just moves on.
+    """
 
     def __init__(self, config: DynamicsConfig, index: WallIndex, starts: Array):
         """Walls and start poses (n, 3) in one frame; the robots begin at rest."""
@@ -44,35 +50,46 @@ class Dynamics:
         )
         stride_m = config.speed_max_m_s * config.time_step_s
         self._substeps = max(1, math.ceil(stride_m / (_STRIDE_RADII * config.robot_radius_m)))
-        self._time_step_s = config.time_step_s
+        self._time_step_s, self._reach_m = config.time_step_s, config.robot_radius_m + stride_m + 2 * _CLEAR_M
         self._count = len(starts)
-        # Velocity x, y and turn rate of each body. pymunk lists the body that carries the walls after the robots.
-        self._velocities = np.zeros((self._count + 1, 3))
+        # x, y, heading, velocity x, y and turn rate of each body, as pymunk lists them; the last carries the walls.
+        self._state = np.zeros((self._count + 1, 6))
+        self._state[:-1, :3] = starts
         self._outgoing, self._incoming = batch.Buffer(), batch.Buffer()
-        self._outgoing.set_float_buf(self._velocities)
-        self._read_bodies()
+        self._outgoing.set_float_buf(self._state)
+        self._gaps = np.empty(self._count)
+        """(n,) from each robot's middle to the nearest wall, cut where no step reaches."""
+        self.poses = np.empty((self._count, 3))
+        """(n, 3) true poses, a new array with every step."""
+        self.contacts = np.empty(self._count, np.bool_)
+        """(n,) whether the robot touches a wall or a robot at the end of the step; a new array with every step."""
+        self._look_around()
 
     def step(self, commands: Array) -> None:
         """Advance one time step; commands (n, 2) are forward speed [m/s] and turn rate [rad/s], cut to the limits."""
         commands = np.asarray(commands, float)
-        _drive(self.poses, self._speeds, commands, self._limits, self._time_step_s, self._velocities)
-        batch.set_space_bodies(self._space, _WRITE, self._outgoing)
+        is_free = _drive(
+            self._state, commands, self._limits, self._time_step_s, self._substeps, self._gaps, self._radius_m
+        )
+        if not is_free:
+            self._collide()
+        self.poses, self.contacts = np.empty((self._count, 3)), np.empty(self._count, np.bool_)
+        self._look_around()
+
+    def _collide(self) -> None:
+        """The same step in the rigid-body world."""
+        batch.set_space_bodies(self._space, _STATE, self._outgoing)
         for _ in range(self._substeps):
             self._space.step(self._time_step_s / self._substeps)
-        self._read_bodies()
-
-    def _read_bodies(self) -> None:
         self._incoming.clear()
-        batch.get_space_bodies(self._space, _READ, self._incoming)
-        bodies = np.frombuffer(self._incoming.float_buf()).reshape(self._count + 1, 5)
-        self.poses, self._speeds = np.empty((self._count, 3)), np.empty(self._count)
-        """poses: (n, 3) true poses, a new array with every step; speeds: (n,) along the heading [m/s]."""
-        self.contacts = np.empty(self._count, np.bool_)
-        """(n,) whether the robot touches a wall or a robot at the end of the step; a new array with every step."""
+        batch.get_space_bodies(self._space, _STATE, self._incoming)
+        self._state[:] = np.frombuffer(self._incoming.float_buf()).reshape(self._count + 1, 6)
+
+    def _look_around(self) -> None:
         i = self._index
-        _unpack(
-            bodies, i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members, self._radius_m,
-            self.poses, self._speeds, self.contacts,
+        _look_around(
+            self._state, i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members, self._radius_m,
+            self._reach_m, self._gaps, self.poses, self.contacts,
         )  # fmt: skip
 
 
@@ -80,6 +97,7 @@ def _walled_space(walls_m: Array) -> pymunk.Space:
     space = pymunk.Space()
     space.collision_slop = _SLOP_M
     space.collision_bias = _PENETRATION_KEPT_PER_S
+    space.collision_persistence = 1  # steps are left out: what touched in the last one is no hint
     space.add(*(pymunk.Segment(space.static_body, a, b, 0.0) for a, b in walls_m.reshape(-1, 2, 2).tolist()))
     return space
 
@@ -92,15 +110,49 @@ def _add_robot(space: pymunk.Space, pose: Array, radius_m: float) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _unpack(bodies, walls, origin, bucket, rows, columns, first, members, radius, poses, speeds, contacts):
-    """x, y, heading and velocity x, y of each body -> poses, speeds ahead, and who touches something."""
+def _drive(state, commands, limits, time_step, substeps, gaps, radius):
+    """Wheel speeds towards the commands; then, if no robot can touch anything in this step, move them.
+
+    Whether it did. A wall that stopped the robot has stopped its wheels too: the speed is that of the body.
+    """
+    robots = commands.shape[0]
+    for i in range(robots):
+        heading = state[i, 2]
+        speed = state[i, 3] * np.cos(heading) + state[i, 4] * np.sin(heading)
+        wanted = min(max(commands[i, 0], -limits[0]), limits[0])
+        speed = min(max(wanted, speed - limits[2]), speed + limits[2])
+        turn_rate = state[i, 5]
+        wanted = min(max(commands[i, 1], -limits[1]), limits[1])
+        turn_rate = min(max(wanted, turn_rate - limits[3]), turn_rate + limits[3])
+        # Drive along the chord of the arc: half of the turn lies before it.
+        chord = heading + 0.5 * turn_rate * time_step
+        state[i, 3] = speed * np.cos(chord)
+        state[i, 4] = speed * np.sin(chord)
+        state[i, 5] = turn_rate
+    for i in range(robots):
+        stride = np.sqrt(state[i, 3] ** 2 + state[i, 4] ** 2) * time_step
+        if gaps[i] <= radius + stride + _CLEAR_M:
+            return False
+        for j in range(i):
+            reach = 2.0 * radius + stride + np.sqrt(state[j, 3] ** 2 + state[j, 4] ** 2) * time_step + _CLEAR_M
+            if (state[i, 0] - state[j, 0]) ** 2 + (state[i, 1] - state[j, 1]) ** 2 <= reach * reach:
+                return False
+    for i in range(robots):
+        for _ in range(substeps):
+            for k in range(3):
+                state[i, k] += state[i, 3 + k] * (time_step / substeps)
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _look_around(state, walls, origin, bucket, rows, columns, first, members, radius, reach, gaps, poses, contacts):
+    """Poses of the robots, their distances to walls, and who touches something."""
     robots = poses.shape[0]
     for i in range(robots):
-        x, y, heading = bodies[i, 0], bodies[i, 1], bodies[i, 2]
-        poses[i, 0], poses[i, 1] = x, y
-        poses[i, 2] = (heading + np.pi) % (2.0 * np.pi) - np.pi
-        speeds[i] = bodies[i, 3] * np.cos(heading) + bodies[i, 4] * np.sin(heading)
-        contacts[i] = _touches_wall(walls, origin, bucket, rows, columns, first, members, x, y, radius)
+        poses[i, 0], poses[i, 1] = state[i, 0], state[i, 1]
+        poses[i, 2] = (state[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        gaps[i] = _gap(walls, origin, bucket, rows, columns, first, members, state[i, 0], state[i, 1], reach)
+        contacts[i] = gaps[i] < radius
     for i in range(robots):
         for j in range(i):
             dx, dy = poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]
@@ -109,11 +161,13 @@ def _unpack(bodies, walls, origin, bucket, rows, columns, first, members, radius
 
 
 @njit(cache=True, error_model="numpy")
-def _touches_wall(walls, origin, bucket, rows, columns, first, members, x, y, radius):
-    c0 = max(int(np.floor((x - radius - origin[0]) / bucket)), 0)
-    c1 = min(int(np.floor((x + radius - origin[0]) / bucket)), columns - 1)
-    r0 = max(int(np.floor((y - radius - origin[1]) / bucket)), 0)
-    r1 = min(int(np.floor((y + radius - origin[1]) / bucket)), rows - 1)
+def _gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
+    """Distance of (x, y) to the nearest wall, cut at `reach`."""
+    c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
+    c1 = min(int(np.floor((x + reach - origin[0]) / bucket)), columns - 1)
+    r0 = max(int(np.floor((y - reach - origin[1]) / bucket)), 0)
+    r1 = min(int(np.floor((y + reach - origin[1]) / bucket)), rows - 1)
+    nearest2 = reach * reach
     for r in range(r0, r1 + 1):
         for c in range(c0, c1 + 1):
             for m in range(first[r * columns + c], first[r * columns + c + 1]):
@@ -122,22 +176,5 @@ def _touches_wall(walls, origin, bucket, rows, columns, first, members, x, y, ra
                 ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
                 t = min(max((ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
                 dx, dy = ax - t * ex, ay - t * ey
-                if dx * dx + dy * dy < radius * radius:
-                    return True
-    return False
-
-
-@njit(cache=True, error_model="numpy")
-def _drive(poses, speeds, commands, limits, time_step, velocities):
-    """Wheel speeds towards the commands; a wall that stopped the robot has stopped its wheels too."""
-    for i in range(poses.shape[0]):
-        wanted = min(max(commands[i, 0], -limits[0]), limits[0])
-        speed = min(max(wanted, speeds[i] - limits[2]), speeds[i] + limits[2])
-        turn_rate = velocities[i, 2]
-        wanted = min(max(commands[i, 1], -limits[1]), limits[1])
-        turn_rate = min(max(wanted, turn_rate - limits[3]), turn_rate + limits[3])
-        # Drive along the chord of the arc: half of the turn lies before it.
-        chord = poses[i, 2] + 0.5 * turn_rate * time_step
-        velocities[i, 0] = speed * np.cos(chord)
-        velocities[i, 1] = speed * np.sin(chord)
-        velocities[i, 2] = turn_rate
+                nearest2 = min(nearest2, dx * dx + dy * dy)
+    return np.sqrt(nearest2)

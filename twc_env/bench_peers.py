@@ -1,0 +1,270 @@
+"""Our speed beside that of peers, in one run on one core: rates, slowest steps, workers, memory and start-up.
+
+Ours are whole episodes through the PettingZoo parallel API. The drivers' actions are recorded beforehand, in an episode
+without an engine (the world is the same), so that only the environment is timed. Repetitions alternate between all
+candidates, each figure is a median. Compare figures of one run only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib.util
+import io
+import logging
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env import bench_probes
+from twc_env.bench import wander
+from twc_env.config import EnvConfig, override
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.maps import load_map
+from twc_env.world.floorplan import Floorplan
+
+Array = NDArray
+Report = Callable[[str], None]
+
+WORLD_MAP, WORLD_ACCESS_POINTS = "gen:office:1000:1", 20
+"""Where the world alone is measured: some 200 walls; access points beyond that many are left out."""
+SLAM_MAP = "twin-02"
+ROBOTS, BEAMS = 3, 180
+PEERS = {"irsim": ("irsim", "IR-SIM", "ir-sim"), "mpe2": ("mpe2", "MPE2", "mpe2")}
+"""Key -> module, name, package."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How long each repetition is."""
+
+    repetitions: int = 5
+    world_steps: int = 2000
+    slam_steps: int = 2000
+    irsim_steps: int = 400
+    mpe2_steps: int = 3000
+    probe_steps: int = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One timed repetition."""
+
+    steps: int
+    wall_s: float
+    cpu_s: float
+    step_s: Array | None = None
+    """(steps,) wall time of each step, where it was taken."""
+    team_ate_m: float = float("nan")
+
+
+def bench_peers(settings: Settings | None = None, report: Report = lambda _line: None) -> dict[str, Any]:
+    """All figures of the comparison as one flat object; a peer that is not installed has None."""
+    settings = settings or Settings()
+    with pinned_to_one_core():
+        figures = _rates(settings, report)
+    figures |= bench_probes.probe(SLAM_MAP, settings.probe_steps, report)
+    return figures
+
+
+def _rates(settings: Settings, report: Report) -> dict[str, Any]:
+    candidates = _candidates(settings, report)
+    runs: dict[str, list[Run]] = {name: [] for name in candidates}
+    for repetition in range(settings.repetitions):
+        for name, once in candidates.items():
+            runs[name].append(once(repetition))
+            run = runs[name][-1]
+            report(f"{repetition + 1}/{settings.repetitions} {name:<6} {run.steps / run.wall_s:>9,.0f} env-steps/s")
+    figures: dict[str, Any] = {}
+    for name in ("world", "slam", *PEERS):
+        rates = [(run.steps / run.wall_s, run.steps / run.cpu_s) for run in runs.get(name, [])]
+        for suffix, column in (("s", 0), ("cpu_s", 1)):
+            values = [rate[column] for rate in rates]
+            figures[f"{name}_env_steps_per_{suffix}"] = statistics.median(values) if values else None
+    for ours in ("world", "slam"):
+        for peer in PEERS:
+            theirs = figures[f"{peer}_env_steps_per_cpu_s"]
+            figures[f"{ours}_over_{peer}"] = figures[f"{ours}_env_steps_per_cpu_s"] / theirs if theirs else None
+    slowest = [np.percentile(run.step_s, 99) for run in runs["slam"] if run.step_s is not None]
+    plan = world_plan()
+    return figures | {
+        "slam_step_p99_ms": 1e3 * statistics.median(slowest),
+        "slam_team_ate_m": statistics.median(run.team_ate_m for run in runs["slam"]),
+        "repetitions": settings.repetitions,
+        "robots": ROBOTS,
+        "beams": BEAMS,
+        "world_map": WORLD_MAP,
+        "world_walls": len(plan.walls_m),
+        "world_access_points": len(plan.access_points),
+        "slam_map": SLAM_MAP,
+    }
+
+
+def _candidates(settings: Settings, report: Report) -> dict[str, Callable[[int], Run]]:
+    base = {"robots": ROBOTS, "lidar.beam_count": BEAMS}
+    world = override(EnvConfig(), {**base, "slam.mode": "off", "max_cycles": settings.world_steps})
+    slam = override(EnvConfig(), {**base, "map": SLAM_MAP, "max_cycles": settings.slam_steps})
+    candidates: dict[str, Callable[[int], Run]] = {
+        "world": OurRuns(world, world_plan()).once,
+        "slam": OurRuns(slam, load_map(SLAM_MAP)).once,
+    }
+    if is_installed("irsim", report):
+        candidates["irsim"] = IrsimRuns(settings.irsim_steps).once
+    if is_installed("mpe2", report):
+        candidates["mpe2"] = Mpe2Runs(settings.mpe2_steps).once
+    return candidates
+
+
+class OurRuns:
+    """Episodes of our environment, one per seed; the first is played once before, so that kernels are compiled."""
+
+    def __init__(self, config: EnvConfig, plan: Floorplan):
+        self._env = ExplorationEnv(config=config, floorplan=plan)
+        self._scout = ExplorationEnv(config=override(config, {"slam.mode": "off"}), floorplan=plan)
+        self._play(0)
+
+    def once(self, seed: int) -> Run:
+        """One whole episode."""
+        return self._play(seed)
+
+    def _play(self, seed: int) -> Run:
+        actions = record_actions(self._scout, seed)
+        self._env.reset(seed=seed)
+        step, step_s = self._env.step, np.empty(len(actions))
+        cpu, wall = time.process_time(), time.perf_counter()
+        before = wall
+        for k, action in enumerate(actions):
+            step(action)
+            now = time.perf_counter()
+            step_s[k] = now - before
+            before = now
+        wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+        return Run(len(actions), wall_s, cpu_s, step_s, self._env.result().figures["team_ate_m"])
+
+
+def record_actions(env: ExplorationEnv, seed: int) -> list[dict[str, Array]]:
+    """What a wandering team does in one episode, float32 as a learner would send it."""
+    env.reset(seed=seed)
+    actions = []
+    for action in wander(env, seed):
+        actions.append({agent: value.astype(np.float32) for agent, value in action.items()})
+        env.step(actions[-1])
+    return actions
+
+
+class IrsimRuns:
+    """IR-SIM without plots: three robots that drive circles among 20 boxes, each with a laser scanner; no mapping."""
+
+    def __init__(self, steps: int):
+        import irsim
+
+        self._steps = steps
+        with tempfile.TemporaryDirectory() as folder, _quiet():
+            path = Path(folder) / "world.yaml"
+            path.write_text(_irsim_world())
+            self._env = irsim.make(str(path), headless=True, disable_all_plot=True, log_level="CRITICAL")
+        self._action = [np.array([[0.5], [0.6]])] * ROBOTS
+        self.once(0)
+
+    def once(self, _seed: int) -> Run:
+        """Some hundred steps with a scan of every robot in each."""
+        step, action = self._env.step, self._action
+        cpu, wall = time.process_time(), time.perf_counter()
+        for _ in range(self._steps):
+            step(action)
+        return Run(self._steps, time.perf_counter() - wall, time.process_time() - cpu)
+
+    @property
+    def scans(self) -> list[Array]:
+        """The last scan of each robot."""
+        return [np.asarray(robot.get_lidar_scan()["ranges"]) for robot in self._env.robot_list]
+
+
+def _irsim_world() -> str:
+    places = [[4 + 8 * column, 4 + 7 * row, 0.3 * row] for row in range(4) for column in range(5)]
+    robots = [[8, 7.5, 0], [16, 14.5, 1], [32, 21.5, 2]]
+    return f"""
+world: {{height: 30, width: 40, step_time: 0.1, sample_time: 0.1, collision_mode: stop}}
+robot:
+  - number: {ROBOTS}
+    distribution: {{name: manual}}
+    kinematics: {{name: diff}}
+    shape: {{name: circle, radius: 0.2}}
+    state: {robots}
+    sensors:
+      - {{type: lidar2d, range_min: 0, range_max: 10, angle_range: 6.2831853, number: {BEAMS}, noise: false}}
+obstacle:
+  - number: {len(places)}
+    distribution: {{name: manual}}
+    shape: {{name: rectangle, length: 1, width: 1}}
+    state: {places}
+"""
+
+
+class Mpe2Runs:
+    """MPE2's simple_spread with three agents: points in the plane, no sensors."""
+
+    def __init__(self, steps: int):
+        from mpe2 import simple_spread_v3
+
+        self._steps = steps
+        self._env = simple_spread_v3.parallel_env(N=ROBOTS, max_cycles=10**9)
+        self._env.reset(seed=0)
+        self.once(0)
+
+    def once(self, _seed: int) -> Run:
+        """Some thousand steps with fixed actions."""
+        step, action = self._env.step, {agent: 1 + k for k, agent in enumerate(self._env.agents)}
+        cpu, wall = time.process_time(), time.perf_counter()
+        for _ in range(self._steps):
+            step(action)
+        return Run(self._steps, time.perf_counter() - wall, time.process_time() - cpu)
+
+
+def world_plan() -> Floorplan:
+    """The building in which the world alone is measured."""
+    plan = load_map(WORLD_MAP)
+    every = max(len(plan.access_points) // WORLD_ACCESS_POINTS, 1)
+    return dataclasses.replace(plan, access_points=plan.access_points[::every][:WORLD_ACCESS_POINTS])
+
+
+def is_installed(peer: str, report: Report) -> bool:
+    """Whether a peer can be measured; says how to get it where not."""
+    module, name, package = PEERS[peer]
+    if importlib.util.find_spec(module) is not None:
+        return True
+    report(f"{name} is not installed, its figures stay empty: pip install {package}, or pip install 'twc_env[peers]'")
+    return False
+
+
+@contextlib.contextmanager
+def pinned_to_one_core() -> Iterator[None]:
+    """Keep this process on one core, where the system can."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    held = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(held)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, held)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what a peer prints and logs while it starts."""
+    logging.disable(logging.CRITICAL)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            yield
+    finally:
+        logging.disable(logging.NOTSET)

@@ -1,0 +1,178 @@
+"""What a rate does not show, each in processes of its own: start-up, memory per environment, two workers.
+
+`python -m twc_env.bench_probes PROBE ...` is one such process; it prints its figure.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Report = Callable[[str], None]
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_WARM_STARTS = 3
+_MEMORY_MAP, _MEMORY_ENVS = "gen:office:1000:{}", 4
+_ROUNDS = 3
+
+
+def probe(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
+    """first_step_cold_s, first_step_warm_s, memory_per_env_mb and workers2_speedup."""
+    figures: dict[str, float | None] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        own_cache = {"NUMBA_CACHE_DIR": folder}
+        figures["first_step_cold_s"] = float(_run(["first_step", map_name], own_cache))
+        report(f"import to first step, no kernel compiled yet: {figures['first_step_cold_s']:.1f} s")
+        warm = [float(_run(["first_step", map_name], own_cache)) for _ in range(_WARM_STARTS)]
+    figures["first_step_warm_s"] = statistics.median(warm)
+    report(f"import to first step, kernels on disk: {figures['first_step_warm_s']:.2f} s")
+    figures["memory_per_env_mb"] = float(_run(["memory", str(steps)]))
+    report(f"memory of one environment of 1,000 m2: {figures['memory_per_env_mb']:.1f} MB")
+    figures["workers2_speedup"] = workers2_speedup(map_name, steps, report)
+    return figures
+
+
+def workers2_speedup(map_name: str, steps: int, report: Report) -> float | None:
+    """Steps per second of two worker processes at once over those of one; None on a single core.
+
+    Median over rounds of one worker, then two.
+    """
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+    if len(cores) < 2:
+        report("one core only: two workers cannot be measured")
+        return None
+    ratios = []
+    for _ in range(_ROUNDS):
+        alone = _workers(map_name, steps, cores[:1])
+        ratios.append(_workers(map_name, steps, cores[:2]) / alone)
+    speedup = statistics.median(ratios)
+    report(f"two workers against one: {speedup:.2f} x")
+    return speedup
+
+
+def _workers(map_name: str, steps: int, cores: list[int]) -> float:
+    """Steps per second of all workers together: each runs its own environment on its own core, all begin at once."""
+    with tempfile.TemporaryDirectory() as folder:
+        gate = Path(folder) / "go"
+        workers = [
+            _start(["worker", map_name, str(steps), str(core), str(seed), str(gate)]) for seed, core in enumerate(cores)
+        ]
+        for worker in workers:
+            assert worker.stdout is not None
+            worker.stdout.readline()  # "ready"
+        gate.touch()
+        spans = [json.loads(worker.communicate()[0]) for worker in workers]
+    return len(cores) * steps / (max(end for _, end in spans) - min(begin for begin, _ in spans))
+
+
+def _start(arguments: list[str], environment: dict[str, str] | None = None) -> subprocess.Popen:
+    pinned = dict.fromkeys(_THREADS, "1")
+    return subprocess.Popen(
+        [sys.executable, "-m", __name__, *arguments],
+        env={**os.environ, **pinned, **(environment or {})},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _run(arguments: list[str], environment: dict[str, str] | None = None) -> str:
+    process = _start(arguments, environment)
+    output, _ = process.communicate()
+    if process.returncode != 0:
+        raise RuntimeError(f"the probe {' '.join(arguments)} failed: see its message above")
+    return output.strip()
+
+
+def _first_step(map_name: str) -> float:
+    begin = time.perf_counter()
+    import numpy as np
+
+    import twc_env
+
+    env = twc_env.parallel_env(map=map_name)
+    env.reset(seed=0)
+    env.step(dict.fromkeys(env.agents, np.zeros(2, np.float32)))
+    return time.perf_counter() - begin
+
+
+def _memory_mb(steps: int) -> float:
+    """Resident memory that each further environment adds, in a building of its own, after an episode."""
+    envs = [_played(_MEMORY_MAP.format(100), steps)]
+    before = _resident_mb()
+    envs += [_played(_MEMORY_MAP.format(101 + k), steps) for k in range(_MEMORY_ENVS)]
+    return (_resident_mb() - before) / (len(envs) - 1)
+
+
+def _played(map_name: str, steps: int) -> Any:
+    from twc_env.bench import wander
+    from twc_env.exploration.environment import ExplorationEnv
+
+    env = ExplorationEnv(map=map_name, max_cycles=steps)
+    env.reset(seed=0)
+    for actions in wander(env, 0):
+        env.step(actions)
+    return env
+
+
+def _resident_mb() -> float:
+    gc.collect()
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except OSError:
+        import resource
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def _worker(map_name: str, steps: int, core: int, seed: int, gate: Path, say: Callable[[str], object]) -> None:
+    from twc_env.bench_peers import record_actions
+    from twc_env.config import EnvConfig, override
+    from twc_env.exploration.environment import ExplorationEnv
+
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {core})
+    config = override(EnvConfig(), {"map": map_name, "max_cycles": steps})
+    actions = record_actions(ExplorationEnv(config=override(config, {"slam.mode": "off"})), seed)
+    env = ExplorationEnv(config=config)
+    env.reset(seed=seed)
+    for action in actions[: steps // 10 + 1]:  # kernels are compiled or read from disk
+        env.step(action)
+    env.reset(seed=seed)
+    say("ready\n")
+    while not gate.exists():
+        time.sleep(0.001)
+    begin = time.monotonic()
+    for action in actions:
+        env.step(action)
+    say(json.dumps([begin, time.monotonic()]) + "\n")
+
+
+def main(arguments: list[str]) -> None:
+    """One probe; the figure goes to standard output."""
+
+    def say(text: str) -> None:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+
+    name, *rest = arguments
+    if name == "first_step":
+        say(f"{_first_step(rest[0])}\n")
+    elif name == "memory":
+        say(f"{_memory_mb(int(rest[0]))}\n")
+    elif name == "worker":
+        _worker(rest[0], int(rest[1]), int(rest[2]), int(rest[3]), Path(rest[4]), say)
+    else:
+        raise ValueError(f"no probe named {name!r}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,105 @@
+"""What a step of the world costs as walls, beams, robots and area grow, and how long large buildings take to begin."""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from twc_env.bench_peers import ROBOTS, record_actions, world_plan
+from twc_env.config import EnvConfig, override
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.maps import load_map
+from twc_env.world.floorplan import Floorplan
+
+WALL_PARTS = (1, 2, 4, 8)
+"""Each wall cut into so many: the same building with more walls."""
+BEAMS = (90, 180, 360, 720)
+ROBOT_COUNTS = (1, 3, 6, 12)
+AREAS_M2 = (250, 1000, 4000, 10_000)
+LARGE_MAP = "gen:office:10000:1"
+_RESETS = 3
+
+
+def bench_scaling(steps: int = 600, report: Callable[[str], None] = lambda _line: None) -> list[dict[str, Any]]:
+    """Rows {what, value, walls, access_points, us_per_env_step}: SLAM off, CPU time, medians of three episodes."""
+    plan = world_plan()
+    cases: list[tuple[str, int, Floorplan, dict[str, Any]]] = [
+        ("walls", len(plan.walls_m) * k, cut_walls(plan, k), {}) for k in WALL_PARTS
+    ]
+    cases += [("beams", beams, plan, {"lidar.beam_count": beams}) for beams in BEAMS]
+    cases += [("robots", robots, plan, {"robots": robots}) for robots in ROBOT_COUNTS]
+    rows = []
+    for what, value, building, settings in cases:
+        rows.append(_row(what, value, building, settings, steps))
+        report(_line(rows[-1]))
+    for area in AREAS_M2:
+        rows.append(_row("area_m2", area, load_map(f"gen:office:{area}:1"), {}, steps))
+        report(_line(rows[-1]))
+    return rows
+
+
+def bench_large_reset(map_name: str = LARGE_MAP) -> dict[str, float]:
+    """Wall seconds to make a building of 10,000 m2 into an environment, and to reset that (median), all warm."""
+    config = override(EnvConfig(), {"map": map_name})
+    ExplorationEnv(config=override(config, {"map": "gen:office:250:1"})).reset(seed=0)
+    begin = time.perf_counter()
+    plan = load_map(map_name)
+    built = time.perf_counter()
+    env = ExplorationEnv(config=config, floorplan=plan)
+    env.reset(seed=0)
+    first = time.perf_counter()
+    resets = []
+    for seed in range(1, 1 + _RESETS):
+        again = time.perf_counter()
+        env.reset(seed=seed)
+        resets.append(time.perf_counter() - again)
+    return {
+        "large_generate_s": built - begin,
+        "large_first_reset_s": first - built,
+        "large_reset_s": statistics.median(resets),
+    }
+
+
+def cut_walls(plan: Floorplan, parts: int) -> Floorplan:
+    """The same building with every wall cut into equal parts."""
+    share = np.linspace(0.0, 1.0, parts + 1)[None, :, None]
+    begins, ends = plan.walls_m[:, :1], plan.walls_m[:, 1:]
+    cuts = begins + share * (ends - begins)  # (walls, parts + 1, 2)
+    return dataclasses.replace(
+        plan,
+        walls_m=np.stack([cuts[:, :-1], cuts[:, 1:]], axis=2).reshape(-1, 2, 2),
+        wall_loss_db=np.repeat(plan.wall_loss_db, parts),
+        wall_materials=tuple(name for name in plan.wall_materials for _ in range(parts)),
+    )
+
+
+def _row(what: str, value: int, plan: Floorplan, settings: dict[str, Any], steps: int) -> dict[str, Any]:
+    config = override(EnvConfig(), {"robots": ROBOTS, "slam.mode": "off", "max_cycles": steps, **settings})
+    env = ExplorationEnv(config=config, floorplan=plan)
+    costs_us = []
+    for seed in range(3):
+        actions = record_actions(env, seed)
+        env.reset(seed=seed)
+        begin = time.process_time()
+        for action in actions:
+            env.step(action)
+        costs_us.append(1e6 * (time.process_time() - begin) / steps)
+    return {
+        "what": what,
+        "value": value,
+        "walls": len(plan.walls_m),
+        "access_points": len(plan.access_points),
+        "us_per_env_step": statistics.median(costs_us),
+    }
+
+
+def _line(row: dict[str, Any]) -> str:
+    return (
+        f"{row['what']:<8} {row['value']:>6}: {row['us_per_env_step']:>7.1f} us per env-step "
+        f"({row['walls']} walls, {row['access_points']} access points)"
+    )
