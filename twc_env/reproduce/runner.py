@@ -19,6 +19,7 @@ from twc_env._version import __version__
 from twc_env.errors import ConfigError, DataError
 
 TABLES: dict[str, str] = {
+    "matching": "matching",
     "merging": "merging",
     "odometry": "odometry",
     "radio-model": "radio_model",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twc_env.config import OdometryFilterConfig, VerificationConfig
 from twc_env.geometry import between, transform_points
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
+from twc_env.slam.global_matching import match_globally
 from twc_env.slam.scan_matching import LineField, Match, scan_points
 
 Array = NDArray
@@ -28,9 +29,9 @@ SEEN_THROUGH_M = 0.35
 SIGN_STD, NEAR_STD = (0.2, 0.2, 0.1), (2.0, 2.0, 0.5)
 """What the candidate's guess itself is worth [m, m, rad]: a shared sign fixes a corridor's axis, nearness does not."""
 ANYWHERE = ("wifi", "lidar")
-"""Recognisers that know the turn at best: their matches are searched for in a wider window."""
+"""Recognisers that know the turn at best: their matches are searched for at every heading, within WIDE_WINDOW_M."""
 SIGNLESS = ("proximity", *ANYWHERE)
-WIDE_WINDOW = (3.0, 0.3)
+WIDE_WINDOW_M = 3.0
 MATCH_STD_MIN = np.array([0.03, 0.03, 0.01])
 
 
@@ -66,6 +67,10 @@ class LoopVerifier:
         self._field = LineField(size_m, FIELD_CELL_M, range_max_m)
         self._drawn: tuple[int, int] | None = None
 
+    def forget(self) -> None:
+        """Draw the next target's walls anew, even if they are those of the last."""
+        self._drawn = None
+
     def verify(
         self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
     ) -> LoopClosure:
@@ -75,13 +80,13 @@ class LoopVerifier:
         """
         target, source = target_path[candidate.target[1]], source_path[candidate.source[1]]
         self._draw_target(target, target_path)
-        points = self._source_points(source, source_path)
+        points = self._points(source, source_path)
         rule = self._config
         match, overlap = self._refine(points, candidate.guess)
-        if overlap < rule.overlap_min:  # the guess was not near enough
-            window = WIDE_WINDOW if candidate.recogniser in ANYWHERE else (rule.window_m, rule.window_rad)
-            coarse, _ = self._field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)
-            match, overlap = self._refine(points, coarse)
+        if overlap < rule.overlap_min or candidate.recogniser in ANYWHERE:  # the guess may not be near enough
+            searched, searched_overlap = self._refine(points, self._search(candidate, target, target_path, points))
+            if searched_overlap >= overlap:
+                match, overlap = searched, searched_overlap
         contradiction = self._contradiction(target, source, match.pose)
         reason = ""
         if overlap < rule.overlap_min:
@@ -120,10 +125,22 @@ class LoopVerifier:
         self._field.reset(np.zeros(2))
         self._field.add(poses, np.array([k.ranges_m for k in near]))
 
-    def _source_points(self, source: Keyframe, path: Sequence[Keyframe]) -> Array:
-        near = _neighbours(source, path, min(self._config.cloud_reach_m, SPACING_M))
+    def _search(
+        self, candidate: LoopCandidate, target: Keyframe, target_path: Sequence[Keyframe], points: Array
+    ) -> Array:
+        """A better guess: from around the candidate's own, or from anywhere near where that says nothing."""
+        rule = self._config
+        if candidate.recogniser in ANYWHERE:
+            found = match_globally(self._points(target, target_path), points, WIDE_WINDOW_M)
+            return candidate.guess if found is None else found.pose
+        window = rule.window_m, rule.window_rad
+        return self._field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)[0]
+
+    def _points(self, keyframe: Keyframe, path: Sequence[Keyframe]) -> Array:
+        """(n, 2) what the keyframe and its nearest neighbours saw, in the keyframe's frame."""
+        near = _neighbours(keyframe, path, min(self._config.cloud_reach_m, SPACING_M))
         clouds = [
-            transform_points(between(source.pose_odom, k.pose_odom), scan_points(k.ranges_m, self._range_max_m))
+            transform_points(between(keyframe.pose_odom, k.pose_odom), scan_points(k.ranges_m, self._range_max_m))
             for k in near
         ]
         return np.ascontiguousarray(np.concatenate(clouds))

@@ -1,0 +1,82 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.geometry import between, inverse, transform_points, wrap_angle
+from twc_env.slam.global_matching import (
+    CELL_M,
+    FULL,
+    LEVELS,
+    lattice_headings,
+    match_globally,
+    score_fields,
+    thinned,
+)
+
+
+def room(width=6.0, height=4.0, spacing=0.05):
+    """Points along a room's walls with a niche and a pillar, so that it looks like itself from one pose only."""
+    corners = [(0, 0), (width, 0), (width, height), (2.5, height), (2.5, height - 0.8), (0, height - 0.8), (0, 0)]
+    pillar = [(4.0, 1.0), (4.6, 1.0), (4.6, 1.4), (4.0, 1.4), (4.0, 1.0)]
+    pieces = []
+    for chain in (corners, pillar):
+        for (x0, y0), (x1, y1) in itertools.pairwise(chain):
+            share = np.arange(0, 1, spacing / math.hypot(x1 - x0, y1 - y0))[:, None]
+            pieces.append(np.array([x0, y0]) + share * np.array([x1 - x0, y1 - y0]))
+    return np.concatenate(pieces) - [2.0, 1.5]
+
+
+def brute_force(target, source, reach, headings):
+    """(score, heading, column, row) of the best pose of the lattice, by looking at all of them."""
+    fields, origin_m = score_fields(target)
+    field = np.pad(fields[0].astype(np.int64), 2 * reach + 200)
+    best = (-1, 0.0, 0, 0)
+    for heading in headings:
+        turned = transform_points([0.0, 0.0, heading], source)
+        columns, rows = np.floor((turned - origin_m) / CELL_M).astype(int).T + 2 * reach + 200
+        for row in range(-reach, reach + 1):
+            sums = [int(field[rows + row, columns + column].sum()) for column in range(-reach, reach + 1)]
+            if max(sums) > best[0]:
+                best = (max(sums), heading, int(np.argmax(sums)) - reach, row)
+    return best
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_branch_and_bound_finds_what_looking_everywhere_finds(seed):
+    random = np.random.default_rng(seed)
+    pose = np.array([*random.uniform(-0.5, 0.5, 2), random.uniform(-3, 3)])
+    target = room()
+    source = thinned(transform_points(inverse(pose), target) + random.normal(0, 0.02, target.shape), 40)
+    found = match_globally(target, source, window_m=0.7, score_min=0.0)
+    best, heading, column, row = brute_force(target, source, 7, lattice_headings(source))
+    assert round(found.score * FULL * len(source)) == best
+    if found.pose != pytest.approx([column * CELL_M, row * CELL_M, heading]):  # another pose of the very same score
+        assert brute_force(target, source, 7, [found.pose[2]])[0] == best
+    assert found.evaluated < 0.5 * len(lattice_headings(source)) * 15 * 15
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_scan_is_found_however_it_is_turned(seed):
+    random = np.random.default_rng(seed)
+    pose = np.array([*random.uniform(-2.5, 2.5, 2), random.uniform(-math.pi, math.pi)])
+    source = transform_points(inverse(pose), room()) + random.normal(0, 0.01, room().shape)
+    found = match_globally(room(), source, window_m=3.0)
+    error = between(pose, found.pose)
+    assert math.hypot(*error[:2]) < 0.15 and abs(wrap_angle(error[2])) < 0.05
+
+
+def test_every_level_bounds_all_shifts_of_its_box():
+    fields, _ = score_fields(room())
+    for level in range(1, LEVELS):
+        side = 2**level
+        rows, columns = fields.shape[1:]
+        for row, column in ((0, 0), (rows // 2, columns // 3), (rows - side, columns - side)):
+            assert fields[level, row, column] == fields[0, row : row + side, column : column + side].max()
+
+
+def test_another_room_is_not_found():
+    circle = 3.0 * np.stack([np.cos(np.arange(0, 6.28, 0.02)), np.sin(np.arange(0, 6.28, 0.02))], axis=1)
+    assert match_globally(room(), circle, window_m=1.0, score_min=0.7) is None
+    assert match_globally(np.zeros((0, 2)), circle, window_m=1.0) is None

@@ -1,0 +1,210 @@
+"""Match a scan to another without any guess: correlative matching by branch and bound over all headings (Olson 2009,
+Hess 2016).
+
+The target's points become a field of scores; the source's points, turned to each heading, are shifted over it in whole
+cells. Boxes of shifts are bounded from above by fields of which each cell holds the largest score of a square that
+doubles from level to level, so the search finds the best lattice pose of all without visiting most of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray
+
+CELL_M = 0.1
+BLUR_M = 0.3
+"""A point this far from a wall scores nothing; on it, FULL."""
+FULL = 255
+LEVELS = 5
+"""The largest box of shifts has 2^(LEVELS - 1) cells a side."""
+POINTS_MAX = 160
+"""Of the source, so many points spread evenly are compared."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GlobalMatch:
+    """The best pose of the lattice."""
+
+    pose: Array
+    """(3,) of the source in the target's frame; right to about a cell, to be refined."""
+    score: float
+    """Mean score of the points, in [0, 1]."""
+    evaluated: int
+    """Boxes and poses that were looked at."""
+
+
+def match_globally(
+    target_points: Array, source_points: Array, window_m: float, score_min: float = 0.4, points_max: int = POINTS_MAX
+) -> GlobalMatch | None:
+    """The pose of the source at which most of its points (n, 2) lie on the target's (m, 2), with no guess.
+
+    Searched: every heading, and every shift of at most `window_m` along x and y. None when nothing scores `score_min`.
+    """
+    if len(target_points) == 0 or len(source_points) == 0:
+        return None
+    fields, origin_m = score_fields(np.ascontiguousarray(target_points, float))
+    chosen = thinned(np.ascontiguousarray(source_points, float), points_max)
+    headings = lattice_headings(chosen)
+    reach = max(int(round(window_m / CELL_M)), 1)
+    best = np.zeros(3, np.int64)
+    score, evaluated = _branch_and_bound(
+        fields, chosen, headings, origin_m[0], origin_m[1], CELL_M, reach, int(score_min * FULL * len(chosen)), best
+    )
+    if score < 0:
+        return None
+    pose = np.array([best[1] * CELL_M, best[2] * CELL_M, headings[best[0]]])
+    return GlobalMatch(pose, score / (FULL * len(chosen)), int(evaluated))
+
+
+def thinned(points: Array, count_max: int = POINTS_MAX) -> Array:
+    """At most so many points, spread evenly over their order."""
+    if len(points) <= count_max:
+        return points
+    return points[np.linspace(0, len(points) - 1, count_max).astype(np.int64)]
+
+
+def lattice_headings(points: Array) -> Array:
+    """(k,) headings all around, so near each other that points typically move by a cell from one to the next."""
+    reach_m = max(float(np.sqrt(np.mean(np.sum(points**2, axis=1)))), 10 * CELL_M)
+    count = math.ceil(2 * math.pi * reach_m / CELL_M)
+    return (np.arange(count) - count // 2) * (2 * math.pi / count)
+
+
+def score_fields(points: Array) -> tuple[Array, Array]:
+    """(LEVELS, rows, columns) uint8 and the corner (2,) [m]: level l holds the largest score of 2^l x 2^l cells."""
+    margin = 2 ** (LEVELS - 1) + int(BLUR_M / CELL_M) + 1
+    origin_m = np.floor(points.min(axis=0) / CELL_M) * CELL_M - margin * CELL_M
+    columns, rows = (np.floor((points.max(axis=0) - origin_m) / CELL_M).astype(np.int64) + 1 + margin).tolist()
+    fields = np.zeros((LEVELS, rows, columns), np.uint8)
+    _stamp(fields[0], points, origin_m[0], origin_m[1], CELL_M, _kernel())
+    _widen(fields)
+    return fields, origin_m
+
+
+def _kernel() -> Array:
+    """Scores around a point, falling with the distance to it."""
+    reach = int(BLUR_M / CELL_M)
+    away = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) * CELL_M
+    return np.round(FULL * np.maximum(1.0 - away / BLUR_M, 0.0)).astype(np.uint8)
+
+
+@njit(cache=True, error_model="numpy")
+def _stamp(field, points, origin_x, origin_y, cell, kernel):
+    rows, columns = field.shape
+    reach = kernel.shape[0] // 2
+    for k in range(points.shape[0]):
+        column = int(math.floor((points[k, 0] - origin_x) / cell))
+        row = int(math.floor((points[k, 1] - origin_y) / cell))
+        if row < 0 or column < 0 or row >= rows or column >= columns or field[row, column] == kernel[reach, reach]:
+            continue
+        for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+            for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
+                value = kernel[r - row + reach, c - column + reach]
+                if value > field[r, c]:
+                    field[r, c] = value
+
+
+@njit(cache=True, error_model="numpy")
+def _widen(fields):
+    """Fill the levels above the first."""
+    levels, rows, columns = fields.shape
+    for level in range(1, levels):
+        step = 1 << (level - 1)
+        below, here = fields[level - 1], fields[level]
+        for r in range(rows):
+            other = min(r + step, rows - 1)
+            for c in range(columns):
+                here[r, c] = max(below[r, c], below[other, c])
+        for r in range(rows):
+            for c in range(columns - step):
+                here[r, c] = max(here[r, c], here[r, c + step])
+
+
+@njit(cache=True, error_model="numpy")
+def _sum(field, cells, row, column):
+    """Score of the cells (n, 2) of points, shifted."""
+    rows, columns = field.shape
+    total = 0
+    for k in range(cells.shape[0]):
+        r, c = cells[k, 0] + row, cells[k, 1] + column
+        if 0 <= r < rows and 0 <= c < columns:
+            total += field[r, c]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _turn(points, heading, origin_x, origin_y, cell, cells):
+    """Cells (n, 2) of the points turned to a heading, not yet shifted."""
+    cosine, sine = math.cos(heading), math.sin(heading)
+    for k in range(points.shape[0]):
+        x = cosine * points[k, 0] - sine * points[k, 1] - origin_x
+        y = sine * points[k, 0] + cosine * points[k, 1] - origin_y
+        cells[k, 0] = int(math.floor(y / cell))
+        cells[k, 1] = int(math.floor(x / cell))
+
+
+@njit(cache=True, error_model="numpy")
+def _branch_and_bound(fields, points, headings, origin_x, origin_y, cell, reach, score_min, best):
+    """Best score over all headings and shifts -reach..reach, and how many boxes were looked at; -1 below score_min.
+
+    Writes the number of the heading and the shift (columns, rows) to `best`. Depth first, the most promising box
+    first; a box that cannot beat what is held is dropped, whole.
+    """
+    levels = fields.shape[0]
+    top = levels - 1
+    side = 1 << top
+    boxes = (2 * reach + side) // side
+    count = len(headings) * boxes * boxes
+    turned = np.empty((len(headings), len(points), 2), np.int32)
+    bounds = np.empty(count, np.int64)
+    for a in range(len(headings)):
+        _turn(points, headings[a], origin_x, origin_y, cell, turned[a])
+        for i in range(boxes):
+            for j in range(boxes):
+                bounds[(a * boxes + i) * boxes + j] = _sum(fields[top], turned[a], i * side - reach, j * side - reach)
+    evaluated = count
+    held = score_min - 1
+    is_found = False
+    stack = np.empty((4 * levels, 4), np.int64)  # level, row shift, column shift, bound
+    for k in np.argsort(-bounds, kind="mergesort"):
+        if bounds[k] <= held:
+            break
+        a = k // (boxes * boxes)
+        stack[0, 0] = top
+        stack[0, 1] = (k // boxes % boxes) * side - reach
+        stack[0, 2] = (k % boxes) * side - reach
+        stack[0, 3] = bounds[k]
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            level, row, column, bound = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+            if bound <= held:
+                continue
+            if level == 0:
+                held, is_found = bound, True
+                best[0], best[1], best[2] = a, column, row
+                continue
+            half = 1 << (level - 1)
+            begin = depth
+            for r in range(2):
+                for c in range(2):
+                    low_row, low_column = row + r * half, column + c * half
+                    if low_row > reach or low_column > reach:
+                        continue
+                    value = _sum(fields[level - 1], turned[a], low_row, low_column)
+                    evaluated += 1
+                    if value <= held:
+                        continue
+                    at = depth  # the best of the four comes to lie on top
+                    while at > begin and stack[at - 1, 3] > value:
+                        stack[at] = stack[at - 1]
+                        at -= 1
+                    stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = level - 1, low_row, low_column, value
+                    depth += 1
+    return (held if is_found else -1), evaluated
