@@ -354,24 +354,64 @@ class SlamConfig(_Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObservationConfig(_Checked):
-    """Shape of what a learner sees."""
+    """What a learner sees: which blocks, and their shapes. `ExplorationEnv` describes each."""
 
+    kind: str = _choice("dict", "flat")
+    """`flat` joins all blocks, in the order below, to one vector of float32 (uint8 channels scaled to [0, 1])."""
+    lidar: bool = True
+    map: bool = True
+    overview: bool = False
+    pose: bool = True
+    wifi: bool = True
+    signs: bool = True
+    team: bool = True
+    frontiers: bool = False
+    """Always there when the action is the choice of a frontier."""
     map_cells: int = _number(64, 8, 512)
     map_cell_m: float = _number(0.25, 0.05, 5.0)
+    overview_cells: int = _number(32, 8, 512)
+    """Rows and columns of the whole merged map, shrunk to fit."""
+    path_m: float = _number(100.0, 0.0, 10_000.0)
+    """Length of the robot's own path that `map` shows."""
     wifi_slots: int = _number(16, 1, 512)
     sign_slots: int = _number(4, 1, 64)
+    sign_memory_s: float = _number(5.0, 0.0, 3600.0)
+    """Readings stay among the recent ones for so long."""
+    frontier_period_s: float = _number(1.0, 0.01, 60.0)
+    """How often `frontiers` is worked out anew when nothing is decided on it (it costs a path search)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActionConfig(_Checked):
+    """What an agent commands, and how long one decision lasts."""
+
+    kind: str = _choice("velocity", "waypoint", "frontier")
+    """`velocity` decides every time step; the other two are driven by the environment until they are over."""
+    timing: str = _choice("synchronous", "asynchronous")
+    """A step of `waypoint` and `frontier` ends when all robots are done, or as soon as one is."""
+    frontier_slots: int = _number(8, 1, 64)
+    waypoint_reach_m: float = _number(5.0, 0.5, 100.0)
+    """The goal that an action of length 1 stands for."""
+    decision_max_s: float = _number(10.0, 0.1, 600.0)
+    """A step never lasts longer."""
+    stay_s: float = _number(1.0, 0.1, 60.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewardConfig(_Checked):
-    """Weights of the named terms; the default pays only for correctly mapped area."""
+    """Weights of the named terms of `twc_env.exploration.rewards`; the default pays only for rightly mapped floor."""
 
     period_steps: int = _number(10, 1, 10000)
-    """The map is judged this often, and always at the last step."""
-    correct_area: float = _number(1.0, -1000.0, 1000.0)
-    """Per square metre gained in the correctly mapped area of the largest rightly merged group."""
+    """The team is judged this often, and always at the last step."""
+    sharing: str = _choice("team", "individual")
+    """Whose map and place the first three terms look at."""
+    coverage: float = _number(1.0, -1000.0, 1000.0)
+    merge: float = _number(0.0, -1000.0, 1000.0)
+    localisation: float = _number(0.0, -1000.0, 1000.0)
     collision: float = _number(0.0, -1000.0, 1000.0)
-    """Per step in contact (negative to discourage)."""
+    """Negative to discourage, as for the next two."""
+    time: float = _number(0.0, -1000.0, 1000.0)
+    bytes: float = _number(0.0, -1000.0, 1000.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -391,6 +431,7 @@ class EnvConfig(_Checked):
     link: LinkConfig = field(default_factory=LinkConfig)
     slam: SlamConfig = field(default_factory=SlamConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
+    action: ActionConfig = field(default_factory=ActionConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
 
 

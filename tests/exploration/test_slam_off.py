@@ -80,7 +80,7 @@ def test_rewards_and_result_judge_dead_reckoning(log):
     )
     for rewards, infos in zip(log.rewards, log.infos[1:], strict=True):
         for agent, reward in rewards.items():
-            assert infos[agent]["reward_terms"]["correct_area"] == 0.0
+            assert infos[agent]["reward_terms"]["coverage"] == 0.0
             assert reward == -0.5 * infos[agent]["reward_terms"]["collision"]
 
 

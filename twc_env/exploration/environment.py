@@ -17,11 +17,15 @@ from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards
 from twc_env.exploration.observations import ObservationBuilder, observation_space
+from twc_env.exploration.pilot import Pilot, Scout, frontier_space, waypoint_space
+from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
 from twc_env.messages import Belief, Contacts, SensorFrame
+from twc_env.planning.candidates import NOTHING
 from twc_env.random_streams import random_stream
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.world.floorplan import Floorplan
+from twc_env.world.generate import split_names
 from twc_env.world.link import Link
 from twc_env.world.world import World
 
@@ -36,34 +40,60 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     Robots start with no common frame, their odometry drifts, rooms look alike and signs repeat. What an agent does
     decides which places the engine recognises, and so how good the team's map becomes; that map is what is rewarded.
 
-    Agents: "robot_0" ... "robot_{n-1}". All live for the whole episode, which is truncated after `max_cycles` steps.
+    Agents: "robot_0" ... "robot_{n-1}". All live for the whole episode, which is truncated after `max_cycles` time
+    steps of `dynamics.time_step_s`.
 
-    Action, `Box(-1, 1, (2,))`: forward speed and turn rate (left positive) as shares of `dynamics.speed_max_m_s` and
-    `dynamics.turn_rate_max_rad_s`.
+    Actions, by `action.kind`:
 
-    Observation, a `Dict`, built from sensor frames and estimates only:
+    | kind | space | meaning |
+    |---|---|---|
+    | `velocity` | `Box(-1, 1, (2,))` | speed, turn rate (left positive), as shares of the maxima; one time step |
+    | `waypoint` | `Box(-1, 1, (2,))` | goal ahead, to the left, in units of `action.waypoint_reach_m` |
+    | `frontier` | `Discrete(slots + 3)` | a row of `frontiers`; then: nearest sign, nearest mate, stay |
+
+    A waypoint is the reachable known place nearest to the goal. Waypoints and frontiers are planned and followed on the
+    estimated map, which takes many time steps; a step ends when all robots are done (`action.timing = "synchronous"`:
+    who is early waits), or as soon as one is ("asynchronous": the others go on, and their next actions do not count),
+    at the latest after `action.decision_max_s`. Rewards of the time steps are added up. `info["is_deciding"]` tells
+    whose next action counts, `info["time_steps"]` how long the step was. For `frontier`, `action_mask` stands in the
+    observation and in `info`; a choice that it rules out counts as stay, and stay means "go on" to a busy robot.
+
+    Observation, a `Dict` of the blocks that `observation` asks for, built from sensor frames and estimates only:
 
     | key | shape | range | meaning |
     |---|---|---|---|
     | `lidar` | (beams,) | [0, 1] | range over maximum range; beam 0 ahead, counter-clockwise |
-    | `map` | (3, 64, 64) uint8 | 0, 255 | merged map around the robot, it looks along +column: free, wall, mates |
-    | `pose` | (4,) | m, m, -, - | x, y, cos, sin of the heading estimated in the map frame of the robot's group |
+    | `map` | (7, 64, 64) uint8 | 0, 255 | around the robot, which looks along +column: free, wall, unknown, frontier, |
+    | | | | own path, mates, signs |
+    | `overview` | (4, 32, 32) uint8 | 0..255 | the whole merged map, shrunk: free, wall, this robot, mates |
+    | `pose` | (8,) | m, m, -, -, m, m, rad, m | x, y, cos, sin of the heading in the map frame of the robot's group; |
+    | | | | standard deviations and path length since the last closure |
     | `wifi` | (16,) | [0, 1] | strength per transmitter, -100..-20 dBm; a slot keeps its transmitter; 0: not heard |
-    | `signs` | (4, 3) | [-1, 1] | texts read in this step, nearest first: present, bearing / pi, range / maximum |
-    | `team` | (n-1, 4) | [-1, 1] | per mate: shares my map, bearing / pi, distance d / (d + 10 m), heading / pi |
+    | `signs` | (4, 5) | [-1, 1] | recent readings, newest first: present, bearing / pi, distance d / (d + 10 m), age, |
+    | | | | c / (c + 2) where the text is known from c other places |
+    | `team` | (n-1, 5) | [-1, 1] | per mate: shares my map, bearing / pi, d / (d + 10 m), heading / pi, |
+    | | | | age a / (a + 10 s) of its last message |
+    | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest first: present, bearing / pi, d / (d + 10 m), |
+    | | | | path l / (l + 10 m), size s / (s + 5 m), a mate is nearer |
+    | `action_mask` | (11,) int8 | 0, 1 | which choices count (only with `action.kind = "frontier"`) |
 
-    Reward: sum of named terms times the weights of `reward`; the terms stand in `info["reward_terms"]`. By default each
-    agent gets the gain in correctly mapped area [m2] of the largest rightly merged group, so that an episode's sum is
-    the area at its end. The map is judged every `reward.period_steps` steps and at the last.
+    With `observation.kind = "flat"` the blocks come as one vector of float32, pictures scaled to [0, 1].
 
-    `slam.mode = "off"` runs no engine: `pose` is odometry summed up, `map` and `team` stay zero, `correct_area` pays
+    Reward: sum of named terms times the weights of `reward`; `twc_env.exploration.rewards` has their table, and they
+    stand in `info["reward_terms"]`. By default each agent gets the gain in `coverage_correct` of the largest rightly
+    merged group, so that an episode's sum is that share at its end. The team is judged every `reward.period_steps` time
+    steps and at the last. The last `info` also holds the scalar figures of the report (docs/figures.md).
+
+    `slam.mode = "off"` runs no engine: `pose` is odometry summed up, `map` and `team` stay zero, `coverage` pays
     nothing (there is no map), and `result()` judges dead reckoning.
 
     Arguments: `map` (bundled name or file), `robots`, `max_cycles` and `render_mode` ("rgb_array" or None); `config`
-    (an EnvConfig, a dict of overrides, dotted keys allowed) holds everything else. `reset(options={"starts": "map"})`
-    uses the map's own starts instead of drawing them by seed.
+    (an EnvConfig, a dict of overrides, dotted keys allowed) holds everything else. `reset(options=...)` holds for one
+    episode: `{"starts": "map"}` uses the map's own starts instead of drawing them by seed, `{"map": NAME}` plays in
+    another building, `{"split": "train"}` (or validation, test) in one of that split, drawn by the seed.
 
-    `belief(agent)` gives a planner what the robot knows; `result()` judges the episode so far against the truth.
+    `belief(agent)` gives a planner what the robot knows; `result()` judges the episode so far against the truth;
+    `snapshot()` and `restore()` save and bring back a moment, exactly.
 
     Versions: v0, first release.
     """
@@ -91,18 +121,18 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if render_mode not in (None, "rgb_array"):
             raise ConfigError(f"render_mode must be 'rgb_array' or None; got {render_mode!r}")
         self.render_mode = render_mode
-        self.floorplan = floorplan if floorplan is not None else load_map(self.config.map)
+        self._own_floorplan = floorplan if floorplan is not None else load_map(self.config.map)
+        self._world_of(self.config, self._own_floorplan)
         count = self.config.robots
         self.possible_agents = [f"robot_{i}" for i in range(count)]
         self.agents: list[str] = []
-        shared_observation, shared_action = observation_space(self.config), action_blocks.velocity_space()
+        shared_observation, shared_action = observation_space(self.config), self._action_space()
         self.observation_spaces = dict.fromkeys(self.possible_agents, shared_observation)
         self.action_spaces = dict.fromkeys(self.possible_agents, shared_action)
         self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (6 * count,), np.float32)
-        self._world = World(self.config, self.floorplan)
         self._engine: Engine | None = None
+        self._frames_of_step: list[tuple[SensorFrame, ...]] = []
         self._seed: int | None = None
-        self._cells = self.floorplan.cells()
 
     def observation_space(self, agent: str) -> spaces.Space:
         """The same object for every agent, at every call."""
@@ -113,46 +143,58 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict | None = None):
-        """Begin an episode. The same seed gives the same episode; without one, the next seed after the last is used."""
-        self._seed = self._next_seed() if seed is None else _checked_seed(seed)
-        starts = (options or {}).get("starts", "random")
+        """Begin an episode. The same seed gives the same episode; without one, the next seed after the last is used.
+
+        Raises MapError for a map that cannot be loaded. Options of other environments are ignored.
+        """
+        seed = self._next_seed() if seed is None else _checked_seed(seed)
+        starts = self._choose_building(seed, _checked_options(options))
+        self._seed = seed
         self._world.reset(self._seed, starts)
         count = self.config.robots
         self._engine = make_engine(self.config, count)
         self._link = Link(self.config.link, count, self.floorplan.home.wall_index, random_stream(self._seed, "link"))
         self._builders = [ObservationBuilder(self.config, robot) for robot in range(count)]
+        self._pilot = Pilot(self.config) if self._lasts else None
+        self._scout = Scout(self.config) if self.config.observation.frontiers else None
         self._record = evaluation.EpisodeRecord(count)
-        self._area_m2 = 0.0
+        self._standing = rewards.Standing.nothing(count)
         self._steps = 0
+        self._frames_of_step = []
         self.agents = self.possible_agents[:]
-        frames = self._world.sense()
-        self._think(frames)
-        return self._observe(frames), {agent: {} for agent in self.agents}
+        self._think(self._world.sense())
+        self._notice()
+        return self._observe(), self._infos(self.agents)
 
-    def step(self, actions: Mapping[str, Array]):
-        """Move all robots for one time step, sense, run SLAM, judge.
+    def step(self, actions: Mapping[str, Any]):
+        """Act, sense, run SLAM, judge: one time step, or as many as the action lasts.
 
-        Raises ActionError for a missing, malformed, non-finite or out-of-range action.
+        Raises ActionError for a missing, malformed, non-finite or out-of-range action; nothing has happened then.
         """
         if not self.agents:
             raise TwcError("step() was called after the episode's end: call reset() first")
-        self._world.step(action_blocks.decode_velocity(actions, self.agents, self.config.dynamics))
-        self._steps += 1
+        agents, began = self.agents, self._steps
+        self._frames_of_step = []
+        values = (
+            self._fly(actions)
+            if self._pilot is not None
+            else self._tick(action_blocks.decode_velocity(actions, agents, self.config.dynamics))
+        )
         is_last = self._steps >= self.config.max_cycles
-        frames = self._world.sense()
-        self._think(frames)
+        observations, infos = self._observe(), self._infos(agents, self._steps - began)
+        for info, terms in zip(infos.values(), values, strict=True):
+            info["reward_terms"] = terms
         if is_last:
-            self.engine.finish()
-        values = self._judge(is_last)
-        observations = self._observe(frames)
-        agents = self.agents
-        self.agents = [] if is_last else agents
+            figures = {k: v for k, v in self.result().figures.items() if isinstance(v, (int, float))}
+            for info in infos.values():
+                info.update(figures)
+            self.agents = []
         return (
             observations,
             {agent: rewards.weigh(v, self.config.reward) for agent, v in zip(agents, values, strict=True)},
             dict.fromkeys(agents, False),
             dict.fromkeys(agents, is_last),
-            {agent: {"reward_terms": v} for agent, v in zip(agents, values, strict=True)},
+            infos,
         )
 
     @property
@@ -164,8 +206,13 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     @property
     def frames(self) -> tuple[SensorFrame, ...]:
-        """What each robot sensed in the last step; `twc_env.datasets.write_frame_log` records them."""
+        """What each robot sensed in the last time step; `twc_env.datasets.write_frame_log` records them."""
         return self._frames
+
+    @property
+    def frames_of_step(self) -> list[tuple[SensorFrame, ...]]:
+        """The same for each time step of the last `step`: one for velocities, many for actions that last."""
+        return self._frames_of_step
 
     @property
     def record(self) -> evaluation.EpisodeRecord:
@@ -195,7 +242,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def result(self) -> evaluation.EpisodeResult:
         """Judge the episode so far against the truth; call it before the next `reset`."""
         return evaluation.evaluate(
-            self.config, self._seed or 0, self.floorplan, self.engine, self._record, self.engine.bytes_sent
+            self._episode_config, self._seed or 0, self.floorplan, self.engine, self._record, self.engine.bytes_sent
         )
 
     def render(self) -> Array | None:
@@ -206,15 +253,74 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
         return render(scene_of(self.floorplan, self.engine, self._record, self._cells))
 
+    def snapshot(self) -> Snapshot:
+        """This moment of the episode: world, engine, pose graph and random streams. Raises TwcError before `reset`."""
+        return take_snapshot(self, self.engine)
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on from a moment that an environment of the same config and version took.
+
+        Raises ConfigError when the config or the version differs.
+        """
+        restore_snapshot(self, snapshot)
+
     def close(self) -> None:
         """Nothing to release."""
 
     def _next_seed(self) -> int:
         return int(np.random.default_rng().integers(2**31)) if self._seed is None else self._seed + 1
 
+    def _action_space(self) -> spaces.Space:
+        kind = self.config.action.kind
+        self._lasts = kind != "velocity"
+        if kind == "frontier":
+            return frontier_space(self.config.action)
+        return waypoint_space() if self._lasts else action_blocks.velocity_space()
+
+    def _choose_building(self, seed: int, options: dict) -> str:
+        """Move into the building of the coming episode; gives the kind of starts."""
+        name = options.get("map")
+        if "split" in options:
+            names = split_names(options["split"])
+            name = names[int(random_stream(seed, "building").integers(len(names)))]
+        plan = self._own_floorplan if name is None else load_map(name)
+        if plan is not self.floorplan:
+            config = self.config if name is None else override(self.config, {"map": name})
+            self._world_of(config, plan)
+        return options.get("starts", "random")
+
+    def _world_of(self, config: EnvConfig, floorplan: Floorplan) -> None:
+        self._episode_config, self.floorplan = config, floorplan
+        self._world, self._cells = World(config, floorplan), floorplan.cells()
+
+    def _tick(self, commands: Array) -> list[dict[str, float]]:
+        """One time step: the reward terms of each robot."""
+        self._world.step(commands)
+        self._steps += 1
+        is_last = self._steps >= self.config.max_cycles
+        sent_before = self.bytes_sent
+        self._think(self._world.sense())
+        if is_last:
+            self.engine.finish()
+        self._notice()
+        return self._judge(is_last, self.bytes_sent - sent_before)
+
+    def _fly(self, actions: Mapping[str, Any]) -> list[dict[str, float]]:
+        """Time steps until the next decision: the sums of the reward terms of each robot."""
+        pilot = self._pilot
+        assert pilot is not None
+        pilot.assign(actions, self.agents, self._beliefs)
+        sums: list[dict[str, float]] = []
+        while True:
+            values = self._tick(pilot.commands(self._beliefs))
+            sums = [{k: s[k] + v[k] for k in v} for s, v in zip(sums, values, strict=True)] if sums else values
+            if pilot.is_decision_due() or self._steps >= self.config.max_cycles:
+                return sums
+
     def _think(self, frames: tuple[SensorFrame, ...]) -> None:
         """Front ends, link and mappers take in one set of frames."""
         self._frames = frames
+        self._frames_of_step.append(frames)
         self._contacts = self._link.contacts(self._world.poses_home[:, :2])
         self.engine.track(frames)
         self.engine.absorb(self._steps, self._contacts)
@@ -225,26 +331,63 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             self._world.contacts,
         )
 
-    def _judge(self, is_last: bool) -> list[dict[str, float]]:
-        before = self._area_m2
-        if is_last or self._steps % self.config.reward.period_steps == 0:
-            verdicts = evaluation.judge(self.engine, self._record, self._cells)
-            self._area_m2 = evaluation.rightly_mapped_m2(verdicts)
-        estimated = [self.engine.pose_map_robot(r) for r in range(self.config.robots)]
-        transition = rewards.Transition(self._world.poses, estimated, self._world.contacts, self._area_m2, before)
-        return [rewards.terms(transition, robot) for robot in range(self.config.robots)]
+    def _notice(self) -> None:
+        """What the robots believe now, and what their observations must remember of it."""
+        self._beliefs = [self.engine.belief(robot) for robot in range(self.config.robots)]
+        for builder, frame, belief in zip(self._builders, self._frames, self._beliefs, strict=True):
+            builder.notice(frame, belief)
 
-    def _observe(self, frames: tuple[SensorFrame, ...]) -> dict[str, dict[str, Array]]:
+    def _judge(self, is_last: bool, bytes_sent: int) -> list[dict[str, float]]:
+        before = self._standing
+        if is_last or self._steps % self.config.reward.period_steps == 0:
+            self._standing = evaluation.standing(self.engine, self._record, self._cells)
+        count, config = self.config.robots, self.config
+        transition = rewards.Transition(
+            before, self._standing, self._world.contacts, bytes_sent / count, config.max_cycles
+        )
+        return [rewards.terms(transition, robot, config.reward.sharing) for robot in range(count)]
+
+    def _observe(self) -> dict[str, Any]:
+        """Observations of all robots; where one chooses among frontiers, they are worked out here."""
+        looker = self._pilot or self._scout
+        if looker is not None:
+            looker.look(self._beliefs)
+        masks = self._pilot.mask if self._pilot is not None and self.config.action.kind == "frontier" else None
         return {
-            agent: builder.build(frame, self.engine.belief(frame.robot, with_signs=False))
-            for agent, builder, frame in zip(self.agents, self._builders, frames, strict=True)
+            agent: builder.build(
+                frame,
+                belief,
+                NOTHING if looker is None else looker.candidates[robot],
+                None if masks is None else masks(robot),
+            )
+            for robot, (agent, builder, frame, belief) in enumerate(
+                zip(self.possible_agents, self._builders, self._frames, self._beliefs, strict=True)
+            )
         }
+
+    def _infos(self, agents: list[str], time_steps: int = 0) -> dict[str, dict[str, Any]]:
+        pilot = self._pilot
+        if pilot is None:
+            return {agent: {} for agent in agents}
+        infos: dict[str, dict[str, Any]] = {}
+        for robot, agent in enumerate(agents):
+            infos[agent] = {"is_deciding": bool(pilot.is_deciding[robot]), "time_steps": time_steps}
+            if self.config.action.kind == "frontier":
+                infos[agent]["action_mask"] = pilot.mask(robot)
+        return infos
 
 
 def _checked_seed(seed: int) -> int:
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ConfigError(f"seed must be a whole number from 0 on; got {seed!r}")
     return int(seed)
+
+
+def _checked_options(options: dict | None) -> dict:
+    options = dict(options or {})
+    if "map" in options and "split" in options:
+        raise ConfigError("reset options name either a map or a split, not both")
+    return options
 
 
 def _resolve(config: EnvConfig | Mapping[str, Any] | None, shortcuts: dict[str, Any]) -> EnvConfig:

@@ -13,6 +13,7 @@ from twc_env import metrics
 from twc_env._version import __version__
 from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
+from twc_env.exploration.rewards import JudgedMap, Standing, standing_of
 from twc_env.geometry import between, compose, transform_points
 from twc_env.messages import GridMap
 from twc_env.slam.engine import View
@@ -188,9 +189,18 @@ def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
     return Progress(tuple(verdicts), alignment, closures, figures)
 
 
-def rightly_mapped_m2(verdicts: list[GroupVerdict]) -> float:
-    """Largest correctly mapped area of a map without a wrong pair that some robot believes in; 0 if there is none."""
-    return max((v.correct_area_m2 for v in verdicts if not v.wrong_pairs), default=0.0)
+def standing(engine: Engine, record: EpisodeRecord, cells: Cells) -> Standing:
+    """The potentials that rewards look at, judged now."""
+    floor_m2 = max(float(cells.free.sum()) * cells.resolution_m**2, 1e-9)
+    errors_m = np.zeros(record.true_poses.shape[1])
+    maps = []
+    for verdict in judge(engine, record, cells):
+        for robot in verdict.view.viewers:
+            believed = compose(verdict.pose_building_map, engine.pose_map_robot(robot))
+            errors_m[robot] = math.dist(believed[:2], record.true_poses[-1, robot, :2])
+        share = verdict.correct_area_m2 / floor_m2
+        maps.append(JudgedMap(verdict.view.viewers, len(verdict.robots), not verdict.wrong_pairs, share))
+    return standing_of(maps, errors_m)
 
 
 def trajectories(engine: Engine, odom_poses: Array) -> Array:

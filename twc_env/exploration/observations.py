@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import numpy as np
 from gymnasium import spaces
@@ -10,175 +11,247 @@ from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
+from twc_env.exploration import map_view
 from twc_env.geometry import between
-from twc_env.messages import Belief, SensorFrame, WifiScan
+from twc_env.messages import Belief, KnownSign, SensorFrame
+from twc_env.planning.candidates import NOTHING, Candidates, features_of
 
 Array = NDArray
 
 RSSI_ZERO_DBM, RSSI_SPAN_DB = -100.0, 80.0
-POSE_LIMIT_M = 1000.0
-FIXED_BITS = 32
-FIXED_POINT = 2.0**FIXED_BITS
-"""Cell numbers are stepped in whole parts of a cell, so that a step is an addition and a shift, no conversion."""
+POSE_LIMITS = np.array([1000.0, 1000.0, 1.0, 1.0, 100.0, 100.0, math.pi, 10_000.0], np.float32)
+POSE_LOWEST = POSE_LIMITS * np.array([-1, -1, -1, -1, 0, 0, 0, 0], np.float32)
+HALF_WAY_M = 10.0
+"""Distances d are shown as d / (d + this)."""
+HALF_AGE_S = 10.0
+HALF_COUNT = 2.0
+PATH_SPACING_M = 0.2
+OVERVIEW_PERIOD_STEPS = 10
+ORIGIN = np.zeros(3)
+EXTRA_CHOICES = ("sign", "mate", "stay")
+"""What the choice among frontiers offers besides frontiers, in this order."""
 
 
-def observation_space(config: EnvConfig) -> spaces.Dict:
+def block_spaces(config: EnvConfig) -> dict[str, spaces.Space]:
+    """The blocks that the config asks for, in order."""
+    shape, mates = config.observation, max(config.robots - 1, 1)
+    chooses = config.action.kind == "frontier"
+    slots = config.action.frontier_slots
+    blocks: dict[str, spaces.Space] = {
+        "lidar": spaces.Box(0.0, 1.0, (config.lidar.beam_count,), np.float32),
+        "map": spaces.Box(0, 255, (map_view.CHANNELS, shape.map_cells, shape.map_cells), np.uint8),
+        "overview": spaces.Box(
+            0, 255, (map_view.OVERVIEW_CHANNELS, shape.overview_cells, shape.overview_cells), np.uint8
+        ),
+        "pose": spaces.Box(POSE_LOWEST, POSE_LIMITS, dtype=np.float32),
+        "wifi": spaces.Box(0.0, 1.0, (shape.wifi_slots,), np.float32),
+        "signs": spaces.Box(-1.0, 1.0, (shape.sign_slots, 5), np.float32),
+        "team": spaces.Box(-1.0, 1.0, (mates, 5), np.float32),
+        "frontiers": spaces.Box(-1.0, 1.0, (slots, 6), np.float32),
+    }
+    wanted = {
+        name: space for name, space in blocks.items() if getattr(shape, name) or (chooses and name == "frontiers")
+    }
+    if chooses:
+        wanted["action_mask"] = spaces.Box(0, 1, (slots + len(EXTRA_CHOICES),), np.int8)
+    return wanted
+
+
+def observation_space(config: EnvConfig) -> spaces.Dict | spaces.Box:
     """The space of one agent's observation; see `ExplorationEnv` for the meaning of each block."""
-    shape = config.observation
-    return spaces.Dict(
-        {
-            "lidar": spaces.Box(0.0, 1.0, (config.lidar.beam_count,), np.float32),
-            "map": spaces.Box(0, 255, (3, shape.map_cells, shape.map_cells), np.uint8),
-            "pose": spaces.Box(-POSE_LIMIT_M, POSE_LIMIT_M, (4,), np.float32),
-            "wifi": spaces.Box(0.0, 1.0, (shape.wifi_slots,), np.float32),
-            "signs": spaces.Box(-1.0, 1.0, (shape.sign_slots, 3), np.float32),
-            "team": spaces.Box(-1.0, 1.0, (max(config.robots - 1, 1), 4), np.float32),
-        }
-    )
+    blocks = block_spaces(config)
+    if config.observation.kind == "dict":
+        return spaces.Dict(blocks)
+    low, high = (_joined({name: getattr(space, end) for name, space in blocks.items()}) for end in ("low", "high"))
+    return spaces.Box(low, high, dtype=np.float32)
+
+
+def _joined(blocks: dict[str, Array]) -> Array:
+    """All blocks in one vector of float32, pictures scaled to [0, 1]."""
+    parts = [np.ravel(b) / np.float32(255.0) if b.dtype == np.uint8 else np.ravel(b) for b in blocks.values()]
+    return np.concatenate(parts).astype(np.float32) if parts else np.zeros(0, np.float32)
 
 
 class ObservationBuilder:
-    """Builds one robot's observations; remembers only which transmitter has which WiFi slot."""
+    """Builds one robot's observations; remembers its WiFi slots, its path and recent readings."""
 
     def __init__(self, config: EnvConfig, robot: int):
         self._config = config
         self._robot, self._robots = robot, config.robots
-        self._beams, self._per_metre = config.lidar.beam_count, 1.0 / config.lidar.range_max_m
-        self._map_shape = (3, config.observation.map_cells, config.observation.map_cells)
-        self._sign_shape, self._team_shape = (config.observation.sign_slots, 3), (max(config.robots - 1, 1), 4)
-        self._known_macs = np.zeros(0, np.int64)
-        """Ascending."""
-        self._slot_of_known = np.zeros(0, np.int64)
-        self._wifi = np.zeros(config.observation.wifi_slots, np.float32)
+        self._names = tuple(block_spaces(config))
+        self._slots_of_wifi = WifiSlots(config.observation.wifi_slots)
+        self._readings: list[tuple[float, str, Array]] = []
+        """Time, text and (3,) place in the odom frame (its heading means nothing), newest last."""
+        self._path_odom = np.zeros((max(1, round(config.observation.path_m / PATH_SPACING_M)), 2))
+        self._path_count = 0
+        self._overview: tuple[tuple[int, int], tuple[Array, Array, float]] | None = None
+        self._indexed_signs: tuple[KnownSign, ...] = ()
+        self._sign_places = np.zeros((0, 2))
+        self._text_counts: Counter[str] = Counter()
 
-    def build(self, frame: SensorFrame, belief: Belief) -> dict[str, Array]:
-        """The observation after one frame."""
+    def notice(self, frame: SensorFrame, belief: Belief) -> None:
+        """Take in one frame that no observation is built of: path, radio and readings are kept up."""
+        self._slots_of_wifi.update(frame)
+        self._extend_path(belief.pose_odom)
+        for sign in frame.signs:
+            angle = belief.pose_odom[2] + sign.bearing_rad
+            offset = sign.range_m * np.array([math.cos(angle), math.sin(angle), 0.0])
+            self._readings.append((frame.time_s, sign.text, belief.pose_odom + offset))
+
+    def build(
+        self, frame: SensorFrame, belief: Belief, candidates: Candidates = NOTHING, mask: Array | None = None
+    ) -> dict[str, Array] | Array:
+        """The observation after one frame, which `notice` must have seen."""
         mates = {mate: between(belief.pose_map_robot, pose).tolist() for mate, pose in belief.mates.items()}
-        lidar, pose = np.empty(self._beams, np.float32), np.empty(4, np.float32)
-        _fill(frame.ranges_m, self._per_metre, *belief.pose_map_robot.tolist(), lidar, pose)
-        return {
-            "lidar": lidar,
-            "map": self._map(belief, mates),
-            "pose": pose,
-            "wifi": self._update_wifi(frame),
-            "signs": self._signs(frame),
-            "team": self._team(mates),
-        }
+        blocks: dict[str, Array] = {}
+        for name in self._names:
+            if name == "lidar":
+                blocks[name] = np.empty(self._config.lidar.beam_count, np.float32)
+                _shares(frame.ranges_m, 1.0 / self._config.lidar.range_max_m, blocks[name])
+            elif name == "map":
+                blocks[name] = self._map(belief, mates)
+            elif name == "overview":
+                blocks[name] = self._whole_map(belief)
+            elif name == "pose":
+                blocks[name] = _pose(belief)
+            elif name == "wifi":
+                blocks[name] = self._slots_of_wifi.levels.copy()
+            elif name == "signs":
+                blocks[name] = self._recent_signs(frame, belief)
+            elif name == "team":
+                blocks[name] = self._team(frame, belief, mates)
+            elif name == "frontiers":
+                blocks[name] = features_of(candidates, belief.pose_map_robot, self._config.action.frontier_slots)
+            else:
+                blocks[name] = np.zeros(0, np.int8) if mask is None else mask.copy()
+        return blocks if self._config.observation.kind == "dict" else _joined(blocks)
 
     def _map(self, belief: Belief, mates: dict[int, list[float]]) -> Array:
-        crop = np.zeros(self._map_shape, np.uint8)
-        grid, pose, shape = belief.grid, belief.pose_map_robot, self._config.observation
-        if grid.log_odds.size == 0:
-            return crop
-        x, y = pose[:2] - grid.origin_m
-        _crop(grid.log_odds, x, y, pose[2], 1.0 / grid.resolution_m, shape.map_cell_m, crop)
-        half = shape.map_cells // 2
-        for x, y, _ in mates.values():
-            row, column = math.floor(y / shape.map_cell_m) + half, math.floor(x / shape.map_cell_m) + half
-            if 0 <= row < shape.map_cells and 0 <= column < shape.map_cells:
-                crop[2, row, column] = 255
+        shape = self._config.observation
+        crop = map_view.crop_around(belief.grid, belief.pose_map_robot, shape.map_cells, shape.map_cell_m)
+        path = self._path_odom[: min(self._path_count, len(self._path_odom))]
+        map_view.mark(crop[map_view.PATH], path, belief.pose_odom, shape.map_cell_m)
+        if mates:
+            places = np.array([place[:2] for place in mates.values()])
+            map_view.mark(crop[map_view.MATES], places, ORIGIN, shape.map_cell_m)
+        if belief.signs:
+            self._index_signs(belief.signs)
+            map_view.mark(crop[map_view.SIGNS], self._sign_places, belief.pose_map_robot, shape.map_cell_m)
         return crop
 
-    def _update_wifi(self, frame: SensorFrame) -> Array:
-        scan = frame.wifi
-        if scan is not None and not self._place(scan):
-            self._learn(scan.macs, scan.rssi_dbm)
-            self._place(scan)
-        return self._wifi.copy()
+    def _index_signs(self, signs: tuple[KnownSign, ...]) -> None:
+        """Places (k, 2) and how often each text is known, made anew only when the list changed."""
+        if self._indexed_signs is not signs:
+            self._indexed_signs = signs
+            self._sign_places = np.array([sign.position_m for sign in signs])
+            self._text_counts = Counter(sign.text for sign in signs)
 
-    def _place(self, scan: WifiScan) -> bool:
-        return _place(scan.macs, scan.rssi_dbm, self._known_macs, self._slot_of_known, self._wifi)
+    def _whole_map(self, belief: Belief) -> Array:
+        cells = self._config.observation.overview_cells
+        key = (belief.step // OVERVIEW_PERIOD_STEPS, belief.map_version)
+        if self._overview is None or self._overview[0] != key:
+            self._overview = (key, map_view.shrink(belief.grid, cells))
+        picture, corner_m, cell_m = self._overview[1]
+        out = np.zeros((map_view.OVERVIEW_CHANNELS, cells, cells), np.uint8)
+        out[:2] = picture
+        for channel, pose in [(2, belief.pose_map_robot), *((3, pose) for pose in belief.mates.values())]:
+            column, row = (math.floor(v) for v in (pose[:2] - corner_m) / cell_m)
+            if 0 <= row < cells and 0 <= column < cells:
+                out[channel, row, column] = 255
+        return out
 
-    def _learn(self, macs: Array, rssi_dbm: Array) -> None:
-        """Give each new transmitter the next slot, the strongest first."""
-        known = self._known_macs
-        new = np.setdiff1d(macs, known, assume_unique=True)
-        strongest_first = new[np.argsort(-rssi_dbm[np.searchsorted(macs, new)], kind="stable")]
-        merged = np.concatenate([known, strongest_first])
-        slots = np.concatenate([self._slot_of_known, len(known) + np.arange(len(new))])
-        order = np.argsort(merged)
-        self._known_macs, self._slot_of_known = merged[order], slots[order]
+    def _extend_path(self, pose_odom: Array) -> None:
+        x, y = float(pose_odom[0]), float(pose_odom[1])
+        last = self._path_odom[(self._path_count - 1) % len(self._path_odom)]
+        if self._path_count == 0 or math.hypot(x - last[0], y - last[1]) >= PATH_SPACING_M:
+            self._path_odom[self._path_count % len(self._path_odom)] = x, y
+            self._path_count += 1
 
-    def _signs(self, frame: SensorFrame) -> Array:
-        rows = np.zeros(self._sign_shape, np.float32)
-        if not frame.signs:
+    def _recent_signs(self, frame: SensorFrame, belief: Belief) -> Array:
+        shape = self._config.observation
+        rows = np.zeros((shape.sign_slots, 5), np.float32)
+        if not self._readings:
             return rows
-        nearest = sorted(frame.signs, key=lambda s: s.range_m)[: len(rows)]
-        for row, sign in zip(rows, nearest, strict=False):
-            row[:] = 1.0, sign.bearing_rad / math.pi, min(max(sign.range_m / self._config.signs.range_max_m, 0.0), 1.0)
+        oldest_s = frame.time_s - shape.sign_memory_s - 1e-9
+        self._readings = [reading for reading in self._readings if reading[0] >= oldest_s][-shape.sign_slots :]
+        self._index_signs(belief.signs)
+        for row, (time_s, text, place) in zip(rows, reversed(self._readings), strict=False):
+            x, y, _ = between(belief.pose_odom, place).tolist()
+            away = math.hypot(x, y)
+            elsewhere = max(self._text_counts[text] - 1, 0)
+            row[:] = (
+                1.0,
+                math.atan2(y, x) / math.pi,
+                away / (away + HALF_WAY_M),
+                min((frame.time_s - time_s) / max(shape.sign_memory_s, 1e-9), 1.0),
+                elsewhere / (elsewhere + HALF_COUNT),
+            )
         return rows
 
-    def _team(self, mates: dict[int, list[float]]) -> Array:
-        rows = np.zeros(self._team_shape, np.float32)
+    def _team(self, frame: SensorFrame, belief: Belief, mates: dict[int, list[float]]) -> Array:
+        rows = np.zeros((max(self._robots - 1, 1), 5), np.float32)
+        time_step_s = self._config.dynamics.time_step_s
+        for mate, step in belief.contact_steps.items():
+            row = rows[mate if mate < self._robot else mate - 1]
+            age_s = (frame.step - step) * time_step_s
+            row[4] = 1.0 if step < 0 else age_s / (age_s + HALF_AGE_S)
         for mate, (x, y, heading) in mates.items():
-            distance = math.hypot(x, y)
-            row = mate if mate < self._robot else mate - 1
-            rows[row] = 1.0, math.atan2(y, x) / math.pi, distance / (distance + 10.0), heading / math.pi
+            away = math.hypot(x, y)
+            row = rows[mate if mate < self._robot else mate - 1]
+            row[:4] = 1.0, math.atan2(y, x) / math.pi, away / (away + HALF_WAY_M), heading / math.pi
         return rows
 
 
-@njit(cache=True, error_model="numpy")
-def _fill(ranges, per_metre, x, y, heading, lidar, pose):
-    """The blocks `lidar` and `pose`."""
-    for b in range(min(ranges.shape[0], lidar.shape[0])):
-        lidar[b] = min(max(ranges[b] * per_metre, 0.0), 1.0)
-    pose[0] = min(max(x, -POSE_LIMIT_M), POSE_LIMIT_M)
-    pose[1] = min(max(y, -POSE_LIMIT_M), POSE_LIMIT_M)
-    pose[2], pose[3] = math.cos(heading), math.sin(heading)
+class WifiSlots:
+    """The strongest transmitters in a fixed number of slots; each keeps its slot until a stronger one needs it."""
+
+    def __init__(self, count: int):
+        self.levels = np.zeros(count, np.float32)
+        """(slots,) of the latest scan: 0 at -100 dBm or not heard, 1 at -20 dBm."""
+        self._macs = np.full(count, -1, np.int64)
+        self._last_scan = np.zeros(count, np.int64)
+        """The scan in which each slot's transmitter was last among the strongest."""
+        self._scans = 0
+
+    def update(self, frame: SensorFrame) -> None:
+        """Take in the scan of a frame, if it has one."""
+        scan = frame.wifi
+        if scan is None:
+            return
+        self._scans += 1
+        strongest = scan.macs[np.argsort(-scan.rssi_dbm, kind="stable")[: len(self._macs)]]
+        is_kept = np.isin(self._macs, strongest)
+        new = strongest[np.isin(strongest, self._macs, invert=True)]
+        if len(new):
+            free = np.flatnonzero(~is_kept)
+            free = free[np.argsort(self._last_scan[free], kind="stable")][: len(new)]
+            self._macs[free] = new
+            is_kept[free] = True
+        self._last_scan[is_kept] = self._scans
+        self.levels[:] = 0.0
+        if len(scan.macs):
+            place = np.minimum(np.searchsorted(scan.macs, self._macs), len(scan.macs) - 1)
+            heard = scan.macs[place] == self._macs
+            level = ((scan.rssi_dbm[place] - RSSI_ZERO_DBM) / RSSI_SPAN_DB).clip(0.0, 1.0)
+            self.levels[heard] = level[heard]
+
+
+def _pose(belief: Belief) -> Array:
+    out = np.empty(len(POSE_LIMITS), np.float32)
+    _fill_pose(belief.pose_map_robot, belief.pose_std, belief.since_closure_m, POSE_LIMITS, out)
+    return out
 
 
 @njit(cache=True, error_model="numpy")
-def _place(macs, rssi_dbm, known_macs, slot_of_known, wifi):
-    """Strengths into the slots of their transmitters; both lists of addresses ascend. False when one is not known."""
-    wifi[:] = 0.0
-    k = 0
-    for t in range(macs.shape[0]):
-        while k < known_macs.shape[0] and known_macs[k] < macs[t]:
-            k += 1
-        if k == known_macs.shape[0] or known_macs[k] != macs[t]:
-            return False
-        slot = slot_of_known[k]
-        if slot < wifi.shape[0]:
-            wifi[slot] = min(max((rssi_dbm[t] - RSSI_ZERO_DBM) / RSSI_SPAN_DB, 0.0), 1.0)
-    return True
+def _shares(ranges, per_metre, out):
+    for b in range(min(ranges.shape[0], out.shape[0])):
+        out[b] = min(max(ranges[b] * per_metre, 0.0), 1.0)
 
 
 @njit(cache=True, error_model="numpy")
-def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
-    """Egocentric view, robot in the middle and looking along +column: out[0] free, out[1] wall (255 or 0).
-
-    Each cell takes two samples on one of its diagonals, by turns, so that a thin wall hardly slips through.
-    """
-    height, width = log_odds.shape
-    size = out.shape[1]
-    step = 0.5 * cell_m * inverse_m
-    c, s = math.cos(heading) * step, math.sin(heading) * step
-    first = 0.5 - 2 * (size // 2)  # in samples, two to a cell
-    x0 = x * inverse_m + first * (c - s)
-    y0 = y * inverse_m + first * (s + c)
-    cells = log_odds.reshape(-1)
-    dx, dy = int(2 * c * FIXED_POINT), int(2 * s * FIXED_POINT)
-    for i in range(2 * size):
-        shift = (i + (i >> 1)) & 1
-        gx = int(math.floor((x0 - s * i + c * shift) * FIXED_POINT))
-        gy = int(math.floor((y0 + c * i + s * shift) * FIXED_POINT))
-        free, wall = out[0, i >> 1], out[1, i >> 1]
-        k0, k1 = gx >> FIXED_BITS, (gx + dx * (size - 1)) >> FIXED_BITS
-        r0, r1 = gy >> FIXED_BITS, (gy + dy * (size - 1)) >> FIXED_BITS
-        if min(k0, k1) >= 0 and min(r0, r1) >= 0 and max(k0, k1) < width and max(r0, r1) < height:
-            for j in range(size):  # the whole row lies inside: no cell needs a check
-                level = cells[((gy + j * dy) >> FIXED_BITS) * width + ((gx + j * dx) >> FIXED_BITS)]
-                free[j] |= np.uint8(level < 0)
-                wall[j] |= np.uint8(level > 0)
-        else:
-            for j in range(size):
-                k, r = (gx + j * dx) >> FIXED_BITS, (gy + j * dy) >> FIXED_BITS
-                if 0 <= r < height and 0 <= k < width:
-                    level = log_odds[r, k]
-                    free[j] |= np.uint8(level < 0)
-                    wall[j] |= np.uint8(level > 0)
-    for i in range(size):
-        for j in range(size):
-            is_wall = out[1, i, j]
-            out[0, i, j] = (out[0, i, j] & (1 - is_wall)) * 255
-            out[1, i, j] = is_wall * 255
+def _fill_pose(pose, std, since_m, limits, out):
+    out[0], out[1] = pose[0], pose[1]
+    out[2], out[3] = math.cos(pose[2]), math.sin(pose[2])
+    out[4], out[5], out[6], out[7] = std[0], std[1], std[2], since_m
+    for k in range(8):
+        out[k] = min(max(out[k], -limits[k]), limits[k])

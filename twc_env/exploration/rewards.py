@@ -1,42 +1,94 @@
-"""Named reward terms of one transition. Here, in metrics and in drawing, truth may be read."""
+"""Named reward terms of one transition. Here, in metrics and in drawing, truth may be read.
+
+| term | value | kind |
+|---|---|---|
+| `coverage` | share of the floor that is mapped rightly, in the largest rightly merged group | potential |
+| `merge` | robots of that group beyond the first, over those there could be | potential |
+| `localisation` | 1 - error / 1 m of where robots believe to be, 0 from 1 m on; mean of the team | potential |
+| `collision` | 1 while the robot touches something | event |
+| `time` | 1 / `max_cycles` per time step | event |
+| `bytes` | bytes that the team sent, per robot, / 10 kB, at most 1, per time step | event |
+
+Every value lies in [0, 1]. A potential pays its change, so that its sum over an episode is its value at the end (before
+the first scan it is 0); an event pays its value. The reward is the sum of terms times the weights of the same names in
+`RewardConfig`; give events negative weights. With `reward.sharing = "individual"` each robot is paid for its own
+group's coverage and merge and its own localisation, instead of the team's.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import RewardConfig
 
 Array = NDArray
 
+POTENTIALS = ("coverage", "merge", "localisation")
+NO_GAINS = (0.0, 0.0, 0.0)
+ERROR_MAX_M = 1.0
+BYTES_MAX = 10_000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """The potentials of a team as last judged."""
+
+    team: Array
+    """(3,) coverage, merge, localisation of the team."""
+    own: Array
+    """(robots, 3) the same of each robot: of its group, rightly merged or 0, and its own localisation."""
+
+    @classmethod
+    def nothing(cls, robots: int) -> Standing:
+        """Before the first scan."""
+        return cls(np.zeros(3), np.zeros((robots, 3)))
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedMap:
+    """A map that robots believe in, against the truth."""
+
+    viewers: tuple[int, ...]
+    robot_count: int
+    """Robots merged in it."""
+    is_right: bool
+    """No pair of them is wrongly merged."""
+    share: float
+    """Of the floor that it maps rightly."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transition:
-    """One step, seen from both sides: the only record that holds truth and estimate together."""
+    """One time step, seen from both sides: the only record that holds truth and estimate together."""
 
-    true_poses: Array
-    """(robots, 3) in the building frame."""
-    estimated_poses: Sequence[Array]
-    """One (3,) per robot, in the map frame of its group."""
+    before: Standing
+    after: Standing
     contacts: Array
     """(robots,) bool: touched a wall or a mate."""
-    correct_area_m2: float
-    """Correctly mapped area of the largest rightly merged group, as last judged."""
-    correct_area_before_m2: float
-    """The same at the step before."""
+    bytes_per_robot: float
+    """Sent by the team in this step."""
+    step_count_max: int
+    """Time steps of a whole episode."""
 
 
-def terms(transition: Transition, robot: int) -> dict[str, float]:
-    """The terms of one robot, by name; the names are those of the weights in RewardConfig.
-
-    correct_area: gain of the team since the last step [m2]; summed over an episode, the area at its end.
-    collision: 1 while the robot touches something.
-    """
+def terms(transition: Transition, robot: int, sharing: str) -> dict[str, float]:
+    """The terms of one robot, by name; the names are those of the weights in RewardConfig."""
+    before, after = transition.before, transition.after
+    gains = NO_GAINS
+    if after is not before:
+        change = after.team - before.team if sharing == "team" else after.own[robot] - before.own[robot]
+        gains = tuple(change.tolist())
     return {
-        "correct_area": transition.correct_area_m2 - transition.correct_area_before_m2,
+        "coverage": gains[0],
+        "merge": gains[1],
+        "localisation": gains[2],
         "collision": float(transition.contacts[robot]),
+        "time": 1.0 / transition.step_count_max,
+        "bytes": min(transition.bytes_per_robot / BYTES_MAX, 1.0),
     }
 
 
@@ -47,3 +99,19 @@ def weigh(values: dict[str, float], weights: RewardConfig) -> float:
         if value:  # most terms are 0 in most steps
             reward += getattr(weights, name) * value
     return reward
+
+
+def standing_of(maps: Sequence[JudgedMap], errors_m: Array) -> Standing:
+    """The potentials from every map that some robot believes in, and from how far off each robot is.
+
+    errors_m (robots,): between where it is and where it believes to be, its map laid on the building.
+    """
+    count = len(errors_m)
+    own = np.zeros((count, 3))
+    own[:, 2] = 1.0 - np.minimum(errors_m / ERROR_MAX_M, 1.0)
+    for judged in maps:
+        if judged.is_right:
+            own[list(judged.viewers), 0] = judged.share
+            own[list(judged.viewers), 1] = (judged.robot_count - 1) / max(count - 1, 1)
+    best = int(np.argmax(own[:, 0]))
+    return Standing(np.array([own[best, 0], own[best, 1], own[:, 2].mean()]), own)

@@ -71,11 +71,12 @@ class EpisodeTrace:
 
     def note(self, rewards: dict[str, float] | None = None) -> None:
         """Take down one step; `rewards` as `step` gave them."""
-        step = len(self._estimated)
+        step = self._env.record.count - 1
         self._rewards.append(sum(rewards.values()) if rewards else 0.0)
-        if step % self._period == 0:
+        if not self._moments or step - self._moments[-1].step >= self._period:
             self._add_moment(step)
-        self._estimated.append(self._laid_on_building())
+        now = self._laid_on_building()
+        self._estimated += [now] * (step + 1 - len(self._estimated))  # a step may have lasted several time steps
 
     def write(self, path: str | Path) -> None:
         """Write the trace, up to the last step noted. Raises DataError when the file cannot be written."""
@@ -98,7 +99,6 @@ class EpisodeTrace:
                 signal_place=np.array([*signal_origin_m, signal_cell_m]),
                 true_poses=env.record.true_poses[: last + 1],
                 estimated_poses=np.array(self._estimated),
-                rewards=np.array(self._rewards),
                 maps=np.frombuffer(b"".join(packed), np.uint8),
                 map_ends=np.cumsum([len(p) for p in packed]),
                 moments=np.array(json.dumps([_described(moment) for moment in self._moments])),

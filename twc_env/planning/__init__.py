@@ -1,17 +1,22 @@
 """Plan and drive on an estimated map: terrain, cheapest paths, path following. Beliefs in, commands out; no truth."""
 
+from twc_env.planning.candidates import Candidates, find_candidates
+from twc_env.planning.driver import Driver
 from twc_env.planning.follow import Follower, as_action, drive_to
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
 from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
 
 __all__ = [
+    "Candidates",
     "Disc",
+    "Driver",
     "Follower",
     "PathFinder",
     "Plan",
     "Terrain",
     "as_action",
     "drive_to",
+    "find_candidates",
     "is_frontier",
     "path_is_blocked",
 ]

@@ -203,6 +203,27 @@ def _shortcut(path, cost):
     return kept[:size]
 
 
+@njit(cache=True, error_model="numpy")
+def _least_per_label(labels, spent, opened, opened_count, least, cell_of):
+    """Path cost to, and flat index of, the nearest opened cell of each label (count + 1,); cell -1: none."""
+    label_of = labels.reshape(-1)
+    for k in range(opened_count):
+        label = label_of[opened[k]]
+        if 0 < label < least.shape[0] and spent[opened[k]] < least[label]:
+            least[label], cell_of[label] = spent[opened[k]], opened[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _nearest_opened(row, column, width, opened, opened_count):
+    """Flat index of the opened cell nearest to (row, column) as the crow flies."""
+    best, nearest = -1, 1e18
+    for k in range(opened_count):
+        away = (opened[k] // width + 0.5 - row) ** 2 + (opened[k] % width + 0.5 - column) ** 2
+        if away < nearest:
+            best, nearest = opened[k], away
+    return best
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """A way to a goal."""
@@ -238,6 +259,7 @@ class PathFinder:
         row, column = np.floor(terrain.to_cells(start_m)).astype(int)
         start = _nearest_open(terrain.cost, row, column, round(self.START_REACH_M / cell))
         if start < 0:
+            self._forget()
             return None
         units = UNITS_PER_CELL / cell
         penalty = np.minimum(np.asarray(penalty_m, float) * units, float(FAR)).astype(np.int32)
@@ -256,11 +278,40 @@ class PathFinder:
             return None
         return Plan(terrain.to_metres(corners), spent / units, int(labels.reshape(-1)[goal]))
 
+    def spread(self, terrain: Terrain, start_m: Array) -> bool:
+        """Find the way to every place that a robot at start_m can reach; False when it is shut in.
+
+        `nearest_of_labels` and `nearest_to` then read what was found, until the next search.
+        """
+        self.cheapest(terrain, start_m, np.zeros_like(terrain.labels), np.zeros(1))
+        return self._opened_count > 0
+
+    def nearest_of_labels(self, terrain: Terrain, labels: Array, count: int) -> tuple[Array, Array]:
+        """(count + 1,) path length [m] to the nearest cell of each label 1..count, infinite where there is none, and
+        (count + 1, 2) that cell's centre in the map frame."""
+        least, cell_of = np.full(count + 1, FAR, np.int32), np.full(count + 1, -1, np.int64)
+        _least_per_label(labels, self._spent, self._opened, self._opened_count, least, cell_of)
+        lengths_m = np.where(cell_of >= 0, least * (terrain.resolution_m / UNITS_PER_CELL), np.inf)
+        width = terrain.cost.shape[1]
+        return lengths_m, terrain.to_metres(np.column_stack([cell_of // width, cell_of % width]) + 0.5)
+
+    def nearest_to(self, terrain: Terrain, point_m: Array) -> Array | None:
+        """(2,) the reachable place nearest to a point as the crow flies; None when nothing is reachable."""
+        row, column = terrain.to_cells(point_m)
+        width = terrain.cost.shape[1]
+        cell = _nearest_opened(row, column, width, self._opened, self._opened_count)
+        return None if cell < 0 else terrain.to_metres(np.array([cell // width + 0.5, cell % width + 0.5]))
+
     def _raise(self, terrain: Terrain, discs: tuple[Disc, ...]) -> int:
         values = np.array([[d.x_m, d.y_m, d.radius_m, d.extra] for d in discs])
         values[:, :2] = terrain.to_cells(values[:, :2])
         values[:, 2] /= terrain.resolution_m
         return _add_discs(terrain.cost, values, self._undo_cell, self._undo_cost)
+
+    def _forget(self) -> None:
+        """No cell is open any more."""
+        self._spent[self._opened[: self._opened_count]] = FAR
+        self._opened_count = 0
 
     def _reserve(self, size: int) -> None:
         if size <= self._capacity:

@@ -88,4 +88,5 @@ class DeadReckoning:
             pose_map_robot=self.robots[robot].pose_odom,
             grid=self._grid,
             ranges_m=frame.ranges_m if frame is not None else np.zeros(0),
+            pose_odom=self.robots[robot].pose_odom,
         )

@@ -119,6 +119,7 @@ class CooperativeSlam:
         """What this robot knows now; `with_signs=False` leaves out the team's list of signs, which takes a while."""
         mapper, frame = self.mapper_of(robot), self._frames[robot]
         group = mapper.group_index(robot)
+        since_closure_m, pose_std = mapper.since_closure(robot)
         return Belief(
             robot=robot,
             step=frame.step if frame is not None else 0,
@@ -128,6 +129,10 @@ class CooperativeSlam:
             signs=mapper.signs_of(group) if with_signs else (),
             ranges_m=frame.ranges_m if frame is not None else np.zeros(0),
             map_version=mapper.groups[group].version,
+            pose_odom=self.robots[robot].pose_odom,
+            pose_std=pose_std,
+            since_closure_m=since_closure_m,
+            contact_steps={mate: mapper.last_step_of(mate) for mate in range(len(self.robots)) if mate != robot},
         )
 
     def _pose_of_mate(self, mapper: TeamMapper, mate: int) -> Array:

@@ -113,6 +113,14 @@ class TeamMapper:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
         return self._graph.pose_map_odom(robot)
 
+    def since_closure(self, robot: int) -> tuple[float, Array]:
+        """Path length since the robot's last closure [m], and (3,) how far it may have strayed [m, m, rad]."""
+        return self._graph.since_closure(robot)
+
+    def last_step_of(self, robot: int) -> int:
+        """The step of the newest keyframe that arrived from a robot; -1 when none has."""
+        return self.keyframes[robot][-1].step if self.keyframes[robot] else -1
+
     def grid_of(self, group: int) -> GridMap:
         """The merged map of a group, as it is now."""
         return self.groups[group].grid.snapshot()

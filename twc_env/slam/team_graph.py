@@ -53,9 +53,12 @@ class TeamGraph:
         self._travels = [Growing() for _ in range(robot_count)]
         self._ends, self._measured, self._information = Growing(2, dtype=np.int64), Growing(3), Growing(3, 3)
         self._closure_of_edge, self._is_used = Growing(dtype=np.int64), Growing(dtype=bool)
+        self._strains = [Growing(3) for _ in range(robot_count)]
+        """Variances [m2, m2, rad2] gathered along each robot's path, keyframe by keyframe."""
+        self._tied = [0] * robot_count
+        """Each robot's last keyframe with a closure that is used."""
         self.signs_read = [0] * robot_count
         """Texts read by each robot."""
-        self._number_of: dict[int, int] = {}
         self._edge_of_closure: dict[int, int] = {}
         self._map_odom: list[Array | None] = [np.zeros(3) for _ in range(robot_count)]
 
@@ -93,6 +96,16 @@ class TeamGraph:
         """A robot's keyframe."""
         return self.keyframes[key[0]][key[1]]
 
+    def since_closure(self, robot: int) -> tuple[float, Array]:
+        """Path length from the robot's last closure to its last keyframe [m], and (3,) what may have gone astray on it.
+
+        Standard deviations [m, m, rad] by the front end's own covariances; without any closure, since its start.
+        """
+        if not self.keyframes[robot]:
+            return 0.0, np.zeros(3)
+        travels, strains, tied = self._travels[robot].rows, self._strains[robot].rows, self._tied[robot]
+        return float(travels[-1] - travels[tied]), np.sqrt(np.maximum(strains[-1] - strains[tied], 0.0))
+
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
         held = self._map_odom[robot]
@@ -115,17 +128,27 @@ class TeamGraph:
         self.keyframes[robot].append(keyframe)
         self._steps[robot].append(keyframe.step)
         self._travels[robot].append(keyframe.travel_m)
+        self._add_strain(robot, keyframe.motion_covariance)
         self.signs_read[robot] += len(keyframe.signs)
         return node
 
+    def _add_strain(self, robot: int, motion_covariance: Array) -> None:
+        gathered = self._strains[robot].rows
+        x, y, heading = np.diag(motion_covariance).tolist()
+        row = np.array([0.5 * (x + y), 0.5 * (x + y), heading])
+        self._strains[robot].append(gathered[-1] + row if len(gathered) else row)
+
     def add_closure(self, closure: LoopClosure) -> None:
         """Note a verified closure; it is no edge before `tie`."""
-        self._number_of[id(closure)] = len(self.closures)
+        closure.number = len(self.closures)
         self.closures.append(closure)
 
     def tie(self, closure: LoopClosure, is_used: bool) -> None:
         """Make a noted closure an edge, or change whether its edge is used."""
-        number = self._number_of[id(closure)]
+        number = closure.number
+        if is_used:
+            for robot, index in (closure.candidate.target, closure.candidate.source):
+                self._tied[robot] = max(self._tied[robot], index)
         if number in self._edge_of_closure:
             self._is_used.rows[self._edge_of_closure[number]] = is_used
             return

@@ -1,0 +1,140 @@
+"""Pictures of a believed map for learners: what lies around one robot, and the whole map shrunk to fit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.messages import GridMap
+
+Array = NDArray
+
+FREE, WALL, UNKNOWN, FRONTIER, PATH, MATES, SIGNS = range(7)
+CHANNELS = 7
+OVERVIEW_CHANNELS = 4
+"""Free, wall, this robot, mates."""
+FIXED_BITS = 32
+FIXED_POINT = 2.0**FIXED_BITS
+"""Cell numbers are stepped in whole parts of a cell, so that a step is an addition and a shift, no conversion."""
+
+
+def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float) -> Array:
+    """(7, cells, cells) uint8, 0 or 255: the robot in the middle looks along +column; the last three stay empty.
+
+    A crop cell is a frontier when it is free and has an unknown neighbour in the crop.
+    """
+    out = np.zeros((CHANNELS, cells, cells), np.uint8)
+    if grid.log_odds.size == 0:
+        out[UNKNOWN] = 255
+        return out
+    x, y = (pose_map_robot[:2] - grid.origin_m).tolist()
+    _crop(grid.log_odds, x, y, float(pose_map_robot[2]), 1.0 / grid.resolution_m, cell_m, out)
+    return out
+
+
+def mark(channel: Array, points_m: Array, pose: Array, cell_m: float) -> None:
+    """Set the cells of channel (cells, cells) under points (k, 2), as seen from a pose in the frame of the points."""
+    _mark(channel, points_m, pose[0], pose[1], pose[2], 1.0 / cell_m)
+
+
+def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
+    """The known part of a grid as (2, cells, cells) uint8: share of free and of wall cells, north up as in the grid.
+
+    Also the map-frame corner (2,) of its cell [0, 0] and the length of one of its cells [m].
+    """
+    out = np.zeros((2, cells, cells), np.uint8)
+    row, column, factor = _shrink(grid.log_odds, out)
+    corner_m = np.asarray(grid.origin_m, float) + np.array([column, row]) * grid.resolution_m
+    return out, corner_m, factor * grid.resolution_m
+
+
+@njit(cache=True, error_model="numpy")
+def _mark(channel, points, x, y, heading, inverse_m):
+    size = channel.shape[0]
+    half = size // 2
+    c, s = math.cos(heading) * inverse_m, math.sin(heading) * inverse_m
+    for k in range(points.shape[0]):
+        dx, dy = points[k, 0] - x, points[k, 1] - y
+        row, column = math.floor(c * dy - s * dx) + half, math.floor(c * dx + s * dy) + half
+        if 0 <= row < size and 0 <= column < size:
+            channel[row, column] = 255
+
+
+@njit(cache=True, error_model="numpy")
+def _shrink(log_odds, out):
+    """Returns the first row and column of the known box, and how many grid cells go into one of `out`."""
+    height, width = log_odds.shape
+    size = out.shape[1]
+    low_r, high_r, low_c, high_c = height, -1, width, -1
+    for r in range(height):
+        for c in range(width):
+            if log_odds[r, c] != 0:
+                low_r, high_r = min(low_r, r), max(high_r, r)
+                low_c, high_c = min(low_c, c), max(high_c, c)
+    if high_r < 0:
+        return 0, 0, 1.0
+    factor = max(1.0, max(high_r - low_r + 1, high_c - low_c + 1) / size)
+    free, wall = np.zeros((size, size), np.int64), np.zeros((size, size), np.int64)
+    for r in range(low_r, high_r + 1):
+        i = min(int((r - low_r) / factor), size - 1)
+        for c in range(low_c, high_c + 1):
+            j = min(int((c - low_c) / factor), size - 1)
+            free[i, j] += log_odds[r, c] < 0
+            wall[i, j] += log_odds[r, c] > 0
+    area = factor * factor
+    for i in range(size):
+        for j in range(size):
+            out[0, i, j] = int(255.0 * min(1.0, free[i, j] / area))
+            out[1, i, j] = int(255.0 * min(1.0, wall[i, j] / factor))
+    return low_r, low_c, factor
+
+
+@njit(cache=True, error_model="numpy")
+def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
+    """Egocentric view, robot in the middle and looking along +column: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0).
+
+    Each cell takes two samples on one of its diagonals, by turns, so that a thin wall hardly slips through.
+    """
+    height, width = log_odds.shape
+    size = out.shape[1]
+    step = 0.5 * cell_m * inverse_m
+    c, s = math.cos(heading) * step, math.sin(heading) * step
+    first = 0.5 - 2 * (size // 2)  # in samples, two to a cell
+    x0 = x * inverse_m + first * (c - s)
+    y0 = y * inverse_m + first * (s + c)
+    cells = log_odds.reshape(-1)
+    dx, dy = int(2 * c * FIXED_POINT), int(2 * s * FIXED_POINT)
+    for i in range(2 * size):
+        shift = (i + (i >> 1)) & 1
+        gx = int(math.floor((x0 - s * i + c * shift) * FIXED_POINT))
+        gy = int(math.floor((y0 + c * i + s * shift) * FIXED_POINT))
+        free, wall = out[0, i >> 1], out[1, i >> 1]
+        k0, k1 = gx >> FIXED_BITS, (gx + dx * (size - 1)) >> FIXED_BITS
+        r0, r1 = gy >> FIXED_BITS, (gy + dy * (size - 1)) >> FIXED_BITS
+        if min(k0, k1) >= 0 and min(r0, r1) >= 0 and max(k0, k1) < width and max(r0, r1) < height:
+            for j in range(size):  # the whole row lies inside: no cell needs a check
+                level = cells[((gy + j * dy) >> FIXED_BITS) * width + ((gx + j * dx) >> FIXED_BITS)]
+                free[j] |= np.uint8(level < 0)
+                wall[j] |= np.uint8(level > 0)
+        else:
+            for j in range(size):
+                k, r = (gx + j * dx) >> FIXED_BITS, (gy + j * dy) >> FIXED_BITS
+                if 0 <= r < height and 0 <= k < width:
+                    level = log_odds[r, k]
+                    free[j] |= np.uint8(level < 0)
+                    wall[j] |= np.uint8(level > 0)
+    for i in range(size):
+        free, wall, unknown = out[0, i], out[1, i], out[2, i]
+        for j in range(size):
+            is_wall = wall[j]
+            free[j] = (free[j] & (1 - is_wall)) * 255
+            unknown[j] = 255 - (free[j] | is_wall * 255)
+            wall[j] = is_wall * 255
+    for i in range(1, size - 1):
+        above, here, below = out[2, i - 1], out[2, i], out[2, i + 1]
+        free, frontier = out[0, i], out[3, i]
+        for j in range(1, size - 1):
+            frontier[j] = free[j] & (above[j] | below[j] | here[j - 1] | here[j + 1])

@@ -1,0 +1,188 @@
+"""Carry out actions that last: waypoints and frontiers are planned and followed on each robot's estimated map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from twc_env.config import ActionConfig, EnvConfig
+from twc_env.errors import ActionError
+from twc_env.exploration.observations import EXTRA_CHOICES
+from twc_env.geometry import transform_points
+from twc_env.messages import Belief
+from twc_env.planning.candidates import NOTHING, Candidates, find_candidates
+from twc_env.planning.driver import Driver
+from twc_env.planning.path_finder import PathFinder
+from twc_env.planning.terrain import Terrain
+
+Array = NDArray
+
+SIGN, MATE, STAY = (EXTRA_CHOICES.index(name) for name in ("sign", "mate", "stay"))
+
+
+def waypoint_space() -> spaces.Box:
+    """(2,) a goal in the robot frame, in units of `action.waypoint_reach_m`."""
+    return spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+
+def frontier_space(config: ActionConfig) -> spaces.Discrete:
+    """Which candidate: the frontiers in the order of the `frontiers` block, then sign, mate, stay."""
+    return spaces.Discrete(config.frontier_slots + len(EXTRA_CHOICES))
+
+
+class Scout:
+    """Keeps a list of frontiers for observations where nothing is decided on it."""
+
+    def __init__(self, config: EnvConfig):
+        self._config = config
+        self._period = max(1, round(config.observation.frontier_period_s / config.dynamics.time_step_s))
+        self._finder = PathFinder()
+        self._looked_step = -self._period
+        self.candidates: list[Candidates] = [NOTHING] * config.robots
+
+    def look(self, beliefs: Sequence[Belief]) -> None:
+        """Work the lists out anew when it is time."""
+        if beliefs[0].step - self._looked_step < self._period:
+            return
+        self._looked_step = beliefs[0].step
+        terrains: dict[tuple, Terrain] = {}
+        for robot, belief in enumerate(beliefs):
+            terrain = terrain_of(terrains, belief, self._config.dynamics.robot_radius_m)
+            self.candidates[robot] = find_candidates(belief, terrain, self._finder, self._config.action.frontier_slots)
+
+
+class Pilot:
+    """Drives the whole team through one episode's decisions."""
+
+    def __init__(self, config: EnvConfig):
+        self._config, self._action = config, config.action
+        self._finder = PathFinder()
+        count = config.robots
+        self._drivers = [Driver(config.dynamics, self._finder) for _ in range(count)]
+        self.candidates: list[Candidates] = [NOTHING] * count
+        """What each robot may choose from now."""
+        self.is_deciding = np.ones(count, bool)
+        """(robots,) whose action counts in the next step; the others are still busy with their last one."""
+        self._stay_until = np.zeros(count, np.int64)
+        self._terrains: dict[tuple, Terrain] = {}
+        self._ticks = 0
+        self._deadline = 0
+        self._seconds = 1.0 / config.dynamics.time_step_s
+
+    def mask(self, robot: int) -> Array:
+        """(choices,) int8, 1 where a choice can be made. A busy robot can only go on, which is `stay`."""
+        slots = self._action.frontier_slots
+        mask = np.zeros(slots + len(EXTRA_CHOICES), np.int8)
+        mask[slots + STAY] = 1
+        if self.is_deciding[robot]:
+            candidates = self.candidates[robot]
+            mask[: len(candidates.frontiers_m)] = 1
+            mask[slots + SIGN] = candidates.sign_m is not None
+            mask[slots + MATE] = candidates.mate_m is not None
+        return mask
+
+    def look(self, beliefs: Sequence[Belief]) -> None:
+        """Work out what robots that decide now may choose from."""
+        self._terrains.clear()
+        for robot, belief in enumerate(beliefs):
+            if self.is_deciding[robot]:
+                self.candidates[robot] = find_candidates(
+                    belief, self._terrain(belief, 1.0), self._finder, self._action.frontier_slots
+                )
+
+    def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
+        """Give robots that decide their new goals.
+
+        Raises ActionError for a missing or malformed action; then nothing is changed. A frontier, sign or mate that
+        the mask rules out counts as `stay`.
+        """
+        is_waypoint = self._action.kind == "waypoint"
+        parse = _waypoint if is_waypoint else _choice
+        size = 2 if is_waypoint else self._action.frontier_slots + len(EXTRA_CHOICES)
+        parsed = []
+        for agent in agents:
+            if agent not in actions:
+                raise ActionError(f"no action for {agent!r}: step() needs one for each of {list(agents)}")
+            parsed.append(parse(actions[agent], agent, size))
+        self._deadline = self._ticks + max(1, math.ceil(self._action.decision_max_s * self._seconds - 1e-9))
+        for robot, (value, belief) in enumerate(zip(parsed, beliefs, strict=True)):
+            if self.is_deciding[robot]:
+                self._begin(robot, belief, self._goal_of(robot, value, belief))
+        self.is_deciding[:] = False
+
+    def commands(self, beliefs: Sequence[Belief]) -> Array:
+        """(robots, 2) speed [m/s] and turn rate [rad/s] for the next tick."""
+        self._terrains.clear()
+        self._ticks += 1
+        return np.array(
+            [driver.command(belief, self._terrain) for driver, belief in zip(self._drivers, beliefs, strict=True)]
+        )
+
+    def is_decision_due(self) -> bool:
+        """Whether the step is over; then `is_deciding` says for whom."""
+        is_free = np.array([driver.status != "driving" for driver in self._drivers])
+        is_free &= self._stay_until <= self._ticks
+        late = self._ticks >= self._deadline
+        due = late or (is_free.all() if self._action.timing == "synchronous" else is_free.any())
+        if due:
+            self.is_deciding = np.ones_like(is_free) if late else is_free
+        return bool(due)
+
+    def _goal_of(self, robot: int, value, belief: Belief) -> tuple[str, Array] | None:
+        """Kind and place (map frame) of what an action means; None: stay."""
+        if self._action.kind == "waypoint":
+            offset = np.asarray(value, float) * self._action.waypoint_reach_m
+            wanted = transform_points(belief.pose_map_robot, offset[None])[0]
+            terrain = self._terrain(belief, 1.0)
+            if not self._finder.spread(terrain, belief.pose_map_robot[:2]):
+                return "place", wanted
+            place = self._finder.nearest_to(terrain, wanted)
+            return "place", wanted if place is None else place
+        candidates, slots = self.candidates[robot], self._action.frontier_slots
+        if value < len(candidates.frontiers_m):
+            return "frontier", candidates.frontiers_m[value]
+        place = {slots + SIGN: candidates.sign_m, slots + MATE: candidates.mate_m}.get(value)
+        return None if place is None else ("mate" if value == slots + MATE else "place", place)
+
+    def _begin(self, robot: int, belief: Belief, goal: tuple[str, Array] | None) -> None:
+        self._stay_until[robot] = 0
+        if goal is None:
+            self._drivers[robot].stop()
+            self._stay_until[robot] = self._ticks + max(1, round(self._action.stay_s * self._seconds))
+        else:
+            self._drivers[robot].start(goal[1], belief, goal[0])
+
+    def _terrain(self, belief: Belief, squeeze: float) -> Terrain:
+        return terrain_of(self._terrains, belief, squeeze * self._config.dynamics.robot_radius_m)
+
+
+def terrain_of(known: dict[tuple, Terrain], belief: Belief, radius_m: float) -> Terrain:
+    """The group's map read for robots of a radius; looked up in `known` first, which must be of this moment."""
+    key = (radius_m, *sorted({belief.robot, *belief.mates}))
+    if key not in known:
+        poses = np.array([belief.pose_map_robot, *belief.mates.values()])
+        known[key] = Terrain(belief.grid, radius_m, poses[:, :2])
+    return known[key]
+
+
+def _waypoint(action, agent: str, size: int) -> Array:
+    try:
+        goal = np.asarray(action, float)
+    except (TypeError, ValueError):
+        goal = np.zeros(0)
+    if goal.shape != (size,) or not np.all(np.abs(goal) <= 1.0 + 1e-6):  # also true for NaN
+        raise ActionError(
+            f"action of {agent!r} must be 2 finite numbers (goal ahead, to the left) in [-1, 1]; got {action!r}"
+        )
+    return goal
+
+
+def _choice(action, agent: str, size: int) -> int:
+    array = np.asarray(action)
+    if array.size != 1 or array.dtype.kind not in "iu" or not 0 <= int(array.reshape(-1)[0]) < size:
+        raise ActionError(f"action of {agent!r} must be a whole number from 0 to {size - 1}; got {action!r}")
+    return int(array.reshape(-1)[0])

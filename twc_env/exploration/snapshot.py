@@ -1,0 +1,79 @@
+"""A moment of an episode, whole and exact, to come back to: tree search, branching rollouts, debugging."""
+
+from __future__ import annotations
+
+import io
+import pickle
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from twc_env._version import __version__
+from twc_env.config import digest
+from twc_env.errors import ConfigError
+from twc_env.world.floorplan import Floorplan
+
+if TYPE_CHECKING:
+    from twc_env.exploration.environment import ExplorationEnv
+    from twc_env.slam.modes import Engine
+
+_STATE = (
+    "_episode_config", "_world", "_engine", "_link", "_builders", "_pilot", "_scout", "_record", "_standing", "_steps",
+    "_seed", "_frames", "_beliefs", "agents",
+)  # fmt: skip
+"""What of an environment changes during an episode."""
+_PLAN = "floorplan"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """Can be pickled and restored in another process; the building is held once, by reference."""
+
+    config_digest: str
+    version: str
+    floorplan: Floorplan
+    content: bytes
+
+
+class _Pickler(pickle.Pickler):
+    """Leaves the building out: it never changes."""
+
+    def __init__(self, file: io.BytesIO, floorplan: Floorplan):
+        super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
+        self._floorplan = floorplan
+
+    def persistent_id(self, value: Any) -> str | None:
+        return _PLAN if value is self._floorplan else None
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, file: io.BytesIO, floorplan: Floorplan):
+        super().__init__(file)
+        self._floorplan = floorplan
+
+    def persistent_load(self, name: str) -> Floorplan:
+        return self._floorplan
+
+
+def take_snapshot(env: ExplorationEnv, engine: Engine) -> Snapshot:
+    """See `ExplorationEnv.snapshot`; `engine` proves that an episode has begun."""
+    buffer = io.BytesIO()
+    state = {name: getattr(env, name) for name in _STATE} | {"_engine": engine}
+    _Pickler(buffer, env.floorplan).dump(state)
+    return Snapshot(digest(env.config), __version__, env.floorplan, buffer.getvalue())
+
+
+def restore_snapshot(env: ExplorationEnv, snapshot: Snapshot) -> None:
+    """See `ExplorationEnv.restore`."""
+    _check("configuration", snapshot.config_digest, digest(env.config))
+    _check("version", snapshot.version, __version__)
+    state = _Unpickler(io.BytesIO(snapshot.content), snapshot.floorplan).load()
+    env.floorplan, env._cells = snapshot.floorplan, snapshot.floorplan.cells()
+    for name, value in state.items():
+        setattr(env, name, value)
+
+
+def _check(what: str, of_snapshot: str, own: str) -> None:
+    if of_snapshot != own:
+        raise ConfigError(
+            f"the snapshot was taken with {what} {of_snapshot}, this environment has {own}: restore it with the same"
+        )

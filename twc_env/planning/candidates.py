@@ -1,0 +1,92 @@
+"""Where a robot could go next: the frontiers of its map by path length, a sign to go back to, a mate to meet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.geometry import between
+from twc_env.messages import Belief
+from twc_env.planning.path_finder import PathFinder
+from twc_env.planning.terrain import Terrain
+
+Array = NDArray
+
+CELLS_MIN = 3
+"""Smaller frontiers are noise."""
+SIGN_AWAY_M = 2.0
+"""A sign nearer than this is no place to go back to: the robot is there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """What one robot may choose from. Places are in its map frame; estimates only."""
+
+    frontiers_m: Array
+    """(k, 2) the nearest place of each frontier, the shortest path first."""
+    lengths_m: Array
+    """(k,) path length to it (stretches near walls count more)."""
+    sizes_m: Array
+    """(k,) length of the frontier."""
+    is_mate_nearer: Array
+    """(k,) bool: some mate stands nearer to it, as the crow flies, than this robot must go."""
+    sign_m: Array | None
+    """(2,) the nearest known sign that lies some way off."""
+    mate_m: Array | None
+    """(2,) where the nearest robot of the same map stands."""
+
+
+NOTHING = Candidates(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, bool), None, None)
+
+
+def find_candidates(belief: Belief, terrain: Terrain, finder: PathFinder, count_max: int) -> Candidates:
+    """At most `count_max` frontiers that the robot can reach, and the two other places."""
+    here = belief.pose_map_robot
+    if not finder.spread(terrain, here[:2]):
+        return NOTHING
+    sizes = terrain.frontier_sizes
+    lengths_m, places_m = finder.nearest_of_labels(terrain, terrain.labels, len(sizes) - 1)
+    usable = np.flatnonzero(np.isfinite(lengths_m) & (sizes >= CELLS_MIN))
+    chosen = usable[np.lexsort((usable, lengths_m[usable]))][:count_max]
+    mates_m = np.array([pose[:2] for pose in belief.mates.values()]).reshape(-1, 2)
+    away_m = np.linalg.norm(places_m[chosen][:, None] - mates_m[None], axis=-1)  # (chosen, mates)
+    return Candidates(
+        places_m[chosen],
+        lengths_m[chosen],
+        sizes[chosen] * terrain.resolution_m,
+        (away_m < lengths_m[chosen][:, None]).any(axis=1),
+        _nearest([s.position_m for s in belief.signs], here, SIGN_AWAY_M),
+        _nearest([pose[:2] for pose in belief.mates.values()], here, 0.0),
+    )
+
+
+def _nearest(places_m: list[Array], here: Array, away_m: float) -> Array | None:
+    far = [(math.dist(place, here[:2]), k) for k, place in enumerate(places_m)]
+    far = [pair for pair in far if pair[0] >= away_m]
+    return np.asarray(places_m[min(far)[1]], float) if far else None
+
+
+def features_of(candidates: Candidates, pose_map_robot: Array, count_max: int) -> Array:
+    """(count_max, 6) float32 in [-1, 1], one row per candidate, zeros where there is none.
+
+    Columns: present; bearing of the place / pi; distance d / (d + 10 m); path length l / (l + 10 m);
+    size s / (s + 5 m); a mate is nearer.
+    """
+    rows = np.zeros((count_max, 6), np.float32)
+    for row, place, length, size, nearer in zip(
+        rows, candidates.frontiers_m, candidates.lengths_m, candidates.sizes_m, candidates.is_mate_nearer, strict=False
+    ):
+        x, y, _ = between(pose_map_robot, np.array([*place, 0.0])).tolist()
+        away = math.hypot(x, y)
+        row[:] = (
+            1.0,
+            math.atan2(y, x) / math.pi,
+            away / (away + 10.0),
+            length / (length + 10.0),
+            size / (size + 5.0),
+            float(nearer),
+        )
+    return rows

@@ -1,0 +1,155 @@
+"""Drive one robot to a goal on its estimated map: plan, follow, plan anew, and say when it is over."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import DynamicsConfig
+from twc_env.geometry import compose, inverse, transform_points
+from twc_env.messages import Belief
+from twc_env.planning.follow import Follower, drive_to
+from twc_env.planning.path_finder import Disc, PathFinder
+from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
+
+Array = NDArray
+
+CHECK_S = 0.5
+"""The path is checked against the newest map this often."""
+REPLAN_S = 4.0
+ARRIVAL_M = 0.35
+MATE_ARRIVAL_M = 1.2
+STUCK_S, STUCK_M = 3.0, 0.3
+"""A robot that got no further than this in this time is stuck."""
+ESCAPE_S = 1.2
+"""A stuck robot backs out to its most open side for so long before it gives up the goal."""
+MATE_DISC_M, MATE_DISC_EXTRA, MATE_NEAR_M = 0.6, 12, 6.0
+AHEAD_M = 3.0
+SQUEEZE = 0.6
+"""A robot that its map shuts in plans as if it were this many times as wide."""
+
+
+class Driver:
+    """Drives one robot; `start` gives it a goal, `command` the next speed, `status` how it stands."""
+
+    def __init__(self, dynamics: DynamicsConfig, finder: PathFinder):
+        self._dynamics, self._finder = dynamics, finder
+        self._follower = Follower(dynamics)
+        self.status = "idle"
+        """"idle", "driving", "arrived" or "failed"."""
+        self._goal_m = np.zeros(2)
+        self._is_frontier = False
+        self._arrival_m = ARRIVAL_M
+        self._map_id = (-1, 0)
+        self._pose = np.zeros(3)
+        self._ticks = 0
+        self._anchor = (0.0, 0.0, 0)
+        self._escape_ticks = 0
+
+    def start(self, goal_m: Array, belief: Belief, kind: str = "place") -> None:
+        """Head for goal_m (2,) in the map frame; kind is "place", "frontier" (over once mapped) or "mate"."""
+        self._goal_m = np.asarray(goal_m, float).copy()
+        self._is_frontier = kind == "frontier"
+        self._arrival_m = MATE_ARRIVAL_M if kind == "mate" else ARRIVAL_M
+        self._map_id, self._pose = _map_id(belief), belief.pose_map_robot
+        self._ticks, self._escape_ticks = 0, 0
+        self._anchor = (float(self._pose[0]), float(self._pose[1]), 0)
+        self._follower.stop()
+        self.status = "driving"
+
+    def stop(self) -> None:
+        """Drop the goal."""
+        self._follower.stop()
+        self.status = "idle"
+
+    def command(self, belief: Belief, terrain_of) -> tuple[float, float]:
+        """Speed [m/s] and turn rate [rad/s] for the next tick; (0, 0) when there is nothing to do.
+
+        `terrain_of(belief, squeeze)` reads the belief's grid for robots `squeeze` times as wide; it is asked only when
+        a path is planned.
+        """
+        if self.status != "driving":
+            return 0.0, 0.0
+        self._carry_over(belief)
+        self._ticks += 1
+        tick_s = self._dynamics.time_step_s
+        if self._escape_ticks > 0:
+            self._escape_ticks -= 1
+            if self._escape_ticks == 0:
+                self.status = "failed"
+            return self._back_out(belief)
+        if self._is_there(belief):
+            self.status = "arrived"
+            return 0.0, 0.0
+        if self._is_stuck(tick_s):
+            self._escape_ticks = max(1, round(ESCAPE_S / tick_s))
+            return self._back_out(belief)
+        if self._needs_plan(belief, tick_s) and not self._plan(belief, terrain_of):
+            self.status = "failed"
+            return 0.0, 0.0
+        return self._follower.command(self._pose, belief.ranges_m)
+
+    def _carry_over(self, belief: Belief) -> None:
+        """When the map jumped, goal and path jump with it."""
+        if _map_id(belief) != self._map_id:
+            jump = compose(belief.pose_map_robot, inverse(self._pose))
+            self._goal_m = transform_points(jump, self._goal_m[None])[0]
+            x, y = transform_points(jump, np.array([self._anchor[:2]]))[0]
+            self._anchor = (float(x), float(y), self._anchor[2])
+            self._follower.stop()
+            self._map_id = _map_id(belief)
+        self._pose = belief.pose_map_robot
+
+    def _is_there(self, belief: Belief) -> bool:
+        away = math.hypot(self._goal_m[0] - self._pose[0], self._goal_m[1] - self._pose[1])
+        if self._is_frontier and self._ticks % max(1, round(CHECK_S / self._dynamics.time_step_s)) == 0:
+            return not is_frontier(belief.grid, self._goal_m, ARRIVAL_M)
+        return away <= self._arrival_m
+
+    def _is_stuck(self, tick_s: float) -> bool:
+        x, y = float(self._pose[0]), float(self._pose[1])
+        if math.hypot(x - self._anchor[0], y - self._anchor[1]) > STUCK_M:
+            self._anchor = (x, y, self._ticks)
+        return (self._ticks - self._anchor[2]) * tick_s >= STUCK_S
+
+    def _needs_plan(self, belief: Belief, tick_s: float) -> bool:
+        if not self._follower.has_path or self._ticks % max(1, round(REPLAN_S / tick_s)) == 0:
+            return True
+        if self._ticks % max(1, round(CHECK_S / tick_s)) != 0:
+            return False
+        ahead = self._follower.ahead(self._pose, AHEAD_M)
+        return path_is_blocked(belief.grid, ahead, self._dynamics.robot_radius_m)
+
+    def _plan(self, belief: Belief, terrain_of) -> bool:
+        discs = [
+            Disc(float(pose[0]), float(pose[1]), MATE_DISC_M, MATE_DISC_EXTRA)
+            for pose in belief.mates.values()
+            if math.dist(pose[:2], self._pose[:2]) < MATE_NEAR_M and math.dist(pose[:2], self._goal_m) > MATE_DISC_M
+        ]
+        for squeeze in (1.0, SQUEEZE):
+            terrain: Terrain = terrain_of(belief, squeeze)
+            labels = np.zeros_like(terrain.labels)
+            labels[terrain.patch(self._goal_m, self._arrival_m)] = 1
+            plan = self._finder.cheapest(terrain, self._pose[:2], labels, np.zeros(2), discs)
+            if plan is not None:
+                self._follower.start(plan.path_m)
+                return True
+        return False
+
+    def _back_out(self, belief: Belief) -> tuple[float, float]:
+        """Toward the most open side that the scan shows."""
+        ranges = belief.ranges_m
+        if ranges is None or len(ranges) == 0:
+            return 0.0, 0.5 * self._dynamics.turn_rate_max_rad_s
+        half = max(1, round(0.04 * len(ranges)))
+        ring = np.minimum(np.concatenate([ranges[-half:], ranges, ranges[:half]]), 3.0)
+        room = np.lib.stride_tricks.sliding_window_view(ring, 2 * half + 1).min(axis=1)
+        bearing = 2 * math.pi * int(np.argmax(room)) / len(ranges)
+        return drive_to(0.6 * math.cos(bearing), 0.6 * math.sin(bearing), ranges, self._dynamics)
+
+
+def _map_id(belief: Belief) -> tuple[int, int]:
+    """Changes whenever the map frame jumps."""
+    return belief.map_version, len(belief.mates)
