@@ -17,7 +17,7 @@ def mapped_shares(result) -> dict[tuple[int, ...], float]:
     cells = result.floorplan.cells()
     floor_m2 = cells.free.sum() * cells.resolution_m**2
     return {
-        robots: metrics.coverage_m2(
+        robots: metrics.correct_area_m2(
             grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m
         )
         / floor_m2

@@ -219,21 +219,7 @@ class WifiSlots:
         if scan is None:
             return
         self._scans += 1
-        strongest = scan.macs[np.argsort(-scan.rssi_dbm, kind="stable")[: len(self._macs)]]
-        is_kept = np.isin(self._macs, strongest)
-        new = strongest[np.isin(strongest, self._macs, invert=True)]
-        if len(new):
-            free = np.flatnonzero(~is_kept)
-            free = free[np.argsort(self._last_scan[free], kind="stable")][: len(new)]
-            self._macs[free] = new
-            is_kept[free] = True
-        self._last_scan[is_kept] = self._scans
-        self.levels[:] = 0.0
-        if len(scan.macs):
-            place = np.minimum(np.searchsorted(scan.macs, self._macs), len(scan.macs) - 1)
-            heard = scan.macs[place] == self._macs
-            level = ((scan.rssi_dbm[place] - RSSI_ZERO_DBM) / RSSI_SPAN_DB).clip(0.0, 1.0)
-            self.levels[heard] = level[heard]
+        _place(scan.macs, scan.rssi_dbm, self._scans, self._macs, self._last_scan, self.levels)
 
 
 def _pose(belief: Belief) -> Array:
@@ -255,3 +241,25 @@ def _fill_pose(pose, std, since_m, limits, out):
     out[4], out[5], out[6], out[7] = std[0], std[1], std[2], since_m
     for k in range(8):
         out[k] = min(max(out[k], -limits[k]), limits[k])
+
+
+@njit(cache=True, error_model="numpy")
+def _place(macs, rssi_dbm, scan, slot_macs, last_scan, levels):
+    """The strongest transmitters take, or keep, the slots; macs ascend. Those longest out of the strongest give way."""
+    slots = slot_macs.shape[0]
+    order = np.argsort(-rssi_dbm, kind="mergesort")[:slots]
+    is_new = np.ones(order.shape[0], np.bool_)
+    for k in range(order.shape[0]):
+        for slot in range(slots):
+            if slot_macs[slot] == macs[order[k]]:
+                is_new[k] = False
+                last_scan[slot] = scan
+    for k in range(order.shape[0]):
+        if is_new[k]:
+            oldest = np.argmin(last_scan)
+            slot_macs[oldest], last_scan[oldest] = macs[order[k]], scan
+    for slot in range(slots):
+        place = np.searchsorted(macs, slot_macs[slot])
+        levels[slot] = 0.0
+        if place < macs.shape[0] and macs[place] == slot_macs[slot]:
+            levels[slot] = min(max((rssi_dbm[place] - RSSI_ZERO_DBM) / RSSI_SPAN_DB, 0.0), 1.0)
