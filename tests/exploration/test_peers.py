@@ -52,7 +52,9 @@ def test_what_was_sensed_and_heard_gives_the_same_observations_again(played):
         if step == STEPS:
             engine.finish()
         for agent, builder, frame in zip(log.env.possible_agents, builders, now, strict=True):
-            built = builder.build(frame, engine.belief(frame.robot))
+            belief = engine.belief(frame.robot)
+            builder.notice(frame, belief)
+            built = builder.build(frame, belief)
             assert all(np.array_equal(built[key], log.observations[step][agent][key]) for key in built)
 
 
@@ -87,7 +89,7 @@ def test_the_report_judges_peers_as_it_judges_a_team(played):
     assert figures["team_ate_m"] < 0.1
     assert 0.05 < figures["coverage_correct"] <= 1.0
     assert figures["bytes_by_kind"]["inventory"] > 0 and figures["bytes_by_kind"]["request"] > 0
-    assert sum(rewards["robot_0"] for rewards in played[0].rewards) > 10
+    assert sum(rewards["robot_0"] for rewards in played[0].rewards) > 0.05
 
 
 def test_beliefs_of_robots_that_never_meet_hold_themselves_alone(explore):
