@@ -26,15 +26,17 @@ _ROUNDS = 3
 
 
 def probe(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
-    """first_step_cold_s, first_step_warm_s, memory_per_env_mb and workers2_speedup."""
+    """first_step_cold_s, first_step_warm_s (and their CPU times), memory_per_env_mb and workers2_speedup."""
     figures: dict[str, float | None] = {}
     with tempfile.TemporaryDirectory() as folder:
         own_cache = {"NUMBA_CACHE_DIR": folder}
-        figures["first_step_cold_s"] = float(_run(["first_step", map_name], own_cache))
-        report(f"import to first step, no kernel compiled yet: {figures['first_step_cold_s']:.1f} s")
-        warm = [float(_run(["first_step", map_name], own_cache)) for _ in range(_WARM_STARTS)]
-    figures["first_step_warm_s"] = statistics.median(warm)
-    report(f"import to first step, kernels on disk: {figures['first_step_warm_s']:.2f} s")
+        starts = [json.loads(_run(["first_step", map_name], own_cache)) for _ in range(1 + _WARM_STARTS)]
+    for column, key in enumerate(("s", "cpu_s")):
+        figures[f"first_step_cold_{key}"] = starts[0][column]
+        figures[f"first_step_warm_{key}"] = statistics.median(start[column] for start in starts[1:])
+    for kind, what in (("cold", "no kernel compiled yet"), ("warm", "kernels on disk")):
+        wall_s, cpu_s = figures[f"first_step_{kind}_s"], figures[f"first_step_{kind}_cpu_s"]
+        report(f"import to first step, {what}: {wall_s:.2f} s ({cpu_s:.2f} s of CPU time)")
     figures["memory_per_env_mb"] = float(_run(["memory", str(steps)]))
     report(f"memory of one environment of 1,000 m2: {figures['memory_per_env_mb']:.1f} MB")
     figures["workers2_speedup"] = workers2_speedup(map_name, steps, report)
@@ -92,8 +94,9 @@ def _run(arguments: list[str], environment: dict[str, str] | None = None) -> str
     return output.strip()
 
 
-def _first_step(map_name: str) -> float:
-    begin = time.perf_counter()
+def _first_step(map_name: str) -> list[float]:
+    """Wall and CPU seconds from before the import to after the first step."""
+    wall, cpu = time.perf_counter(), time.process_time()
     import numpy as np
 
     import twc_env
@@ -101,7 +104,7 @@ def _first_step(map_name: str) -> float:
     env = twc_env.parallel_env(map=map_name)
     env.reset(seed=0)
     env.step(dict.fromkeys(env.agents, np.zeros(2, np.float32)))
-    return time.perf_counter() - begin
+    return [time.perf_counter() - wall, time.process_time() - cpu]
 
 
 def _memory_mb(steps: int) -> float:
@@ -165,7 +168,7 @@ def main(arguments: list[str]) -> None:
 
     name, *rest = arguments
     if name == "first_step":
-        say(f"{_first_step(rest[0])}\n")
+        say(json.dumps(_first_step(rest[0])) + "\n")
     elif name == "memory":
         say(f"{_memory_mb(int(rest[0]))}\n")
     elif name == "worker":

@@ -29,7 +29,7 @@ def test_words_differ_between_steps_and_robots_and_repeat_with_the_seed():
 
 
 def test_the_quantiles_have_the_moments_of_the_normal_distribution():
-    quantiles = normal_quantiles()
+    quantiles = normal_quantiles(4096)
     assert len(quantiles) == 4096 and (np.diff(quantiles) > 0).all()
     assert quantiles.mean() == pytest.approx(0.0, abs=1e-12)
     assert quantiles.std() == pytest.approx(1.0, abs=1e-12)

@@ -16,6 +16,7 @@ from twc_env.config import EnvConfig, from_dict, override
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards
+from twc_env.exploration.compilation import announce_compilation
 from twc_env.exploration.observations import ObservationBuilder, observation_space
 from twc_env.exploration.pilot import Pilot, Scout, frontier_space, waypoint_space
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
@@ -114,6 +115,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         render_mode: str | None = None,
         floorplan: Floorplan | None = None,
     ):
+        announce_compilation()
         self.config = _resolve(config, {"map": map, "robots": robots, "max_cycles": max_cycles})
         # Copies are made from the resolved values: a dict may be changed by its owner later.
         EzPickle.__init__(self, config=self.config, render_mode=render_mode, floorplan=floorplan)

@@ -81,12 +81,12 @@ def _nearest_open(cost, row, column, reach):
 
 
 @njit(cache=True, error_model="numpy")
-def _cheapest_goal(cost, labels, penalty, start, spent, parent, following, preceding, opened, opened_count):
+def _cheapest_goal(cost, labels, penalty, least_edge, start, spent, parent, following, preceding, opened, opened_count):
     """Dijkstra with a bucket queue from flat cell `start` to the labelled cell of least path cost + penalty[label].
 
-    cost, labels (h, w) with a closed border; spent, parent, following, preceding, opened are flat scratch arrays that
-    persist between calls: `spent` must be FAR except at opened[:opened_count]. Returns (goal or -1, its path cost,
-    cells opened).
+    cost, labels (h, w) with a closed border; no edge costs less than `least_edge`. The others are flat scratch arrays
+    that persist between calls: `spent` must be FAR except at opened[:opened_count]. Returns (goal or -1, its path
+    cost, cells opened).
     """
     width = cost.shape[1]
     flat, label_of = cost.reshape(-1), labels.reshape(-1)
@@ -116,7 +116,7 @@ def _cheapest_goal(cost, labels, penalty, start, spent, parent, following, prece
         for k in range(8):
             neighbour = cell + steps[k]
             old = spent[neighbour]
-            if old <= now + STRAIGHT * OPEN_COST:
+            if old <= now + least_edge:
                 continue
             factor = flat[neighbour]
             if factor == 0:
@@ -266,8 +266,8 @@ class PathFinder:
         discs = tuple(discs)
         changed = self._raise(terrain, discs) if discs else 0
         goal, spent, self._opened_count = _cheapest_goal(
-            terrain.cost, labels, penalty, start, self._spent, self._parent, self._following, self._preceding,
-            self._opened, self._opened_count,
+            terrain.cost, labels, penalty, STRAIGHT * OPEN_COST, start, self._spent, self._parent, self._following,
+            self._preceding, self._opened, self._opened_count,
         )  # fmt: skip
         corners = np.empty((0, 2))
         if goal >= 0:

@@ -13,11 +13,13 @@ from twc_env.config import LidarConfig
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.materials import MATERIALS
-from twc_env.world.noise import QUANTILE_BITS, QUANTILES_PER_WORD, StepBits, StepNoise, normal_quantiles
+from twc_env.world.noise import StepBits, StepNoise, normal_quantiles
 from twc_env.world.wall_index import WallIndex, index_walls
 
 Array = NDArray
 
+_QUANTILE_BITS, _QUANTILES_PER_WORD = 12, 5
+"""A random number that picks a quantile of the range noise: five of them come out of one 64-bit word."""
 _EDGE_BEAMS = 0.02
 """Ends of walls are looked up this far beyond where their rough angle says, and then tested exactly."""
 
@@ -42,7 +44,7 @@ class Lidar:
         angles = 2 * math.pi * np.arange(config.beam_count) / config.beam_count
         self._directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, beams)
         self._near, self._stamps = np.empty((6, len(index.walls_m))), np.full(len(index.walls_m), -1, np.int64)
-        words = -(-config.beam_count // QUANTILES_PER_WORD)
+        words = -(-config.beam_count // _QUANTILES_PER_WORD)
         self._noise = StepBits([random_stream(seed, "lidar", robot) for robot in range(robots)], words)
         self._chance = {
             source: StepNoise(
@@ -61,7 +63,13 @@ class Lidar:
                 config.glass_return_probability, math.cos(config.glass_incidence_max_rad),
                 config.glass_incidence_max_rad, ranges,
             )  # fmt: skip
-        _add_noise(ranges, self._noise.next(), normal_quantiles(), config.range_noise_std_m, config.range_max_m)
+        _add_noise(
+            ranges,
+            self._noise.next(),
+            normal_quantiles(1 << _QUANTILE_BITS),
+            config.range_noise_std_m,
+            config.range_max_m,
+        )
         if config.dropout_probability > 0.0:
             ranges[self._chance["lidar-dropout"].next() < config.dropout_probability] = config.range_max_m
         return ranges
@@ -249,7 +257,7 @@ def _see_glass(panes, poses, directions, chance, head_on, cos_max, incidence_max
 def _add_noise(ranges, words, quantiles, std, far):
     for i in range(ranges.shape[0]):
         for b in range(ranges.shape[1]):
-            shift = np.uint64(QUANTILE_BITS * (b % QUANTILES_PER_WORD))
-            pick = (words[i, b // QUANTILES_PER_WORD] >> shift) & np.uint64((1 << QUANTILE_BITS) - 1)
+            shift = np.uint64(_QUANTILE_BITS * (b % _QUANTILES_PER_WORD))
+            pick = (words[i, b // _QUANTILES_PER_WORD] >> shift) & np.uint64((1 << _QUANTILE_BITS) - 1)
             noisy = min(max(ranges[i, b] + std * quantiles[pick], 0.0), far)
             ranges[i, b] = noisy if ranges[i, b] < far else far

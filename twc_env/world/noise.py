@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 Array = NDArray
 
 _STEPS = 64
-QUANTILE_BITS = 12
-"""A quantile number: five of them come out of one 64-bit word."""
-QUANTILES_PER_WORD = 5
 
 
 class StepNoise:
@@ -68,13 +65,12 @@ class StepBits:
 
 
 @cache
-def normal_quantiles() -> Array:
-    """(4096,) normal deviates of unit variance, one in the middle of each of as many equally likely intervals.
+def normal_quantiles(count: int) -> Array:
+    """(count,) normal deviates of unit variance, one in the middle of each of as many equally likely intervals.
 
-    A random 12-bit number picks one: normal noise to three digits (largest deviate 3.7) for a tenth of the time that
-    exact deviates take.
+    A random number below 4096 picks one of 4096: normal noise to three digits (largest deviate 3.7) for a tenth of the
+    time that exact deviates take.
     """
-    count = 1 << QUANTILE_BITS
     inverse = NormalDist().inv_cdf
     upper = np.array([inverse((k + 0.5) / count) for k in range(count // 2, count)])
     quantiles = np.concatenate([-upper[::-1], upper])

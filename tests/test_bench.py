@@ -1,0 +1,99 @@
+import importlib.util
+import json
+
+import numpy as np
+import pytest
+
+from twc_env import bench_peers, bench_probes, bench_scaling
+from twc_env.__main__ import main
+from twc_env.bench_peers import Settings
+from twc_env.maps import load_map
+
+TINY = Settings(repetitions=2, world_steps=12, slam_steps=12, irsim_steps=3, mpe2_steps=5, probe_steps=8)
+NUMBERS = {
+    "world_env_steps_per_s", "slam_env_steps_per_s", "world_env_steps_per_cpu_s", "slam_env_steps_per_cpu_s",
+    "slam_step_p99_ms",
+}  # fmt: skip
+PROBED = {"first_step_warm_s", "first_step_cold_s", "memory_per_env_mb", "workers2_speedup"}
+OF_PEERS = {"irsim_env_steps_per_s", "mpe2_env_steps_per_s", "world_over_irsim", "slam_over_mpe2"}
+
+
+def test_the_comparison_has_its_keys_whether_peers_are_installed_or_not(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(bench_peers, "is_installed", lambda peer, report: report(f"{peer} is missing"))
+    monkeypatch.setattr(bench_peers, "SLAM_MAP", "twin-01")
+    monkeypatch.setattr(bench_peers, "Settings", lambda: TINY)
+    monkeypatch.setattr(bench_probes, "probe", lambda *_: dict.fromkeys(PROBED, 1.0))
+    monkeypatch.setattr(bench_scaling, "bench_scaling", lambda **_: [{"what": "walls"}])
+    monkeypatch.setattr(bench_scaling, "bench_large_reset", lambda: {"large_reset_s": 0.1})
+    path = tmp_path / "bench.json"
+    assert main(["bench", "--peers", "--json", str(path)]) == 0
+    figures = json.loads(path.read_text())
+    assert set(figures) >= NUMBERS | PROBED | OF_PEERS | {"large_reset_s", "scaling"}
+    assert all(figures[key] > 0 for key in NUMBERS)
+    assert all(figures[key] is None for key in OF_PEERS)
+    assert figures["world_access_points"] == 20 and figures["world_walls"] >= 200
+    captured = capsys.readouterr()
+    assert "irsim is missing" in captured.err and "1/2 world" in captured.err
+
+
+def test_a_peer_that_is_not_installed_is_named_with_the_command_that_installs_it(monkeypatch):
+    lines: list[str] = []
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert not bench_peers.is_installed("irsim", lines.append)
+    assert "IR-SIM" in lines[0] and "pip install ir-sim" in lines[0] and "twc_env[peers]" in lines[0]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_ir_sim_scans_with_all_beams_of_all_robots_in_every_step():
+    pytest.importorskip("irsim", reason="needs the extra 'peers'")
+    runs = bench_peers.IrsimRuns(2)
+    before = [scan.copy() for scan in runs.scans]
+    assert runs.once(0).steps == 2
+    for scan, old in zip(runs.scans, before, strict=True):
+        assert scan.shape == (bench_peers.BEAMS,)
+        assert 0.5 < scan.min() < 10.0, "no box in sight"
+        assert not np.array_equal(scan, old)
+
+
+def test_mpe2_runs_three_agents():
+    pytest.importorskip("mpe2", reason="needs the extra 'peers'")
+    assert bench_peers.Mpe2Runs(3).once(0).steps == 3
+
+
+def test_an_episode_is_timed_step_by_step_and_judged():
+    runs = bench_peers.OurRuns(bench_peers.EnvConfig(robots=2, max_cycles=15), load_map("twin-01"))
+    run = runs.once(1)
+    assert run.steps == 15 and run.step_s.shape == (15,)
+    assert run.step_s.sum() == pytest.approx(run.wall_s, rel=0.05)
+    assert 0.0 <= run.team_ate_m < 1.0
+
+
+def test_cutting_walls_leaves_the_building_as_it_is():
+    plan = load_map("twin-01")
+    cut = bench_scaling.cut_walls(plan, 4)
+    assert len(cut.walls_m) == len(cut.wall_loss_db) == 4 * len(plan.walls_m)
+    assert np.array_equal(cut.cells().free, plan.cells().free)
+    assert np.array_equal(
+        cut.walls_m[4:8, 0], plan.walls_m[1, 0] + np.arange(4)[:, None] / 4 * np.diff(plan.walls_m[1], axis=0)
+    )
+
+
+def test_a_row_of_the_scaling_table_is_a_cost(monkeypatch):
+    row = bench_scaling._row("beams", 90, load_map("twin-01"), {"lidar.beam_count": 90}, 5)
+    assert row["us_per_env_step"] > 0 and row["walls"] == 82
+
+
+def test_two_workers_run_at_once_and_are_compared_with_one():
+    lines: list[str] = []
+    bench_probes._ROUNDS, kept = 1, bench_probes._ROUNDS
+    try:
+        speedup = bench_probes.workers2_speedup("twin-01", 4, lines.append)
+    finally:
+        bench_probes._ROUNDS = kept
+    assert lines and (speedup is None or 0.05 < speedup < 20.0)
+
+
+def test_the_large_building_is_generated_and_reset():
+    figures = bench_scaling.bench_large_reset("gen:office:300:1")
+    assert set(figures) == {"large_generate_s", "large_first_reset_s", "large_reset_s"}
+    assert all(value > 0 for value in figures.values())
