@@ -33,5 +33,6 @@ def test_kernels_use_nothing_from_other_files(path):
 
 
 def test_the_check_sees_a_borrowed_kernel_and_a_borrowed_number():
-    source = "from twc_env.geometry import f, LIMIT\n\n@njit(cache=True)\ndef g(x):\n    return f(x) + LIMIT\n\n@njit\ndef h(f):\n    return f\n"
+    source = "from twc_env.geometry import f, LIMIT\n\n@njit(cache=True)\ndef g(x):\n    return f(x) + LIMIT\n"
+    source += "\n@njit\ndef h(f):\n    return f\n"
     assert borrowed(source) == ["g: LIMIT", "g: f"]
