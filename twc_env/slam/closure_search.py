@@ -28,7 +28,7 @@ class ClosureSearch:
     """Candidates wait in queues; each step verifies a few of them."""
 
     def __init__(self, config: EnvConfig, graph: TeamGraph, maps: GroupMaps, robot_count: int):
-        self._rule = config.slam.place_recognition
+        self._rule, self._on_request = config.slam.place_recognition, config.link.scan_on_request
         self._graph, self._maps = graph, maps
         self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
         self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "proximity")}
@@ -100,7 +100,7 @@ class ClosureSearch:
                 return None
             candidate = queue.popleft()
             paths = self._graph.keyframes[candidate.target[0]], self._graph.keyframes[candidate.source[0]]
-            if self._maps.ask_for(self._verifier.compared(candidate, *paths)):
+            if self._on_request and self._maps.ask_for(self._verifier.compared(candidate, *paths)):
                 self._without_scans.append(candidate)
             else:
                 return self._verifier.verify(candidate, *paths)

@@ -10,10 +10,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import OdometryFilterConfig, VerificationConfig
-from twc_env.geometry import between, transform_points
+from twc_env.geometry import beam_directions, between
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.global_matching import match_globally
-from twc_env.slam.scan_matching import LineField, Match, scan_points
+from twc_env.slam.odometry_filter import invert_symmetric
+from twc_env.slam.scan_matching import LineField, Match
 
 Array = NDArray
 
@@ -32,18 +33,47 @@ ANYWHERE = ("wifi", "lidar")
 """Recognisers that know the turn at best: their matches are searched for at every heading, within WIDE_WINDOW_M."""
 SIGNLESS = ("proximity", *ANYWHERE)
 WIDE_WINDOW_M = 3.0
-MATCH_STD_MIN = np.array([0.03, 0.03, 0.01])
+SIGN_INFORMATION, NEAR_INFORMATION = np.diag(1.0 / np.square(SIGN_STD)), np.diag(1.0 / np.square(NEAR_STD))
+MATCH_COVARIANCE_MIN = np.diag(np.square((0.03, 0.03, 0.01)))
+"""No match is known better than this [m2, m2, rad2]."""
 
 
 @njit(cache=True, error_model="numpy")
-def _share_seen_through(points, pose, ranges, range_max, margin):
-    """Share of the points, seen from pose in the frame of another scan, that lie well inside that scan's free space."""
+def _relative(base, pose, out):
+    """The pose seen from base, both in one frame."""
+    c, s = math.cos(base[2]), math.sin(base[2])
+    dx, dy = pose[0] - base[0], pose[1] - base[1]
+    out[0], out[1], out[2] = c * dx + s * dy, c * dy - s * dx, pose[2] - base[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _join(poses, scans, directions, range_max, points):
+    """End points of scans (k, beams) taken at poses (k, 3), in the frame of the first; gives their number."""
+    pose = np.empty(3)
+    n = 0
+    for k in range(poses.shape[0]):
+        _relative(poses[0], poses[k], pose)
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        for i in range(scans.shape[1]):
+            r = scans[k, i]
+            if 0.0 <= r < range_max:
+                x, y = r * directions[i, 0], r * directions[i, 1]
+                points[n, 0], points[n, 1] = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+                n += 1
+    return n
+
+
+@njit(cache=True, error_model="numpy")
+def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
+    """Share of one scan's end points, seen from pose in another scan's frame, well inside that scan's free space."""
     beams = ranges.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     through = compared = 0
-    for i in range(points.shape[0]):
-        x = pose[0] + c * points[i, 0] - s * points[i, 1]
-        y = pose[1] + s * points[i, 0] + c * points[i, 1]
+    for i in range(seen.shape[0]):
+        if not 0.0 <= seen[i] < range_max:
+            continue
+        px, py = seen[i] * directions[i, 0], seen[i] * directions[i, 1]
+        x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
         r = math.sqrt(x * x + y * y)
         if r >= range_max:
             continue
@@ -54,6 +84,17 @@ def _share_seen_through(points, pose, ranges, range_max, margin):
         if r < free - margin:
             through += 1
     return through / max(compared, 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _contradiction(target, source, directions, pose, range_max, margin):
+    """The larger share of one scan's points that the other scan saw through; pose is the source's in the target."""
+    back = np.empty(3)
+    _relative(pose, np.zeros(3), back)
+    return max(
+        _share_seen_through(source, directions, pose, target, range_max, margin),
+        _share_seen_through(target, directions, back, source, range_max, margin),
+    )
 
 
 class LoopVerifier:
@@ -87,15 +128,18 @@ class LoopVerifier:
             searched, searched_overlap = self._refine(points, self._search(candidate, target, target_path, points))
             if searched_overlap >= overlap:
                 match, overlap = searched, searched_overlap
-        contradiction = self._contradiction(target, source, match.pose)
+        contradiction = _contradiction(
+            target.ranges_m, source.ranges_m, beam_directions(len(target.ranges_m)), match.pose, self._range_max_m,
+            SEEN_THROUGH_M,
+        )  # fmt: skip
         reason = ""
         if overlap < rule.overlap_min:
             reason = f"overlap {overlap:.2f} < {rule.overlap_min:g}"
         elif contradiction > rule.contradiction_max:
             reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
-        prior = np.diag(1.0 / np.square(NEAR_STD if candidate.recogniser in SIGNLESS else SIGN_STD))
+        prior = NEAR_INFORMATION if candidate.recogniser in SIGNLESS else SIGN_INFORMATION
         information = match.information(self._noise.match_std_m, self._noise.match_correlation) + prior
-        covariance = np.linalg.inv(information) + np.diag(MATCH_STD_MIN**2)
+        covariance = invert_symmetric(information) + MATCH_COVARIANCE_MIN
         status = "rejected" if reason else "accepted"
         return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
 
@@ -139,24 +183,10 @@ class LoopVerifier:
     def _points(self, keyframe: Keyframe, path: Sequence[Keyframe]) -> Array:
         """(n, 2) what the keyframe and its nearest neighbours saw, in the keyframe's frame."""
         near = _neighbours(keyframe, path, min(self._config.cloud_reach_m, SPACING_M))
-        clouds = [
-            transform_points(between(keyframe.pose_odom, k.pose_odom), scan_points(k.ranges_m, self._range_max_m))
-            for k in near
-        ]
-        return np.ascontiguousarray(np.concatenate(clouds))
-
-    def _contradiction(self, target: Keyframe, source: Keyframe, pose_target_source: Array) -> float:
-        """The larger share of one scan's points that the other scan saw through."""
-        pairs = (
-            (source, pose_target_source, target),
-            (target, between(pose_target_source, np.zeros(3)), source),
-        )
-        return max(
-            _share_seen_through(
-                scan_points(seen.ranges_m, self._range_max_m), pose, other.ranges_m, self._range_max_m, SEEN_THROUGH_M
-            )
-            for seen, pose, other in pairs
-        )
+        scans = np.array([k.ranges_m for k in near])
+        points = np.empty((scans.size, 2))
+        poses, directions = np.array([k.pose_odom for k in near]), beam_directions(scans.shape[1])
+        return points[: _join(poses, scans, directions, self._range_max_m, points)]
 
 
 def _neighbours(keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float) -> list[Keyframe]:

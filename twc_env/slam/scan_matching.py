@@ -20,6 +20,7 @@ from twc_env.slam.wall_drawing import draw_scans
 
 Array = NDArray
 
+NOTHING_DRAWN = (2**31, 2**31, 0, 0)
 FAR_M = 1e3
 """Distance of a cell that knows no wall."""
 SIGN_TO_WALL_M = 0.3
@@ -281,18 +282,24 @@ class LineField:
         self.range_max_m = range_max_m
         self._inverse_m = 1.0 / resolution_m
         self._walls, self._origin_m = storage or field_storage(size_m, resolution_m)
+        self._drawn = np.array([0, 0, len(self._walls), len(self._walls)])
+        """Left, bottom, right and top end of the cells that may know a wall."""
         self.reset(np.zeros(2))
 
     def reset(self, centre_m: Array) -> None:
         """Forget all walls and move to another centre."""
         half = 0.5 * len(self._walls) / self._inverse_m
         self._origin_m[:] = centre_m[0] - half, centre_m[1] - half
-        self._walls[:, :, 3] = FAR_M
+        left, bottom, right, top = self._drawn.tolist()
+        self._walls[bottom:top, left:right, 3] = FAR_M
+        self._drawn[:] = NOTHING_DRAWN
 
     def add(self, poses: Array, scans: Array) -> None:
         """Draw the walls seen by scans (k, beams) [m] at poses (k, 3)."""
         directions = beam_directions(scans.shape[1])
-        draw_scans(self._walls, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m)
+        draw_scans(
+            self._walls, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m, self._drawn
+        )
 
     def refine(self, points: Array, guess: Array, distance_max_m: float, iterations: int, degenerate_share: float):
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""

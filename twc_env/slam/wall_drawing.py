@@ -23,7 +23,7 @@ STRAIGHT_M = 0.02
 
 
 @njit(cache=True, error_model="numpy")
-def _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, offset):
+def _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn):
     """Tell the cells around the wall piece a-b [m from the field's corner] of its line, where it is the nearest."""
     height, width = walls.shape[0], walls.shape[1]
     ex, ey = bx - ax, by - ay
@@ -44,6 +44,8 @@ def _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, offset):
     last_column = min(width - 1, int((max(ax, bx) + REACH_M) * inverse_m))
     first_row = max(0, int((min(ay, by) - REACH_M) * inverse_m))
     last_row = min(height - 1, int((max(ay, by) + REACH_M) * inverse_m))
+    drawn[0], drawn[1] = min(drawn[0], first_column), min(drawn[1], first_row)
+    drawn[2], drawn[3] = max(drawn[2], last_column + 1), max(drawn[3], last_row + 1)
     for r in range(first_row, last_row + 1):
         dy = (r + 0.5) * cell - ay
         for c in range(first_column, last_column + 1):
@@ -61,7 +63,7 @@ def _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, offset):
 
 
 @njit(cache=True, error_model="numpy")
-def _add_piece(walls, inverse_m, ends, first, last):
+def _add_piece(walls, inverse_m, ends, first, last, drawn):
     """Draw the piece of wall along the end points first..last: the straight line of least squares through them."""
     ax, ay, bx, by = ends[first, 0], ends[first, 1], ends[last, 0], ends[last, 1]
     mx = my = 0.0
@@ -79,7 +81,7 @@ def _add_piece(walls, inverse_m, ends, first, last):
     # The direction of the larger eigenvalue; its half-angle form has no case of its own for either axis.
     half = 0.5 * math.atan2(2.0 * xy, xx - yy)
     nx, ny = -math.sin(half), math.cos(half)
-    _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, nx * mx + ny * my)
+    _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, nx * mx + ny * my, drawn)
 
 
 @njit(cache=True, error_model="numpy")
@@ -94,21 +96,21 @@ def _is_straight(ends, first, last):
 
 
 @njit(cache=True, error_model="numpy")
-def _add_run(walls, inverse_m, ends, count):
+def _add_run(walls, inverse_m, ends, count, drawn):
     """Draw one surface: end points that follow each other without a jump, cut into straight pieces."""
     first = 0
     for i in range(1, count):
         if not _is_straight(ends, first, i):
-            _add_piece(walls, inverse_m, ends, first, i - 1)
+            _add_piece(walls, inverse_m, ends, first, i - 1, drawn)
             first = i - 1
         dx, dy = ends[i, 0] - ends[first, 0], ends[i, 1] - ends[first, 1]
         if i == count - 1 or dx * dx + dy * dy >= PIECE_M * PIECE_M:
-            _add_piece(walls, inverse_m, ends, first, i)
+            _add_piece(walls, inverse_m, ends, first, i, drawn)
             first = i
 
 
 @njit(cache=True, error_model="numpy")
-def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, ends):
+def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn):
     beams = ranges.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] - origin[0], pose[1] - origin[1]
@@ -117,25 +119,26 @@ def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, end
         i = k if k >= 0 else beams - 1
         r = ranges[i]
         if r >= range_max or r < 0.0:
-            _add_run(walls, inverse_m, ends, count)
+            _add_run(walls, inverse_m, ends, count, drawn)
             count = 0
             continue
         dx, dy = directions[i, 0], directions[i, 1]
         qx, qy = x + r * (c * dx - s * dy), y + r * (s * dx + c * dy)
         if count and (qx - ends[count - 1, 0]) ** 2 + (qy - ends[count - 1, 1]) ** 2 >= JUMP_MAX_M**2:
-            _add_run(walls, inverse_m, ends, count)
+            _add_run(walls, inverse_m, ends, count, drawn)
             count = 0
         ends[count, 0], ends[count, 1] = qx, qy
         count += 1
-    _add_run(walls, inverse_m, ends, count)
+    _add_run(walls, inverse_m, ends, count, drawn)
 
 
 @njit(cache=True, error_model="numpy")
-def draw_scans(walls, origin, inverse_m, poses, directions, scans, range_max):
+def draw_scans(walls, origin, inverse_m, poses, directions, scans, range_max, drawn):
     """Draw scans (k, beams) [m] taken at poses (k, 3) into walls (rows, columns, 4): normal, offset, distance.
 
     origin (2,): the field's corner, from which the offsets are measured. directions (beams, 2): cosine and sine.
+    drawn (4,): left, bottom, right and top end of the cells drawn so far, widened here.
     """
     ends = np.empty((scans.shape[1] + 1, 2))
     for k in range(poses.shape[0]):
-        _add_scan(walls, origin, inverse_m, poses[k], directions, scans[k], range_max, ends)
+        _add_scan(walls, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn)
