@@ -53,6 +53,21 @@ class RadioSurvey:
         rssi, age = (np.where(young, table, np.float32(np.nan)) for table in (self.rssi_dbm, self.age_s))
         return dataclasses.replace(self, rssi_dbm=rssi, age_s=age)
 
+    def at_scans(self, chosen: Array) -> RadioSurvey:
+        """Only some of the scans (numbers or a mask)."""
+        columns = ("position_m", "floor", "time_s", "walk", "rssi_dbm") + (() if self.age_s is None else ("age_s",))
+        return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in columns})
+
+    def of_transmitters(self, chosen: Array) -> RadioSurvey:
+        """Only some of the transmitters (mask)."""
+        names = ("transmitter_m", "transmitter_floor", "is_high_band")
+        parts = {name: getattr(self, name)[chosen] for name in names if getattr(self, name) is not None}
+        tables = {
+            name: getattr(self, name)[:, chosen] for name in ("rssi_dbm", "age_s") if getattr(self, name) is not None
+        }
+        addresses = tuple(address for address, keep in zip(self.addresses, chosen, strict=True) if keep)
+        return dataclasses.replace(self, addresses=addresses, **parts, **tables)
+
     @property
     def transmitters(self) -> tuple[Array, Array, Array]:
         """Places (t, 2), storeys (t,) and 5 GHz flags (t,) of a set that tells them; DataError for others."""

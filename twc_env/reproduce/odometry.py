@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument("--platform", choices=tuple(PRESETS), default="pioneer-intel")
     parser.add_argument("--drift", type=float, default=1.0)
-    parser.add_argument("--seeds", type=parse_seeds, default=list(range(50)), help="simulated drives (default: 0-49)")
+    parser.add_argument("--seeds", type=parse_seeds, default=list(range(100)), help="simulated drives (default: 0-99)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -43,6 +43,8 @@ class OdometryPreset:
     """Error of the scale that all episodes share: this robot was never calibrated."""
     heading_bias_mean_rad_per_m: float = 0.0
     """Curl that all episodes share."""
+    turn_scale_mean: float = 0.0
+    """Error of turns that all episodes share."""
 
 
 # Dead reckoning over 60 m of rooms and corridors (median): about 2 m off on wheels, 2.5 m on legs, 3.5 m in the hand;
@@ -54,8 +56,8 @@ PRESETS = {
     # Raw odometry of the Intel Research Lab log: it curls steadily to the right. `reproduce odometry` shows how near.
     "pioneer-intel": OdometryPreset(
         0.01,
-        0.003,
-        0.02,
+        0.0015,
+        0.01,
         0.06,
         0.025,
         0.03,
@@ -63,8 +65,9 @@ PRESETS = {
         0.0,
         0.004,
         0.002,
-        scale_mean=0.035,
-        heading_bias_mean_rad_per_m=-0.0625,
+        scale_mean=0.012,
+        heading_bias_mean_rad_per_m=-0.0645,
+        turn_scale_mean=0.02,
     ),
 }
 
@@ -81,7 +84,7 @@ class Odometry:
         draws = np.array([stream.standard_normal(3) for stream in streams])
         gyro = np.array([stream.standard_normal() for stream in gyro_streams])
         spreads = (preset.scale_std, preset.heading_bias_std_rad_per_m, preset.turn_scale_std)
-        means = (preset.scale_mean, preset.heading_bias_mean_rad_per_m, 0.0, 0.0)
+        means = (preset.scale_mean, preset.heading_bias_mean_rad_per_m, preset.turn_scale_mean, 0.0)
         biases = np.column_stack([draws * spreads, gyro * preset.gyro_bias_std_rad_s])  # (robots, 4)
         self._biases = drift * (biases + means)
         self._slips_per_m = preset.slips_per_m if drift > 0 else 0.0

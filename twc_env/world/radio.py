@@ -105,10 +105,10 @@ class RadioModel:
         radios, self.radio_of = np.unique(3 * self.access_point_of + self.band_of, return_inverse=True)
         self.radio_count = len(radios)
         """Transmitting boxes: addresses of one access point and band share one."""
-        self.sweep_age_s = np.zeros(len(self.macs))
-        """(transmitters,) how long before the end of a sweep each one's channel is listened to."""
-        if config.sweep_duration_s:
-            self.sweep_age_s = config.sweep_duration_s * _sweep_places(plan.digest, radios)[self.radio_of]
+        self.sweep_place = np.zeros(len(self.macs))
+        """(transmitters,) in [0, 1): how far from a sweep's end each one's channel is listened to."""
+        if config.sweep_duration_s or config.sweep_share < 1.0 or config.sweep_share_std:
+            self.sweep_place = _sweep_places(plan.digest, radios)[self.radio_of]
         self._source_count_wifi = len(access_points)
         self._has_cells = len(cells) > 0
         self._levels_dbm = self._power_dbm - self._floor_losses_db + self._power_offsets_db
@@ -225,14 +225,17 @@ class WifiReceiver:
             return WifiScan(macs[:heard_count], readings[:heard_count])
         if config.sweep_share < 1.0 or config.sweep_share_std:
             share = config.sweep_share + config.sweep_share_std * self._sweep.standard_normal()
-            heard &= self._sweep.random(count) < share
+            heard &= (self._model.sweep_place - self._sweep.random()) % 1.0 < share
         if config.stale_age_max_s > 0.0:
             return self._with_stale(rssi, heard, time_s)
         return WifiScan(all_macs[heard], rssi[heard])
 
     def _with_stale(self, rssi: Array, heard: Array, time_s: float) -> WifiScan:
         """What was heard now, and what was heard not too long ago, with its age."""
-        self._kept_dbm[heard], self._kept_time_s[heard] = rssi[heard], (time_s - self._model.sweep_age_s)[heard]
+        self._kept_dbm[heard], self._kept_time_s[heard] = (
+            rssi[heard],
+            time_s - self._config.sweep_duration_s * self._model.sweep_place[heard],
+        )
         age_s = time_s - self._kept_time_s
         listed = age_s <= self._config.stale_age_max_s
         return WifiScan(self._model.macs[listed], self._kept_dbm[listed], age_s[listed])

@@ -1,0 +1,156 @@
+"""What two papers print about their signals, beside the radio model in twins of their places.
+
+Radio fingerprint SLAM (SPEC R14-R15): transmitters per scan, and distance at cosine 0.8. Inverse k-visibility: the
+strengths along the walks of its experiments E3 and E5, cut into classes by the thresholds of the authors' program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import RADIO_PRESETS, RadioConfig
+from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.datasets.k_visibility_log import read_k_visibility_log
+from twc_env.maps import load_map
+from twc_env.reproduce import radio_places as places
+from twc_env.reproduce.radio_study import Figures, Study, similarity_figures
+
+Array = NDArray
+
+_PHONES = 5
+_STROLL_M, _STROLL_SPEED_M_S, _STROLL_STEP_M = 1072.6, 0.42, 1.5
+"""The robot of SPEC R14 at NTU: path and speed, and how far it came between two scans."""
+_WINDOW_M = {"wifi": 60.0, "lte": 150.0}
+"""Pairs closer than this along the path teach the similarity model (SPEC R5)."""
+_OFFSET_DB = {"wifi": 100.0, "lte": 120.0}
+
+_PRINTED = {
+    ("radio-ntu", "wifi"): (48.88, 3.79, 2.70),
+    ("radio-ntu", "lte"): (16.59, 30.25, 22.13),
+    ("radio-sutd-indoor", "wifi"): (118.34, None, None),
+    ("radio-sutd-indoor", "lte"): (19.49, None, None),
+    ("radio-sutd-outdoor", "wifi"): (88.23, None, None),
+    ("radio-sutd-outdoor", "lte"): (18.74, None, None),
+}
+"""Transmitters per scan, and mean and deviation of the distance at cosine 0.8, where printed."""
+_CELLS_HEARD = {"radio-ntu": 85, "radio-sutd-indoor": 193, "radio-sutd-outdoor": 170}
+"""LTE cells heard in all, as printed: as many more stand around SUTD as more were heard."""
+_WIFI_PRESET = {
+    "radio-ntu": "radio-semi-indoor",
+    "radio-sutd-indoor": "radio-indoor",
+    "radio-sutd-outdoor": "radio-outdoor",
+}
+
+_STOREYS = {"radio-sutd-indoor": (0, 1, -1, 2, -2, 3, -3)}
+"""1,921 addresses are too many for one floor of 5,000 m2: the building has more storeys, and all hold access points."""
+
+
+@lru_cache(maxsize=16)
+def _stroll(name: str, length_m: float, seed: int) -> RadioSurvey:
+    """The same walk for both radios."""
+    return places.stroll(load_map(name), length_m, _STROLL_STEP_M, _STROLL_SPEED_M_S, seed)
+
+
+def fingerprint_slam_studies() -> Iterator[Study]:
+    """Walks of a robot with five phones."""
+    for (name, kind), printed in _PRINTED.items():
+
+        def real(folder: Path, quick: bool, printed=printed) -> Figures:
+            figures = {"transmitters per scan": printed[0]}
+            if printed[1] is not None:
+                figures["distance at cosine 0.8: mean [m]"] = printed[1]
+                figures["distance at cosine 0.8: sd [m]"] = printed[2]
+            return figures
+
+        def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool, name=name, kind=kind) -> Figures:
+            plan = places.over_storeys(load_map(name), _STOREYS.get(name, (0,)))
+            walk = _stroll(name, 100.0 if quick else _STROLL_M, seed)
+            model = places.RememberingModel(config, plan)
+            phones = [places.simulate(walk, plan, config, _PHONES * seed + k, model=model) for k in range(_PHONES)]
+            travel_m = walk.time_s * _STROLL_SPEED_M_S
+            is_pair = np.abs(travel_m[:, None] - travel_m[None]) < _WINDOW_M[kind]
+            return similarity_figures(walk, places.merged(phones).rssi_dbm, is_pair, _OFFSET_DB[kind])
+
+        is_fitted = name == "radio-ntu" or (name, kind) == ("radio-sutd-outdoor", "wifi")
+        yield Study(
+            f"paper {name} {kind}",
+            "calibrated" if is_fitted else "reported",
+            "lte" if kind == "lte" else _WIFI_PRESET[name],
+            {"high_band": {"share": 0.5}} if kind == "wifi" else {"cells": {"count": _cells(name)}},
+            real,
+            simulated,
+            _SLAM_REASONS,
+        )
+
+
+_SLAM_REASONS = {
+    "transmitters per scan": "which share of all transmitters ever heard lies within one scan's reach depends on the "
+    "neighbourhood, of which the paper prints nothing",
+    "distance at cosine": "the paper prints neither the merging rule of the phones nor the pairs",
+}
+
+
+def _cells(name: str) -> int:
+    fitted = RADIO_PRESETS["lte"]["cells"]["count"]
+    return round(fitted * _CELLS_HEARD[name] / _CELLS_HEARD["radio-ntu"])
+
+
+_THRESHOLDS_DBM = (-41.0, -56.0)
+"""Of the authors' program: above the first no wall is counted, between them one, below two."""
+_WALKS = {"E3": (100.0, 0.0166, 25), "E5": (79.0, 0.16, 1)}
+"""Metres walked, metres between samples, and samples averaged (E3 was smoothed by the authors; SPEC K6)."""
+_WALK_SPEED_M_S = 0.3
+
+
+def k_visibility_studies() -> Iterator[Study]:
+    """One router calibrated the preset; two routers in the same rooms are only reported."""
+    for experiment, role in (("E3", "calibrated"), ("E5", "reported")):
+
+        def real(folder: Path, quick: bool, experiment=experiment) -> Figures:
+            log = read_k_visibility_log(folder / "sfw_authors", experiment)
+            low_band = [k for k, signal in enumerate(log.signals) if not signal.endswith("_5")]
+            return _class_figures([log.rssi_dbm[:, k] for k in low_band])
+
+        def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool, experiment=experiment) -> Figures:
+            length_m, step_m, window = _WALKS[experiment]
+            plan = load_map(f"sfw-{experiment.lower()}")
+            walk = places.stroll(plan, 0.2 * length_m if quick else length_m, step_m, _WALK_SPEED_M_S, seed)
+            heard = places.simulate(walk, plan, config, seed, phones=False)
+            columns = [min(point.macs) for point in plan.access_points]
+            levels = [heard.rssi_dbm[:, heard.addresses.index(str(mac))] for mac in columns]
+            return _class_figures([_smoothed(level[np.isfinite(level)], window) for level in levels])
+
+        yield Study(f"sfw_authors {experiment}", role, "sfw", {}, real, simulated, _K_VISIBILITY_REASONS)
+
+
+_K_VISIBILITY_REASONS = {
+    "": "the places of the routers and the walk are those of the twin, not of the experiment, whose map has no scale",
+}
+
+
+def _class_figures(levels_dbm: list[Array]) -> Figures:
+    """Of each router's readings: spread, and share, mean and spread of each class; means over routers."""
+    found: list[Figures] = []
+    for level in levels_dbm:
+        figures: Figures = {"mean RSS [dBm]": float(level.mean()), "sd of all readings [dB]": float(level.std())}
+        walls = np.digitize(-level, [-t for t in _THRESHOLDS_DBM])
+        for k in range(len(_THRESHOLDS_DBM) + 1):
+            mine = level[walls == k]
+            figures[f"share in class {k}"] = len(mine) / len(level)
+            figures[f"mean RSS of class {k} [dBm]"] = float(mine.mean()) if len(mine) else float("nan")
+            figures[f"sd within class {k} [dB]"] = float(mine.std()) if len(mine) else float("nan")
+        found.append(figures)
+    means = {name: float(np.nanmean([figures[name] for figures in found])) for name in found[0]}
+    for k in range(len(_THRESHOLDS_DBM)):
+        step = means[f"mean RSS of class {k} [dBm]"] - means[f"mean RSS of class {k + 1} [dBm]"]
+        means[f"step from class {k} to {k + 1} [dB]"] = step
+    return means
+
+
+def _smoothed(levels: Array, window: int) -> Array:
+    return np.convolve(levels, np.full(window, 1.0 / window), "valid")
