@@ -241,8 +241,8 @@ def mall_studies() -> Iterator[Study]:
 
 _PHONES_DIFFER = "phones differ: on site2_F6 a quarter of the walks hear 40 or fewer, another quarter 210 or more"
 _MALL_REASONS = {
-    "distance at cosine": "at high cosine a few walks over open floor give most pairs; the plan has no halls or crowds, "
-    "and access points stand at random where a mall's stand in rows",
+    "distance at cosine": "at high cosine a few walks over open floor give most pairs; the plan has no halls or crowds,"
+    " and access points stand at random where a mall's stand in rows",
     "transmitters per scan": f"the density of access points is taken over from the other mall; {_PHONES_DIFFER}",
     "rows per scan": f"the density of access points is taken over from the other mall; {_PHONES_DIFFER}",
     "sd of transmitters per scan": _PHONES_DIFFER,
