@@ -48,7 +48,9 @@ def plain_count(begins, ends, place, points) -> list[int]:
     return found
 
 
-def test_all_bands_and_all_of_a_building_agree_with_the_wall_index():
+@pytest.mark.parametrize("tests_max", [crossing_table._TESTS_MAX, 0])
+def test_all_bands_and_all_of_a_building_agree_with_the_wall_index(tests_max, monkeypatch):
+    monkeypatch.setattr(crossing_table, "_TESTS_MAX", tests_max)
     plan = load_map("twin-02")
     points = np.array([a.position_m for a in plan.access_points])
     table = CrossingTable(plan.wall_index, points, np.stack([plan.wall_loss_db, 2.5 * plan.wall_loss_db]))

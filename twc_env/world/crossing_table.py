@@ -7,6 +7,8 @@ for, and kept for as long as the building is.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -16,6 +18,9 @@ from twc_env.world.wall_index import WallIndex
 Array = NDArray
 
 _SQUARE_M = 1.0
+_TESTS_MAX = 500_000
+"""Walls times points, of a building whose squares are worth working out: beyond it, looking up the walls near each line
+is cheaper than testing all of them for a square that may be seen once."""
 _ENTRIES_MAX = 1_000_000
 """Squares times points that are kept (some 40 MB at most); beyond it all are forgotten and worked out anew."""
 
@@ -27,11 +32,18 @@ class CrossingTable:
         """`loss_db` (bands, walls): what one crossing costs."""
         self._walls_m, self._loss_db = index.walls_m, np.ascontiguousarray(loss_db)
         self._points_m = np.ascontiguousarray(points_m, float)
+        self._direct: tuple[WallIndex, ...] = ()
+        if len(points_m) * len(index.walls_m) > _TESTS_MAX:
+            self._direct = tuple(replace(index, loss_db=band) for band in self._loss_db)
         self._squares: dict[tuple[int, int], tuple[Array, Array, Array, Array]] = {}
         self._squares_max = max(_ENTRIES_MAX // max(len(points_m), 1), 1)
 
     def crossed(self, x: float, y: float, counts: Array, losses_db: Array) -> None:
         """Fill counts (k,) int64 and losses_db (bands, k) for the place (x, y)."""
+        if self._direct:
+            for band, index in enumerate(self._direct):
+                counts[:], losses_db[band] = index.crossing(np.array([x, y]), self._points_m)
+            return
         square = (int(x // _SQUARE_M), int(y // _SQUARE_M))
         table = self._squares.get(square)
         if table is None:

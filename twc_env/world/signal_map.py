@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,5 +39,7 @@ def signal_map_dbm(plan: Floorplan, config: RadioConfig | None = None) -> tuple[
     xs, ys = np.arange(x0 + step_m / 2, x1, step_m), np.arange(y0 + step_m / 2, y1, step_m)
     points = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
     signal = strongest_signal_dbm(plan, points, config)
-    signal[~plan.cells().is_free(points)] = np.nan
+    cells = plan.cells()
+    # Under thin walls too: a pixel is wider than a wall, and would leave a gap.
+    signal[~dataclasses.replace(cells, free=cells.free | cells.wall).is_free(points)] = np.nan
     return signal.reshape(len(ys), len(xs)), (float(x0), float(y0)), step_m
