@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import compose
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
@@ -19,16 +19,22 @@ Array = NDArray
 class Reckoner:
     """Stands where a robot's front end stands: the sum of its odometry since the first frame."""
 
-    __slots__ = ("pose_odom", "robot")
+    __slots__ = ("_pose", "pose_odom", "robot")
 
     def __init__(self, robot: int):
         self.robot = robot
+        self._pose = 0.0, 0.0, 0.0
         self.pose_odom = np.zeros(3)
         """(3,) in the robot's own odom frame (it starts at 0, 0, 0); a new read-only array with every frame."""
 
     def update(self, frame: SensorFrame) -> None:
         """Add the motion of one frame."""
-        self.pose_odom = compose(self.pose_odom, frame.odometry)
+        x, y, heading = self._pose
+        ahead, left, turn = frame.odometry.tolist()
+        c, s = math.cos(heading), math.sin(heading)
+        heading = (heading + turn + math.pi) % (2 * math.pi) - math.pi
+        self._pose = x + c * ahead - s * left, y + s * ahead + c * left, heading
+        self.pose_odom = np.array(self._pose)
         self.pose_odom.flags.writeable = False  # beliefs show it to planners
 
 

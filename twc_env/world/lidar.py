@@ -44,8 +44,9 @@ class Lidar:
         angles = 2 * math.pi * np.arange(config.beam_count) / config.beam_count
         self._directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, beams)
         self._near, self._stamps = np.empty((6, len(index.walls_m))), np.full(len(index.walls_m), -1, np.int64)
-        words = -(-config.beam_count // _QUANTILES_PER_WORD)
-        self._noise = StepBits([random_stream(seed, "lidar", robot) for robot in range(robots)], words)
+        self._words = -(-config.beam_count // _QUANTILES_PER_WORD)
+        self._quantiles = normal_quantiles(1 << _QUANTILE_BITS)
+        self._noise = StepBits([random_stream(seed, "lidar", robot) for robot in range(robots)], self._words)
         self._chance = {
             source: StepNoise(
                 [random_stream(seed, source, robot) for robot in range(robots)], config.beam_count, "random"
@@ -56,34 +57,29 @@ class Lidar:
     def scan(self, poses: Array) -> Array:
         """True poses (n, 3) of all robots -> measured ranges (n, beams) [m]; no return reads the maximum range."""
         config = self._config
-        ranges = self._ranges(poses, self._solid)
-        if len(self._glass_m):
+        words, std_m = self._noise.next(), config.range_noise_std_m
+        is_clear = len(self._glass_m) == 0
+        ranges = self._ranges(poses, self._solid, words, std_m if is_clear else 0.0)
+        if not is_clear:
             _see_glass(
                 self._glass_m, poses, self._directions, self._chance["lidar-glass"].next(),
                 config.glass_return_probability, math.cos(config.glass_incidence_max_rad),
                 config.glass_incidence_max_rad, ranges,
             )  # fmt: skip
-        _add_noise(
-            ranges,
-            self._noise.next(),
-            normal_quantiles(1 << _QUANTILE_BITS),
-            config.range_noise_std_m,
-            config.range_max_m,
-        )
+            _add_noise(ranges, words, self._quantiles, std_m, config.range_max_m)
         if config.dropout_probability > 0.0:
             ranges[self._chance["lidar-dropout"].next() < config.dropout_probability] = config.range_max_m
         return ranges
 
     def true_ranges(self, poses: Array) -> Array:
         """True poses (n, 3) -> exact ranges (n, beams) [m], cut at the maximum range; glass counts as wall."""
-        return self._ranges(poses, self._index)
+        return self._ranges(poses, self._index, np.zeros((len(poses), self._words), np.uint64), 0.0)
 
-    def _ranges(self, poses: Array, i: WallIndex) -> Array:
+    def _ranges(self, poses: Array, i: WallIndex, words: Array, std_m: float) -> Array:
         ranges = np.empty((len(poses), self._config.beam_count))
-        self._stamps.fill(-1)
         _sweep(
             i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members, poses, self._directions, self._radius_m,
-            self._config.range_max_m, self._near, self._stamps, ranges,
+            self._config.range_max_m, self._near, self._stamps, words, self._quantiles, std_m, ranges,
         )  # fmt: skip
         return ranges
 
@@ -148,7 +144,10 @@ def _gather(walls, origin, bucket, rows, columns, first, members, x, y, c, s, fa
 
 
 @njit(cache=True, error_model="numpy")
-def _sweep(walls, origin, bucket, rows, columns, first, members, poses, directions, radius, far, near, stamps, ranges):
+def _sweep(
+    walls, origin, bucket, rows, columns, first, members, poses, directions, radius, far, near, stamps, words,
+    quantiles, std, ranges,
+):  # fmt: skip
     """Angular z-buffer: each wall near a robot is drawn into the beams it covers, the nearest wins.
 
     It holds inverse ranges, which are linear over a wall. Rough angles tell which beams a wall covers, and the
@@ -157,6 +156,7 @@ def _sweep(walls, origin, bucket, rows, columns, first, members, poses, directio
     beams = directions.shape[1]
     per_beam = beams / (2.0 * np.pi)
     edge = _EDGE_BEAMS + 2e-5 * per_beam
+    stamps[:] = -1
     for i in range(poses.shape[0]):
         c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
         count = _gather(
@@ -197,6 +197,8 @@ def _sweep(walls, origin, bucket, rows, columns, first, members, poses, directio
             if j != i:
                 wx, wy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
                 _draw_disc(c * wx + s * wy, c * wy - s * wx, radius, directions, far, buffer)
+    if std > 0.0:
+        _add_noise(ranges, words, quantiles, std, far)
 
 
 @njit(cache=True, error_model="numpy")
