@@ -1,0 +1,119 @@
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env.errors import ActionError, ConfigError, MapError, TwcError
+from twc_env.vector import VectorTeams
+
+SMALL = {"lidar.beam_count": 60, "robots": 2, "max_cycles": 25, "observation.map_cells": 36}
+CHOICES = {**SMALL, "action.kind": "frontier", "max_cycles": 60}
+
+
+def play(teams: VectorTeams, steps: int, seed: int = 5) -> list:
+    rng = np.random.default_rng(0)
+    blocks = teams.reset(seed)
+    seen: list = [blocks]
+    for _ in range(steps):
+        if "action_mask" in blocks:
+            actions = blocks["action_mask"].argmax(axis=-1)
+        else:
+            actions = rng.uniform(-1, 1, (teams.count, teams.robots, 2)).astype(np.float32)
+        seen.append(teams.step(actions))
+        blocks = seen[-1][0]
+    teams.close()
+    return seen
+
+
+def same(a, b) -> bool:
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, (list, tuple)):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    return bool(np.array_equal(np.asarray(a), np.asarray(b)))
+
+
+@pytest.mark.parametrize("config", [SMALL, CHOICES], ids=["velocity", "frontier"])
+def test_worker_processes_give_the_same_numbers_as_this_process(config):
+    alone = play(VectorTeams(3, config), 30)
+    shared = play(VectorTeams(3, config, workers=2), 30)
+    assert same(alone, shared)
+
+
+def test_each_environment_plays_as_it_would_alone():
+    teams = VectorTeams(2, SMALL)
+    observations = teams.reset(7)
+    env = twc_env.parallel_env(config=SMALL)
+    alone = env.reset(seed=8)[0]
+    for step in range(25):
+        action = np.array([0.7, 0.2 * np.sin(step)], np.float32)
+        for name, block in observations.items():
+            assert np.array_equal(block[1, 0], alone["robot_0"][name]), name
+        observations, rewards, ended, infos = teams.step(np.broadcast_to(action, (2, 2, 2)))
+        alone, paid, *_, alone_infos = env.step(dict.fromkeys(env.agents, action))
+        assert rewards[1].tolist() == pytest.approx(list(paid.values()))
+    assert ended.all()
+    assert same(infos[1][0]["final_observation"], alone["robot_0"])
+    assert infos[1][0]["coverage_correct"] == alone_infos["robot_0"]["coverage_correct"]
+    assert not same({k: v[1, 0] for k, v in observations.items()}, alone["robot_0"]), "a new episode has begun"
+
+
+def test_episodes_change_buildings():
+    names = ("gen:office:100:1", "gen:ring:100:2")
+    teams = VectorTeams(2, SMALL, buildings=names)
+    teams.reset(0)
+    maps = [env.floorplan.name for env in teams._crews[0]._envs]
+    assert maps == list(names)
+    assert VectorTeams(1, SMALL, buildings="train").reset(3)["lidar"].any()
+
+
+def test_what_a_caller_holds_is_not_changed_by_the_next_step():
+    teams = VectorTeams(1, SMALL)
+    held = teams.reset(0)
+    copies = {name: block.copy() for name, block in held.items()}
+    teams.step(teams.sample())
+    assert same(held, copies)
+
+
+def test_errors_reach_the_caller_and_name_what_was_expected():
+    with pytest.raises(ConfigError, match="workers"):
+        VectorTeams(2, SMALL, workers=3)
+    for workers in (0, 1):
+        teams = VectorTeams(1, SMALL, workers=workers)
+        teams.reset(0)
+        with pytest.raises(ActionError, match="shape"):
+            teams.step(np.zeros((1, 3, 2)))
+        with pytest.raises(ActionError, match="finite"):
+            teams.step(np.full((1, 2, 2), np.nan))
+        teams.step(np.zeros((1, 2, 2)))  # nothing is broken by it
+        teams.close()
+        with pytest.raises(TwcError, match="closed"):
+            teams.reset(0)
+    with pytest.raises(MapError, match="nowhere"):
+        VectorTeams(1, SMALL, workers=1, buildings=["nowhere"]).reset(0)
+
+
+def test_a_dead_worker_is_reported():
+    teams = VectorTeams(1, SMALL, workers=1)
+    teams.reset(0)
+    teams._crews[0]._process.kill()
+    teams._crews[0]._process.join()
+    with pytest.raises(TwcError, match="died"):
+        teams.step(np.zeros((1, 2, 2)))
+    teams.close()
+
+
+def test_stable_baselines_trains_on_rows_of_robots():
+    pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+    from stable_baselines3 import PPO
+
+    from twc_env.sb3 import TeamVecEnv
+
+    rows = TeamVecEnv(2, CHOICES, seed=3)
+    assert rows.num_envs == 4
+    model = PPO("MultiInputPolicy", rows, n_steps=16, batch_size=32, n_epochs=1, seed=0, device="cpu")
+    model.learn(64)
+    assert model.num_timesteps == 64
+    assert len(model.ep_info_buffer) >= 2
+    flat = TeamVecEnv(1, {**SMALL, "observation.kind": "flat"})
+    assert flat.reset().shape == (2, *flat.observation_space.shape)
+    rows.close()

@@ -1,0 +1,99 @@
+"""stable-baselines3's vector environment over whole teams: one policy drives every robot (parameter sharing).
+
+    from stable_baselines3 import PPO
+    from twc_env.sb3 import TeamVecEnv
+    model = PPO("MultiInputPolicy", TeamVecEnv(4, {"action.kind": "frontier"}, buildings="train"))
+
+Each robot of each environment is one row. Needs stable-baselines3 (extra `train`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from twc_env.config import EnvConfig
+from twc_env.vector import FLAT, VectorTeams
+
+Array = NDArray
+
+
+class TeamVecEnv(VecEnv):
+    """Row k * robots + r is robot r of environment k; arguments as of `VectorTeams`.
+
+    Episodes end by their time limit only: `info["TimeLimit.truncated"]` is True, and `terminal_observation` is there.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        config: EnvConfig | Mapping[str, Any] | None = None,
+        workers: int = 0,
+        buildings: str | Sequence[str] = (),
+        seed: int = 0,
+    ):
+        self.teams = VectorTeams(count, config, workers, buildings)
+        self._robots = self.teams.robots
+        self._next_seed = seed
+        self.render_mode = None
+        super().__init__(count * self._robots, self.teams.observation_space, self.teams.action_space)
+        self._actions = np.zeros(0)
+        self._returns = np.zeros(self.num_envs)
+        self._lengths = np.zeros(self.num_envs, np.int64)
+
+    def reset(self) -> dict[str, Array] | Array:
+        """Begin new episodes; the seed given last (`seed()` or the constructor) is used once, then the next ones."""
+        seeds = [s for s in self._seeds if s is not None]
+        first = seeds[0] if seeds else self._next_seed
+        self._next_seed = first + 1_000_003
+        self._reset_seeds()
+        self._returns[:], self._lengths[:] = 0.0, 0
+        return self._rows(self.teams.reset(first))
+
+    def step_async(self, actions: Array) -> None:
+        """Keep the actions for `step_wait`."""
+        self._actions = np.asarray(actions).reshape(self.teams.count, self._robots, *actions.shape[1:])
+
+    def step_wait(self):
+        """Observations, rewards, dones and infos, one row per robot."""
+        observations, rewards, ended, infos = self.teams.step(self._actions)
+        paid, done = rewards.reshape(-1), np.repeat(ended, self._robots)
+        self._returns += paid
+        self._lengths += 1
+        flat = [info for team in infos for info in team]
+        for row in np.flatnonzero(done).tolist():
+            flat[row]["terminal_observation"] = flat[row].pop("final_observation")
+            flat[row]["TimeLimit.truncated"] = True
+            flat[row]["episode"] = {"r": float(self._returns[row]), "l": int(self._lengths[row]), "t": 0.0}
+            self._returns[row], self._lengths[row] = 0.0, 0
+        return self._rows(observations), paid, done, flat
+
+    def close(self) -> None:
+        """Stop the workers."""
+        self.teams.close()
+
+    def _rows(self, observations: dict[str, Array]) -> dict[str, Array] | Array:
+        rows = {name: block.reshape(self.num_envs, *block.shape[2:]) for name, block in observations.items()}
+        return rows.get(FLAT, rows)
+
+    def get_attr(self, attr_name: str, indices=None) -> list[Any]:
+        """An attribute of this object, once per row asked for: rows are no environments of their own."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices=None) -> None:
+        """Not offered: a row has no attributes of its own. Raises AttributeError."""
+        raise AttributeError(f"rows of a TeamVecEnv have no attributes to set; got {attr_name!r}")
+
+    def env_method(self, method_name: str, *args, indices=None, **kwargs) -> list[Any]:
+        """Not offered: environments live in worker processes. Raises AttributeError."""
+        raise AttributeError(f"environments of a TeamVecEnv cannot be called; got {method_name!r}")
+
+    def env_is_wrapped(self, wrapper_class: type, indices=None) -> list[bool]:
+        """No row is wrapped by anything, but episodes are counted as stable-baselines3's Monitor does."""
+        from stable_baselines3.common.monitor import Monitor
+
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]

@@ -1,0 +1,283 @@
+"""Many environments at once, in worker processes that write their observations into shared memory.
+
+    from twc_env.vector import VectorTeams
+    teams = VectorTeams(8, {"map": "twin-01"}, workers=2)
+    observations = teams.reset(seed=0)                     # block -> (8, robots, ...)
+    observations, rewards, ended, infos = teams.step(teams.sample())
+
+An environment whose episode ended begins its next one in the same step: `observations` are the first of the new
+episode, and the last of the old stands in `infos[k][robot]["final_observation"]`. Same arguments and seeds, same
+numbers, whatever the number of workers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import multiprocessing
+from collections.abc import Mapping, Sequence
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from twc_env import errors
+from twc_env.config import EnvConfig, to_dict
+from twc_env.errors import ConfigError, TwcError
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.world.generate import SPLITS, split_names
+
+Array = NDArray
+
+FLAT = ""
+"""Name of the only block of flat observations."""
+
+
+class VectorTeams:
+    """`count` environments of one configuration, stepped together."""
+
+    def __init__(
+        self,
+        count: int,
+        config: EnvConfig | Mapping[str, Any] | None = None,
+        workers: int = 0,
+        buildings: str | Sequence[str] = (),
+    ):
+        """`workers` 0 runs all in this process. `buildings`: a split ("train") or names of maps; each new episode
+        plays in one of them, drawn by its seed. Without any, all play on the config's own map.
+
+        Raises ConfigError for a count or number of workers that makes no sense, TwcError for a bad configuration.
+        """
+        if count < 1 or not 0 <= workers <= count:
+            raise ConfigError(f"{count} environments cannot be shared among {workers} workers: 0 to {count} workers")
+        model = ExplorationEnv(config=config)
+        self.config, self.count, self.robots = model.config, count, model.config.robots
+        self.agents = tuple(model.possible_agents)
+        self.observation_space, self.action_space = model.observation_space("robot_0"), model.action_space("robot_0")
+        names = split_names(buildings) if isinstance(buildings, str) and buildings in SPLITS else buildings
+        names = (names,) if isinstance(names, str) else tuple(names)
+        self._seeds = np.zeros(count, np.int64)
+        self._boards = _Boards(count, self.robots, self.observation_space, self.action_space)
+        self._context = multiprocessing.get_context("spawn")
+        parts = [list(range(count))[k :: max(workers, 1)] for k in range(max(workers, 1))]
+        task = (to_dict(self.config), names)
+        if workers == 0:
+            self._crews: list[_Crew | _Worker] = [_Crew(parts[0], self._boards, *task)]
+        else:
+            self._crews = [_Worker(self._context, part, self._boards, task) for part in parts]
+        self._parts = parts
+
+    def reset(self, seed: int = 0) -> dict[str, Array]:
+        """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on."""
+        self._order("reset", seed)
+        return self._boards.observations()
+
+    def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, list[list[dict[str, Any]]]]:
+        """One step of all environments.
+
+        actions: (count, robots, ...). Returns observations as of `reset`, rewards (count, robots) float32, whether the
+        episode has ended (count,) bool (by its time limit: nothing else ends one), and infos[k][robot].
+        """
+        wanted = (self.count, self.robots, *(self.action_space.shape or ()))
+        actions = np.asarray(actions)
+        if actions.shape != wanted:
+            raise errors.ActionError(
+                f"actions must have shape {wanted}, one per environment and robot; got {actions.shape}"
+            )
+        self._check(actions)
+        self._boards.actions[:] = actions
+        infos: list[list[dict[str, Any]]] = [[] for _ in range(self.count)]
+        for part, answers in zip(self._parts, self._order("step"), strict=True):
+            for k, info in zip(part, answers, strict=True):
+                infos[k] = info
+        return self._boards.observations(), self._boards.rewards.copy(), self._boards.ended.copy(), infos
+
+    def _check(self, actions: Array) -> None:
+        """Refuse bad actions before any environment has moved."""
+        space = self.action_space
+        low, high = (0, space.n - 1) if isinstance(space, spaces.Discrete) else (-1.0, 1.0)
+        if isinstance(space, spaces.Discrete) and actions.dtype.kind not in "iu":
+            raise errors.ActionError(f"actions must be whole numbers from {low} to {high}; got {actions.dtype}")
+        if not np.all((actions >= low - 1e-6) & (actions <= high + 1e-6)):  # also true for NaN
+            k, robot = np.argwhere(~((actions >= low - 1e-6) & (actions <= high + 1e-6)))[0][:2]
+            raise errors.ActionError(
+                f"the action of robot {robot} in environment {k} must be finite and in [{low}, {high}]; "
+                f"got {actions[k, robot].tolist()}"
+            )
+
+    def sample(self) -> Array:
+        """Random actions for all robots; masked where there is a mask."""
+        mask = self._boards.blocks.get("action_mask")
+        space = self.action_space
+        if mask is None or not isinstance(space, spaces.Discrete):
+            return np.array([[space.sample() for _ in self.agents] for _ in range(self.count)])
+        return np.array([[space.sample(m.copy()) for m in row] for row in mask])
+
+    def close(self) -> None:
+        """Stop the workers."""
+        for crew in self._crews:
+            crew.close()
+        self._crews = []
+
+    def _order(self, what: str, seed: int = 0) -> list[Any]:
+        if not self._crews:
+            raise TwcError("these environments are closed: make new ones")
+        for crew in self._crews:
+            crew.send(what, seed)
+        answers = [crew.receive() for crew in self._crews]
+        for answer in answers:
+            if isinstance(answer, Exception):
+                raise answer
+        return answers
+
+
+class _Boards:
+    """Arrays that all processes see: what was observed, paid and ended, and what is to be done."""
+
+    def __init__(self, count: int, robots: int, observation: spaces.Space, action: spaces.Space):
+        boxes = observation.spaces if isinstance(observation, spaces.Dict) else {FLAT: observation}
+        self._shapes: dict[str, tuple[tuple[int, ...], np.dtype]] = {
+            name: ((count, robots, *(box.shape or ())), np.dtype(box.dtype)) for name, box in boxes.items()
+        }
+        self._shapes |= {
+            " rewards": ((count, robots), np.dtype(np.float32)),
+            " ended": ((count,), np.dtype(bool)),
+            " actions": ((count, robots, *(action.shape or ())), np.dtype(action.dtype)),
+        }
+        self._raw = {
+            name: multiprocessing.get_context("spawn").RawArray("B", max(1, math.prod(shape) * dtype.itemsize))
+            for name, (shape, dtype) in self._shapes.items()
+        }
+        self._view()
+
+    def _view(self) -> None:
+        views = {
+            name: np.frombuffer(raw, np.uint8, math.prod(self._shapes[name][0]) * self._shapes[name][1].itemsize)
+            .view(self._shapes[name][1])
+            .reshape(self._shapes[name][0])
+            for name, raw in self._raw.items()
+        }
+        self.rewards, self.ended, self.actions = (views.pop(f" {name}") for name in ("rewards", "ended", "actions"))
+        self.blocks: dict[str, Array] = views
+
+    def __getstate__(self) -> dict:
+        return {"_shapes": self._shapes, "_raw": self._raw}
+
+    def __setstate__(self, state: dict) -> None:
+        self._shapes, self._raw = state["_shapes"], state["_raw"]
+        self._view()
+
+    def observations(self) -> dict[str, Array]:
+        """Copies, so that the next step does not change what the caller holds."""
+        return {name: block.copy() for name, block in self.blocks.items()}
+
+    def write(self, k: int, observations: Mapping[str, Any]) -> None:
+        """Put the observations of environment k, one per robot in order, on the boards."""
+        for robot, observation in enumerate(observations.values()):
+            for name, block in self.blocks.items():
+                block[k, robot] = observation if name == FLAT else observation[name]
+
+
+class _Crew:
+    """Some of the environments, run one after another."""
+
+    def __init__(self, part: list[int], boards: _Boards, config: dict, buildings: tuple[str, ...]):
+        self._part, self._boards, self._buildings = part, boards, buildings
+        self._envs = [ExplorationEnv(config=config) for _ in part]
+        self._seeds = [0] * len(part)
+        self._answer: Any = None
+
+    def send(self, what: str, seed: int) -> None:
+        try:
+            self._answer = None
+            if what == "reset":
+                self.reset(seed)
+            else:
+                self._answer = self.step()
+        except TwcError as error:
+            self._answer = error
+
+    def receive(self) -> Any:
+        return self._answer
+
+    def reset(self, seed: int) -> None:
+        for i, k in enumerate(self._part):
+            self._seeds[i] = seed + k
+            self._boards.write(k, self._begin(i))
+            self._boards.rewards[k], self._boards.ended[k] = 0.0, False
+
+    def step(self) -> list[list[dict[str, Any]]]:
+        answers = []
+        for i, (k, env) in enumerate(zip(self._part, self._envs, strict=True)):
+            actions = dict(zip(env.possible_agents, self._boards.actions[k], strict=True))
+            observations, rewards, _, truncations, infos = env.step(actions)
+            self._boards.rewards[k] = list(rewards.values())
+            has_ended = all(truncations.values())
+            self._boards.ended[k] = has_ended
+            if has_ended:
+                for agent, info in infos.items():
+                    info["final_observation"] = observations[agent]
+                self._seeds[i] += self._boards.ended.shape[0]
+                observations = self._begin(i)
+            self._boards.write(k, observations)
+            answers.append(list(infos.values()))
+        return answers
+
+    def _begin(self, i: int) -> dict[str, Any]:
+        names = self._buildings
+        options = {"map": names[self._seeds[i] % len(names)]} if names else None
+        return self._envs[i].reset(self._seeds[i], options)[0]
+
+    def close(self) -> None:
+        for env in self._envs:
+            env.close()
+
+
+class _Worker:
+    """A crew in a process of its own."""
+
+    def __init__(self, context, part: list[int], boards: _Boards, task: tuple):
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_work, args=(theirs, part, boards, *task), daemon=True)
+        self._process.start()
+        theirs.close()
+
+    def send(self, what: str, seed: int) -> None:
+        try:
+            self._pipe.send((what, seed))
+        except OSError:
+            raise TwcError(_LOST) from None
+
+    def receive(self) -> Any:
+        try:
+            return self._pipe.recv()
+        except (EOFError, OSError):
+            raise TwcError(_LOST) from None
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):  # it may be gone already
+            self._pipe.send(("close", 0))
+        self._process.join(5.0)
+        if self._process.is_alive():
+            self._process.terminate()
+        self._pipe.close()
+
+
+_LOST = "a worker process has died (out of memory, or killed): make the environments anew"
+
+
+def _work(pipe: Connection, part: list[int], boards: _Boards, config: dict, buildings: tuple[str, ...]) -> None:
+    """The life of a worker process."""
+    crew = _Crew(part, boards, config, buildings)
+    while True:
+        try:
+            what, seed = pipe.recv()
+        except EOFError:  # the parent is gone
+            return
+        if what == "close":
+            crew.close()
+            return
+        crew.send(what, seed)
+        pipe.send(crew.receive())
