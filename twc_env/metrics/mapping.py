@@ -160,6 +160,18 @@ def _sampling_back(pose_building_map: Array, origin_m, resolution_m, truth_origi
 
 
 @njit(cache=True, error_model="numpy")
+def _inside(start, step, limit, count):
+    """First and last + 1 of the j in 0..count-1 with 0 <= start + j step < limit; whole numbers."""
+    if step == 0:
+        return (0, count) if 0 <= start < limit else (0, 0)
+    if step < 0:  # mirrored: limit - 1 - value grows with j
+        start, step = limit - 1 - start, -step
+    first = 0 if start >= 0 else (-start + step - 1) // step
+    last = 0 if start >= limit else (limit - 1 - start) // step + 1
+    return first, min(last, count)
+
+
+@njit(cache=True, error_model="numpy")
 def _count_free(log_odds, row0, column0, step, truth_free, free_below):
     """True free cells whose centre falls into a free cell of the map; steps in fixed point."""
     rows, columns = log_odds.shape
@@ -171,19 +183,13 @@ def _count_free(log_odds, row0, column0, step, truth_free, free_below):
     for i in range(truth_free.shape[0]):
         r = int(np.floor((row0 + c * i) * FIXED_POINT))
         k = int(np.floor((column0 - s * i) * FIXED_POINT))
+        first_r, last_r = _inside(r, dr, rows << FIXED_BITS, width)
+        first_k, last_k = _inside(k, dk, columns << FIXED_BITS, width)
+        first, last = max(first_r, first_k), min(last_r, last_k)
         free = truth_free[i]
-        r0, r1 = r >> FIXED_BITS, (r + dr * (width - 1)) >> FIXED_BITS
-        k0, k1 = k >> FIXED_BITS, (k + dk * (width - 1)) >> FIXED_BITS
-        if min(r0, r1) >= 0 and min(k0, k1) >= 0 and max(r0, r1) < rows and max(k0, k1) < columns:
-            for j in range(width):
-                count += free[j] & (
-                    cells[((r + j * dr) >> FIXED_BITS) * columns + ((k + j * dk) >> FIXED_BITS)] < free_below
-                )
-        else:
-            for j in range(width):
-                row, column = (r + j * dr) >> FIXED_BITS, (k + j * dk) >> FIXED_BITS
-                if free[j] and 0 <= row < rows and 0 <= column < columns:
-                    count += log_odds[row, column] < free_below
+        for j in range(first, last):  # all of them lie in the map: no cell needs a check
+            cell = ((r + j * dr) >> FIXED_BITS) * columns + ((k + j * dk) >> FIXED_BITS)
+            count += free[j] & (cells[cell] < free_below)
     return count
 
 

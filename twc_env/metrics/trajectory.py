@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from twc_env.errors import DataError
-from twc_env.geometry import align_rigidly, between, transform_points
+from twc_env.geometry import between, transform_points
 
 Array = NDArray
 
@@ -17,7 +20,30 @@ def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
     Both (..., 2) or (..., 3), of equal leading shape: all robots and steps count alike, so one rigid motion is found
     for the team as a whole. Raises DataError for unequal shapes or no positions.
     """
-    return align_rigidly(*_position_pairs(estimated, true))
+    pose = np.empty(3)
+    _align(*_position_pairs(estimated, true), pose)
+    return pose
+
+
+@njit(cache=True, error_model="numpy")
+def _align(a, b, pose):
+    """`geometry.align_rigidly` of points (n, 2), for callers in a hurry."""
+    count = a.shape[0]
+    ax = ay = bx = by = 0.0
+    for i in range(count):
+        ax += a[i, 0]
+        ay += a[i, 1]
+        bx += b[i, 0]
+        by += b[i, 1]
+    ax, ay, bx, by = ax / count, ay / count, bx / count, by / count
+    along = across = 0.0
+    for i in range(count):
+        px, py, qx, qy = a[i, 0] - ax, a[i, 1] - ay, b[i, 0] - bx, b[i, 1] - by
+        along += px * qx + py * qy
+        across += px * qy - py * qx
+    pose[2] = math.atan2(across, along)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    pose[0], pose[1] = bx - c * ax + s * ay, by - s * ax - c * ay
 
 
 def absolute_trajectory_error_m(estimated: ArrayLike, true: ArrayLike, alignment: ArrayLike | None = None) -> float:
@@ -27,7 +53,7 @@ def absolute_trajectory_error_m(estimated: ArrayLike, true: ArrayLike, alignment
     """
     estimated_m, true_m = _position_pairs(estimated, true)
     if alignment is None:
-        alignment = align_rigidly(estimated_m, true_m)
+        alignment = align_team(estimated_m, true_m)
     error_m = transform_points(alignment, estimated_m) - true_m
     return float(np.sqrt(np.mean(np.sum(error_m**2, axis=1))))
 

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import compose
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam.exchange import Exchange
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.team import TeamMapper
 
 Array = NDArray
+
+
+@njit(cache=True, error_model="numpy")
+def _compose_rows(first, second, out):
+    """`geometry.compose` row by row."""
+    for k in range(first.shape[0]):
+        c, s = math.cos(first[k, 2]), math.sin(first[k, 2])
+        out[k, 0] = first[k, 0] + c * second[k, 0] - s * second[k, 1]
+        out[k, 1] = first[k, 1] + s * second[k, 0] + c * second[k, 1]
+        out[k, 2] = (first[k, 2] + second[k, 2] + math.pi) % (2 * math.pi) - math.pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +63,9 @@ class CooperativeSlam:
         self._all_in_touch = Contacts(everyone, everyone)
         self._frames: list[SensorFrame | None] = [None] * robot_count
         self._poses_map_robot = [np.zeros(3)] * robot_count
+        self._poses_map_odom = np.zeros((robot_count, 3))
+        self._held_map_odom: list[Array | None] = [None] * robot_count
+        """The objects that the rows of `_poses_map_odom` were copied from."""
         self._last_step = 0
 
     @property
@@ -92,12 +106,14 @@ class CooperativeSlam:
         self._locate()
 
     def _locate(self) -> None:
-        self._poses_map_robot = [
-            compose(self.mapper_of(robot).pose_map_odom(robot), front_end.pose_odom)
-            for robot, front_end in enumerate(self.robots)
-        ]
-        for pose in self._poses_map_robot:
-            pose.flags.writeable = False  # beliefs show it to planners
+        for robot, held in enumerate(self._held_map_odom):
+            pose = self.mapper_of(robot).pose_map_odom(robot)
+            if pose is not held:
+                self._held_map_odom[robot] = self._poses_map_odom[robot] = pose
+        poses = np.empty_like(self._poses_map_odom)
+        _compose_rows(self._poses_map_odom, self._front_ends.poses_odom, poses)
+        poses.flags.writeable = False  # beliefs show it to planners
+        self._poses_map_robot = list(poses)
 
     def finish(self) -> None:
         """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""

@@ -45,6 +45,8 @@ class Exchange:
         self._is_central = config.link.topology == "central"
         mappers = 1 if self._is_central else robot_count
         self._paths: list[list[Keyframe]] = [[] for _ in range(robot_count)]
+        self._made = 0
+        """Keyframes of all robots."""
         self._held = np.zeros((mappers, robot_count), np.int64)
         """How many keyframes of each robot a mapper holds."""
         self._scans: list[set[tuple[int, int]]] = [set() for _ in range(mappers)]
@@ -57,6 +59,7 @@ class Exchange:
     def add(self, keyframe: Keyframe) -> None:
         """A robot made a keyframe."""
         self._paths[keyframe.robot].append(keyframe)
+        self._made += 1
 
     def deliver(self, contacts: Contacts, wanted: Sequence[Collection[tuple[int, int]]]) -> list[Delivery]:
         """One step: what arrives at each mapper; `wanted` are the scans that each asks for.
@@ -64,6 +67,8 @@ class Exchange:
         A keyframe travels one hop per step. Where several can tell a listener the same, the first one does.
         """
         deliveries = [Delivery() for _ in self._held]
+        if self._is_central and not wanted[0] and self._made == int(self._held.sum()):
+            return deliveries
         if not self._is_central:
             for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
                 self._hand_over(delivery, robot, robot, len(self._paths[robot]))

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import between, wrap_angle
+from twc_env.geometry import between
 from twc_env.messages import Keyframe, SensorFrame, SignObservation, WifiScan
 from twc_env.slam.mate_detection import MateMarker, StillDiscs
 from twc_env.slam.odometry_filter import make_filters, motion_covariance
@@ -188,7 +188,7 @@ class RobotFrontEnd:
             SignObservation(
                 text,
                 np.array([c * (x - px) + s * (y - py), c * (y - py) - s * (x - px)]),
-                float(wrap_angle(facing - heading)),
+                (facing - heading + math.pi) % (2 * math.pi) - math.pi,
             )
             for text, x, y, facing in self._readings
         )
