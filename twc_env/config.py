@@ -211,6 +211,22 @@ class LinkConfig(_Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FailureConfig(_Checked):
+    """What breaks. By default nothing does."""
+
+    robots: int = _number(0, 0, 64)
+    """So many robots, the last of the team, stop for good: they stand still, sense nothing and say nothing more."""
+    robots_step: int = _number(500, 0, 10_000_000)
+    """From this step on."""
+    link_begin_step: int = _number(0, 0, 10_000_000)
+    """Nobody hears anybody from this step on ..."""
+    link_end_step: int = _number(0, 0, 10_000_000)
+    """... until this one."""
+    device_offset_db: float = _number(0.0, -40.0, 40.0)
+    """Added to all that the last robot's WiFi receiver hears."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryFilterConfig(_Checked):
     """The EKF of one robot: what it assumes about its sensors."""
 
@@ -429,6 +445,7 @@ class EnvConfig(_Checked):
     radio: RadioConfig = field(default_factory=RadioConfig)
     signs: SignsConfig = field(default_factory=SignsConfig)
     link: LinkConfig = field(default_factory=LinkConfig)
+    failure: FailureConfig = field(default_factory=FailureConfig)
     slam: SlamConfig = field(default_factory=SlamConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     action: ActionConfig = field(default_factory=ActionConfig)

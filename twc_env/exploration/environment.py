@@ -25,6 +25,7 @@ from twc_env.messages import Belief, Contacts, SensorFrame
 from twc_env.planning.candidates import NOTHING
 from twc_env.random_streams import random_stream
 from twc_env.slam.modes import Engine, make_engine
+from twc_env.world.failures import Failures
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.generate import split_names
 from twc_env.world.link import Link
@@ -132,6 +133,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self.observation_spaces = dict.fromkeys(self.possible_agents, shared_observation)
         self.action_spaces = dict.fromkeys(self.possible_agents, shared_action)
         self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (6 * count,), np.float32)
+        self._failures = Failures(self.config.failure, count)
         self._engine: Engine | None = None
         self._frames_of_step: list[tuple[SensorFrame, ...]] = []
         self._seed: int | None = None
@@ -297,7 +299,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     def _tick(self, commands: Array) -> list[dict[str, float]]:
         """One time step: the reward terms of each robot."""
-        self._world.step(commands)
+        self._world.step(commands * self._failures.is_alive(self._steps)[:, None])
         self._steps += 1
         is_last = self._steps >= self.config.max_cycles
         sent_before = self.bytes_sent
@@ -323,8 +325,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """Front ends, link and mappers take in one set of frames."""
         self._frames = frames
         self._frames_of_step.append(frames)
-        self._contacts = self._link.contacts(self._world.poses_home[:, :2])
-        self.engine.track(frames)
+        self._contacts = self._failures.contacts(self._steps, self._link.contacts(self._world.poses_home[:, :2]))
+        is_alive = self._failures.is_alive(self._steps)
+        if is_alive.any():
+            self.engine.track([frame for frame in frames if is_alive[frame.robot]])
         self.engine.absorb(self._steps, self._contacts)
         self._record.append(
             self._world.poses,

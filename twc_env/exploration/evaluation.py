@@ -294,6 +294,7 @@ def evaluate(
             "precision": _or_none(counted.precision),
             "recall": _or_none(counted.recall),
         },
+        "lacked": engine.lacked(),
         "bytes_sent": int(sum(bytes_sent.values())),
         "bytes_by_kind": {kind: int(count) for kind, count in sorted(bytes_sent.items())},
         "path_length_m": float(sum(metrics.path_length_m(true[:, r]) for r in robots)),

@@ -68,7 +68,7 @@ def merge_in(name: str, robots: int, seed: int) -> dict:
     headings = [math.atan2(*(way[min(5, len(way) - 1)] - way[0])[::-1]) for way in ways]
     starts = np.array([[*way[0], heading] for way, heading in zip(ways, headings, strict=True)])
     env.reset(seed=seed, options={"starts": starts})
-    walkers = [_Walker(way) for way in ways]
+    walkers = [Walker(way) for way in ways]
     first = everyone = sent = None
     while env.agents and not all(walker.is_done for walker in walkers):
         poses = env.state().reshape(robots, 6)[:, :3]
@@ -129,7 +129,7 @@ def _median(values: Sequence[float | None]) -> float | None:
     return float(np.median(known)) if known else None
 
 
-class _Walker:
+class Walker:
     """Drives one robot along its way by its true pose; backs off when something stands in it."""
 
     def __init__(self, way_m: Array):

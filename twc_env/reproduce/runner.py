@@ -27,6 +27,7 @@ TABLES: dict[str, str] = {
     "twc-table2": "twc_table2",
     "real-places": "real_places",
     "robustness": "robustness",
+    "stress": "stress",
 }
 """Name on the command line -> module of this package."""
 

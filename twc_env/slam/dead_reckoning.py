@@ -71,6 +71,10 @@ class DeadReckoning:
         """One empty map per robot."""
         return [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
 
+    def lacked(self) -> list[str]:
+        """Everything but odometry."""
+        return ["no engine: odometry alone"]
+
     def absorb(self, step: int, contacts: Contacts | None = None) -> None:
         """Nothing arrives."""
 

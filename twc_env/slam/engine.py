@@ -14,6 +14,7 @@ from twc_env.config import EnvConfig
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam.exchange import Exchange
 from twc_env.slam.robot import FrontEnds
+from twc_env.slam.shortcomings import shortcomings
 from twc_env.slam.team import TeamMapper
 
 Array = NDArray
@@ -130,6 +131,13 @@ class CooperativeSlam:
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) estimate of a robot in its group's map frame, as of the last `absorb`."""
         return self._poses_map_robot[robot]
+
+    def lacked(self) -> list[str]:
+        """What the engine had to do without so far, one line each; with a mapper on each robot, of each of them."""
+        time_s = max((frame.time_s for frame in self._frames if frame is not None), default=0.0)
+        if self._is_central:
+            return shortcomings(self.team, time_s)
+        return [f"mapper of robot {r}: {line}" for r, m in enumerate(self.mappers) for line in shortcomings(m, time_s)]
 
     def belief(self, robot: int, with_signs: bool = True) -> Belief:
         """What this robot knows now; `with_signs=False` leaves out the team's list of signs, which takes a while."""

@@ -193,7 +193,7 @@ class RadioModel:
 class WifiReceiver:
     """One robot's radio device for one episode."""
 
-    def __init__(self, config: RadioConfig, model: RadioModel, robot: int, seed: int):
+    def __init__(self, config: RadioConfig, model: RadioModel, robot: int, seed: int, offset_db: float = 0.0):
         self._config, self._model = config, model
         count = len(model.macs)
         noise, detection = random_stream(seed, "wifi-noise", robot), random_stream(seed, "wifi-detection", robot)
@@ -203,7 +203,7 @@ class WifiReceiver:
         is_sweep_whole = config.sweep_share == 1.0 and not config.sweep_share_std
         self._hears_all_now = is_sweep_whole and config.stale_age_max_s == 0.0
         device = random_stream(seed, "wifi-device", robot)
-        self._device_offset_db = config.device_offset_std_db * device.standard_normal()
+        self._device_offset_db = config.device_offset_std_db * device.standard_normal() + offset_db
         self._floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
         self._fading_db = np.zeros(len(model.macs))
         self._fading_place_m: tuple[float, float] | None = None

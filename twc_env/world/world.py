@@ -58,7 +58,11 @@ class World:
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
         radius = config.dynamics.robot_radius_m
         self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
-        self._receivers = [WifiReceiver(config.radio, self._radio, robot, seed) for robot in range(robots)]
+        offsets_db = [0.0] * (robots - 1) + [config.failure.device_offset_db]
+        self._receivers = [
+            WifiReceiver(config.radio, self._radio, robot, seed, offset_db)
+            for robot, offset_db in enumerate(offsets_db)
+        ]
         self._cameras = [SignCamera(config.signs, self._home, robot, seed) for robot in range(robots)]
         self._sensed_poses = self._dynamics.poses
         self._step = 0

@@ -1,0 +1,125 @@
+"""What the engine does when something is missing or misleads it, against the same episodes with everything in order.
+
+Episodes are those of `merging`: robots without a common frame walk through unseen buildings on ways that overlap
+partly. Conditions: no signs are read; no WiFi is heard; the link is cut for the middle third of the episode; the last
+robot stops for good half-way; the last robot's receiver reads 10 dB too much; every name hangs at two places or more.
+`d_` columns are the mean difference to the normal run of the same building, with its spread over buildings (`sd_`).
+`ate_m` aligns every group of merged robots once. `lacked` is what the engine's own report names most often.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import math
+import re
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.maps import load_map
+from twc_env.random_streams import random_stream
+from twc_env.reproduce.merging import STEPS_PER_M, Walker, overlapping_ways
+from twc_env.reproduce.runner import Runner
+from twc_env.world.floorplan import Floorplan
+
+Array = NDArray
+
+SUMMARY = "the engine without signs, WiFi, link or a robot, with an odd device and with repeated names"
+CONDITIONS = ("normal", "no signs", "no WiFi", "link cut", "robot lost", "odd device", "repeated names")
+CRUISE_STEPS_PER_M = 14.0
+"""About how many steps a walker needs for a metre; failures come at shares of the longest way."""
+LACKS_SHOWN = 3
+FIGURES = {"merged": "merged_share", "ate": "ate_m", "coverage": "coverage_correct"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of this table."""
+    parser.add_argument("--buildings", type=int, default=12, help="of the test split (default: %(default)s)")
+    parser.add_argument("--robots", type=int, default=3, help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="of noise (default: %(default)s)")
+    parser.add_argument("--conditions", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), help="default: all")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per condition; the normal run is always among them."""
+    conditions = list(dict.fromkeys(["normal", *options.conditions]))
+    parts = list(itertools.product((f"test/{k:04d}" for k in range(options.buildings)), conditions))
+    found = runner.each(parts, lambda part: episode(*part, options.robots, options.seed), " ".join)
+    runs = {c: [run for (_, name), run in zip(parts, found, strict=True) if name == c] for c in conditions}
+    return [_row(condition, runs[condition], runs["normal"]) for condition in conditions]
+
+
+def episode(building: str, condition: str, robots: int, seed: int) -> dict:
+    """One building under one condition."""
+    plan = load_map(building)
+    ways = overlapping_ways(plan, robots)
+    longest_m = max(float(np.hypot(*np.diff(way, axis=0).T).sum()) for way in ways)
+    changes = settings(condition, int(longest_m * CRUISE_STEPS_PER_M))
+    if condition == "repeated names":
+        plan = with_repeated_names(plan)
+    base = {"map": building, "robots": robots, "max_cycles": int(longest_m * STEPS_PER_M) + 50}
+    env = ExplorationEnv(config={**base, **changes}, floorplan=plan)
+    headings = [math.atan2(*(way[min(5, len(way) - 1)] - way[0])[::-1]) for way in ways]
+    starts = np.array([[*way[0], heading] for way, heading in zip(ways, headings, strict=True)])
+    env.reset(seed=seed, options={"starts": starts})
+    walkers = [Walker(way) for way in ways]
+    lost = changes.get("failure.robots", 0)
+    while env.agents and not all(walker.is_done for walker in walkers[: robots - lost]):
+        poses = env.state().reshape(robots, 6)[:, :3]
+        env.step({a: w.act(p, env) for a, w, p in zip(env.agents, walkers, poses, strict=True)})
+    env.engine.finish()
+    figures = env.result().figures
+    return {
+        "merged_share": figures["merged_robots"] / robots,
+        "wrong_merges": figures["wrong_merges"],
+        "ate_m": figures["team_ate_m"],
+        "coverage_correct": figures["coverage_correct"],
+        "lacked": figures["lacked"],
+    }
+
+
+def settings(condition: str, steps: int) -> dict:
+    """What a condition changes in an episode of about so many steps."""
+    return {
+        "no signs": {"signs.range_max_m": 0.1},
+        "no WiFi": {"radio.wifi": False},
+        "link cut": {"failure.link_begin_step": steps // 3, "failure.link_end_step": 2 * steps // 3},
+        "robot lost": {"failure.robots": 1, "failure.robots_step": steps // 2},
+        "odd device": {"failure.device_offset_db": 10.0},
+    }.get(condition, {})
+
+
+def with_repeated_names(plan: Floorplan) -> Floorplan:
+    """The plan with half as many names, each at two places or more that were drawn at random."""
+    names = sorted({sign.text for sign in plan.signs})
+    kept = names[: max(len(names) // 2, 1)]
+    order = random_stream(0, "repeated names " + plan.name).permutation(len(plan.signs))
+    signs = tuple(
+        dataclasses.replace(sign, text=kept[int(place) % len(kept)])
+        for sign, place in zip(plan.signs, order, strict=True)
+    )
+    return dataclasses.replace(plan, signs=signs)
+
+
+def _row(condition: str, runs: list[dict], normal: list[dict]) -> dict:
+    row: dict = {"condition": condition, "episodes": len(runs)}
+    for key in ("merged_share", "ate_m", "coverage_correct"):
+        row[key] = round(float(np.mean([run[key] for run in runs])), 4)
+    row["wrong_merges"] = sum(run["wrong_merges"] for run in runs)
+    row["ate_worst_m"] = round(max(run["ate_m"] for run in runs), 4)
+    for name, key in FIGURES.items():
+        difference = np.array([run[key] - other[key] for run, other in zip(runs, normal, strict=True)])
+        row[f"d_{name}"], row[f"sd_{name}"] = round(float(difference.mean()), 4), round(float(difference.std()), 4)
+    lacks = Counter(lack for run in runs for lack in {_kind(line) for line in run["lacked"]})
+    row["lacked"] = "; ".join(f"{lack} ({n} of {len(runs)})" for lack, n in lacks.most_common(LACKS_SHOWN))
+    return row
+
+
+def _kind(line: str) -> str:
+    """A line of the engine's report without its figures, so that episodes can be counted together."""
+    line = line.partition(": ")[0] if line.startswith("candidates refused") else line
+    return re.sub(r"[+-]?\d+(\.\d+)?", "#", line)
