@@ -4,7 +4,8 @@ Episodes are those of `merging`: robots without a common frame walk through unse
 partly. Conditions: no signs are read; no WiFi is heard; the link is cut for the middle third of the episode; the last
 robot stops for good half-way; the last robot's receiver reads 10 dB too much; every name hangs at two places or more.
 `d_` columns are the mean difference to the normal run of the same building, with its spread over buildings (`sd_`).
-`ate_m` aligns every group of merged robots once. `lacked` is what the engine's own report names most often.
+`ate_m` aligns every group of merged robots once. `lacked` is what the engine's own report
+names in more episodes than normally (numbers as #).
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per condition; the normal run is always among them."""
     conditions = list(dict.fromkeys(["normal", *options.conditions]))
     parts = list(itertools.product((f"test/{k:04d}" for k in range(options.buildings)), conditions))
-    found = runner.each(parts, lambda part: episode(*part, options.robots, options.seed), " ".join)
+    found = runner.each(parts, lambda part: episode(part[0], part[1], options.robots, options.seed), " ".join)
     runs = {c: [run for (_, name), run in zip(parts, found, strict=True) if name == c] for c in conditions}
     return [_row(condition, runs[condition], runs["normal"]) for condition in conditions]
 
@@ -84,13 +85,14 @@ def episode(building: str, condition: str, robots: int, seed: int) -> dict:
 
 def settings(condition: str, steps: int) -> dict:
     """What a condition changes in an episode of about so many steps."""
-    return {
+    changes: dict[str, dict] = {
         "no signs": {"signs.range_max_m": 0.1},
         "no WiFi": {"radio.wifi": False},
         "link cut": {"failure.link_begin_step": steps // 3, "failure.link_end_step": 2 * steps // 3},
         "robot lost": {"failure.robots": 1, "failure.robots_step": steps // 2},
         "odd device": {"failure.device_offset_db": 10.0},
-    }.get(condition, {})
+    }
+    return changes.get(condition, {})
 
 
 def with_repeated_names(plan: Floorplan) -> Floorplan:
@@ -114,8 +116,11 @@ def _row(condition: str, runs: list[dict], normal: list[dict]) -> dict:
     for name, key in FIGURES.items():
         difference = np.array([run[key] - other[key] for run, other in zip(runs, normal, strict=True)])
         row[f"d_{name}"], row[f"sd_{name}"] = round(float(difference.mean()), 4), round(float(difference.std()), 4)
-    lacks = Counter(lack for run in runs for lack in {_kind(line) for line in run["lacked"]})
-    row["lacked"] = "; ".join(f"{lack} ({n} of {len(runs)})" for lack, n in lacks.most_common(LACKS_SHOWN))
+    here, there = (
+        Counter(k for run in group for k in {_kind(line) for line in run["lacked"]}) for group in (runs, normal)
+    )
+    new = sorted(here, key=lambda kind: (there[kind] - here[kind], kind))[:LACKS_SHOWN]
+    row["lacked"] = "; ".join(f"{kind} ({here[kind]} of {len(runs)}, normally {there[kind]})" for kind in new)
     return row
 
 

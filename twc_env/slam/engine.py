@@ -14,7 +14,7 @@ from twc_env.config import EnvConfig
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam.exchange import Exchange
 from twc_env.slam.robot import FrontEnds
-from twc_env.slam.shortcomings import shortcomings
+from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
 
 Array = NDArray
@@ -58,6 +58,8 @@ class CooperativeSlam:
         homes = [None] if self._is_central else range(robot_count)
         self.mappers = [TeamMapper(config, robot_count, home) for home in homes]
         self._exchange = Exchange(config, robot_count)
+        self._listening = Listening(len(self.mappers), robot_count)
+        self._time_step_s = config.dynamics.time_step_s
         everyone = np.ones((len(self.mappers), robot_count), bool)
         if not self._is_central:
             np.fill_diagonal(everyone, False)
@@ -101,7 +103,9 @@ class CooperativeSlam:
     def absorb(self, step: int, contacts: Contacts | None = None) -> None:
         """Exchange what the contacts of this step allow (None: all are in touch), and let the mappers take it in."""
         self._last_step = step
-        deliveries = self._exchange.deliver(contacts or self._all_in_touch, [mapper.wanted for mapper in self.mappers])
+        contacts = contacts or self._all_in_touch
+        self._listening.note(step, contacts.heard)
+        deliveries = self._exchange.deliver(contacts, [mapper.wanted for mapper in self.mappers])
         for mapper, delivery in zip(self.mappers, deliveries, strict=True):
             mapper.update(step, delivery.keyframes, delivery.scans)
         self._locate()
@@ -134,10 +138,12 @@ class CooperativeSlam:
 
     def lacked(self) -> list[str]:
         """What the engine had to do without so far, one line each; with a mapper on each robot, of each of them."""
-        time_s = max((frame.time_s for frame in self._frames if frame is not None), default=0.0)
-        if self._is_central:
-            return shortcomings(self.team, time_s)
-        return [f"mapper of robot {r}: {line}" for r, m in enumerate(self.mappers) for line in shortcomings(m, time_s)]
+        lines = []
+        for number, mapper in enumerate(self.mappers):
+            others = [r for r in range(len(self.robots)) if self._is_central or r != number]
+            own = self._listening.lines(number, others, self._last_step, self._time_step_s) + shortcomings(mapper)
+            lines += own if self._is_central else [f"mapper of robot {number}: {line}" for line in own]
+        return lines
 
     def belief(self, robot: int, with_signs: bool = True) -> Belief:
         """What this robot knows now; `with_signs=False` leaves out the team's list of signs, which takes a while."""

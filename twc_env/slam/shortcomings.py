@@ -2,33 +2,64 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twc_env.messages import Keyframe
 from twc_env.slam.map_merging import fingerprint_matrix
 from twc_env.slam.team import TeamMapper
 
-SILENT_S = 20.0
-"""A robot that sent nothing for longer is named; one that stands still has nothing to send either."""
-DEVICE_OFFSET_DB, TRANSMITTERS_MIN, PLACES_MIN = 5.0, 3, 3
-"""Devices that differ by more, over so many transmitters at so many common places, are named."""
-REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.5, 4
-"""A name at places this far apart on one robot's own map is repeated; with this share of the names there is a lack."""
+Array = NDArray
+
+SILENT_S = 5.0
+"""A robot that was not heard for longer is named."""
+DEVICE_OFFSET_DB, TRANSMITTERS_MIN, PLACES_MIN, LETTERS_MIN = 5.0, 3, 3, 3
+"""Devices that differ by more, over so many transmitters at so many places with a name this long, are named."""
+REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.4, 4
+"""A name at places this far apart in one map is repeated; with this share of the names repeated there is a lack."""
 
 
-def shortcomings(mapper: TeamMapper, time_s: float) -> list[str]:
-    """One line per lack of a mapper at a time [s], in a fixed order; empty when nothing was amiss."""
+class Listening:
+    """When each mapper last heard each robot, and for how long at most it did not."""
+
+    def __init__(self, listeners: int, robots: int):
+        self._last = np.zeros((listeners, robots), np.int64)
+        self._silence = np.zeros((listeners, robots, 2), np.int64)
+        """First and last step of the longest silence that ended."""
+
+    def note(self, step: int, heard: Array) -> None:
+        """What reached whom in a step; heard (listeners, robots) bool."""
+        ended = heard & (step - self._last > self._silence[..., 1] - self._silence[..., 0])
+        if ended.any():
+            self._silence[ended, 0] = self._last[ended]
+            self._silence[ended, 1] = step
+        self._last[heard] = step
+
+    def lines(self, listener: int, robots: Collection[int], step: int, time_step_s: float) -> list[str]:
+        """Robots that this listener has not heard for long, or once did not."""
+        found = []
+        for robot in robots:
+            last, (begin, end) = self._last[listener, robot], self._silence[listener, robot]
+            if (step - last) * time_step_s > SILENT_S:
+                found.append(f"robot {robot} not heard since {last * time_step_s:.1f} s")
+            if (end - begin) * time_step_s > SILENT_S:
+                found.append(f"robot {robot} not heard from {begin * time_step_s:.1f} s to {end * time_step_s:.1f} s")
+        return found
+
+
+def shortcomings(mapper: TeamMapper) -> list[str]:
+    """One line per lack of a mapper so far, in a fixed order; empty when nothing was amiss."""
     return [
         *_missing(mapper.keyframes, "signs", "no signs read", lambda k: len(k.signs) > 0),
         *_missing(mapper.keyframes, "WiFi", "no WiFi heard", lambda k: len(k.fingerprint.macs) > 0),
-        *_silent(mapper.keyframes, time_s),
         *_repeated_names(mapper),
-        *_odd_devices(mapper),
+        *_odd_devices(mapper.keyframes),
         *_apart(mapper),
         *_refused(mapper),
     ]
@@ -41,55 +72,44 @@ def _missing(paths: Sequence[Sequence[Keyframe]], what: str, nowhere: str, has) 
     return [f"no {what} from robot {robot}" for robot in without]
 
 
-def _silent(paths: Sequence[Sequence[Keyframe]], time_s: float) -> list[str]:
-    lines = []
-    for robot, path in enumerate(paths):
-        if not path:
-            lines.append(f"no message from robot {robot}")
-        elif time_s - path[-1].time_s > SILENT_S:
-            lines.append(f"no message from robot {robot} since {path[-1].time_s:.1f} s")
-    return lines
-
-
 def _repeated_names(mapper: TeamMapper) -> list[str]:
-    """Names that one robot, by its own odometry, found at several places."""
-    places: dict[str, list[tuple[int, np.ndarray]]] = {}
-    for robot, path in enumerate(mapper.keyframes):
+    """Names that stand at several places of one map, when they are many."""
+    readings = Counter(sign.text for path in mapper.keyframes for keyframe in path for sign in keyframe.signs)
+    names = {text for text, count in readings.items() if count > 1 and len(text) >= LETTERS_MIN}
+    repeated = set()
+    for group in range(len(mapper.groups)):
+        places: dict[str, list[Array]] = {}
+        for sign in mapper.signs_of(group):
+            places.setdefault(sign.text, []).append(sign.position_m)
+        repeated |= {text for text, at in places.items() if np.ptp(np.array(at), axis=0).max() > REPEATED_APART_M}
+    count = len(repeated & names)
+    if len(names) < NAMES_MIN or count < REPEATED_SHARE * len(names):
+        return []
+    return [f"{count} of {len(names)} names stand at several places"]
+
+
+def _odd_devices(paths: Sequence[Sequence[Keyframe]]) -> list[str]:
+    """Robots whose receivers disagree where both read the same name (which may have twins: hence the median)."""
+    where: list[dict[str, Keyframe]] = [{} for _ in paths]
+    for robot, path in enumerate(paths):
         for keyframe in path:
             for sign in keyframe.signs:
-                places.setdefault(sign.text, []).append((robot, keyframe.pose_odom[:2]))
-    readings = {text: found for text, found in places.items() if len(found) > 1}
-    repeated = [
-        text
-        for text, found in readings.items()
-        if any(
-            np.ptp(np.array([at for r, at in found if r == robot]), axis=0).max() > 2 * REPEATED_APART_M
-            for robot in {r for r, _ in found}
-        )
-    ]
-    if len(readings) < NAMES_MIN or len(repeated) < REPEATED_SHARE * len(readings):
-        return []
-    return [f"{len(repeated)} of {len(readings)} names that were read more than once stand at several places"]
-
-
-def _odd_devices(mapper: TeamMapper) -> list[str]:
-    """Robots whose receivers disagree where closures say that they stood at one place."""
-    differences: dict[tuple[int, int], list[float]] = {}
-    for closure in mapper.closures:
-        (a, i), (b, j) = sorted((closure.candidate.target, closure.candidate.source))
-        if a == b or closure.status == "rejected" or math.hypot(*closure.pose_target_source[:2]) > REPEATED_APART_M:
-            continue
-        prints = mapper.keyframes[a][i].fingerprint, mapper.keyframes[b][j].fingerprint
-        levels = fingerprint_matrix(prints)
-        both = np.isfinite(levels).all(axis=0)
-        if both.sum() >= TRANSMITTERS_MIN:
-            differences.setdefault((a, b), []).append(float(np.median(levels[1, both] - levels[0, both])))
+                where[robot].setdefault(sign.text, keyframe)
     lines = []
-    for (a, b), values in sorted(differences.items()):
-        offset_db = float(np.median(values))
-        if len(values) >= PLACES_MIN and abs(offset_db) > DEVICE_OFFSET_DB:
-            lines.append(f"robot {b} reads WiFi {offset_db:+.0f} dB against robot {a}")
+    for a, b in itertools.combinations(range(len(paths)), 2):
+        common = sorted(set(where[a]) & set(where[b]))
+        offsets = [_offset_db(where[a][text], where[b][text]) for text in common if len(text) >= LETTERS_MIN]
+        known = [offset for offset in offsets if math.isfinite(offset)]
+        if len(known) >= PLACES_MIN and abs(np.median(known)) > DEVICE_OFFSET_DB:
+            lines.append(f"robot {b} reads WiFi {np.median(known):+.0f} dB against robot {a} where both read a name")
     return lines
+
+
+def _offset_db(first: Keyframe, second: Keyframe) -> float:
+    """How much stronger the second heard what both heard; NaN with too little in common."""
+    levels = fingerprint_matrix((first.fingerprint, second.fingerprint))
+    both = np.isfinite(levels).all(axis=0)
+    return float(np.median(levels[1, both] - levels[0, both])) if both.sum() >= TRANSMITTERS_MIN else math.nan
 
 
 def _apart(mapper: TeamMapper) -> list[str]:

@@ -1,0 +1,63 @@
+"""Robots that stop, links that are cut, an odd receiver."""
+
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env.config import FailureConfig
+from twc_env.messages import Contacts
+from twc_env.world.failures import Failures
+
+STOP = 30
+
+
+def play(steps, **failure):
+    """An episode in which all robots drive ahead and turn slowly; the positions of all steps and the environment."""
+    config = {f"failure.{key}": value for key, value in failure.items()}
+    env = twc_env.parallel_env(robots=2, max_cycles=200, config=config)
+    env.reset(seed=3)
+    poses = [env.state().reshape(2, 6)[:, :3]]
+    for _ in range(steps):
+        env.step({agent: np.array([0.5, 0.3]) for agent in env.agents})
+        poses.append(env.state().reshape(2, 6)[:, :3])
+    return np.array(poses), env
+
+
+def test_a_robot_that_fails_stands_still_and_says_nothing_more_while_the_others_go_on():
+    poses, env = play(90, robots=1, robots_step=STOP)
+    whole, _ = play(90)
+    assert np.array_equal(poses[:STOP], whole[:STOP])
+    assert np.hypot(*(poses[STOP + 5 :, 1, :2] - poses[STOP + 5, 1, :2]).T).max() < 1e-3
+    assert np.hypot(*(poses[-1, 0, :2] - poses[STOP, 0, :2])) > 0.5
+    assert env.engine.team.keyframes[1][-1].step < STOP
+    assert "robot 1 not heard since 2.9 s" in env.result().figures["lacked"]
+
+
+def test_what_is_said_in_a_cut_arrives_after_it():
+    _, cut = play(95, link_begin_step=10, link_end_step=90)
+    _, whole = play(95)
+    lines = cut.result().figures["lacked"]
+    assert [line for line in lines if "not heard" in line] == [
+        f"robot {robot} not heard from 0.9 s to 9.0 s" for robot in (0, 1)
+    ]
+    assert [len(path) for path in cut.engine.team.keyframes] == [len(path) for path in whole.engine.team.keyframes]
+    assert not any("not heard" in line for line in whole.result().figures["lacked"])
+
+
+@pytest.mark.parametrize("listeners", [1, 3])
+def test_the_dead_neither_speak_nor_hear(listeners):
+    failures = Failures(FailureConfig(robots=1, robots_step=4), 3)
+    everyone = np.ones((listeners, 3), bool)
+    assert failures.contacts(3, Contacts(everyone, everyone)).heard.all()
+    left = failures.contacts(4, Contacts(everyone, everyone)).heard
+    assert left[:, 2].sum() == 0 and left[0, :2].all()
+    assert listeners == 1 or not left[2].any()
+
+
+def test_an_odd_receiver_hears_everything_stronger():
+    _, odd = play(3, device_offset_db=10.0)
+    _, even = play(3)
+    levels = [env.engine.team.keyframes[1][0].fingerprint for env in (odd, even)]
+    common = np.isin(levels[0].macs, levels[1].macs)
+    assert np.isin(levels[1].macs, levels[0].macs).all()
+    assert levels[0].rssi_dbm[common] == pytest.approx(levels[1].rssi_dbm + 10.0, abs=1.0)

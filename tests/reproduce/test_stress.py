@@ -1,0 +1,34 @@
+import argparse
+
+import pytest
+
+from twc_env.maps import load_map
+from twc_env.reproduce import stress
+from twc_env.reproduce.runner import Runner
+
+BUILDING = "test/0005"
+
+
+def test_every_name_hangs_twice_and_every_sign_where_it_was():
+    plan = load_map(BUILDING)
+    repeated = stress.with_repeated_names(plan)
+    texts = [sign.text for sign in repeated.signs]
+    assert min(texts.count(text) for text in texts) >= 2
+    assert [tuple(s.position_m) for s in repeated.signs] == [tuple(s.position_m) for s in plan.signs]
+
+
+def test_each_condition_breaks_something_that_exists():
+    assert stress.settings("normal", 900) == {}
+    assert all(stress.settings(c, 900) for c in stress.CONDITIONS if c not in ("normal", "repeated names"))
+
+
+def test_a_lost_robot_is_reported_and_merges_nothing_wrongly(tmp_path, monkeypatch):
+    monkeypatch.setattr(stress, "load_map", lambda name: load_map(BUILDING))
+    parser = argparse.ArgumentParser()
+    stress.add_arguments(parser)
+    options = parser.parse_args(["--buildings", "1", "--conditions", "robot lost"])
+    normal, lost = stress.rows(options, Runner("stress", tmp_path, {}))
+    assert (normal["condition"], lost["condition"]) == ("normal", "robot lost")
+    assert normal["d_ate"] == normal["d_merged"] == 0.0 and normal["merged_share"] == 1.0
+    assert lost["wrong_merges"] == 0 and "not heard since" in lost["lacked"]
+    assert lost["d_ate"] == pytest.approx(lost["ate_m"] - normal["ate_m"], abs=1e-3)
