@@ -80,8 +80,8 @@ class ObservationBuilder:
         self._robot, self._robots = robot, config.robots
         self._names = tuple(block_spaces(config))
         self._slots_of_wifi = WifiSlots(config.observation.wifi_slots)
-        self._readings: list[tuple[float, str, Array]] = []
-        """Time, text and (3,) place in the odom frame (its heading means nothing), newest last."""
+        self._readings: list[tuple[float, str, float, float]] = []
+        """Time, text, and x and y in the odom frame, newest last."""
         self._path_odom = np.zeros((max(1, round(config.observation.path_m / PATH_SPACING_M)), 2))
         self._path_count = 0
         self._overview: tuple[tuple[int, int], tuple[Array, Array, float]] | None = None
@@ -93,10 +93,13 @@ class ObservationBuilder:
         """Take in one frame that no observation is built of: path, radio and readings are kept up."""
         self._slots_of_wifi.update(frame)
         self._extend_path(belief.pose_odom)
+        if not frame.signs:
+            return
+        x, y, heading = belief.pose_odom.tolist()
         for sign in frame.signs:
-            angle = belief.pose_odom[2] + sign.bearing_rad
-            offset = sign.range_m * np.array([math.cos(angle), math.sin(angle), 0.0])
-            self._readings.append((frame.time_s, sign.text, belief.pose_odom + offset))
+            angle, away = heading + sign.bearing_rad, sign.range_m
+            place = x + away * math.cos(angle), y + away * math.sin(angle)
+            self._readings.append((frame.time_s, sign.text, *place))
 
     def build(
         self, frame: SensorFrame, belief: Belief, candidates: Candidates = NOTHING, mask: Array | None = None
@@ -175,17 +178,18 @@ class ObservationBuilder:
         oldest_s = frame.time_s - shape.sign_memory_s - 1e-9
         self._readings = [reading for reading in self._readings if reading[0] >= oldest_s][-shape.sign_slots :]
         self._index_signs(belief.signs)
-        for row, (time_s, text, place) in zip(rows, reversed(self._readings), strict=False):
-            x, y, _ = between(belief.pose_odom, place).tolist()
-            away = math.hypot(x, y)
+        robot_x, robot_y, heading = belief.pose_odom.tolist()
+        memory_s, values = max(shape.sign_memory_s, 1e-9), []
+        for time_s, text, x, y in reversed(self._readings):
+            away = math.hypot(x - robot_x, y - robot_y)
+            bearing = math.remainder(math.atan2(y - robot_y, x - robot_x) - heading, 2 * math.pi)
             elsewhere = max(self._text_counts[text] - 1, 0)
-            row[:] = (
-                1.0,
-                math.atan2(y, x) / math.pi,
-                away / (away + HALF_WAY_M),
-                min((frame.time_s - time_s) / max(shape.sign_memory_s, 1e-9), 1.0),
-                elsewhere / (elsewhere + HALF_COUNT),
+            age = min((frame.time_s - time_s) / memory_s, 1.0)
+            values.append(
+                (1.0, bearing / math.pi, away / (away + HALF_WAY_M), age, elsewhere / (elsewhere + HALF_COUNT))
             )
+        if values:
+            rows[: len(values)] = values
         return rows
 
     def _team(self, frame: SensorFrame, belief: Belief, mates: dict[int, list[float]]) -> Array:
