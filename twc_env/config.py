@@ -455,10 +455,10 @@ class EnvConfig(_Checked):
 RADIO_PRESETS: dict[str, dict] = {
     "twc": {},
     "sfw": {
-        "power_at_1m_dbm": -30.4,
+        "power_at_1m_dbm": -29.0,
         "path_loss_exponent": 1.25,
-        "wall_loss_scale": 0.68,
-        "shadowing_std_db": 2.5,
+        "wall_loss_scale": 0.85,
+        "shadowing_std_db": 3.0,
         "shadowing_length_m": 0.5,
         "fading_std_db": 0.0,
         "noise_std_db": 3.0,
@@ -487,7 +487,7 @@ RADIO_PRESETS: dict[str, dict] = {
             "power_offset_db": -5.0,
             "path_loss_exponent": 2.07,
             "wall_loss_factor": 1.54,
-            "floor_loss_factor": 2.11,
+            "floor_loss_factor": 1.75,
         },
     },
     "radio-mall": {
