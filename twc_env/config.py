@@ -327,8 +327,9 @@ class VerificationConfig(_Checked):
 class PoseGraphConfig(_Checked):
     """Robust SE(2) optimisation."""
 
-    robust: str = _choice("dcs", "cauchy", "none", "gnc", "pcm", "ours")
-    """Which closures to believe: see `twc_env.slam.robust_backend`."""
+    robust: str = _choice("ours", "plain", "dcs", "cauchy", "gnc", "pcm")
+    """Which closures to believe: `ours` weighs groups of them by their evidence and keeps having second thoughts,
+    `plain` believes all (TWC-SLAM); see `twc_env.slam.robust_backend`."""
     robust_scale: float = _number(5.0, 0.01, 1000.0)
     period_steps: int = _number(10, 1, 10000)
     """Optimised at most this often, and only when closures arrived."""
@@ -349,6 +350,8 @@ class MergingConfig(_Checked):
     """Largest share of one map's walls that lie in the other's free space."""
     wifi_check: bool = True
     """Compare all fingerprints that the merge would bring together with what each robot's own path taught."""
+    undo: bool = True
+    """Look at merges again when more is known, and take groups apart whose merge turns out to be wrong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

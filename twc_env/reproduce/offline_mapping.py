@@ -29,7 +29,7 @@ from twc_env.slam.scan_matching import scan_points
 Array = NDArray
 
 BACKENDS = {
-    "plain": PoseGraphConfig(robust="none", iterations_max=100),
+    "plain": PoseGraphConfig(robust="plain", iterations_max=100),
     "robust": PoseGraphConfig(robust="cauchy", robust_scale=9.0, iterations_max=100),
     "pcm": PoseGraphConfig(robust="pcm", iterations_max=100),
     "ours": PoseGraphConfig(robust="ours", iterations_max=100),

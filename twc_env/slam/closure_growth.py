@@ -42,13 +42,13 @@ ROUNDS_MAX = 200
 class ClosureGrowth:
     """Which groups of closures are believed, grown from the surest outwards."""
 
-    def __init__(self, graph: Graph, poses: Array, config: PoseGraphConfig):
+    def __init__(self, graph: Graph, poses: Array, config: PoseGraphConfig, keys_max: int):
         self._graph, self._config = graph, config
         self._closures = np.flatnonzero(graph.is_closure)
         chains = Chains(graph, poses)
         self.poses = chains.dead_reckoning(poses)
         self._group = groups_of_neighbours(Pairs(graph, self.poses, chains, self._closures), chains)
-        self._map = MapPrediction(graph, chains, self._closures)
+        self._map = MapPrediction(graph, chains, self._closures, keys_max)
         count = int(self._group.max()) + 1
         first = np.searchsorted(np.sort(self._group), np.arange(count))
         by_group = np.argsort(self._group, kind="stable")

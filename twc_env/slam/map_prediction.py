@@ -33,22 +33,22 @@ LEVERAGE_MIN = 0.2
 class MapPrediction:
     """Joint covariance of the key poses (world twists) under odometry and the closures that are used."""
 
-    def __init__(self, graph: Graph, chains: Chains, closures: Array):
+    def __init__(self, graph: Graph, chains: Chains, closures: Array, keys_max: int):
         self._graph, self._chains, self._closures = graph, chains, closures
         self._i, self._j = np.ascontiguousarray(graph.edges[closures].T)
         self._noise = np.linalg.inv(graph.information[closures])
-        self._key_of, self._keys = self._choose_keys()
+        self._key_of, self._keys = self._choose_keys(keys_max)
         self._poses = np.zeros((len(chains.step), 3))
         self.scale = 1.0
         """How much larger squared errors are than the covariances say."""
 
-    def _choose_keys(self) -> tuple[Array, Array]:
+    def _choose_keys(self, keys_max: int) -> tuple[Array, Array]:
         order, step = np.array(self._chains.order), self._chains.step
         is_end = np.zeros(len(order), bool)
         is_end[self._i] = is_end[self._j] = True
         is_key = is_end[order]
-        if is_key.sum() > KEYS_MAX:
-            is_key = step[order] % -(-len(order) // KEYS_MAX) == 0
+        if is_key.sum() > keys_max:
+            is_key = step[order] % -(-len(order) // keys_max) == 0
         is_key |= step[order] == 0
         key_of = np.empty(len(order), np.int64)
         key_of[order] = np.cumsum(is_key) - 1

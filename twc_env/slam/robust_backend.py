@@ -1,6 +1,6 @@
 """Which closures to believe: the robust modes of the pose graph, and a report of every closure that was refused.
 
-Modes (`PoseGraphConfig.robust`): `none` believes all (TWC-SLAM), `dcs` and `cauchy` weigh by residual, `gnc` anneals
+Modes (`PoseGraphConfig.robust`): `plain` believes all (TWC-SLAM), `dcs` and `cauchy` weigh by residual, `gnc` anneals
 truncated least squares (Yang 2020), `pcm` keeps the largest pairwise consistent set (Mangelson 2018), `ours` grows the
 map from the surest closures outwards (`closure_growth`).
 """
@@ -8,7 +8,7 @@ map from the surest closures outwards (`closure_growth`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,16 @@ from twc_env.slam import pose_graph
 from twc_env.slam.closure_agreement import pairwise_consistent
 from twc_env.slam.closure_growth import ClosureGrowth
 from twc_env.slam.graduated_non_convexity import graduated
+from twc_env.slam.map_prediction import KEYS_MAX
 from twc_env.slam.pose_graph import Graph
 
 Array = NDArray
+
+REVOKED_ABOVE, RETURNS_BELOW = 12.5, 5.5
+"""Squared errors above which a closure is taken back, and below which it returns; far apart: none flickers."""
+ROUNDS_MAX = 3
+EPISODE_KEYS_MAX = 80
+"""Poses of which `ours` keeps the joint covariance inside an episode, where a step must not take long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +55,43 @@ class BackendResult:
 
 def optimise(poses, edges, measured, information, is_closure, config: PoseGraphConfig, fixed: int = 0) -> Array:
     """The poses of `solve`; signature and meaning of `pose_graph.optimise`, for every mode."""
-    if config.robust in ("none", "dcs", "cauchy"):
+    if config.robust in ("plain", "dcs", "cauchy"):
         return pose_graph.optimise(poses, edges, measured, information, is_closure, config, fixed)
     return solve(poses, edges, measured, information, is_closure, config, fixed).poses
+
+
+def revise(
+    poses: Array, graph: Graph, is_used: Array, config: PoseGraphConfig, fixed: int = 0, is_thorough: bool = False
+) -> BackendResult:
+    """Optimise inside an episode: warm, from the closures used so far (e,), with second thoughts about each of them.
+
+    `ours` fits what is used with dynamic covariance scaling, takes back what the fit contradicts and takes in again
+    what has come to agree with it. When `is_thorough`, all closures are also weighed from the start, which replaces the
+    running answer if it believes more of them. The other modes judge all closures anew each time.
+    """
+    if config.robust != "ours":
+        return solve(poses, *graph.parts, config, fixed)
+    result = _second_thoughts(poses, graph, is_used, config, fixed)
+    if is_thorough and not result.accepted.all():
+        afresh = solve(result.poses, *graph.parts, config, fixed, EPISODE_KEYS_MAX)
+        if afresh.accepted.sum() > result.accepted.sum():
+            return afresh
+    return result
+
+
+def _second_thoughts(poses: Array, graph: Graph, is_used: Array, config: PoseGraphConfig, fixed: int) -> BackendResult:
+    used = is_used | ~graph.is_closure
+    weighing = replace(config, robust="dcs")
+    for _ in range(ROUNDS_MAX):
+        poses = pose_graph.optimise(poses, *graph.of(used).parts, weighing, fixed)
+        squared = graph.squared_errors(poses)
+        changed = graph.is_closure & np.where(used, squared > REVOKED_ABOVE, squared < RETURNS_BELOW)
+        if not changed.any():
+            break
+        used = used ^ changed
+    reasons = {int(e): f"contradicts the map (squared error {squared[e]:.1f})" for e in np.flatnonzero(~used)}
+    group = np.full(len(used), -1)
+    return BackendResult(poses, used, _rejections(graph, poses, used, group, reasons, "ours"))
 
 
 def solve(
@@ -61,10 +102,12 @@ def solve(
     is_closure: Array,
     config: PoseGraphConfig,
     fixed: int = 0,
+    keys_max: int = KEYS_MAX,
 ) -> BackendResult:
     """Optimise in the mode `config.robust` and say which closures were believed. Deterministic.
 
-    Arguments as for `pose_graph.optimise`. `gnc`, `pcm` and `ours` take odometry as known good.
+    Arguments as for `pose_graph.optimise`. `gnc`, `pcm` and `ours` take odometry as known
+    good; `ours` looks at the joint covariance of at most `keys_max` poses.
     """
     poses = np.array(poses, float)
     graph = Graph(
@@ -78,15 +121,15 @@ def solve(
     held = poses[fixed].copy() if len(poses) else np.zeros(3)
     if len(poses) < 2 or not graph.is_closure.any():
         out, accepted = pose_graph.optimise(poses, *graph.parts, config, fixed), np.ones(len(graph.edges), bool)
-    elif config.robust in ("none", "dcs", "cauchy"):
+    elif config.robust in ("plain", "dcs", "cauchy"):
         out, accepted = _weighed(graph, poses, config, fixed)
     elif config.robust == "gnc":
         out, accepted = graduated(graph, poses)
     elif config.robust == "pcm":
         out, accepted = pairwise_consistent(graph, poses)
     else:
-        out, accepted, group, reasons = ClosureGrowth(graph, poses, config).run()
-    if len(out) and config.robust not in ("none", "dcs", "cauchy"):
+        out, accepted, group, reasons = ClosureGrowth(graph, poses, config, keys_max).run()
+    if len(out) and config.robust not in ("plain", "dcs", "cauchy"):
         out = compose(held, between(out[fixed], out))
         out[fixed] = held
     return BackendResult(out, accepted, _rejections(graph, out, accepted, group, reasons, config.robust))

@@ -14,6 +14,7 @@ from twc_env.slam import robust_backend
 from twc_env.slam.closure_search import ClosureSearch
 from twc_env.slam.group_maps import Group, GroupMaps
 from twc_env.slam.merge_judge import MergeJudge
+from twc_env.slam.merge_review import MergeReview
 from twc_env.slam.team_graph import TeamGraph
 
 Array = NDArray
@@ -23,6 +24,8 @@ URGENT_SQUARED_ERROR = 1.0
 PATIENCE_PERIODS = 8
 DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
 """A closure inside one map may disagree with the present estimate by this much."""
+REFUSED_MIN = 3
+"""From so many refused closures on, and half as many again each time, all of a map are weighed anew."""
 RETRY_STEPS = 50
 """Merges that lacked evidence are tried again this often, whether or not another closure came."""
 OVERLAP_REACH_M = 5.0
@@ -37,13 +40,16 @@ class TeamMapper:
 
     def __init__(self, config: EnvConfig, robot_count: int, home: int | None = None):
         self._config, self._on_request = config.slam, config.link.scan_on_request
-        self._graph = TeamGraph(robot_count, config.lidar.beam_count)
+        self._graph = TeamGraph(robot_count, config.lidar.beam_count, config.slam.pose_graph.robust == "ours")
         self._maps = GroupMaps(config, self._graph, home, robot_count)
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
         self._judge = MergeJudge(config.slam.merging, self._graph)
+        self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
+        self._refused_heard: dict[tuple[int, ...], int] = {}
+        """How many closures of a group were refused when all of them were last weighed anew."""
         self._dirty: dict[int, bool] = {}
         """Groups, by their first robot, with closures that came since the last optimisation; True: one is urgent."""
-        self._last_optimised_step = self._last_retried_step = 0
+        self._step = self._last_optimised_step = self._last_retried_step = 0
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], tuple[KnownSign, ...]]] = {}
 
     def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> None:
@@ -54,9 +60,12 @@ class TeamMapper:
         for keyframe in keyframes:
             self._maps.add(keyframe, self._graph.add_keyframe(keyframe))
             self._search.propose(keyframe)
+        self._step = step
         for _ in range(self._config.verification.backlog_per_step):
             if not self._verify_one():
                 break
+        if self._config.merging.undo:
+            self._undo_wrong_merge()
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
@@ -74,7 +83,7 @@ class TeamMapper:
             pass
         self._retry_merges()
         for group in range(len(self.groups)):
-            self._optimise(group)
+            self._optimise(group, is_thorough=True)
         self._dirty.clear()
 
     @property
@@ -165,11 +174,9 @@ class TeamMapper:
         travel = self._travel_between(closure.candidate)
         away = float(np.hypot(error[0], error[1]))
         if away > DRIFT_BASE_M + DRIFT_PER_M * travel or abs(error[2]) > DRIFT_RAD:
-            closure.status = "rejected"
-            closure.reason = f"{away:.1f} m and {abs(error[2]):.2f} rad from the estimate"
+            self._graph.refuse(closure, f"{away:.1f} m and {abs(error[2]):.2f} rad from the estimate")
             return
-        closure.status, closure.reason = "accepted", ""
-        self._graph.tie(closure, True)
+        self._graph.accept(closure)
         self._search.note_tie(closure)
         is_urgent = bool(error @ np.linalg.solve(closure.covariance, error) > URGENT_SQUARED_ERROR)
         self._soil(self._groups_of(closure)[0], is_urgent)
@@ -195,6 +202,8 @@ class TeamMapper:
         if proposal is None:
             return False
         pose_a_b = proposal.pose_a_b
+        if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, pose_a_b):
+            return False
         if self._config.merging.wifi_check and not self._judge.radio_agrees(robots_a, robots_b, pose_a_b):
             return False
         if self._on_request and self._maps.ask_for(self._judge.overlap(robots_a, robots_b, pose_a_b, OVERLAP_REACH_M)):
@@ -203,6 +212,7 @@ class TeamMapper:
         if self._judge.walls_disagree(*grids, pose_a_b):
             return False
         self._maps.merge(a, b, pose_a_b)
+        self._review.note(robots_a, robots_b, self._step)
         merged = self.group_index(robots_a[0])
         self._soil(merged, True)
         for closure in pending:
@@ -217,14 +227,40 @@ class TeamMapper:
             if not any(self._try_merge(a, b) for a, b in sorted(pairs)):
                 return
 
+    def _undo_wrong_merge(self) -> None:
+        """Take a group apart where its merge turned out to be wrong; its closures do not speak for a merge again."""
+        found = self._review.wrong(self._step)
+        if found is None:
+            return
+        merge, why = found
+        a, b = self._review.sides(merge)
+        rivals = self._graph.closures_between(a, b, "rejected")
+        for closure in self._graph.closures_between(a, b, "accepted"):
+            self._graph.refuse(closure, f"the merge it spoke for was undone: {why}")
+        for closure in rivals:
+            closure.status, closure.reason = "pending", "waits for closures that agree"
+        self._review.forget(merge)
+        self._maps.split(self.group_index(a[0]), (a, b))
+        self._search.untie(a + b)
+        for side in (a, b):
+            self._optimise(self.group_index(side[0]))
+        self._retry_merges()
+
     # --- optimisation ---
 
-    def _optimise(self, group: int) -> None:
+    def _optimise(self, group: int, is_thorough: bool = False) -> None:
         robots = self.groups[group].robots
-        nodes, _, graph, _ = self._graph.part(robots)
+        nodes, edges, graph, is_used = self._graph.part(robots)
         if len(nodes) < 2:
             return
         fixed = int(np.searchsorted(nodes, self._graph.node((robots[0], 0)))) if self.keyframes[robots[0]] else 0
-        poses = robust_backend.optimise(self._graph.poses[nodes], *graph.parts, self._config.pose_graph, fixed)
-        self._graph.place(nodes, poses, robots)
+        refused = int(np.count_nonzero(~is_used))
+        is_thorough |= refused >= max(REFUSED_MIN, 1.5 * self._refused_heard.get(robots, 0))
+        result = robust_backend.revise(
+            self._graph.poses[nodes], graph, is_used, self._config.pose_graph, fixed, is_thorough and refused > 0
+        )
+        if is_thorough:
+            self._refused_heard[robots] = refused
+        self._graph.mark(edges, result.accepted, {r.edge: r.reason for r in result.rejections})
+        self._graph.place(nodes, result.poses, robots)
         self._maps.redraw_if_moved(group)

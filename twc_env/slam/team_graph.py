@@ -40,9 +40,16 @@ class Growing:
 
 
 class TeamGraph:
-    """Nodes are keyframes in the order of their arrival, edges odometry and closures; everything is kept in arrays."""
+    """Nodes are keyframes in the order of their arrival, edges odometry and closures; everything is kept in arrays.
 
-    def __init__(self, robot_count: int, beam_count: int):
+    With `keeps_refused`, closures that the map contradicts are edges that are not used, so that they can return.
+    """
+
+    def __init__(self, robot_count: int, beam_count: int, keeps_refused: bool = False):
+        self._keeps_refused = keeps_refused
+        self.refusals = 0
+        """How often a well measured closure was refused."""
+        self._sound: set[int] = set()
         self.keyframes: list[list[Keyframe]] = [[] for _ in range(robot_count)]
         self.closures: list[LoopClosure] = []
         """Every closure that was ever verified, with what became of it."""
@@ -139,22 +146,52 @@ class TeamGraph:
         self._strains[robot].append(gathered[-1] + row if len(gathered) else row)
 
     def add_closure(self, closure: LoopClosure) -> None:
-        """Note a verified closure; it is no edge before `tie`."""
+        """Note a verified closure."""
         closure.number = len(self.closures)
         self.closures.append(closure)
 
-    def tie(self, closure: LoopClosure, is_used: bool) -> None:
-        """Make a noted closure an edge, or change whether its edge is used."""
+    def accept(self, closure: LoopClosure) -> None:
+        """Use a noted closure as an edge."""
+        closure.status, closure.reason = "accepted", ""
+        for robot, index in (closure.candidate.target, closure.candidate.source):
+            self._tied[robot] = max(self._tied[robot], index)
+        self._tie(closure, True)
+
+    def refuse(self, closure: LoopClosure, reason: str) -> None:
+        """A noted closure, well measured, contradicts the map: use it no more."""
+        closure.status, closure.reason = "rejected", reason
+        self._sound.add(closure.number)
+        self.refusals += 1
+        if self._keeps_refused or closure.number in self._edge_of_closure:
+            self._tie(closure, False)
+        for robot, index in (closure.candidate.target, closure.candidate.source):
+            if self._tied[robot] == index:
+                self._tied[robot] = self._last_tied(robot)
+
+    def _last_tied(self, robot: int) -> int:
+        """The robot's last keyframe with an accepted closure; 0 without any."""
+        used = [c.candidate for c in self.closures if c.status == "accepted"]
+        return max((i for c in used for r, i in (c.target, c.source) if r == robot), default=0)
+
+    def _tie(self, closure: LoopClosure, is_used: bool) -> None:
         number = closure.number
-        if is_used:
-            for robot, index in (closure.candidate.target, closure.candidate.source):
-                self._tied[robot] = max(self._tied[robot], index)
         if number in self._edge_of_closure:
             self._is_used.rows[self._edge_of_closure[number]] = is_used
             return
         self._edge_of_closure[number] = self._ends.count
         ends = self.node(closure.candidate.target), self.node(closure.candidate.source)
         self._add_edge(*ends, closure.pose_target_source, closure.covariance, number, is_used)
+
+    def closures_between(self, a: Sequence[int], b: Sequence[int], status: str) -> list[LoopClosure]:
+        """Closures of one status with one end among robots a and the other among b; none that failed verification."""
+        out = []
+        for closure in self.closures:
+            if closure.status != status or (status == "rejected" and closure.number not in self._sound):
+                continue
+            first, second = closure.candidate.target[0], closure.candidate.source[0]
+            if (first in a and second in b) or (first in b and second in a):
+                out.append(closure)
+        return out
 
     def _add_edge(self, first: int, second: int, measured: Array, covariance: Array, closure: int, used: bool) -> None:
         self._ends.append((first, second))
@@ -187,10 +224,10 @@ class TeamGraph:
         """Note which edges (e,) are used now; `reasons` by position in `edges` say why closures are not."""
         for k in np.flatnonzero(self._closure_of_edge.rows[edges] != ODOMETRY):
             closure = self.closures[self._closure_of_edge.rows[edges[k]]]
-            if is_used[k] != self._is_used.rows[edges[k]] or closure.status == "pending":
-                closure.status = "accepted" if is_used[k] else "rejected"
-                closure.reason = "" if is_used[k] else reasons[int(k)]
-        self._is_used.rows[edges] = is_used
+            if is_used[k] and not self._is_used.rows[edges[k]]:
+                self.accept(closure)
+            elif not is_used[k] and self._is_used.rows[edges[k]]:
+                self.refuse(closure, reasons[int(k)])
 
     def signs(self, robots: Sequence[int]) -> tuple[KnownSign, ...]:
         """The texts read by some robots of one group, each once per place."""

@@ -1,0 +1,146 @@
+"""Wrong merges are planted and must be undone once what the robots see speaks against them."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from twc_env import metrics
+from twc_env.config import override
+from twc_env.geometry import between, compose
+from twc_env.messages import LoopCandidate, LoopClosure
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.merge_judge import MergeJudge
+
+PLANTED_STEP = 60
+ROOM_M = (8.0, 0.0, 0.0)
+"""Robot 1 is said to be where it is, but a room further on."""
+BLIND = {"slam.merging.contradiction_max": 1.0, "slam.merging.wifi_check": False}
+
+
+def closures(team, true_poses, shift=(0.0, 0.0, 0.0), count=5) -> list[LoopClosure]:
+    """Closures of robots 0 and 1 that agree on where robot 1 is: off by `shift` in the building."""
+    first, second = (true_poses[team.keyframe_steps(robot), robot] for robot in (0, 1))
+    said = compose(np.array(shift), second)
+    made = []
+    for k in np.linspace(0, min(len(first), len(second)) - 1, count).astype(int).tolist():
+        pose = between(first[k], said[k])
+        candidate = LoopCandidate((0, k), (1, k), pose, "twc", sign_m=np.zeros(2))
+        made.append(LoopClosure(candidate, pose, np.diag([0.01, 0.01, 0.002]), 0.9, "pending"))
+    return made
+
+
+def plant(team, made) -> None:
+    """Have the mapper merge by these closures, walls and radio unheard."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MergeJudge, "walls_disagree", lambda *_: False)
+        patch.setattr(MergeJudge, "radio_agrees", lambda *_: True)
+        for closure in made:
+            team._graph.add_closure(closure)
+        assert team._try_merge(*sorted(team.group_index(robot) for robot in (0, 1)))
+
+
+def wrong_pairs(team, true_poses) -> list[tuple[int, int]]:
+    wrong = []
+    for group in team.groups:
+        counts = [len(team.keyframes[r]) for r in group.robots]
+        estimated = np.concatenate([team.poses_of(r) for r in group.robots])
+        true = np.concatenate([true_poses[team.keyframe_steps(r), r] for r in group.robots])
+        frames = metrics.implied_frames(estimated, true, np.repeat(np.arange(len(counts)), counts))
+        pairs = metrics.wrong_pairs(frames, estimated[:, :2].mean(axis=0))
+        wrong += [(group.robots[i], group.robots[j]) for i, j in pairs]
+    return wrong
+
+
+def run(recorded, shift=ROOM_M, steps=400, **settings):
+    """An engine with a planted merge, and its groups and robot 0's belief after every step."""
+    config, frames, true_poses = recorded
+    engine = CooperativeSlam(override(config, settings), 3)
+    groups, beliefs = [], []
+    for step, now in enumerate(frames[:steps]):
+        engine.update(now)
+        if step == PLANTED_STEP:
+            plant(engine.team, closures(engine.team, true_poses, shift))
+        groups.append([group.robots for group in engine.team.groups])
+        belief = engine.belief(0)
+        beliefs.append((set(belief.mates), belief.map_version))
+    return engine, groups, beliefs
+
+
+@pytest.fixture(scope="module")
+def undone(recorded):
+    return run(recorded)
+
+
+def test_a_merge_of_alike_rooms_is_undone_when_walls_speak_against_it(recorded, undone):
+    engine, groups, _ = undone
+    together = [any(0 in robots and 1 in robots for robots in now) for now in groups]
+    assert together[PLANTED_STEP] and not together[PLANTED_STEP + 60]
+    assert together.index(False, PLANTED_STEP) > PLANTED_STEP
+    assert not any(together[PLANTED_STEP + 60 :]), "torn apart once, and not put together wrongly again"
+    assert wrong_pairs(engine.team, recorded[2]) == []
+
+
+def test_beliefs_follow_when_a_merge_is_undone(undone):
+    _, groups, beliefs = undone
+    split = next(k for k in range(PLANTED_STEP, 400) if (0,) in groups[k])
+    assert beliefs[split - 1][0] == {1} and beliefs[split][0] == set()
+    assert beliefs[split][1] > beliefs[split - 1][1], "plans made before must be dropped"
+    assert [version for _, version in beliefs] == sorted(version for _, version in beliefs)
+
+
+def test_the_closures_of_an_undone_merge_say_why_they_are_refused(undone):
+    reasons = [c.reason for c in undone[0].team.closures if c.status == "rejected" and c.candidate.target[0] == 0]
+    told = [reason for reason in reasons if reason.startswith("the merge it spoke for was undone: ")]
+    assert len(told) == 5 and "of the walls of one stand in the free space of the other" in told[0]
+
+
+def test_undoing_is_the_same_every_time(recorded, undone):
+    digests = [
+        hashlib.sha256(b"".join(e.team.poses_of(r).tobytes() for r in range(3))).hexdigest()
+        for e in (undone[0], run(recorded)[0])
+    ]
+    assert digests[0] == digests[1]
+
+
+def test_without_second_thoughts_the_wrong_merge_stays(recorded):
+    engine, groups, _ = run(recorded, **{"slam.merging.undo": False})
+    assert any(0 in robots and 1 in robots for robots in groups[-1])
+    assert wrong_pairs(engine.team, recorded[2]) != []
+
+
+def test_more_closures_on_another_place_outvote_a_standing_merge(recorded):
+    engine, _, _ = run(recorded, steps=PLANTED_STEP + 1, **BLIND)
+    team, true_poses = engine.team, recorded[2]
+    for count, is_merged in ((4, False), (7, True)):
+        for closure in closures(team, true_poses, count=count):
+            team._graph.add_closure(closure)
+            team._judge_inside_map(closure)
+        for step in range(PLANTED_STEP + 1, PLANTED_STEP + 4):
+            team.update(step, [])
+        if not is_merged:
+            assert wrong_pairs(team, true_poses) == [(0, 1)], "four against five are not enough"
+    assert team.group_index(0) == team.group_index(1), "and those who outvoted it merge at once"
+    assert wrong_pairs(team, true_poses) == []
+
+
+def test_the_same_wrong_merge_needs_twice_as_many_closures_the_next_time(undone):
+    team = undone[0].team
+    review = team._review
+    i, j, before = review._undone[0]
+    graph = team._graph
+    again = compose(compose(graph.pose_map_odom(i), before), between(graph.pose_map_odom(j), np.zeros(3)))
+    assert review.closures_needed((i,), (j,), again) == 6
+    assert review.closures_needed((i,), (j,), compose(again, [5.0, 0.0, 0.0])) == 3
+    assert review.closures_needed((i,), (2,), again) == 3
+
+
+def test_right_merges_stand(recorded):
+    config, frames, true_poses = recorded
+    engine = CooperativeSlam(config, 3)
+    for step in frames:
+        engine.update(step)
+    engine.finish()
+    assert max(len(group.robots) for group in engine.team.groups) >= 2
+    assert engine.team._review._undone == []
+    assert wrong_pairs(engine.team, true_poses) == []

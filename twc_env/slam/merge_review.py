@@ -1,0 +1,139 @@
+"""Second thoughts about merges: what has come to light since two groups were put into one map.
+
+A merge is looked at again after some time, then after twice that time and so on, and whenever closures that contradict
+it have become more. It is wrong when nothing holds it together any more, when more closures agree on another place than
+speak for this one, or agree on one that radio and walls confirm while radio does not confirm this one, or when walls or
+radio, now that more has been seen, speak against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import MergingConfig
+from twc_env.geometry import between, compose, inverse
+from twc_env.messages import GridMap
+from twc_env.slam.group_maps import GroupMaps
+from twc_env.slam.map_merging import MergeProposal, wall_contradiction
+from twc_env.slam.merge_judge import MergeJudge
+from twc_env.slam.team_graph import TeamGraph
+
+Array = NDArray
+
+FIRST_STEPS = 50
+"""A merge is looked at again after so many steps, then after twice as many, and so on."""
+WALLS_SLACK = 2.0
+"""A standing merge may contradict walls by so much more than a new one."""
+SAME_PLACE_M = 2.0
+"""A merge that puts a robot this near where an undone one had put it is nearly the same."""
+IN_PLACE = np.zeros(3)
+
+
+@dataclass(slots=True)
+class Merge:
+    """Two groups that became one."""
+
+    a: tuple[int, ...]
+    b: tuple[int, ...]
+    due_step: int
+    interval_steps: int = FIRST_STEPS
+    refusals_seen: int = 0
+    """Closures that had been refused at the last look."""
+
+
+class MergeReview:
+    """Remembers the merges of one mapper and says which of them are wrong, and why."""
+
+    def __init__(self, config: MergingConfig, graph: TeamGraph, maps: GroupMaps, judge: MergeJudge):
+        self._rule, self._graph, self._maps, self._judge = config, graph, maps, judge
+        self.merges: list[Merge] = []
+        self._undone: list[tuple[int, int, Array]] = []
+        """Two robots that were torn apart, and where the odom frame of the second had been put in that of the first."""
+
+    def note(self, a: tuple[int, ...], b: tuple[int, ...], step: int) -> None:
+        """Two groups became one."""
+        self.merges.append(Merge(a, b, step + FIRST_STEPS))
+
+    def closures_needed(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> int:
+        """Agreeing closures that a merge needs: twice as many for every time that nearly the same one was undone."""
+        again = 0
+        for i, j, before in self._undone:
+            if (i in a and j in b) or (i in b and j in a):
+                forth = pose_a_b if i in a else inverse(pose_a_b)
+                now = between(self._graph.pose_map_odom(i), compose(forth, self._graph.pose_map_odom(j)))
+                again += bool(np.hypot(*(now - before)[:2]) < SAME_PLACE_M)
+        return self._rule.closures_min * 2**again
+
+    def wrong(self, step: int) -> tuple[Merge, str] | None:
+        """The first merge that turns out to be wrong, and why; None while all stand."""
+        for merge in self.merges:
+            why = self._objection(merge, step)
+            if why:
+                return merge, why
+        return None
+
+    def forget(self, merge: Merge) -> None:
+        """A merge is undone: remember what it said; later ones stand on their own feet."""
+        self.merges.remove(merge)
+        i, j = merge.a[0], merge.b[0]
+        self._undone.append((i, j, between(self._graph.pose_map_odom(i), self._graph.pose_map_odom(j))))
+
+    def sides(self, merge: Merge) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """All robots of the merged group on the two sides of a merge; who came later stands where most ties lead."""
+        group = self._maps.groups[self._maps.group_of[merge.a[0]]].robots
+        a, b = list(merge.a), list(merge.b)
+        rest = [r for r in group if r not in a and r not in b]
+        while rest:
+            ties = [(self._ties(r, a), self._ties(r, b)) for r in rest]
+            first = int(np.argmax([max(pair) for pair in ties]))
+            (a if ties[first][0] >= ties[first][1] else b).append(rest.pop(first))
+        return tuple(sorted(a)), tuple(sorted(b))
+
+    def _ties(self, robot: int, others: Sequence[int]) -> int:
+        return len(self._graph.closures_between((robot,), others, "accepted"))
+
+    def _objection(self, merge: Merge, step: int) -> str:
+        is_due = step >= merge.due_step
+        if not is_due and self._graph.refusals == merge.refusals_seen:
+            return ""
+        is_news = self._graph.refusals != merge.refusals_seen
+        merge.refusals_seen = self._graph.refusals
+        if is_due:
+            merge.interval_steps *= 2
+            merge.due_step = step + merge.interval_steps
+        a, b = self.sides(merge)
+        supporters = self._graph.closures_between(a, b, "accepted")
+        if not supporters:
+            return "no closure is left that speaks for it"
+        rival = self._judge.proposal(self._graph.closures_between(a, b, "rejected"), a) if is_news else None
+        if rival is not None and self._is_better(rival, a, b, len(supporters)):
+            return f"{rival.support.sum()} closures agree on another place, {len(supporters)} on this one"
+        return self._speaks_against(a, b, rival is not None) if is_due or rival is not None else ""
+
+    def _is_better(self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: int) -> bool:
+        """Whether another place has more closures for it, or radio and walls where this one has no radio."""
+        if rival.support.sum() > supporters:
+            return True
+        if not self._rule.wifi_check or self._judge.radio_agrees(a, b, IN_PLACE):
+            return False
+        grids = self._grids(a, b)
+        return bool(self._judge.radio_agrees(a, b, rival.pose_a_b)) and not self._judge.walls_disagree(
+            *grids, rival.pose_a_b
+        )
+
+    def _speaks_against(self, a: Sequence[int], b: Sequence[int], has_rival: bool) -> str:
+        """What walls and radio say; a rival place makes their case easier."""
+        share = wall_contradiction(*self._grids(a, b), IN_PLACE)
+        if share > self._rule.contradiction_max * (1.0 if has_rival else WALLS_SLACK):
+            return f"{share:.0%} of the walls of one stand in the free space of the other"
+        if self._rule.wifi_check and self._judge.radio_agrees(a, b, IN_PLACE) is False:
+            return "places that it brings together sound different"
+        return ""
+
+    def _grids(self, a: Sequence[int], b: Sequence[int]) -> tuple[GridMap, GridMap]:
+        group = self._maps.group_of[a[0]]
+        return self._maps.known_grid(a, group), self._maps.known_grid(b, group)
