@@ -191,15 +191,14 @@ def test_a_lossy_link_costs_bytes_and_delays_but_breaks_nothing(explore, result)
 
 
 @pytest.mark.parametrize(
-    ("settings", "is_merged", "is_wrong"),
+    ("settings", "is_wrong"),
     [
-        ({"slam.pose_graph.robust": "dcs", "slam.merging.undo": False}, True, True),
-        ({"slam.pose_graph.robust": "dcs"}, False, False),
-        ({}, True, False),
+        ({"slam.pose_graph.robust": "dcs", "slam.merging.undo": False}, True),
+        ({}, False),
     ],
-    ids=["stays", "is undone", "is put right"],
+    ids=["stays", "is put right"],
 )
-def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore, settings, is_merged, is_wrong):
+def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore, settings, is_wrong):
     from twc_env.slam import map_merging
 
     def agree(targets, *_):
@@ -210,5 +209,5 @@ def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore, settings
     monkeypatch.setattr(map_merging, "wifi_agrees", lambda *_: True)
     figures = explore(STEPS, max_cycles=STEPS, config=settings).env.result().figures
     assert figures["wrong_merges"] >= 1
-    assert (figures["merged_robots"] >= 2) == is_merged
+    assert figures["merged_robots"] >= 2
     assert (figures["team_ate_m"] > 1.0) == is_wrong
