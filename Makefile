@@ -4,10 +4,10 @@ PY := .venv/bin/python
 INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PINS := pyproject.toml constraints.txt
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check clean
+.PHONY: help setup demo test test-bounds check clean
 
 help: ## list the commands
-	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/^([a-z]+):.*## /  make \1 \t/' | expand -t 16
+	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 16
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "twc_env needs Python 3.11 or newer; name one: make PYTHON=python3.11 ..."; exit 1; }
@@ -40,6 +40,9 @@ check: .venv/installed-dev ## format, lint, types, import arrows
 test: .venv/installed-test ## all tests, training included (installs torch)
 	$(PY) -m pytest -q
 
+test-bounds: .venv/installed-test ## the engine's tests with numba's bounds checks (own kernel cache; slow)
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PY) -m pytest -q tests/slam tests/exploration
+
 clean: ## delete caches and runs, keep .venv
-	rm -rf runs build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf runs build dist .numba_bounds .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +

@@ -46,7 +46,9 @@ class Exchange:
         mappers = 1 if self._is_central else robot_count
         self._paths: list[list[Keyframe]] = [[] for _ in range(robot_count)]
         self._made = 0
-        """Keyframes of all robots."""
+        """Keyframes of all robots ..."""
+        self._heard = 0
+        """... and those that mappers hold, summed over the mappers."""
         self._held = np.zeros((mappers, robot_count), np.int64)
         """How many keyframes of each robot a mapper holds."""
         self._scans: list[set[tuple[int, int]]] = [set() for _ in range(mappers)]
@@ -67,7 +69,7 @@ class Exchange:
         A keyframe travels one hop per step. Where several can tell a listener the same, the first one does.
         """
         deliveries = [Delivery() for _ in self._held]
-        if self._is_central and not wanted[0] and self._made == int(self._held.sum()):
+        if self._is_central and not wanted[0] and self._made == self._heard:
             return deliveries
         if not self._is_central:
             for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
@@ -102,6 +104,7 @@ class Exchange:
         if end > first:
             delivery.keyframes += self._paths[robot][first:end]
             self._held[listener, robot] = end
+            self._heard += end - first
 
     def _tell_scans(self, delivery: Delivery, listener: int, sender: int, wanted, is_heard: bool) -> None:
         for key in wanted:

@@ -124,7 +124,7 @@ def _process_values(config: OdometryFilterConfig) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def _motion_covariance(variance, heading, matched, covariance_min, out):
+def _motion_covariance(variance, heading, matched, std_min, out):
     """Covariance of a motion from odometry's variances (3,), sharpened by the information (3, 3) of its last match.
 
     `matched` is in the odom frame, the motion in the frame of a keyframe with that heading.
@@ -142,17 +142,19 @@ def _motion_covariance(variance, heading, matched, covariance_min, out):
         information[j, j] += 1.0 / max(variance[j], 1e-9)
     _invert3(information, out)
     for j in range(3):
-        out[j, j] += covariance_min[j]
+        out[j, j] += std_min[j] ** 2
 
 
-def motion_covariance(variance: Array, heading_rad: float, matched: Array, std_min: Array) -> Array:
+def motion_covariance(
+    variance: tuple[float, float, float], heading_rad: float, matched: Array, std_min: tuple[float, float, float]
+) -> Array:
     """(3, 3) covariance of the motion since a keyframe, in that keyframe's frame.
 
     variance (3,): odometry's, gathered on the way; matched (3, 3): information of the pose now, in the odom frame
     (zeros when nothing was matched); std_min (3,): nothing is known better than this.
     """
     out = np.empty((3, 3))
-    _motion_covariance(variance, heading_rad, matched, np.square(std_min), out)
+    _motion_covariance(variance, heading_rad, matched, std_min, out)
     return out
 
 

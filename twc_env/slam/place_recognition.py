@@ -403,7 +403,8 @@ class ProposalFilter:
             target, source = source, target
         tried = self._tried.setdefault((target.robot, source.robot), [])
         a, b = target.travel_m, source.travel_m
-        if any(abs(a - x) < reach_m and abs(b - y) < reach_m for x, y in tried):
-            return False
+        for x, y in tried:
+            if abs(a - x) < reach_m and abs(b - y) < reach_m:
+                return False
         tried.append((a, b))
         return True

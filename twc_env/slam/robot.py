@@ -23,7 +23,7 @@ from twc_env.slam.scan_matching import LineField, LineFields, Matches
 
 Array = NDArray
 
-MOTION_STD_MIN = np.array([0.01, 0.01, 0.003])
+MOTION_STD_MIN = (0.01, 0.01, 0.003)
 """Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""
 REDRAW_SPACING_M = 0.9
 """When the local map moves on, of the older keyframes every one this far along the path is drawn again."""
@@ -195,11 +195,11 @@ class RobotFrontEnd:
         self._readings = []
         return signs
 
-    def _motion_variance(self, steps: int, length_m: float) -> Array:
-        """(3,) odometry's variances since the last keyframe [m2, m2, rad2]."""
+    def _motion_variance(self, steps: int, length_m: float) -> tuple[float, float, float]:
+        """Odometry's variances since the last keyframe [m2, m2, rad2]."""
         noise = self._config.odometry_filter
         moved = steps * noise.position_std_m**2 + length_m * noise.position_std_per_m**2
-        return np.array([moved, moved, steps * noise.turn_std_rad**2])
+        return moved, moved, steps * noise.turn_std_rad**2
 
     def _extend_local_map(self, keyframe: Keyframe) -> None:
         position = keyframe.pose_odom[:2]

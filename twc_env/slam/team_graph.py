@@ -56,6 +56,8 @@ class TeamGraph:
         self._poses, self._scans = Growing(3), Growing(beam_count)
         self._robot_of_node = Growing(dtype=np.int64)
         self._nodes: list[list[int]] = [[] for _ in range(robot_count)]
+        self._node_rows = [Growing(dtype=np.int64) for _ in range(robot_count)]
+        """The same once more, to index with."""
         self._steps = [Growing(dtype=np.int64) for _ in range(robot_count)]
         self._travels = [Growing() for _ in range(robot_count)]
         self._ends, self._measured, self._information = Growing(2, dtype=np.int64), Growing(3), Growing(3, 3)
@@ -81,7 +83,7 @@ class TeamGraph:
 
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) of one robot."""
-        return self._poses.rows[self._nodes[robot]]
+        return self._poses.rows[self._node_rows[robot].rows]
 
     def steps_of(self, robot: int) -> Array:
         """(keyframes,) the step at which each was taken."""
@@ -131,6 +133,7 @@ class TeamGraph:
         if nodes:
             self._add_edge(nodes[-1], node, keyframe.motion, keyframe.motion_covariance, ODOMETRY, True)
         nodes.append(node)
+        self._node_rows[robot].append(node)
         self._map_odom[robot] = None
         self.keyframes[robot].append(keyframe)
         self._steps[robot].append(keyframe.step)
@@ -141,8 +144,8 @@ class TeamGraph:
 
     def _add_strain(self, robot: int, motion_covariance: Array) -> None:
         gathered = self._strains[robot].rows
-        x, y, heading = np.diag(motion_covariance).tolist()
-        row = np.array([0.5 * (x + y), 0.5 * (x + y), heading])
+        across = 0.5 * (motion_covariance[0, 0] + motion_covariance[1, 1])
+        row = np.array([across, across, motion_covariance[2, 2]])
         self._strains[robot].append(gathered[-1] + row if len(gathered) else row)
 
     def add_closure(self, closure: LoopClosure) -> None:
