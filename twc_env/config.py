@@ -51,6 +51,16 @@ class _Checked:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BuildingConfig(_Checked):
+    """What is left of the map's signs and access points: dials for how hard places are to recognise."""
+
+    sign_share: float = _number(1.0, 0.0, 1.0)
+    sign_duplication: float = _number(0.0, 0.0, 1.0)
+    """Share of the signs whose text is taken from a few others."""
+    access_point_share: float = _number(1.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DynamicsConfig(_Checked):
     """How commands move a robot: a disc on differential wheels."""
 
@@ -442,6 +452,7 @@ class EnvConfig(_Checked):
     HouseExpo JSON, ROS map_server yaml, png, pgm or GeoJSON."""
     robots: int = _number(3, 1, 64)
     max_cycles: int = _number(2000, 1, 10_000_000)
+    building: BuildingConfig = field(default_factory=BuildingConfig)
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     lidar: LidarConfig = field(default_factory=LidarConfig)

@@ -29,6 +29,7 @@ from twc_env.world.failures import Failures
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.generate import split_names
 from twc_env.world.link import Link
+from twc_env.world.thinning import thinned
 from twc_env.world.world import World
 
 Array = NDArray
@@ -288,14 +289,15 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             names = split_names(options["split"])
             name = names[int(random_stream(seed, "building").integers(len(names)))]
         plan = self._own_floorplan if name is None else load_map(name)
-        if plan is not self.floorplan:
+        if plan is not self._plan:
             config = self.config if name is None else override(self.config, {"map": name})
             self._world_of(config, plan)
         return options.get("starts", "random")
 
     def _world_of(self, config: EnvConfig, floorplan: Floorplan) -> None:
-        self._episode_config, self.floorplan = config, floorplan
-        self._world, self._cells = World(config, floorplan), floorplan.cells()
+        self._episode_config, self._plan = config, floorplan
+        self.floorplan = thinned(floorplan, config.building)
+        self._world, self._cells = World(config, self.floorplan), self.floorplan.cells()
 
     def _tick(self, commands: Array) -> list[dict[str, float]]:
         """One time step: the reward terms of each robot."""

@@ -7,6 +7,9 @@ import pickle
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from twc_env._version import __version__
 from twc_env.config import digest
 from twc_env.errors import ConfigError
@@ -16,9 +19,11 @@ if TYPE_CHECKING:
     from twc_env.exploration.environment import ExplorationEnv
     from twc_env.slam.modes import Engine
 
+Array = NDArray
+
 _STATE = (
-    "_episode_config", "_world", "_engine", "_link", "_builders", "_pilot", "_scout", "_record", "_standing", "_steps",
-    "_seed", "_frames", "_beliefs", "agents",
+    "_episode_config", "_plan", "_world", "_engine", "_link", "_builders", "_pilot", "_scout", "_record", "_standing",
+    "_steps", "_seed", "_frames", "_beliefs", "agents",
 )  # fmt: skip
 """What of an environment changes during an episode."""
 _PLAN = "floorplan"
@@ -35,7 +40,7 @@ class Snapshot:
 
 
 class _Pickler(pickle.Pickler):
-    """Leaves the building out: it never changes."""
+    """Leaves the building out, which never changes, and keeps arrays that share memory sharing it."""
 
     def __init__(self, file: io.BytesIO, floorplan: Floorplan):
         super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
@@ -43,6 +48,24 @@ class _Pickler(pickle.Pickler):
 
     def persistent_id(self, value: Any) -> str | None:
         return _PLAN if value is self._floorplan else None
+
+    def reducer_override(self, value: Any) -> Any:
+        if type(value) is not np.ndarray or not isinstance(value.base, np.ndarray):
+            return NotImplemented
+        whole = value.base
+        while isinstance(whole.base, np.ndarray):
+            whole = whole.base
+        if whole.base is not None or not (whole.flags.c_contiguous or whole.flags.f_contiguous):
+            return NotImplemented
+        offset = value.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
+        return _part_of, (whole, value.dtype, value.shape, value.strides, offset, value.flags.writeable)
+
+
+def _part_of(whole: Array, dtype: np.dtype, shape: tuple, strides: tuple, offset: int, is_writeable: bool) -> Array:
+    """The view of an array that another array was."""
+    part: Array = np.ndarray(shape, dtype, whole.reshape(-1, order="A").view(np.uint8), offset, strides)
+    part.flags.writeable = is_writeable and whole.flags.writeable
+    return part
 
 
 class _Unpickler(pickle.Unpickler):

@@ -55,8 +55,7 @@ class Dynamics:
         # x, y, heading, velocity x, y and turn rate of each body, as pymunk lists them; the last carries the walls.
         self._state = np.zeros((self._count + 1, 6))
         self._state[:-1, :3] = starts
-        self._outgoing, self._incoming = batch.Buffer(), batch.Buffer()
-        self._outgoing.set_float_buf(self._state)
+        self._make_buffers()
         self._gaps = np.empty(self._count)
         """(n,) from each robot's middle to the nearest wall, cut where no step reaches."""
         self.poses = np.empty((self._count, 3))
@@ -64,6 +63,17 @@ class Dynamics:
         self.contacts = np.empty(self._count, np.bool_)
         """(n,) whether the robot touches a wall or a robot at the end of the step; a new array with every step."""
         self._look_around()
+
+    def _make_buffers(self) -> None:
+        self._outgoing, self._incoming = batch.Buffer(), batch.Buffer()
+        self._outgoing.set_float_buf(self._state)
+
+    def __getstate__(self) -> dict:
+        return {key: value for key, value in self.__dict__.items() if key not in ("_outgoing", "_incoming")}
+
+    def __setstate__(self, state: dict) -> None:
+        self.__dict__.update(state)
+        self._make_buffers()
 
     def step(self, commands: Array) -> None:
         """Advance one time step; commands (n, 2) are forward speed [m/s] and turn rate [rad/s], cut to the limits."""

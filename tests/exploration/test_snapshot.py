@@ -1,0 +1,118 @@
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env.errors import ConfigError, TwcError
+
+KINDS = ["velocity", "waypoint", "frontier"]
+
+
+def settings(kind: str) -> dict:
+    return {"lidar.beam_count": 90, "action.kind": kind, "action.decision_max_s": 3.0, "radio.scan_period_s": 0.3}
+
+
+def actions_of(env, observations, rng) -> dict:
+    if env.config.action.kind == "frontier":
+        return {a: int(rng.choice(np.flatnonzero(o["action_mask"]))) for a, o in observations.items()}
+    return {agent: rng.uniform(-1, 1, 2).astype(np.float32) for agent in observations}
+
+
+def go_on(env, observations, steps: int) -> list:
+    rng = np.random.default_rng(4)
+    seen = []
+    for _ in range(steps):
+        observations, rewards, *_, infos = env.step(actions_of(env, observations, rng))
+        seen.append((observations, rewards, {a: i["reward_terms"] for a, i in infos.items()}))
+    return seen
+
+
+def equal(a, b, same) -> bool:
+    return all(
+        all(same(x[0][agent], y[0][agent]) for agent in x[0]) and x[1:] == y[1:] for x, y in zip(a, b, strict=True)
+    )
+
+
+def started(kind: str, steps: int):
+    env = twc_env.parallel_env(map="twin-02", max_cycles=4000, config=settings(kind))
+    observations, _ = env.reset(seed=2, options={"starts": "map"})
+    seen = go_on(env, observations, steps)
+    return env, seen[-1][0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "before", "after"), [("velocity", 220, 120), ("waypoint", 12, 5), ("frontier", 12, 5)]
+)
+def test_an_episode_goes_on_from_a_snapshot_to_the_byte(kind, before, after, same):
+    env, observations = started(kind, before)
+    moment = env.snapshot()
+    first = go_on(env, observations, after)
+    figures = env.result().figures
+    env.restore(moment)
+    assert equal(go_on(env, observations, after), first, same)
+    assert env.result().figures == figures
+    assert kind == "velocity" or len(env.engine.team.closures) > 0, "the pose graph was no part of it"
+    other = twc_env.parallel_env(map="twin-02", max_cycles=4000, config=settings(kind))
+    other.restore(pickle.loads(pickle.dumps(moment)))
+    assert equal(go_on(other, observations, after), first, same)
+
+
+def test_robots_that_push_against_walls_and_mates_go_on_to_the_byte(same):
+    env = twc_env.parallel_env(map="sfw-e1", robots=3, config=settings("velocity"))
+    env.reset(seed=1)
+    ahead = dict.fromkeys(env.agents, np.array([1.0, 0.05], np.float32))
+    for _ in range(60):
+        env.step(ahead)
+    moment, first, second = env.snapshot(), [], []
+    for seen in (first, second):
+        env.restore(moment)
+        for _ in range(40):
+            env.step(ahead)
+            seen.append(env.state().tolist())
+    assert env.record.contact_count > 0
+    assert first == second
+
+
+def test_what_happens_after_a_snapshot_does_not_change_it(same):
+    env, observations = started("velocity", 40)
+    moment = env.snapshot()
+    first = go_on(env, observations, 10)
+    env.reset(seed=9)
+    env.restore(moment)
+    assert equal(go_on(env, observations, 10), first, same)
+
+
+def test_another_process_goes_on_from_a_snapshot_to_the_byte(tmp_path, same):
+    env, observations = started("velocity", 60)
+    (tmp_path / "moment").write_bytes(pickle.dumps((env.snapshot(), observations)))
+    code = (
+        "import pickle, sys; sys.path.insert(0, sys.argv[2])\n"
+        "from test_snapshot import go_on, settings\n"
+        "import twc_env\n"
+        "moment, observations = pickle.load(open(sys.argv[1] + '/moment', 'rb'))\n"
+        "env = twc_env.parallel_env(map='twin-02', max_cycles=4000, config=settings('velocity'))\n"
+        "env.restore(moment)\n"
+        "pickle.dump(go_on(env, observations, 30), open(sys.argv[1] + '/seen', 'wb'))\n"
+    )
+    here = str(__import__("pathlib").Path(__file__).parent)
+    subprocess.run([sys.executable, "-c", code, str(tmp_path), here], check=True)
+    assert equal(pickle.loads((tmp_path / "seen").read_bytes()), go_on(env, observations, 30), same)
+
+
+def test_a_snapshot_of_another_configuration_or_version_is_refused(monkeypatch):
+    env, _ = started("velocity", 3)
+    moment = env.snapshot()
+    other = twc_env.parallel_env(map="twin-02", config={**settings("velocity"), "lidar.beam_count": 60})
+    with pytest.raises(ConfigError, match="configuration"):
+        other.restore(moment)
+    monkeypatch.setattr("twc_env.exploration.snapshot.__version__", "0.0.0")
+    with pytest.raises(ConfigError, match=r"version .* this environment has 0\.0\.0"):
+        env.restore(moment)
+
+
+def test_there_is_nothing_to_save_before_an_episode():
+    with pytest.raises(TwcError, match="reset"):
+        twc_env.parallel_env().snapshot()

@@ -1,0 +1,50 @@
+"""Make a building harder to recognise: fewer signs, more signs with one text, fewer access points."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from twc_env.config import BuildingConfig
+from twc_env.random_streams import random_stream
+from twc_env.world.floorplan import AccessPoint, Floorplan, Sign
+
+
+def thinned(plan: Floorplan, config: BuildingConfig) -> Floorplan:
+    """The plan with the shares of signs and access points that `config` leaves; the plan itself where it leaves all.
+
+    Which ones go, and which texts are repeated, depends on the plan alone, so the building stays one building over all
+    episodes.
+    """
+    if config == BuildingConfig():
+        return plan
+    home = plan.home
+    seed = int(home.digest, 16)
+    changed = dataclasses.replace(
+        home, signs=_signs(home, config, seed), access_points=_access_points(home, config, seed)
+    )
+    return changed.moved(plan.pose_building_home) if plan.pose_building_home.any() else changed
+
+
+def _signs(plan: Floorplan, config: BuildingConfig, seed: int) -> tuple[Sign, ...]:
+    random = random_stream(seed, "thinning-signs")
+    order, luck = random.permutation(len(plan.signs)), random.random(len(plan.signs))
+    kept = sorted(order[: round(config.sign_share * len(plan.signs))].tolist())
+    signs = [plan.signs[k] for k in kept]
+    repeated = np.flatnonzero(luck[kept] < config.sign_duplication)
+    if len(repeated) > 1:  # a few texts stand for all of them
+        texts = [signs[k].text for k in repeated[: max(1, len(repeated) // DUPLICATES)]]
+        for count, k in enumerate(repeated.tolist()):
+            signs[k] = dataclasses.replace(signs[k], text=texts[count % len(texts)])
+    return tuple(signs)
+
+
+DUPLICATES = 4
+"""About so many signs carry each repeated text."""
+
+
+def _access_points(plan: Floorplan, config: BuildingConfig, seed: int) -> tuple[AccessPoint, ...]:
+    order = random_stream(seed, "thinning-access-points").permutation(len(plan.access_points))
+    kept = sorted(order[: round(config.access_point_share * len(plan.access_points))].tolist())
+    return tuple(plan.access_points[k] for k in kept)
