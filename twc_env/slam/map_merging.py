@@ -7,15 +7,16 @@ that are as alike as the robots' own paths say fingerprints of one place are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from twc_env.config import MergingConfig
-from twc_env.geometry import between, compose, inverse, transform_points
+from twc_env.geometry import between, compose, inverse
 from twc_env.messages import Fingerprint, GridMap
 
 Array = NDArray
@@ -24,6 +25,10 @@ DRIFT_PER_M = 0.02
 """Closures this far apart may disagree by this much more, per metre."""
 WALL_LOG_ODDS, FREE_LOG_ODDS = 20, -12
 """Cells counted as certain when two maps are compared."""
+KNOWN_MIN = 20
+"""Walls about which the other map must be certain."""
+NEAR_CELLS = 3
+"""A wall so near to a wall of the other map does not stand in its free space."""
 SAME_PLACE_M = 1.2
 """Fingerprints this near each other after a merge should be alike ..."""
 REFERENCE_M = (1.5, 3.5)
@@ -81,18 +86,42 @@ def wall_contradiction(grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> flo
 
 
 def _walls_in_free_space(grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> float:
-    walls = grid_b.centre_of(np.argwhere(grid_b.log_odds >= WALL_LOG_ODDS))
-    if len(walls) == 0:
-        return 0.0
-    cells = grid_a.cell_of(transform_points(pose_a_b, walls))
-    inside = np.all((cells >= 0) & (cells < grid_a.log_odds.shape), axis=1)
-    row, column = cells[inside].T
-    near_wall = binary_dilation(grid_a.log_odds > 0, iterations=3)
-    level = grid_a.log_odds[row, column]
-    known = np.abs(level) >= -FREE_LOG_ODDS
-    if known.sum() < 20:
-        return 0.0
-    return float(((level <= FREE_LOG_ODDS) & ~near_wall[row, column]).sum() / known.sum())
+    standing, known = _count_standing(
+        grid_b.log_odds, np.asarray(grid_b.origin_m, float), grid_b.resolution_m, grid_a.log_odds,
+        np.asarray(grid_a.origin_m, float), grid_a.resolution_m, np.asarray(pose_a_b, float),
+    )  # fmt: skip
+    return standing / known if known >= KNOWN_MIN else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _is_near_wall(log_odds, row, column):
+    """Whether a wall lies at most NEAR_CELLS steps up, down, left or right."""
+    for r in range(max(row - NEAR_CELLS, 0), min(row + NEAR_CELLS + 1, log_odds.shape[0])):
+        reach = NEAR_CELLS - abs(r - row)
+        for c in range(max(column - reach, 0), min(column + reach + 1, log_odds.shape[1])):
+            if log_odds[r, c] > 0:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _count_standing(walls, walls_origin, walls_cell, free, free_origin, free_cell, pose):
+    """Certain walls of one grid that stand in certain free space of the other, and all that it is certain about."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    standing = known = 0
+    for i in range(walls.shape[0]):
+        for j in range(walls.shape[1]):
+            if walls[i, j] < WALL_LOG_ODDS:
+                continue
+            x, y = walls_origin[0] + (j + 0.5) * walls_cell, walls_origin[1] + (i + 0.5) * walls_cell
+            column = int(math.floor((pose[0] + c * x - s * y - free_origin[0]) / free_cell))
+            row = int(math.floor((pose[1] + s * x + c * y - free_origin[1]) / free_cell))
+            if row < 0 or column < 0 or row >= free.shape[0] or column >= free.shape[1]:
+                continue
+            level = free[row, column]
+            known += abs(level) >= -FREE_LOG_ODDS
+            standing += level <= FREE_LOG_ODDS and not _is_near_wall(free, row, column)
+    return standing, known
 
 
 def fingerprint_matrix(fingerprints: Sequence[Fingerprint]) -> Array:
@@ -104,14 +133,46 @@ def fingerprint_matrix(fingerprints: Sequence[Fingerprint]) -> Array:
     return levels
 
 
-def fingerprint_distances_db(levels: Array, first: Array, second: Array) -> Array:
-    """(pairs,) rms difference over shared transmitters after removing its mean (the two receivers' offset)."""
-    difference = levels[first] - levels[second]
-    count = np.isfinite(difference).sum(axis=1)
-    usable = count >= 3
-    difference = difference[usable]
-    difference = difference - np.nanmean(difference, axis=1, keepdims=True)
-    return np.sqrt(np.nanmean(difference**2, axis=1))
+@njit(cache=True, error_model="numpy")
+def _fingerprint_distance_db(a, b):
+    """Rms difference over shared transmitters after removing its mean (the two receivers' offset); NaN below three."""
+    count, total = 0, 0.0
+    for t in range(a.shape[0]):
+        if not math.isnan(a[t]) and not math.isnan(b[t]):
+            count += 1
+            total += a[t] - b[t]
+    if count < 3:
+        return math.nan
+    mean, squares = total / count, 0.0
+    for t in range(a.shape[0]):
+        if not math.isnan(a[t]) and not math.isnan(b[t]):
+            squares += (a[t] - b[t] - mean) ** 2
+    return math.sqrt(squares / count)
+
+
+@njit(cache=True, error_model="numpy")
+def _compare_places(levels, positions, robots, travels, is_b, together, reference):
+    """Write the distances of places brought together and of the yardstick's pairs; gives how many each are."""
+    found = learned = 0
+    for i in range(positions.shape[0]):
+        for j in range(i, positions.shape[0]):
+            dx, dy = positions[i, 0] - positions[j, 0], positions[i, 1] - positions[j, 1]
+            apart = math.sqrt(dx * dx + dy * dy)
+            is_together = apart < SAME_PLACE_M and is_b[i] != is_b[j]
+            is_own = robots[i] == robots[j] and abs(travels[i] - travels[j]) < 2 * REFERENCE_M[1]
+            is_yardstick = is_own and REFERENCE_M[0] <= apart <= REFERENCE_M[1]
+            if not is_together and not is_yardstick:
+                continue
+            distance = _fingerprint_distance_db(levels[i], levels[j])
+            if math.isnan(distance):
+                continue
+            if is_together:
+                together[found] = distance
+                found += 1
+            if is_yardstick:
+                reference[learned] = distance
+                learned += 1
+    return found, learned
 
 
 def wifi_agrees(
@@ -124,12 +185,12 @@ def wifi_agrees(
     one robot taken REFERENCE_M apart.
     """
     levels = fingerprint_matrix(fingerprints)
-    apart = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-    first, second = np.nonzero((apart < SAME_PLACE_M) & ~is_b[:, None] & is_b[None])
-    together = fingerprint_distances_db(levels, first, second)
-    own = (robots[:, None] == robots[None]) & (np.abs(travels_m[:, None] - travels_m[None]) < 2 * REFERENCE_M[1])
-    first, second = np.nonzero(np.triu(own & (apart >= REFERENCE_M[0]) & (apart <= REFERENCE_M[1])))
-    reference = fingerprint_distances_db(levels, first, second)
+    pairs = len(levels) * (len(levels) + 1) // 2
+    together, reference = np.empty(pairs), np.empty(pairs)
+    found, learned = _compare_places(
+        levels, np.ascontiguousarray(positions, float), robots, travels_m, is_b, together, reference
+    )
+    together, reference = together[:found], reference[:learned]
     if len(together) < PAIRS_MIN or len(reference) < PAIRS_MIN:
         return None
     return bool(np.median(together) <= REFERENCE_SLACK * np.median(reference))
