@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from twc_env import metrics
@@ -128,8 +130,7 @@ class EpisodeRecord:
     def odometry_poses(self) -> Array:
         """(steps + 1, robots, 3) dead reckoning from the true start, building frame."""
         poses = self.true_poses.copy()
-        for t in range(1, self.count):
-            poses[t] = compose(poses[t - 1], self._poses[t, 2])
+        _reckon(self._poses[: self.count, 2], poses)
         return poses
 
 
@@ -191,7 +192,7 @@ def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
 
 def standing(engine: Engine, record: EpisodeRecord, cells: Cells) -> Standing:
     """The potentials that rewards look at, judged now."""
-    floor_m2 = max(float(cells.free.sum()) * cells.resolution_m**2, 1e-9)
+    floor_m2 = _floor_m2(cells)
     errors_m = np.zeros(record.true_poses.shape[1])
     maps = []
     for verdict in judge(engine, record, cells):
@@ -201,6 +202,24 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells) -> Standing:
         share = verdict.correct_area_m2 / floor_m2
         maps.append(JudgedMap(verdict.view.viewers, len(verdict.robots), not verdict.wrong_pairs, share))
     return standing_of(maps, errors_m)
+
+
+@lru_cache(maxsize=8)
+def _floor_m2(cells: Cells) -> float:
+    """Explorable floor; summed once per building, for it is asked for whenever the map is judged."""
+    return max(float(cells.free.sum()) * cells.resolution_m**2, 1e-9)
+
+
+@njit(cache=True, error_model="numpy")
+def _reckon(motions, poses):
+    """Chain motions (steps, robots, 3) from poses[0], in place; motions[0] is not used."""
+    for t in range(1, poses.shape[0]):
+        for r in range(poses.shape[1]):
+            x, y, heading = poses[t - 1, r, 0], poses[t - 1, r, 1], poses[t - 1, r, 2]
+            c, s = math.cos(heading), math.sin(heading)
+            poses[t, r, 0] = x + c * motions[t, r, 0] - s * motions[t, r, 1]
+            poses[t, r, 1] = y + s * motions[t, r, 0] + c * motions[t, r, 1]
+            poses[t, r, 2] = (heading + motions[t, r, 2] + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def trajectories(engine: Engine, odom_poses: Array) -> Array:
@@ -273,7 +292,7 @@ def evaluate(
         "seed": seed,
         "steps": record.count - 1,
         "sim_time_s": round((record.count - 1) * config.dynamics.time_step_s, 6),
-        "coverage_believed": score.believed_area_m2 / max(cells.free.sum() * cells.resolution_m**2, 1e-9),
+        "coverage_believed": score.believed_area_m2 / _floor_m2(cells),
         "coverage_true": _seen_share(_map_at(engine, record.true_poses, config), cells),
         "coverage_correct": score.coverage_correct,
         "map_iou": score.map_iou,
@@ -355,6 +374,8 @@ def _map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
 
 def _seen_share(grid: GridMap, cells: Cells) -> float:
     """Share of the explorable floor of which some scan said anything; grid drawn at the true poses."""
+    if grid.log_odds.size == 0:
+        return 0.0
     rows, columns = np.nonzero(cells.free)
     centres = cells.origin_m + (np.stack([columns, rows], axis=1) + 0.5) * cells.resolution_m
     found = grid.cell_of(centres)

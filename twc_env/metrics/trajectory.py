@@ -86,11 +86,12 @@ def stuck_share(true_poses: ArrayLike, window: int, radius_m: float) -> float:
     count = len(positions_m) - window
     if window < 1 or count < 1:
         return 0.0
-    reach_m = np.zeros((count, positions_m.shape[1]))
+    x_m, y_m = np.ascontiguousarray(positions_m[..., 0]), np.ascontiguousarray(positions_m[..., 1])
+    reach2_m2 = np.zeros((count, positions_m.shape[1]))
     for back in range(1, window + 1):
-        offset_m = positions_m[window:] - positions_m[window - back : len(positions_m) - back]
-        np.maximum(reach_m, np.hypot(offset_m[..., 0], offset_m[..., 1]), out=reach_m)
-    starts_stuck = reach_m < radius_m  # (count, n): the stretch that begins at this step
+        dx_m, dy_m = (v[window:] - v[window - back : len(v) - back] for v in (x_m, y_m))
+        np.maximum(reach2_m2, dx_m * dx_m + dy_m * dy_m, out=reach2_m2)
+    starts_stuck = reach2_m2 < radius_m**2  # (count, n): the stretch that begins at this step
     change = np.zeros((len(positions_m) + 1, positions_m.shape[1]), int)
     change[:count] += starts_stuck
     change[window + 1 : window + 1 + count] -= starts_stuck
