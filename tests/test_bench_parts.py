@@ -1,6 +1,6 @@
 import pytest
 
-from twc_env.bench_parts import REST, Stopwatch, bench_parts, table_of
+from twc_env.bench_parts import REST, Stopwatch, bench_parts, table_of, time_matching
 from twc_env.config import EnvConfig
 
 
@@ -32,3 +32,9 @@ def test_the_parts_add_up_to_the_whole_step_and_the_functions_are_put_back():
     assert sum(row.share for row in rows) == pytest.approx(1.0)
     assert {row.part for row in rows if row.calls_per_step == 1.0} >= {"world: motion", REST}
     assert "the engine" in table_of(rows)
+
+
+def test_matching_is_timed_with_and_without_a_guess():
+    figures = time_matching(EnvConfig(), repeats=3)
+    assert set(figures) == {"match_600_points_ms", "verify_with_guess_ms", "verify_without_guess_ms"}
+    assert 0.0 < figures["match_600_points_ms"] < figures["verify_without_guess_ms"]

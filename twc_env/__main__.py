@@ -139,11 +139,14 @@ def _report(line: str) -> None:
 
 
 def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
-    from twc_env.bench_parts import bench_parts, table_of
+    from twc_env.bench_parts import bench_parts, table_of, time_matching
 
     rows = bench_parts(config, options.episodes, report=_report)
     print(table_of(rows))
-    _write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows})
+    matching = time_matching(config)
+    for key, value in matching.items():
+        print(f"{key:<32}{value:>18.3f}")
+    _write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows} | matching)
 
 
 def _record(options: argparse.Namespace) -> None:

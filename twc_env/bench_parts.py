@@ -7,6 +7,7 @@ part counts there.
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections import defaultdict
@@ -15,10 +16,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from twc_env.bench import time_environment, wander
 from twc_env.config import EnvConfig
 
 _CALIBRATION_CALLS = 20_000
+_KEYFRAMES, _MATCHED_POINTS = 24, 600
 REST = "the rest"
 
 
@@ -33,6 +37,8 @@ class PartTime:
     share: float
     """Of the whole step."""
     calls_per_step: float
+    call_us: float
+    """CPU time per call; NaN where it was never called."""
 
 
 def _parts() -> list[tuple[str, bool, Any, str]]:
@@ -147,8 +153,9 @@ def bench_parts(config: EnvConfig, episodes: int, report: Callable[[str], None] 
     rows = []
     for part, engine in is_engine.items():
         spent_us, shares, counts = zip(*(run.get(part, (0.0, 0.0, 0)) for run in runs), strict=True)
-        calls_per_step = statistics.median(counts) / config.max_cycles
-        rows.append(PartTime(part, engine, statistics.median(spent_us), statistics.median(shares), calls_per_step))
+        calls_per_step, robot_step_us = statistics.median(counts) / config.max_cycles, statistics.median(spent_us)
+        call_us = robot_step_us * config.robots / calls_per_step if calls_per_step else math.nan
+        rows.append(PartTime(part, engine, robot_step_us, statistics.median(shares), calls_per_step, call_us))
     return rows
 
 
@@ -166,10 +173,62 @@ def _time_parts(config: EnvConfig, seed: int) -> tuple[dict[str, float], dict[st
     return dict(watch.time_s), watch.calls
 
 
+def time_matching(config: EnvConfig, repeats: int = 20) -> dict[str, float]:
+    """CPU time of one match of 600 points, and of one candidate verified with a guess and without [ms]; medians.
+
+    On pairs of neighbouring keyframes of a wandering robot.
+    """
+    from twc_env.exploration.environment import ExplorationEnv
+    from twc_env.geometry import between
+    from twc_env.messages import LoopCandidate
+    from twc_env.slam.loop_verification import LoopVerifier
+    from twc_env.slam.scan_matching import LineField, scan_points
+
+    env = ExplorationEnv(config=config)
+    env.reset(seed=0)
+    for actions in wander(env, 0):
+        env.step(actions)
+        if len(env.engine.team.keyframes[0]) >= _KEYFRAMES:
+            break
+    path = env.engine.team.keyframes[0]
+    field = LineField(32.0, 0.1, config.lidar.range_max_m)
+    for keyframe in path[:10]:
+        field.add(keyframe.pose_odom[None], keyframe.ranges_m[None])
+    points = np.resize(scan_points(path[5].ranges_m, config.lidar.range_max_m), (_MATCHED_POINTS, 2))
+    guess = path[5].pose_odom + (0.1, -0.1, 0.05)
+    verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar.range_max_m)
+
+    def verify(k: int, recogniser: str) -> None:
+        source = path[5 + 5 * (k % 4)]
+        target = path[source.index - 3]
+        pose = between(target.pose_odom, source.pose_odom)
+        start = pose + (0.1, -0.1, 0.05) if recogniser == "twc" else np.zeros(3)
+        ends = (0, target.index), (0, source.index)
+        verifier.verify(LoopCandidate(*ends, start, recogniser), path, path)
+
+    return {
+        "match_600_points_ms": _median_ms(lambda _: field.refine(points, guess, 0.5, 20, 0.04), repeats),
+        "verify_with_guess_ms": _median_ms(lambda k: verify(k, "twc"), repeats),
+        "verify_without_guess_ms": _median_ms(lambda k: verify(k, "lidar"), repeats),
+    }
+
+
+def _median_ms(work: Callable[[int], object], repeats: int) -> float:
+    times = []
+    work(0)
+    for k in range(repeats):
+        start = time.process_time()
+        work(k)
+        times.append(time.process_time() - start)
+    return 1e3 * statistics.median(times)
+
+
 def table_of(rows: list[PartTime]) -> str:
     """The parts as an aligned table, with the engine's and the whole step's sums."""
-    lines = [f"{'part':<32}{'us per robot-step':>18}{'share':>8}{'calls per step':>16}"]
-    lines += [f"{r.part:<32}{r.robot_step_us:>18.1f}{r.share:>8.1%}{r.calls_per_step:>16.2f}" for r in rows]
+    lines = [f"{'part':<32}{'us per robot-step':>18}{'share':>8}{'calls per step':>16}{'us per call':>13}"]
+    for r in rows:
+        call = f"{r.call_us:>13.0f}" if r.calls_per_step else f"{'-':>13}"
+        lines.append(f"{r.part:<32}{r.robot_step_us:>18.1f}{r.share:>8.1%}{r.calls_per_step:>16.2f}{call}")
     for name, chosen in (("the engine", [r for r in rows if r.is_engine]), ("the whole step", rows)):
         lines.append(f"{name:<32}{sum(r.robot_step_us for r in chosen):>18.1f}{sum(r.share for r in chosen):>8.1%}")
     return "\n".join(lines)
