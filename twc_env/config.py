@@ -304,8 +304,11 @@ class PlaceRecognitionConfig(_Checked):
     """gamma."""
     rssi_tolerance_db: float = _number(5.0, 0.1, 50.0)
     """tau: rms difference that still counts as the same place."""
-    rssi_mode: str = _choice("saturating", "paper")
-    """`paper` accepts when the distance d >= gamma, as printed."""
+    rssi_mode: str = _choice(
+        "saturating", "paper", "linear", "saturating-sum", "inverse", "inverse-rms", "exponential", "range",
+        "cosine", "cosine-rounded", "cosine-raw",
+    )  # fmt: skip
+    """Reading of Eq. 10 (`slam.rssi_similarity`); `paper` accepts when the distance d >= gamma, as printed."""
     normalise_text: bool = True
     scan_similarity_min: float = _number(0.7, 0.0, 1.0)
     """Of `lidar`."""

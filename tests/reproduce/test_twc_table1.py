@@ -1,9 +1,12 @@
 import argparse
+import json
 
 import pytest
 
+from twc_env.config import override
 from twc_env.reproduce import twc_table1
 from twc_env.reproduce.runner import Runner, plain
+from twc_env.reproduce.sighting_judge import judge_radio
 
 
 def options(**changes):
@@ -16,8 +19,13 @@ def options(**changes):
 
 
 @pytest.fixture(scope="module")
-def table(tmp_path_factory):
-    rows = twc_table1.rows(options(), Runner("table", tmp_path_factory.mktemp("cache"), {}))
+def runner(tmp_path_factory):
+    return Runner("table", tmp_path_factory.mktemp("cache"), {})
+
+
+@pytest.fixture(scope="module")
+def table(runner):
+    rows = twc_table1.rows(options(), runner)
     return {(r["method"], *(v for v in (r["alpha"], r["gamma"]) if v is not None)): r for r in rows}
 
 
@@ -49,13 +57,42 @@ def test_fused_beats_the_hard_rule(table):
     assert fused["average_precision"] > max(hard["average_precision"], table["wifi", 0.8]["average_precision"])
 
 
-def test_remarks_measure_the_distance_to_the_print(table):
+def test_remarks_measure_the_distance_to_the_print_by_every_way_of_counting(table):
     lines = twc_table1.remarks(plain(list(table.values())))
-    assert any(line.startswith("twc against the print: mean absolute error") for line in lines)
+    for reading in ("all pairs", "all pairs, recall of what text lets through", "best match", "after scan matching"):
+        assert any(line.startswith(f"twc against the print, {reading}: mean absolute error") for line in lines)
+
+
+def test_verification_never_lets_more_through_and_fused_keeps_its_recall(table):
+    for row in table.values():
+        assert row["recall_verified"] <= row["recall_absolute"]
+    assert table["fused",]["recall_at_full_precision_verified"] >= 85.0
+
+
+def test_curves_fall_and_reach_what_the_rows_say(table, runner, tmp_path):
+    paths = twc_table1.draw(options(), runner, tmp_path)
+    assert paths[1].stat().st_size > 5000
+    written = json.loads(paths[0].read_text())
+    for method in twc_table1.METHODS:
+        for when in ("before", "after"):
+            curve = written["precision"]["#01"][method][when]
+            assert curve == sorted(curve, reverse=True)
+    fused = dict(zip(written["recall"], written["precision"]["#01"]["fused"]["before"], strict=True))
+    share = table["fused",]["recall_at_full_precision"] / 100
+    assert all(precision == 1.0 for level, precision in fused.items() if level <= share)
+
+
+def test_other_readings_of_the_equations_have_rows_of_their_own():
+    config = twc_table1.scene_config("#01", options())
+    walks = twc_table1.walk_scene(config, twc_table1.SCENES["#01"][1], 51)
+    changed = override(config, {"slam.place_recognition.rssi_mode": "inverse"})
+    figures = judge_radio(changed, walks, "inverse")
+    assert {f["method"] for f in figures} == {"wifi inverse", "twc inverse"}
+    assert all(f["recall_absolute"] == 0.0 for f in figures if f["gamma"] == 1.0)  # it never reaches 1
 
 
 def test_the_printed_rules_can_be_chosen():
     literal = twc_table1.judge_scene("#01", 51, options(std_mode="paper", rssi_mode="paper"))
-    rows = {(f["method"], f["gamma"]): f for f in literal if f["method"] == "wifi"}
+    rows = {(f["method"], f["gamma"]): f for f in literal["figures"] if f["method"] == "wifi"}
     # A distance of at least gamma dB is met by nearly all pairs: what is left is the ratio of shared transmitters.
     assert rows["wifi", 0.5]["recall_absolute"] > 0.99 and rows["wifi", 0.5]["precision"] < 0.3

@@ -51,7 +51,7 @@ def test_printed_errors_stand_beside_ours(table):
 
 def test_pictures_are_drawn(options, tmp_path, monkeypatch):
     monkeypatch.setattr(twc_table2, "METHODS", {"twc": {}, "fused": {}})
-    paths = twc_table2.draw(options, tmp_path)
+    paths = twc_table2.draw(options, Runner("table", tmp_path, {}), tmp_path)
     assert [path.name for path in paths] == ["twc-01-trajectories.png", "twc-01-maps.png", "twc-01-closures.png"]
     assert all(path.stat().st_size > 5000 for path in paths)
 

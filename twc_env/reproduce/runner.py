@@ -138,12 +138,13 @@ def add_parser(commands) -> None:
 def main(name: str, module, options: argparse.Namespace) -> None:
     """Run one table, print it, write it."""
     settings = {k: v for k, v in vars(options).items() if k not in ("run", "json", "cache", "out")}
-    rows = plain(module.rows(options, Runner(name, options.cache, settings)))
+    runner = Runner(name, options.cache, settings)
+    rows = plain(module.rows(options, runner))
     print_rows(rows)
     for remark in getattr(module, "remarks", lambda _: ())(rows):
         print(remark)
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(rows, indent=2) + "\n")
-        for path in getattr(module, "draw", lambda *_: ())(options, options.json.parent):
+        for path in getattr(module, "draw", lambda *_: ())(options, runner, options.json.parent):
             print(path)

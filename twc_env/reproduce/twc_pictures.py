@@ -112,3 +112,23 @@ def _closures(axes, scene: str, walks: Sequence[Walk], matched: Sequence[Matched
             ends = np.array([walks[robot].poses[index] for robot, index in (candidate.target, candidate.source)])
             axes.plot(ends[:, 0], ends[:, 1], ".-", color=colour, linewidth=0.6, markersize=3, zorder=2 + is_believed)
     return ", ".join(f"{count} {name}" for name, count in counts.items())
+
+
+def draw_curves(recall: Array, curves: dict[str, dict[str, dict[str, list[float]]]], folder: Path) -> Path:
+    """Precision over recall of every method, a panel per scene, before (left) and after (right) verification."""
+    figure_type, canvas_type = matplotlib_figure()
+    figure = figure_type(figsize=(10.0, 4.0 * len(curves)), dpi=90, layout="constrained")
+    canvas_type(figure)
+    panels = figure.subplots(len(curves), 2, squeeze=False, sharex=True, sharey=True)
+    for row, (scene, methods) in zip(panels, curves.items(), strict=True):
+        for axes, when in zip(row, ("before", "after"), strict=True):
+            for method, precision in methods.items():
+                reached = np.array(precision[when]) > 0
+                axes.plot(recall[reached], np.array(precision[when])[reached], label=method)
+            axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
+            axes.set_title(f"{scene}, {when} scan matching", fontsize=10)
+            axes.grid(alpha=0.3)
+    panels[0, 0].legend(loc="lower left")
+    path = folder / "twc-table1-curves.png"
+    figure.savefig(path)
+    return path

@@ -208,7 +208,7 @@ def _printed_reduction(method: str) -> float:
     return 1.0 - means["twc"] / means[method]
 
 
-def draw(options: argparse.Namespace, folder: Path) -> list[Path]:
+def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
     """The paper's figures 4 to 6 for the first walk of each scene."""
     from twc_env.reproduce.twc_pictures import draw_scene
 

@@ -21,6 +21,7 @@ from twc_env.geometry import compose, inverse
 from twc_env.messages import Fingerprint, Keyframe, LoopCandidate, SignObservation
 from twc_env.slam.place_evidence import PlaceMemory
 from twc_env.slam.radio_fingerprint import FingerprintTable, mac_similarity, rssi_distance_db, rssi_similarity
+from twc_env.slam.rssi_similarity import COSINES, by_cosine, by_distance
 from twc_env.slam.scan_descriptor import compare, compare_many, describe, ring_key
 from twc_env.slam.text_similarity import AlikeTexts, normalise, text_similarity
 
@@ -74,14 +75,22 @@ def similarities(target: Keyframe, source: Keyframe, rule: PlaceRecognitionConfi
     clean = normalise if rule.normalise_text else str
     text = max((text_similarity(clean(a.text), clean(b.text)) for a in target.signs for b in source.signs), default=0.0)
     macs = mac_similarity(target.fingerprint, source.fingerprint)
-    return Similarities(text, macs, _rssi_cue(*rssi_distance_db(target.fingerprint, source.fingerprint), rule)[0])
+    prints = target.fingerprint, source.fingerprint
+    return Similarities(text, macs, _rssi_cue(*rssi_distance_db(*prints), rule, prints)[0])
 
 
-def _rssi_cue(distance_db: float, shared: int, rule: PlaceRecognitionConfig) -> tuple[float, bool]:
+def _rssi_cue(
+    distance_db: float, shared: int, rule: PlaceRecognitionConfig, prints: tuple[Fingerprint, Fingerprint]
+) -> tuple[float, bool]:
     """The likeness of two fingerprints' strengths, and whether it reaches gamma."""
     if rule.rssi_mode == "paper":
         return distance_db, shared > 0 and distance_db >= rule.rssi_similarity_min
-    rssi = rssi_similarity(distance_db, shared, rule.rssi_tolerance_db)
+    if rule.rssi_mode == "saturating":  # the common case, without arrays
+        rssi = rssi_similarity(distance_db, shared, rule.rssi_tolerance_db)
+    elif rule.rssi_mode in COSINES:
+        rssi = by_cosine(rule.rssi_mode, *prints)
+    else:
+        rssi = float(by_distance(rule.rssi_mode, np.array(distance_db), np.array(shared), rule.rssi_tolerance_db))
     return rssi, rssi >= rule.rssi_similarity_min - 1e-9
 
 
@@ -169,7 +178,7 @@ class TextWifiRecogniser:
         passed = []
         for k, mac, distance, count in zip(numbers, macs.tolist(), distance_db.tolist(), shared.tolist(), strict=True):
             if mac >= rule.mac_similarity_min - 1e-9:
-                rssi, is_alike = _rssi_cue(distance, count, rule)
+                rssi, is_alike = _rssi_cue(distance, count, rule, (self._places[k][0].fingerprint, fingerprint))
                 if is_alike:
                     passed.append((k, mac, rssi))
         return passed
@@ -278,7 +287,8 @@ class WifiRecogniser:
             macs = mac_similarity(target.fingerprint, keyframe.fingerprint)
             if macs < rule.mac_similarity_min - 1e-9:
                 continue
-            rssi, is_alike = _rssi_cue(*rssi_distance_db(target.fingerprint, keyframe.fingerprint), rule)
+            prints = target.fingerprint, keyframe.fingerprint
+            rssi, is_alike = _rssi_cue(*rssi_distance_db(*prints), rule, prints)
             if is_alike:
                 found.append((min(macs, rssi), int(k), macs, rssi))
         found.sort(key=lambda entry: (-entry[0], entry[1]))

@@ -1,0 +1,237 @@
+"""What each method of TWC-SLAM's Table I says of all pairs of sightings of some walks, and how right it is.
+
+The same pairs and the same truth for all methods: see `twc_table1`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import compose, inverse
+from twc_env.messages import Keyframe, LoopCandidate, SignObservation
+from twc_env.reproduce.place_pairs import (
+    Counts,
+    Pairs,
+    all_pairs,
+    average_precision,
+    best_match,
+    precision_recall_curve,
+)
+from twc_env.reproduce.place_pairs import recall_at_full_precision as full_recall
+from twc_env.reproduce.routes import Sighting, Walk
+from twc_env.slam.loop_verification import LoopVerifier
+from twc_env.slam.place_recognition import FusedRecogniser, ScanRecogniser, similarities
+
+Array = NDArray
+
+TEXT, WIFI = (0.5, 0.8, 1.0), (0.5, 0.8, 1.0)
+COMBINED = ((0.5, 0.8), (0.8, 0.8), (0.5, 1.0))
+SAME_PLACE_M = 3.0
+PLACE_STEP_M = 6.0
+"""Where WiFi alone is sampled along the way (SPEC T10)."""
+METHODS = ("text", "wifi", "twc", "lidar", "fused")
+GUESS_OF = {"text": "sign", "twc": "sign", "fused": "memory", "wifi": "none", "lidar": "none"}
+"""Where each method's guess of the pose between the robots comes from: the sign as seen, as remembered, nowhere."""
+RECALL_LEVELS = np.linspace(0.025, 1.0, 40)
+"""Curves give the best precision of any threshold with at least this recall."""
+
+
+def judge(config: EnvConfig, walks: list[Walk]) -> dict:
+    """All methods on all pairs of sightings of these walks: figures per thresholds, curves per method."""
+    sightings = [(robot, sighting) for robot, w in enumerate(walks) for sighting in w.sightings]
+    pairs = _sighting_pairs(sightings)
+    views = [sighting.keyframe for _, sighting in sightings]
+    cues, scores = _threshold_scores(config, pairs, views)
+    scans = ScanRecogniser(config.slam.place_recognition, config.lidar.range_max_m)
+    scores["lidar"] = np.array(
+        [scans.score(views[i], views[j]) for i, j in zip(pairs.first, pairs.second, strict=True)]
+    )
+    fused = fused_with_memory(config, walks)
+    scores["fused"] = np.array(
+        [fused.score(views[i], views[j]) for i, j in zip(pairs.first, pairs.second, strict=True)]
+    )
+    verified = _Verified(config, walks, views, fused)
+    confirmed = {method: verified.accept(pairs, GUESS_OF[method]) for method in METHODS}
+    sure = {method: np.where(confirmed[method], scores[method], -math.inf) for method in METHODS}
+    figures = []
+    for method, alpha, beta, gamma in settings():
+        accepted = _accept(method, alpha, beta, gamma, scores, cues, config)
+        figure = {"method": method, "alpha": alpha, "beta": beta, "gamma": gamma}
+        figure |= _figure(method, accepted, alpha, scores, pairs)
+        figure |= _of(_wifi_at_places(config, walks, beta, gamma) if method == "wifi" else None, "places")
+        figure |= _of(all_pairs(accepted & confirmed[method], pairs), "verified")
+        figure["average_precision_verified"] = average_precision(sure[method], pairs.is_same)
+        figure["recall_at_full_precision_verified"] = full_recall(sure[method], pairs.is_same)
+        figures.append(figure)
+    curves = {
+        method: {name: _curve(score[method], pairs.is_same) for name, score in (("before", scores), ("after", sure))}
+        for method in METHODS
+    }
+    return {"figures": figures, "curves": curves}
+
+
+def _threshold_scores(config: EnvConfig, pairs: Pairs, views: list[Keyframe]) -> tuple[Array, dict[str, Array]]:
+    """(3, pairs) text, transmitters, strengths; and the scores of the methods that put thresholds on them."""
+    rule = config.slam.place_recognition
+    each = [similarities(views[i], views[j], rule) for i, j in zip(pairs.first, pairs.second, strict=True)]
+    cues = np.array([(c.text, c.macs, c.rssi) for c in each]).reshape(-1, 3).T
+    text, macs, rssi = cues
+    return cues, {"text": text, "wifi": np.minimum(macs, rssi), "twc": np.minimum(text, np.minimum(macs, rssi))}
+
+
+def _figure(method: str, accepted: Array, alpha: float, scores: dict[str, Array], pairs: Pairs) -> dict:
+    """What is counted of the pairs that a method accepts."""
+    conditional = pairs.is_same & (scores["text"] >= alpha - 1e-9) if method == "twc" else pairs.is_same
+    counts, best = all_pairs(accepted, pairs), best_match(accepted, scores[method], pairs)
+    return {
+        "precision": counts.precision,
+        "recall_absolute": counts.recall,
+        "recall_conditional": counts.right / max(int(conditional.sum()), 1),
+        "average_precision": average_precision(scores[method], pairs.is_same),
+        "recall_at_full_precision": full_recall(scores[method], pairs.is_same),
+        "precision_best_match": best.precision,
+        "recall_best_match": best.recall,
+    }
+
+
+def _curve(score: Array, is_same: Array) -> list[float]:
+    """The best precision of any threshold at each of RECALL_LEVELS; 0 where none reaches it."""
+    precision, recall = precision_recall_curve(score[np.isfinite(score)], is_same[np.isfinite(score)])
+    recall = recall * is_same[np.isfinite(score)].sum() / max(int(is_same.sum()), 1)
+    return [float(precision[recall >= level - 1e-9].max(initial=0.0)) for level in RECALL_LEVELS]
+
+
+def judge_radio(config: EnvConfig, walks: list[Walk], mode: str) -> list[dict]:
+    """Figures of the methods that use radio and thresholds, named by the mode."""
+    sightings = [(robot, sighting) for robot, w in enumerate(walks) for sighting in w.sightings]
+    pairs, views = _sighting_pairs(sightings), [sighting.keyframe for _, sighting in sightings]
+    cues, scores = _threshold_scores(config, pairs, views)
+    return [
+        {"method": f"{method} {mode}", "alpha": alpha, "beta": beta, "gamma": gamma}
+        | _figure(method, _accept(method, alpha, beta, gamma, scores, cues, config), alpha, scores, pairs)
+        | _of(None, "places")
+        | _of(None, "verified")
+        | dict.fromkeys(("average_precision_verified", "recall_at_full_precision_verified"), math.nan)
+        for method, alpha, beta, gamma in settings()
+        if method in ("wifi", "twc")
+    ]
+
+
+def fused_with_memory(config: EnvConfig, walks: list[Walk]) -> FusedRecogniser:
+    """The fused recogniser after it has seen all keyframes in the order of time."""
+    recogniser = FusedRecogniser(config.slam.place_recognition, config.lidar.range_max_m)
+    for keyframe in sorted((k for w in walks for k in w.keyframes), key=lambda k: (k.time_s, k.robot)):
+        recogniser.memory.observe(keyframe)
+    return recogniser
+
+
+def settings() -> list[tuple[str, float, float, float]]:
+    """(method, alpha, beta, gamma) of every row; NaN where a method has no such threshold."""
+    nothing = math.nan
+    return [
+        *(("text", alpha, nothing, nothing) for alpha in TEXT),
+        *(("wifi", nothing, both, both) for both in WIFI),
+        *(("twc", alpha, both, both) for alpha, both in COMBINED),
+        ("lidar", nothing, nothing, nothing),
+        ("fused", nothing, nothing, nothing),
+    ]
+
+
+def _accept(method, alpha, beta, gamma, scores, cues, config: EnvConfig) -> Array:
+    """(pairs,) bool: what a method takes for one place at these thresholds."""
+    rule = config.slam.place_recognition
+    if method in ("lidar", "fused"):
+        return scores[method] >= (rule.scan_similarity_min if method == "lidar" else rule.log_odds_min)
+    _, macs, rssi = cues
+    accepted = np.ones(len(macs), bool)
+    if not math.isnan(alpha):
+        accepted &= scores["text"] >= alpha - 1e-9
+    if not math.isnan(beta):
+        accepted &= (macs >= beta - 1e-9) & (rssi >= gamma - 1e-9)
+    return accepted
+
+
+def _sighting_pairs(sightings: list[tuple[int, Sighting]]) -> Pairs:
+    """Pairs of different robots without those of one sign from further apart than a place reaches."""
+    entries = []
+    for (i, (a, first)), (j, (b, second)) in itertools.combinations(enumerate(sightings), 2):
+        if a == b:
+            continue
+        is_sign = first.sign == second.sign
+        is_near = math.dist(first.position_m, second.position_m) <= SAME_PLACE_M
+        if is_near or not is_sign:
+            entries.append((i, j, a, b, is_sign and is_near))
+    table = np.array(entries, int).reshape(-1, 5)
+    return Pairs(table[:, 0], table[:, 1], table[:, 2:4], table[:, 4].astype(bool))
+
+
+def _wifi_at_places(config: EnvConfig, walks: list[Walk], beta: float, gamma: float) -> Counts:
+    """WiFi alone between places every few metres of each walk; right when at most 3 m apart."""
+    places = [(robot, view, pose) for robot, w in enumerate(walks) for view, pose in _every(w)]
+    accepted, same = [], []
+    for (a, first, here), (b, second, there) in itertools.combinations(places, 2):
+        if a != b:
+            cues = similarities(first, second, config.slam.place_recognition)
+            accepted.append(cues.macs >= beta - 1e-9 and cues.rssi >= gamma - 1e-9)
+            same.append(math.dist(here[:2], there[:2]) <= SAME_PLACE_M)
+    hits, is_same = np.array(accepted), np.array(same)
+    return Counts(int(hits.sum()), int((hits & is_same).sum()), int(is_same.sum()))
+
+
+def _every(w: Walk) -> list[tuple[Keyframe, Array]]:
+    chosen, last = [], -math.inf
+    for view, pose in zip(w.keyframes, w.poses, strict=True):
+        if view.travel_m - last >= PLACE_STEP_M:
+            chosen.append((replace(view, signs=()), pose))
+            last = view.travel_m
+    return chosen
+
+
+class _Verified:
+    """Which pairs scan matching confirms, from the pose that the shared sign implies or from none."""
+
+    def __init__(self, config: EnvConfig, walks: list[Walk], views: list[Keyframe], fused: FusedRecogniser):
+        slam = config.slam
+        self._verifier = LoopVerifier(slam.verification, slam.odometry_filter, config.lidar.range_max_m)
+        self._paths = [w.keyframes for w in walks]
+        self._views, self._fused = views, fused
+        self._known: dict[str, Array] = {}
+
+    def accept(self, pairs: Pairs, guess: str) -> Array:
+        """(pairs,) bool: those that are confirmed from a kind of guess; each pair is matched once per kind."""
+        if guess not in self._known:
+            ends = zip(pairs.first.tolist(), pairs.second.tolist(), strict=True)
+            self._known[guess] = np.array([self._match(self._views[i], self._views[j], guess) for i, j in ends], bool)
+        return self._known[guess]
+
+    def _match(self, target: Keyframe, source: Keyframe, kind: str) -> bool:
+        a, b = target.signs[0], source.signs[0]
+        if kind == "none":
+            guess, recogniser, sign_m = np.zeros(3), "wifi", None
+        else:
+            remembered = self._fused.memory.guess(target, a, source, b) if kind == "memory" else _meet_at_sign(a, b)
+            if remembered is None or not np.isfinite(remembered).all():
+                return False
+            guess, recogniser, sign_m = remembered, "twc", a.position_m
+        ends = (target.robot, target.index), (source.robot, source.index)
+        candidate = LoopCandidate(*ends, guess, recogniser, sign_m=sign_m)
+        closure = self._verifier.verify(candidate, self._paths[target.robot], self._paths[source.robot])
+        return closure.status == "accepted"
+
+
+def _meet_at_sign(target: SignObservation, source: SignObservation) -> Array:
+    """Pose of the source in the target's frame if both see one sign."""
+    frames = [np.array([*sign.position_m, sign.facing_rad]) for sign in (target, source)]
+    return compose(frames[0], inverse(frames[1]))
+
+
+def _of(counts: Counts | None, what: str) -> dict:
+    """Precision and recall under a name, nothing where it was not measured."""
+    values = (counts.precision, counts.recall) if counts is not None else (math.nan, math.nan)
+    return dict(zip((f"precision_{what}", f"recall_{what}"), values, strict=True))
