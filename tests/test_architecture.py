@@ -21,6 +21,7 @@ ALLOWED = {
     "twc_env.geometry": {"twc_env.errors"},
     "twc_env.messages": {"twc_env.errors", "twc_env.geometry"},
     "twc_env.config": {"twc_env.errors"},
+    "twc_env.tasks": {"twc_env.errors", "twc_env.config"},
     "twc_env.world": LEAVES | RANDOM,
     "twc_env.slam": LEAVES,
     "twc_env.metrics": LEAVES,
@@ -31,7 +32,8 @@ ALLOWED = {
     | {"twc_env.world.floorplan", "twc_env.world.generate", "twc_env.world.twins", "twc_env.datasets"},
     "twc_env.exploration": LEAVES
     | RANDOM
-    | {"twc_env.world", "twc_env.slam", "twc_env.metrics", "twc_env.planning", "twc_env.maps", "twc_env.datasets"},
+    | {"twc_env.world", "twc_env.slam", "twc_env.metrics", "twc_env.planning", "twc_env.maps", "twc_env.datasets"}
+    | {"twc_env.tasks"},
     "twc_env": {"twc_env"},  # the top: __init__, __main__, reproduce, bench
 }
 COMPUTED = "<a name computed at run time>"

@@ -12,7 +12,7 @@ import twc_env
 from twc_env import config as configuration
 from twc_env.errors import DataError
 
-ENVIRONMENT_ID = "twc_env/Explore-v0"
+ENVIRONMENT_ID = "twc/Explore-v0"
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,8 @@
     import twc_env
     env = twc_env.parallel_env(map="twin-01", robots=3)
 
-The environment is registered as `twc_env/Explore-v0` with PettingZoo (parallel and AEC) and, for one robot, with
-Gymnasium. Nothing heavy is loaded before an environment is made.
+The standard tasks (`twc/Explore-v0` and others, see `twc_env.tasks`) are registered with PettingZoo (parallel and AEC)
+and, for one robot, with Gymnasium. Nothing heavy is loaded before an environment is made.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import gymnasium
 import pettingzoo
 
 from twc_env._version import __version__
+from twc_env.tasks import TASKS, task_config
 
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from twc_env.slam.engine import CooperativeSlam
 
 __all__ = [
+    "TASKS",
     "ActionError",
     "ConfigError",
     "CooperativeSlam",
@@ -43,6 +45,7 @@ __all__ = [
     "map_names",
     "parallel_env",
     "raw_env",
+    "task_config",
 ]
 
 _HOME = {
@@ -89,11 +92,12 @@ def env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:
 
 
 def _register() -> None:
-    if "twc_env/Explore-v0" in gymnasium.registry:
-        return
-    pettingzoo.register("parallel", "twc_env/Explore-v0", entry_point="twc_env:parallel_env")
-    pettingzoo.register("aec", "twc_env/Explore-v0", entry_point="twc_env:env")
-    gymnasium.register("twc_env/Explore-v0", entry_point="twc_env.exploration.single_agent:SingleRobotEnv")
+    for task in TASKS:
+        if task in gymnasium.registry:
+            continue
+        pettingzoo.register("parallel", task, entry_point="twc_env:parallel_env", kwargs={"task": task})
+        pettingzoo.register("aec", task, entry_point="twc_env:env", kwargs={"task": task})
+        gymnasium.register(task, entry_point="twc_env.exploration.single_agent:SingleRobotEnv", kwargs={"task": task})
 
 
 _register()

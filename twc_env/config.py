@@ -353,6 +353,8 @@ class PoseGraphConfig(_Checked):
 class MergingConfig(_Checked):
     """When two robots' maps are put into one frame."""
 
+    enabled: bool = True
+    """Without it every robot stays alone."""
     closures_min: int = _number(3, 1, 100)
     """Mutually consistent closures needed."""
     spread_min_m: float = _number(1.5, 0.0, 100.0)
@@ -373,6 +375,10 @@ class SlamConfig(_Checked):
 
     mode: str = _choice("cooperative", "off")
     """`off` runs no engine: poses come from odometry alone, maps stay empty, nobody is ever merged."""
+    oracle: str = _choice("none", "starts", "poses")
+    """What the engine is told of the truth, to compare with systems that are: `starts`, the robots' relative starts, so
+    that all share one frame from the first step; `poses`, that and perfect odometry (`odometry.drift` becomes 0), which
+    is then believed as it is: no scan is matched, no closure sought."""
     resolution_m: float = _number(0.1, 0.02, 0.5)
     """Cell size of the merged map."""
     odometry_filter: OdometryFilterConfig = field(default_factory=OdometryFilterConfig)

@@ -87,7 +87,7 @@ def test_a_refused_action_leaves_the_episode_as_it_was(bad, same):
 def test_both_other_views_refuse_bad_actions_too():
     import gymnasium
 
-    single = gymnasium.make("twc_env/Explore-v0", disable_env_checker=True)
+    single = gymnasium.make("twc/Explore-v0", disable_env_checker=True)
     single.reset(seed=0)
     with pytest.raises(ActionError, match="robot_0"):
         single.step(BAD["NaN"])

@@ -15,7 +15,7 @@ from pettingzoo.test import (
 
 import twc_env
 
-ID = "twc_env/Explore-v0"
+ID = "twc/Explore-v0"
 ROBOTS = [1, 2, 3]
 
 

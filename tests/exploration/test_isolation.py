@@ -72,7 +72,7 @@ def test_a_copy_does_not_follow_later_changes_of_the_settings_it_was_made_from(c
 
 
 def test_wrapped_environments_can_be_copied_too(same):
-    single = gymnasium.make("twc_env/Explore-v0", max_cycles=30, config={"lidar.beam_count": 90})
+    single = gymnasium.make("twc/Explore-v0", max_cycles=30, config={"lidar.beam_count": 90})
     twin = copy.deepcopy(single)
     assert same(single.reset(seed=1)[0], twin.reset(seed=1)[0])
     turns = twc_env.env(config=SETTINGS)

@@ -1,4 +1,4 @@
-"""Cooperative exploration with SLAM inside every step (ids: twc_env/Explore-v0)."""
+"""Cooperative exploration with SLAM inside every step (ids: `twc_env.tasks`)."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from twc_env.messages import Belief, Contacts, SensorFrame
 from twc_env.planning.candidates import NOTHING
 from twc_env.random_streams import random_stream
 from twc_env.slam.modes import Engine, make_engine
+from twc_env.tasks import task_config
 from twc_env.world.failures import Failures
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.generate import split_names
@@ -91,9 +92,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     nothing (there is no map), and `result()` judges dead reckoning.
 
     Arguments: `map` (bundled name or file), `robots`, `max_cycles` and `render_mode` ("rgb_array" or None); `config`
-    (an EnvConfig, a dict of overrides, dotted keys allowed) holds everything else. `reset(options=...)` holds for one
-    episode: `{"starts": "map"}` uses the map's own starts instead of drawing them by seed, `{"map": NAME}` plays in
-    another building, `{"split": "train"}` (or validation, test) in one of that split, drawn by the seed.
+    (an EnvConfig, a dict of overrides, dotted keys allowed) holds everything else; `task` names a standard task that
+    the overrides change. `reset(options=...)` holds for one episode: `{"starts": "map"}` uses the map's own starts
+    instead of drawing them by seed, `{"map": NAME}` plays in another building, `{"split": "train"}` (or validation, test) in one of that split, drawn by the seed.
 
     `belief(agent)` gives a planner what the robot knows; `result()` judges the episode so far against the truth;
     `snapshot()` and `restore()` save and bring back a moment, exactly.
@@ -116,9 +117,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         config: EnvConfig | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         floorplan: Floorplan | None = None,
+        task: str | None = None,
     ):
         announce_compilation()
-        self.config = _resolve(config, {"map": map, "robots": robots, "max_cycles": max_cycles})
+        self.config = _resolve(_base(config, task), {"map": map, "robots": robots, "max_cycles": max_cycles})
         # Copies are made from the resolved values: a dict may be changed by its owner later.
         EzPickle.__init__(self, config=self.config, render_mode=render_mode, floorplan=floorplan)
         self.metadata = copy.deepcopy(type(self).metadata)
@@ -158,6 +160,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._world.reset(self._seed, starts)
         count = self.config.robots
         self._engine = make_engine(self.config, count)
+        if self.config.slam.oracle != "none":
+            self._engine.give_starts(self._world.poses_home.copy())
         self._link = Link(self.config.link, count, self.floorplan.home.wall_index, random_stream(self._seed, "link"))
         self._builders = [ObservationBuilder(self.config, robot) for robot in range(count)]
         self._pilot = Pilot(self.config) if self._lasts else None
@@ -398,6 +402,21 @@ def _checked_options(options: dict | None) -> dict:
     return options
 
 
+def _base(config: EnvConfig | Mapping[str, Any] | None, task: str | None) -> EnvConfig | Mapping[str, Any] | None:
+    """The settings of a standard task, with the overrides in `config` on top; a whole EnvConfig stands as it is."""
+    if task is None or isinstance(config, EnvConfig):
+        return config
+    return override(task_config(task), _dotted(config or {}))
+
+
+def _dotted(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings as dotted ones."""
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        flat |= _dotted(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return flat
+
+
 def _resolve(config: EnvConfig | Mapping[str, Any] | None, shortcuts: dict[str, Any]) -> EnvConfig:
     """One config from a ready one or overrides (nested or dotted), with the constructor's shortcuts on top."""
     if config is None:
@@ -409,4 +428,7 @@ def _resolve(config: EnvConfig | Mapping[str, Any] | None, shortcuts: dict[str, 
         resolved = override(from_dict(nested), {key: value for key, value in config.items() if "." in key})
     else:
         raise ConfigError(f"config must be an EnvConfig or a dict of settings; got {config!r}")
-    return override(resolved, {key: value for key, value in shortcuts.items() if value is not None})
+    resolved = override(resolved, {key: value for key, value in shortcuts.items() if value is not None})
+    if resolved.slam.oracle == "poses":
+        resolved = override(resolved, {"odometry.drift": 0.0})
+    return resolved

@@ -1,4 +1,4 @@
-"""One robot's view as a gymnasium environment (id: twc_env/Explore-v0), for single-agent tools."""
+"""One robot's view as a gymnasium environment (ids: `twc_env.tasks`), for single-agent tools."""
 
 from __future__ import annotations
 
@@ -23,8 +23,11 @@ class SingleRobotEnv(gymnasium.Env):
         max_cycles: int | None = None,
         config: EnvConfig | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
+        task: str | None = None,
     ):
-        self._team = ExplorationEnv(map=map, robots=1, max_cycles=max_cycles, config=config, render_mode=render_mode)
+        self._team = ExplorationEnv(
+            map=map, robots=1, max_cycles=max_cycles, config=config, render_mode=render_mode, task=task
+        )
         self._agent = self._team.possible_agents[0]
         self.render_mode = render_mode
         self.observation_space = self._team.observation_space(self._agent)

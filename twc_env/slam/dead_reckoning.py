@@ -51,6 +51,9 @@ class DeadReckoning:
         self._grid = self.team.grid_of(0)
         self._frames: list[SensorFrame | None] = [None] * robot_count
 
+    def give_starts(self, poses: Array) -> None:
+        """Nothing is merged here."""
+
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Sum up the odometry of each frame's robot; there are never keyframes to send."""
         for frame in frames:

@@ -71,6 +71,11 @@ class CooperativeSlam:
         """The objects that the rows of `_poses_map_odom` were copied from."""
         self._last_step = 0
 
+    def give_starts(self, poses: Array) -> None:
+        """Tell all mappers where the robots started (robots, 3): an oracle, for comparison only (`slam.oracle`)."""
+        for mapper in self.mappers:
+            mapper.give_starts(poses)
+
     @property
     def team(self) -> TeamMapper:
         """The one mapper of all robots; where each has its own, that of robot 0."""

@@ -274,6 +274,17 @@ def _pose_difference(a: Array, b: Array) -> Array:
     return d
 
 
-def make_filters(config: OdometryFilterConfig, count: int) -> CompiledFilters | FilterpyFilters:
+class OdometryAlone(CompiledFilters):
+    """Believes odometry as it is; for perfect odometry (`slam.oracle`)."""
+
+    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
+        """What scans say is left out."""
+
+
+def make_filters(
+    config: OdometryFilterConfig, count: int, believes_scans: bool = True
+) -> CompiledFilters | FilterpyFilters:
     """One filter per robot, of the kind that `config.backend` names."""
+    if not believes_scans:
+        return OdometryAlone(config, count)
     return FilterpyFilters(config, count) if config.backend == "filterpy" else CompiledFilters(config, count)

@@ -56,7 +56,7 @@ class FrontEnds:
         masks = self._rule.mask_mates and config.robots > 1
         radius_m = config.dynamics.robot_radius_m if masks else 0.0
         self._marker = MateMarker(count, beams, config.lidar.range_max_m, radius_m)
-        self._filters = make_filters(noise, count)
+        self._filters = make_filters(noise, count, config.slam.oracle != "poses")
         self._fields = LineFields(count, local.size_m, local.resolution_m, config.lidar.range_max_m, beams)
         self._match_variance_m2 = noise.match_std_m**2 * noise.match_correlation
         self._matches = Matches(count)

@@ -49,6 +49,8 @@ class TeamMapper:
         """How many closures of a group were refused when all of them were last weighed anew."""
         self._dirty: dict[int, bool] = {}
         """Groups, by their first robot, with closures that came since the last optimisation; True: one is urgent."""
+        self._seeks_closures = config.slam.oracle != "poses"
+        self._given_starts: Array | None = None
         self._step = self._last_optimised_step = self._last_retried_step = 0
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], tuple[KnownSign, ...]]] = {}
 
@@ -59,12 +61,15 @@ class TeamMapper:
             self._search.wake()
         for keyframe in keyframes:
             self._maps.add(keyframe, self._graph.add_keyframe(keyframe))
-            self._search.propose(keyframe)
+            if self._seeks_closures:
+                self._search.propose(keyframe)
+        if self._given_starts is not None:
+            self._merge_given(self._given_starts)
         self._step = step
         for _ in range(self._config.verification.backlog_per_step):
             if not self._verify_one():
                 break
-        if self._config.merging.undo:
+        if self._config.merging.undo and self._given_starts is None:
             self._undo_wrong_merge()
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
@@ -76,6 +81,10 @@ class TeamMapper:
             for group in sorted({self.group_index(robot) for robot in self._dirty}):
                 self._optimise(group)
             self._dirty.clear()
+
+    def give_starts(self, poses: Array) -> None:
+        """Tell the mapper where all robots started (robots, 3), in any one frame: an oracle, for comparison only."""
+        self._given_starts = poses
 
     def finish(self) -> None:
         """Work off everything that still waits (end of an episode or log)."""
@@ -196,6 +205,8 @@ class TeamMapper:
 
     def _try_merge(self, a: int, b: int) -> bool:
         """Put group b into the map of group a if enough speaks for it and nothing against; whether it was done."""
+        if not self._config.merging.enabled:
+            return False
         pending = [c for c in self.closures if c.status == "pending" and set(self._groups_of(c)) == {a, b}]
         robots_a, robots_b = self.groups[a].robots, self.groups[b].robots
         proposal = self._judge.proposal(pending, robots_a)
@@ -219,6 +230,13 @@ class TeamMapper:
             self._judge_inside_map(closure)
         self._optimise(merged)
         return True
+
+    def _merge_given(self, starts: Array) -> None:
+        """Put all groups that have been heard of into one; the frame of a group is where its first robot started."""
+        known = [g for g, group in enumerate(self.groups) if any(self.keyframes[r] for r in group.robots)]
+        for b in reversed(known[1:]):
+            first, second = self.groups[known[0]].robots[0], self.groups[b].robots[0]
+            self._maps.merge(known[0], b, between(starts[first], starts[second]))
 
     def _retry_merges(self) -> None:
         """Try all groups with pending closures: new keyframes, walls or merges may have made the case for them."""

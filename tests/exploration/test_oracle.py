@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+import twc_env
+
+STEPS = 150
+
+
+@pytest.mark.parametrize("topology", ["central", "peer"])
+def test_robots_that_are_told_their_starts_share_one_right_frame_from_the_first_step(explore, topology):
+    log = explore(STEPS, max_cycles=STEPS, config={"slam.oracle": "starts", "link.topology": topology})
+    assert len(log.env.belief("robot_2").mates) == 2
+    if topology == "central":
+        assert all(observation["team"][:, 0].all() for observation in log.observations[0].values())
+    figures = log.env.result().figures
+    assert figures["merged_robots"] == 3 and figures["wrong_merges"] == 0
+    assert figures["team_ate_m"] < 0.1
+
+
+def test_true_poses_are_true_to_the_last_millimetre(explore):
+    log = explore(STEPS, max_cycles=STEPS, config={"slam.oracle": "poses", "odometry.drift": 3.0})
+    assert log.env.config.odometry.drift == 0.0
+    result = log.env.result()
+    assert result.figures["team_ate_m"] < 1e-3
+    assert result.figures["closures"]["proposed"] == 0
+    assert result.figures["wall_iou"] > 0.05
+    belief = log.env.belief("robot_1")
+    apart = np.hypot(*(belief.mates[0][:2] - belief.pose_map_robot[:2]))
+    true = log.env.state().reshape(3, 6)
+    assert apart == pytest.approx(np.hypot(*(true[0, :2] - true[1, :2])), abs=1e-3)
+
+
+def test_robots_that_may_not_merge_stay_alone(explore):
+    log = explore(400, max_cycles=400, config={"slam.merging.enabled": False})
+    assert log.env.result().figures["merged_robots"] == 1
+    assert any(c.status == "pending" for c in log.env.engine.team.closures), "nobody met: nothing was refused"
+
+
+def test_without_an_oracle_the_engine_is_told_nothing(explore, monkeypatch):
+    told = []
+    monkeypatch.setattr(twc_env.CooperativeSlam, "give_starts", lambda self, poses: told.append(poses))
+    explore(3)
+    assert told == []

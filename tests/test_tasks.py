@@ -1,0 +1,57 @@
+import gymnasium
+import pettingzoo
+import pytest
+
+import twc_env
+from twc_env.config import digest
+from twc_env.errors import ConfigError
+
+PINNED = {
+    "twc/Explore-v0": "f55b39180c9c",
+    "twc/ExploreTwin01-v0": "f55b39180c9c",
+    "twc/ExploreTwin02-v0": "1dd6090d373f",
+    "twc/ExploreOffice-v0": "ba2074cba270",
+    "twc/ExploreFrontier-v0": "6f69936bee39",
+    "twc/ExploreFrontierAsync-v0": "b1c6194a0531",
+    "twc/ExploreHard-v0": "68d50b0abffd",
+    "twc/ExploreKnownStarts-v0": "91ce9e7cb534",
+    "twc/ExploreTruePoses-v0": "ca0982c52a75",
+    "twc/ExploreNoMerging-v0": "07276189026e",
+}
+
+
+@pytest.mark.parametrize("task", twc_env.TASKS)
+def test_every_task_has_its_pinned_configuration(task):
+    assert digest(twc_env.task_config(task)) == PINNED[task]
+
+
+def test_tasks_differ_but_for_the_first_two():
+    assert PINNED["twc/Explore-v0"] == PINNED["twc/ExploreTwin01-v0"], "the default map is twin-01"
+    assert len(set(PINNED.values())) + 1 == len(twc_env.TASKS) == len(PINNED)
+
+
+@pytest.mark.parametrize("task", twc_env.TASKS)
+def test_every_task_can_be_made_by_its_id_and_changed(task):
+    parallel = pettingzoo.make("parallel", task, max_cycles=3)
+    assert parallel.config.max_cycles == 3
+    for key, value in twc_env.TASKS[task].items():
+        section, _, name = key.rpartition(".")
+        holder = parallel.config
+        for part in section.split(".") if section else ():
+            holder = getattr(holder, part)
+        assert name == "max_cycles" or getattr(holder, name) == value
+    single = gymnasium.make(task, max_cycles=3, config={"lidar.beam_count": 36}, disable_env_checker=True)
+    assert single.observation_space["lidar"].shape == (36,)
+
+
+def test_a_misspelt_task_is_refused_with_the_nearest_one():
+    with pytest.raises(ConfigError, match="did you mean 'twc/ExploreHard-v0'"):
+        twc_env.parallel_env(task="twc/ExploreHard-v1")
+
+
+def test_the_hard_task_can_be_played():
+    env = twc_env.parallel_env(task="twc/ExploreHard-v0", max_cycles=30)
+    env.reset(seed=0)
+    while env.agents:
+        env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    assert env.result().figures["robots"] == 4
