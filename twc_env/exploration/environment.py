@@ -94,7 +94,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     Arguments: `map` (bundled name or file), `robots`, `max_cycles` and `render_mode` ("rgb_array" or None); `config`
     (an EnvConfig, a dict of overrides, dotted keys allowed) holds everything else; `task` names a standard task that
     the overrides change. `reset(options=...)` holds for one episode: `{"starts": "map"}` uses the map's own starts
-    instead of drawing them by seed, `{"map": NAME}` plays in another building, `{"split": "train"}` (or validation, test) in one of that split, drawn by the seed.
+    instead of drawing them by seed, `{"map": NAME}` plays in another building, `{"split": "train"}` (or validation,
+    test) in one of that split, drawn by the seed.
 
     `belief(agent)` gives a planner what the robot knows; `result()` judges the episode so far against the truth;
     `snapshot()` and `restore()` save and bring back a moment, exactly.
