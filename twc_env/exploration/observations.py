@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -72,16 +73,42 @@ def _joined(blocks: dict[str, Array]) -> Array:
     return np.concatenate(parts).astype(np.float32) if parts else np.zeros(0, np.float32)
 
 
+class _Seen(NamedTuple):
+    """What the blocks of one observation are made of."""
+
+    frame: SensorFrame
+    belief: Belief
+    mates: dict[int, list[float]]
+    """Robot -> x, y, heading in this robot's frame."""
+    candidates: Candidates
+    mask: Array | None
+
+
 class ObservationBuilder:
     """Builds one robot's observations; remembers its WiFi slots, its path and recent readings."""
 
     def __init__(self, config: EnvConfig, robot: int):
         self._config = config
         self._robot, self._robots = robot, config.robots
-        self._names = tuple(block_spaces(config))
+        made = {
+            "lidar": self._lidar,
+            "map": self._map,
+            "overview": self._whole_map,
+            "pose": self._pose,
+            "wifi": self._wifi,
+            "signs": self._recent_signs,
+            "team": self._team,
+            "frontiers": self._frontiers,
+            "action_mask": self._mask,
+        }
+        self._makers = [(name, made[name]) for name in block_spaces(config)]
+        self._is_flat = config.observation.kind != "dict"
+        self._beams, self._per_metre = config.lidar.beam_count, 1.0 / config.lidar.range_max_m
         self._slots_of_wifi = WifiSlots(config.observation.wifi_slots)
-        self._readings: list[tuple[float, str, float, float]] = []
-        """Time, text, and x and y in the odom frame, newest last."""
+        self._texts: list[str] = []
+        """Of the latest readings, newest first."""
+        self._readings = np.zeros((config.observation.sign_slots, 4))
+        """Of each: time, x and y in the odom frame, and in how many other places the text is known."""
         self._path_odom = np.zeros((max(1, round(config.observation.path_m / PATH_SPACING_M)), 2))
         self._path_count = 0
         self._overview: tuple[tuple[int, int], tuple[Array, Array, float]] | None = None
@@ -98,39 +125,41 @@ class ObservationBuilder:
         x, y, heading = belief.pose_odom.tolist()
         for sign in frame.signs:
             angle, away = heading + sign.bearing_rad, sign.range_m
-            place = x + away * math.cos(angle), y + away * math.sin(angle)
-            self._readings.append((frame.time_s, sign.text, *place))
+            self._readings[1:] = self._readings[:-1].copy()
+            self._readings[0, :3] = frame.time_s, x + away * math.cos(angle), y + away * math.sin(angle)
+            self._texts = [sign.text, *self._texts[: len(self._readings) - 1]]
+        self._count_elsewhere()
 
     def build(
         self, frame: SensorFrame, belief: Belief, candidates: Candidates = NOTHING, mask: Array | None = None
     ) -> dict[str, Array] | Array:
         """The observation after one frame, which `notice` must have seen."""
         mates = {mate: between(belief.pose_map_robot, pose).tolist() for mate, pose in belief.mates.items()}
-        blocks: dict[str, Array] = {}
-        for name in self._names:
-            if name == "lidar":
-                blocks[name] = np.empty(self._config.lidar.beam_count, np.float32)
-                _shares(frame.ranges_m, 1.0 / self._config.lidar.range_max_m, blocks[name])
-            elif name == "map":
-                blocks[name] = self._map(belief, mates)
-            elif name == "overview":
-                blocks[name] = self._whole_map(belief)
-            elif name == "pose":
-                blocks[name] = _pose(belief)
-            elif name == "wifi":
-                blocks[name] = self._slots_of_wifi.levels.copy()
-            elif name == "signs":
-                blocks[name] = self._recent_signs(frame, belief)
-            elif name == "team":
-                blocks[name] = self._team(frame, belief, mates)
-            elif name == "frontiers":
-                blocks[name] = features_of(candidates, belief.pose_map_robot, self._config.action.frontier_slots)
-            else:
-                blocks[name] = np.zeros(0, np.int8) if mask is None else mask.copy()
-        return blocks if self._config.observation.kind == "dict" else _joined(blocks)
+        seen = _Seen(frame, belief, mates, candidates, mask)
+        blocks = {name: make(seen) for name, make in self._makers}
+        return _joined(blocks) if self._is_flat else blocks
 
-    def _map(self, belief: Belief, mates: dict[int, list[float]]) -> Array:
-        shape = self._config.observation
+    def _lidar(self, seen: _Seen) -> Array:
+        shares = np.empty(self._beams, np.float32)
+        _shares(seen.frame.ranges_m, self._per_metre, shares)
+        return shares
+
+    def _pose(self, seen: _Seen) -> Array:
+        belief, out = seen.belief, np.empty(len(POSE_LIMITS), np.float32)
+        _fill_pose(belief.pose_map_robot, belief.pose_std, belief.since_closure_m, POSE_LIMITS, out)
+        return out
+
+    def _wifi(self, seen: _Seen) -> Array:
+        return self._slots_of_wifi.levels.copy()
+
+    def _frontiers(self, seen: _Seen) -> Array:
+        return features_of(seen.candidates, seen.belief.pose_map_robot, self._config.action.frontier_slots)
+
+    def _mask(self, seen: _Seen) -> Array:
+        return np.zeros(0, np.int8) if seen.mask is None else seen.mask.copy()
+
+    def _map(self, seen: _Seen) -> Array:
+        shape, belief, mates = self._config.observation, seen.belief, seen.mates
         crop = map_view.crop_around(belief.grid, belief.pose_map_robot, shape.map_cells, shape.map_cell_m)
         path = self._path_odom[: min(self._path_count, len(self._path_odom))]
         map_view.mark(crop[map_view.PATH], path, belief.pose_odom, shape.map_cell_m)
@@ -148,9 +177,14 @@ class ObservationBuilder:
             self._indexed_signs = signs
             self._sign_places = np.array([sign.position_m for sign in signs])
             self._text_counts = Counter(sign.text for sign in signs)
+            self._count_elsewhere()
 
-    def _whole_map(self, belief: Belief) -> Array:
-        cells = self._config.observation.overview_cells
+    def _count_elsewhere(self) -> None:
+        for row, text in enumerate(self._texts):
+            self._readings[row, 3] = max(self._text_counts[text] - 1, 0)
+
+    def _whole_map(self, seen: _Seen) -> Array:
+        belief, cells = seen.belief, self._config.observation.overview_cells
         key = (belief.step // OVERVIEW_PERIOD_STEPS, belief.map_version)
         if self._overview is None or self._overview[0] != key:
             self._overview = (key, map_view.shrink(belief.grid, cells))
@@ -170,29 +204,16 @@ class ObservationBuilder:
             self._path_odom[self._path_count % len(self._path_odom)] = x, y
             self._path_count += 1
 
-    def _recent_signs(self, frame: SensorFrame, belief: Belief) -> Array:
-        shape = self._config.observation
-        rows = np.zeros((shape.sign_slots, 5), np.float32)
-        if not self._readings:
-            return rows
-        oldest_s = frame.time_s - shape.sign_memory_s - 1e-9
-        self._readings = [reading for reading in self._readings if reading[0] >= oldest_s][-shape.sign_slots :]
-        self._index_signs(belief.signs)
-        robot_x, robot_y, heading = belief.pose_odom.tolist()
-        memory_s, values = max(shape.sign_memory_s, 1e-9), []
-        for time_s, text, x, y in reversed(self._readings):
-            away = math.hypot(x - robot_x, y - robot_y)
-            bearing = math.remainder(math.atan2(y - robot_y, x - robot_x) - heading, 2 * math.pi)
-            elsewhere = max(self._text_counts[text] - 1, 0)
-            age = min((frame.time_s - time_s) / memory_s, 1.0)
-            values.append(
-                (1.0, bearing / math.pi, away / (away + HALF_WAY_M), age, elsewhere / (elsewhere + HALF_COUNT))
-            )
-        if values:
-            rows[: len(values)] = values
+    def _recent_signs(self, seen: _Seen) -> Array:
+        rows = np.zeros((len(self._readings), 5), np.float32)
+        if self._texts:
+            self._index_signs(seen.belief.signs)
+            memory_s = self._config.observation.sign_memory_s
+            _fill_signs(self._readings, len(self._texts), seen.frame.time_s, memory_s, seen.belief.pose_odom, rows)
         return rows
 
-    def _team(self, frame: SensorFrame, belief: Belief, mates: dict[int, list[float]]) -> Array:
+    def _team(self, seen: _Seen) -> Array:
+        frame, belief, mates = seen.frame, seen.belief, seen.mates
         rows = np.zeros((max(self._robots - 1, 1), 5), np.float32)
         time_step_s = self._config.dynamics.time_step_s
         for mate, step in belief.contact_steps.items():
@@ -226,12 +247,6 @@ class WifiSlots:
         _place(scan.macs, scan.rssi_dbm, self._scans, self._macs, self._last_scan, self.levels)
 
 
-def _pose(belief: Belief) -> Array:
-    out = np.empty(len(POSE_LIMITS), np.float32)
-    _fill_pose(belief.pose_map_robot, belief.pose_std, belief.since_closure_m, POSE_LIMITS, out)
-    return out
-
-
 @njit(cache=True, error_model="numpy")
 def _shares(ranges, per_metre, out):
     for b in range(min(ranges.shape[0], out.shape[0])):
@@ -245,6 +260,22 @@ def _fill_pose(pose, std, since_m, limits, out):
     out[4], out[5], out[6], out[7] = std[0], std[1], std[2], since_m
     for k in range(8):
         out[k] = min(max(out[k], -limits[k]), limits[k])
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_signs(readings, count, now_s, memory_s, pose, rows):
+    """The block `signs`: readings (slots, 4), newest first, that are not older than the memory."""
+    for k in range(min(count, rows.shape[0])):
+        age_s = now_s - readings[k, 0]
+        if age_s > memory_s + 1e-9:
+            return
+        dx, dy, elsewhere = readings[k, 1] - pose[0], readings[k, 2] - pose[1], readings[k, 3]
+        bearing = (math.atan2(dy, dx) - pose[2] + math.pi) % (2.0 * math.pi) - math.pi
+        away = math.sqrt(dx * dx + dy * dy)
+        rows[k, 0], rows[k, 1] = 1.0, bearing / math.pi
+        rows[k, 2] = away / (away + HALF_WAY_M)
+        rows[k, 3] = min(age_s / max(memory_s, 1e-9), 1.0)
+        rows[k, 4] = elsewhere / (elsewhere + HALF_COUNT)
 
 
 @njit(cache=True, error_model="numpy")
