@@ -61,3 +61,13 @@ def test_an_odd_receiver_hears_everything_stronger():
     common = np.isin(levels[0].macs, levels[1].macs)
     assert np.isin(levels[1].macs, levels[0].macs).all()
     assert levels[0].rssi_dbm[common] == pytest.approx(levels[1].rssi_dbm + 10.0, abs=1.0)
+
+
+def test_a_failed_robot_cannot_be_pushed_away():
+    env = twc_env.parallel_env(robots=2, max_cycles=200, config={"failure.robots": 1, "failure.robots_step": 0})
+    env.reset(seed=3, options={"starts": np.array([[9.0, 1.2, 0.0], [9.8, 1.2, 0.0]])})
+    for _ in range(40):
+        env.step({agent: np.array([1.0, 0.0]) for agent in env.agents})
+    pusher, pushed = env.state().reshape(2, 6)[:, :2]
+    assert np.hypot(*(pushed - [9.8, 1.2])) < 0.02
+    assert np.hypot(*(pusher - pushed)) > 0.38  # it got as far as the other's edge

@@ -306,7 +306,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     def _tick(self, commands: Array) -> list[dict[str, float]]:
         """One time step: the reward terms of each robot."""
-        self._world.step(commands * self._failures.is_alive(self._steps)[:, None])
+        is_alive = self._failures.is_alive(self._steps)
+        if not is_alive.all():
+            self._world.anchor(np.flatnonzero(~is_alive))
+        self._world.step(commands * is_alive[:, None])
         self._steps += 1
         is_last = self._steps >= self.config.max_cycles
         sent_before = self.bytes_sent

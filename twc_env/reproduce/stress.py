@@ -39,7 +39,7 @@ FIGURES = {"merged": "merged_share", "ate": "ate_m", "coverage": "coverage_corre
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument("--buildings", type=int, default=12, help="of the test split (default: %(default)s)")
+    parser.add_argument("--buildings", type=int, default=10, help="of the test split (default: %(default)s)")
     parser.add_argument("--robots", type=int, default=3, help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of noise (default: %(default)s)")
     parser.add_argument("--conditions", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), help="default: all")

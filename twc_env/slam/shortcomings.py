@@ -19,8 +19,9 @@ Array = NDArray
 
 SILENT_S = 5.0
 """A robot that was not heard for longer is named."""
-DEVICE_OFFSET_DB, TRANSMITTERS_MIN, PLACES_MIN, LETTERS_MIN = 5.0, 3, 3, 3
-"""Devices that differ by more, over so many transmitters at so many places with a name this long, are named."""
+DEVICE_OFFSET_DB, TRANSMITTERS_MIN, PLACES_MIN, LETTERS_MIN = 6.0, 3, 3, 3
+"""Devices that differ by more, over so many transmitters at so many places with a name this long, are named, if half
+of these places agree which one hears more."""
 REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.4, 4
 """A name at places this far apart in one map is repeated; with this share of the names repeated there is a lack."""
 
@@ -100,8 +101,11 @@ def _odd_devices(paths: Sequence[Sequence[Keyframe]]) -> list[str]:
         common = sorted(set(where[a]) & set(where[b]))
         offsets = [_offset_db(where[a][text], where[b][text]) for text in common if len(text) >= LETTERS_MIN]
         known = [offset for offset in offsets if math.isfinite(offset)]
-        if len(known) >= PLACES_MIN and abs(np.median(known)) > DEVICE_OFFSET_DB:
-            lines.append(f"robot {b} reads WiFi {np.median(known):+.0f} dB against robot {a} where both read a name")
+        if len(known) < PLACES_MIN:
+            continue
+        low, middle, high = np.percentile(known, (25, 50, 75))
+        if abs(middle) > DEVICE_OFFSET_DB and low * high > 0:
+            lines.append(f"robot {b} reads WiFi {middle:+.0f} dB against robot {a} where both read a name")
     return lines
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 import pymunk
@@ -16,6 +17,7 @@ from twc_env.world.wall_index import WallIndex
 Array = NDArray
 
 _MASS_KG = 10.0
+_ANCHORED_KG = 1e6
 _STRIDE_RADII = 0.25
 """A substep moves a robot by at most this many of its radii, so that it cannot step over a wall."""
 _SLOP_M = 1e-3
@@ -85,6 +87,12 @@ class Dynamics:
             self._collide()
         self.poses, self.contacts = np.empty((self._count, 3)), np.empty(self._count, np.bool_)
         self._look_around()
+
+    def anchor(self, robots: Iterable[int]) -> None:
+        """From now on nobody can push these robots: their brakes hold."""
+        bodies = list(self._space.bodies)
+        for robot in robots:
+            bodies[robot].mass = _ANCHORED_KG
 
     def _collide(self) -> None:
         """The same step in the rigid-body world."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
@@ -83,6 +84,10 @@ class World:
     def contacts(self) -> Array:
         """(n,) whether each robot touches something."""
         return self._dynamics.contacts
+
+    def anchor(self, robots: Iterable[int]) -> None:
+        """From now on these robots cannot be pushed."""
+        self._dynamics.anchor(robots)
 
     def step(self, commands: Array) -> None:
         """Move all robots for one time step; commands (n, 2) [m/s, rad/s]."""
