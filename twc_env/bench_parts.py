@@ -74,12 +74,13 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("team: place recognition", True, ClosureSearch, "propose"),
         ("team: verification", True, LoopVerifier, "verify"),
         ("team: merging", True, TeamMapper, "_try_merge"),
+        ("team: doubting merges", True, TeamMapper, "_undo_wrong_merge"),
         ("team: pose graph", True, TeamMapper, "_optimise"),
         ("team: redrawing", True, GroupMaps, "redraw"),
         ("team: the rest", True, CooperativeSlam, "absorb"),
         ("observation: map crop", False, ObservationBuilder, "_map"),
         ("observation: the rest", False, ObservationBuilder, "build"),
-        ("reward: map against the truth", False, evaluation, "judge"),
+        ("reward: map against the truth", False, evaluation, "standing"),
     ]
 
 
