@@ -48,3 +48,14 @@ def test_fused_learns_on_one_real_floor_what_beats_the_others_on_the_other():
     for floor in floors:
         fused = figures[floor].pop("fused")["average_precision"]
         assert fused > max(other["average_precision"] for other in figures[floor].values())
+
+
+def test_the_margin_of_fused_is_told_against_the_best_other_method_and_the_larger_spread():
+    def row(floor, method, precision, sd):
+        return {"floor": floor, "method": method, "average_precision": precision, "sd": sd}
+
+    table = [row("F6", "text", 0.2, 0.01), row("F6", "twc", 0.4, 0.03), row("F6", "fused", 0.6, 0.02)]
+    table += [row("B1", "twc", 0.3, 0.04), row("B1", "fused", 0.33, 0.01)]
+    first, second = real_places.remarks(table)
+    assert first.startswith("F6: fused is +0.200 in average precision against twc") and " more than" in first
+    assert "not more than the larger spread of the two, 0.040" in second

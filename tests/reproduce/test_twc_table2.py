@@ -46,7 +46,15 @@ def test_without_closures_every_back_end_says_the_same_and_nothing_is_merged(tab
 
 def test_printed_errors_stand_beside_ours(table):
     assert table["text", "plain"]["paper_epe_m"] == 0.35 and table["fused", "ours"]["paper_epe_m"] is None
-    assert twc_table2.reduction_of_means(list(table.values()), "text", "plain") > 0.5
+
+
+def test_the_papers_percentages_are_those_of_its_own_errors():
+    found = {
+        method: twc_table2.reductions(*([scene[m] for scene in twc_table2.PRINT.values()] for m in (method, "twc")))
+        for method in ("lidar", "text", "wifi")
+    }
+    assert [round(100 * of_means, 2) for of_means, _ in found.values()] == [88.06, 81.68, 92.16]
+    assert [round(100 * per_scene, 1) for _, per_scene in found.values()] == [88.1, 65.2, 91.5]
 
 
 def test_pictures_are_drawn(options, tmp_path, monkeypatch):

@@ -97,6 +97,22 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     return table
 
 
+def remarks(table: list[dict]) -> list[str]:
+    """How far `fused` is above the best other method on each floor, in units of the spread over draws."""
+    lines = []
+    for floor in dict.fromkeys(row["floor"] for row in table):
+        rows_of = {row["method"]: row for row in table if row["floor"] == floor}
+        fused = rows_of.pop("fused")
+        best = max(rows_of.values(), key=lambda row: row["average_precision"])
+        margin, spread = fused["average_precision"] - best["average_precision"], max(fused["sd"], best["sd"])
+        verdict = "more" if margin > spread else "not more"
+        lines.append(
+            f"{floor}: fused is {margin:+.3f} in average precision against {best['method']}, the best other; "
+            f"{verdict} than the larger spread of the two, {spread:.3f}"
+        )
+    return lines
+
+
 def read_floor(folder: Path) -> Floor:
     """Plan and traces of one floor."""
     survey = read_indoor20(folder, FRESH_S)
