@@ -28,18 +28,27 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="command")
 
     ppo = commands.add_parser("ppo", help="train with proximal policy optimisation")
-    ppo.add_argument("--map", default="twin-01", help="bundled map or map file")
-    ppo.add_argument("--steps", type=int, default=20_000, help="environment steps in all (default %(default)s)")
-    ppo.add_argument("--max-cycles", type=int, default=1000, help="steps per episode (default %(default)s)")
+    ppo.add_argument("--map", help="one bundled map or map file, instead of small generated buildings")
+    ppo.add_argument(
+        "--area", type=float, default=120.0, help="floor of generated buildings [m2] (default %(default)s)"
+    )
+    ppo.add_argument("--robots", type=int, default=2, help="robots per team (default %(default)s)")
+    ppo.add_argument("--steps", type=int, default=60_000, help="decisions of all robots (default %(default)s)")
+    ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode (default %(default)s)")
+    ppo.add_argument("--workers", type=int, default=2, help="processes (default %(default)s; 0: this one)")
     ppo.add_argument("--seed", type=int, default=0)
     ppo.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the environment")
     ppo.add_argument("--out", type=Path, default=Path("runs/ppo"), help="run folder (default %(default)s)")
     ppo.add_argument("--resume", action="store_true", help="go on from the model in the run folder")
     ppo.set_defaults(run=_train_ppo)
 
-    evaluate = commands.add_parser("evaluate", help="compare a trained model with random actions")
+    evaluate = commands.add_parser(
+        "evaluate", help="compare a trained model with random and scripted teams on held-out buildings"
+    )
     evaluate.add_argument("--model", type=Path, default=Path("runs/ppo/model.zip"))
-    evaluate.add_argument("--seeds", default="0-4", help="as in 0-4 or 1,5,7 (default %(default)s)")
+    evaluate.add_argument(
+        "--seeds", default="0-19", help="held-out buildings, as in 0-4 or 1,5,7 (default %(default)s)"
+    )
     evaluate.set_defaults(run=_evaluate)
     return parser
 
@@ -50,10 +59,13 @@ def _train_ppo(options: argparse.Namespace) -> int:
 
     if options.steps < 1:
         raise DataError(f"--steps must be at least 1; got {options.steps}")
-    task = Task(options.map, options.max_cycles, dict(_assignment(text) for text in options.set))
-    settings = ppo.Settings(seed=options.seed)
+    overrides: dict[str, object] = dict(_assignment(text) for text in options.set)
+    task = Task(
+        options.map, area_m2=options.area, robots=options.robots, max_cycles=options.max_cycles, overrides=overrides
+    )
+    settings = ppo.Settings(seed=options.seed, workers=options.workers)
     model_path = ppo.train(task, settings, options.steps, options.out, options.resume)
-    print(f"model: {model_path}   learning curve: {options.out / 'metrics.csv'}")
+    print(f"model: {model_path}   learning curve: {options.out / 'metrics.csv'} and {options.out / 'tensorboard'}")
     return 0
 
 

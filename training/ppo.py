@@ -1,4 +1,7 @@
-"""Proximal policy optimisation (stable-baselines3) on the single-agent view, runnable alone."""
+"""Proximal policy optimisation (stable-baselines3): one policy drives every robot of every team. Runnable alone.
+
+Each robot chooses among the frontiers of its map; choices that the mask rules out get no probability.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,16 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from tqdm import tqdm
 
 from training.run_folder import Task, read_settings, write_settings
 from twc_env.errors import DataError
+from twc_env.sb3 import TeamVecEnv
 
 COLUMNS = ("steps", "episodes", "mean_return", "mean_length", "steps_per_s")
+EPISODES_SHOWN = 100
+"""Mean return and length are those of so many rows of episodes that ended last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,24 +32,46 @@ class Settings:
 
     seed: int = 0
     """Seeds the policy's weights, its sampling and the episodes."""
-    rollout_steps: int = 1024
-    """Steps collected between two updates."""
-    batch_size: int = 128
-    """Samples per gradient step."""
+    environments: int = 8
+    """Teams that explore side by side."""
+    workers: int = 2
+    """Processes that run them; 0: this one."""
+    rollout_steps: int = 64
+    """Decisions of each robot between two updates (stable-baselines3: 2048 of one environment)."""
+    batch_size: int = 256
+    """Samples per gradient step (stable-baselines3: 64)."""
     epochs: int = 10
     """Passes over each rollout."""
     learning_rate: float = 3e-4
     """Adam step size."""
-    discount: float = 0.99
-    """Weight of the next step's return."""
-    entropy_weight: float = 0.003
+    discount: float = 0.97
+    """Weight of the next decision's return: one lasts up to ten seconds (stable-baselines3: 0.99)."""
+    entropy_weight: float = 0.01
     """Keeps the policy from settling too early (stable-baselines3: 0)."""
+
+
+class MaskedPolicy(MultiInputActorCriticPolicy):
+    """The usual actor-critic, whose choices that `action_mask` rules out get no probability."""
+
+    _mask: torch.Tensor
+
+    def extract_features(self, obs, features_extractor=None):
+        """Remember the mask of the observations whose features are asked for."""
+        if "action_mask" in obs:
+            self._mask = obs["action_mask"].reshape(len(obs["action_mask"]), -1) > 0
+        return super().extract_features(obs, features_extractor)
+
+    def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
+        logits = self.action_net(latent_pi)
+        if hasattr(self, "_mask"):
+            logits = logits.masked_fill(~self._mask, -1e9)
+        return self.action_dist.proba_distribution(action_logits=logits)
 
 
 def train(
     task: Task, settings: Settings, steps: int, folder: Path, resume: bool = False, show_progress: bool = True
 ) -> Path:
-    """Train until `steps` environment steps have been taken in all; returns the path of the saved model.
+    """Train until `steps` decisions have been taken in all; returns the path of the saved model.
 
     `resume` goes on from the model in `folder`; its task and settings must be the same. Episodes are drawn anew from
     the seed and the step count, so a resumed run is reproducible but not equal to an uninterrupted one.
@@ -55,28 +83,28 @@ def train(
         _check_same_run(folder, task, settings)
     elif model_path.exists():
         raise DataError(f"{folder} already holds a model; go on with --resume or name another folder with --out")
-
-    environment = Monitor(task.make())
+    teams = TeamVecEnv(settings.environments, task.config, settings.workers, task.training_maps, settings.seed)
     try:
         write_settings(folder, "ppo", task, asdict(settings))
         if resume:
-            model = PPO.load(model_path, environment, device="cpu")
+            model = PPO.load(model_path, teams, device="cpu")
+            teams.seed(settings.seed + model.num_timesteps)
             model.set_random_seed(settings.seed + model.num_timesteps)
         else:
-            model = _new_model(environment, settings)
+            model = _new_model(teams, settings, folder)
         if steps > model.num_timesteps:
             progress = Progress(folder, steps, show_progress)
-            model.learn(steps - model.num_timesteps, callback=progress, reset_num_timesteps=False)
+            model.learn(steps - model.num_timesteps, progress, tb_log_name="ppo", reset_num_timesteps=False)
             _save(model, model_path)
     finally:
-        environment.close()
+        teams.close()
     return model_path
 
 
-def _new_model(environment, settings: Settings) -> PPO:
+def _new_model(teams: TeamVecEnv, settings: Settings, folder: Path) -> PPO:
     return PPO(
-        "MultiInputPolicy",
-        environment,
+        MaskedPolicy,
+        teams,
         seed=settings.seed,
         n_steps=settings.rollout_steps,
         batch_size=settings.batch_size,
@@ -84,6 +112,8 @@ def _new_model(environment, settings: Settings) -> PPO:
         learning_rate=settings.learning_rate,
         gamma=settings.discount,
         ent_coef=settings.entropy_weight,
+        tensorboard_log=str(folder / "tensorboard"),
+        stats_window_size=EPISODES_SHOWN,
         device="cpu",
     )
 
@@ -92,7 +122,7 @@ def _check_same_run(folder: Path, task: Task, settings: Settings) -> None:
     record = read_settings(folder)
     if not (folder / "model.zip").exists():
         raise DataError(f"{folder} has no model.zip to resume from; start without --resume")
-    asked = {"task": asdict(task), "settings": asdict(settings)}
+    asked = {"task": {**asdict(task), "kinds": list(task.kinds)}, "settings": asdict(settings)}
     changed = [part for part, values in asked.items() if record[part] != values]
     if changed:
         raise DataError(f"{folder} was trained with another {' and '.join(changed)}; name the same or another --out")
@@ -115,7 +145,7 @@ class Progress(BaseCallback):
 
     def _on_training_start(self) -> None:
         self.started, self.steps_before = time.perf_counter(), self.num_timesteps
-        self.bar = tqdm(total=self.steps, initial=self.num_timesteps, unit="step", disable=not self.show)
+        self.bar = tqdm(total=self.steps, initial=self.num_timesteps, unit="decision", disable=not self.show)
         self.path = self.folder / "metrics.csv"
         if self.num_timesteps > 0 and self.path.exists():
             with self.path.open(newline="") as file:
@@ -125,8 +155,8 @@ class Progress(BaseCallback):
                 csv.writer(file).writerow(COLUMNS)
 
     def _on_step(self) -> bool:
-        self.bar.update(1)
-        self.episodes += int(np.sum(self.locals["dones"]))
+        self.bar.update(self.training_env.num_envs)
+        self.episodes += int(np.sum(self.locals["dones"])) // self.training_env.get_attr("robots")[0]
         return True
 
     def _on_rollout_end(self) -> None:
@@ -137,7 +167,7 @@ class Progress(BaseCallback):
         with self.path.open("a", newline="") as file:
             row = (self.num_timesteps, self.episodes, f"{mean_return:.4f}", f"{mean_length:.1f}", f"{rate:.1f}")
             csv.writer(file).writerow(row)
-        self.bar.set_postfix_str(f"mean return {mean_return:.2f}")
+        self.bar.set_postfix_str(f"mean return {mean_return:.3f}")
         if self.num_timesteps > self.steps_before:
             _save(self.model, self.folder / "model.zip")
 

@@ -1,4 +1,4 @@
-"""The folder of one training run: what was asked for, what came out, and how to make its environment again."""
+"""The folder of one training run: what was asked for, what came out, and how to make its environments again."""
 
 from __future__ import annotations
 
@@ -6,35 +6,59 @@ import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-import gymnasium
-
 import twc_env
 from twc_env import config as configuration
 from twc_env.errors import DataError
 
-ENVIRONMENT_ID = "twc/Explore-v0"
+HELD_OUT_SEED = 100_000
+"""Generated buildings from this seed on are never trained in."""
+SMALL_VIEW = {
+    "action.kind": "frontier",
+    "observation.lidar": False,
+    "observation.map": False,
+    "observation.wifi": False,
+    "reward.period_steps": 20,
+}
+"""What a learner chooses and sees by default: candidates, its pose, its mates and recent signs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is learnt: one robot's exploration of one map."""
+    """What is learnt: a team's exploration of small buildings that it has not seen, or of one map."""
 
-    map: str = "twin-01"
-    """Bundled map or map file."""
-    max_cycles: int = 1000
-    """Steps per episode."""
+    map: str | None = None
+    """One bundled map or map file to learn and to be judged in; None: generated buildings."""
+    kinds: tuple[str, ...] = ("office", "ring", "ward")
+    """Of generated buildings, in turns."""
+    area_m2: float = 120.0
+    buildings: int = 300
+    """Generated buildings to train in."""
+    robots: int = 2
+    max_cycles: int = 500
+    """Time steps per episode."""
     overrides: dict[str, object] = field(default_factory=dict)
     """Dotted settings of the environment, as in {"lidar.beam_count": 90}."""
 
     @property
     def config(self) -> configuration.EnvConfig:
         """The whole configuration of the environment."""
-        fixed = {"map": self.map, "robots": 1, "max_cycles": self.max_cycles}
-        return configuration.override(configuration.EnvConfig(), {**self.overrides, **fixed})
+        fixed = {"map": self.map or self.names(0, 1)[0], "robots": self.robots, "max_cycles": self.max_cycles}
+        return configuration.override(configuration.EnvConfig(), {**SMALL_VIEW, **self.overrides, **fixed})
 
-    def make(self) -> gymnasium.Env:
-        """The single-agent view of the environment."""
-        return gymnasium.make(ENVIRONMENT_ID, config=configuration.to_dict(self.config))
+    def names(self, first: int, count: int) -> list[str]:
+        """Maps of `count` generated buildings, from one seed on; the one map where there is one."""
+        if self.map is not None:
+            return [self.map]
+        return [f"gen:{self.kinds[k % len(self.kinds)]}:{self.area_m2:g}:{k}" for k in range(first, first + count)]
+
+    @property
+    def training_maps(self) -> list[str]:
+        """Where the team learns."""
+        return self.names(0, self.buildings)
+
+    def held_out_maps(self, count: int) -> list[str]:
+        """Where it is judged."""
+        return self.names(HELD_OUT_SEED, count)
 
 
 def write_settings(folder: Path, algorithm: str, task: Task, settings: dict) -> None:
@@ -63,10 +87,16 @@ def read_settings(folder: Path) -> dict:
     missing = {"task", "settings", "config_digest"} - set(record)
     if missing:
         raise DataError(f"{path} lacks {', '.join(sorted(missing))}; it was not written by this program")
-    digest = configuration.digest(Task(**record["task"]).config)
+    digest = configuration.digest(task_of(record).config)
     if digest != record["config_digest"]:
         raise DataError(
             f"{path} was written for config digest {record['config_digest']}, this version of twc_env gives {digest}; "
             f"use twc_env {record.get('version', 'of that time')} or train anew"
         )
     return record
+
+
+def task_of(record: dict) -> Task:
+    """The task of a run from what its folder says."""
+    values = dict(record["task"])
+    return Task(**{**values, "kinds": tuple(values["kinds"])})

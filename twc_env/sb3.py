@@ -37,10 +37,10 @@ class TeamVecEnv(VecEnv):
         seed: int = 0,
     ):
         self.teams = VectorTeams(count, config, workers, buildings)
-        self._robots = self.teams.robots
+        self.robots = self.teams.robots
         self._next_seed = seed
         self.render_mode = None
-        super().__init__(count * self._robots, self.teams.observation_space, self.teams.action_space)
+        super().__init__(count * self.robots, self.teams.observation_space, self.teams.action_space)
         self._actions = np.zeros(0)
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, np.int64)
@@ -56,12 +56,12 @@ class TeamVecEnv(VecEnv):
 
     def step_async(self, actions: Array) -> None:
         """Keep the actions for `step_wait`."""
-        self._actions = np.asarray(actions).reshape(self.teams.count, self._robots, *actions.shape[1:])
+        self._actions = np.asarray(actions).reshape(self.teams.count, self.robots, *actions.shape[1:])
 
     def step_wait(self):
         """Observations, rewards, dones and infos, one row per robot."""
         observations, rewards, ended, infos = self.teams.step(self._actions)
-        paid, done = rewards.reshape(-1), np.repeat(ended, self._robots)
+        paid, done = rewards.reshape(-1), np.repeat(ended, self.robots)
         self._returns += paid
         self._lengths += 1
         flat = [info for team in infos for info in team]

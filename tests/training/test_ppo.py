@@ -20,22 +20,24 @@ needs_torch = pytest.mark.skipif(
 def small_task():
     from training.run_folder import Task
 
-    return Task("twin-01", max_cycles=64, overrides={"lidar.beam_count": 60, "observation.map_cells": 36})
+    return Task(
+        area_m2=100.0, buildings=2, max_cycles=80, overrides={"lidar.beam_count": 60, "action.decision_max_s": 2.0}
+    )
 
 
 def small_settings():
     from training.ppo import Settings
 
-    return Settings(seed=3, rollout_steps=128, batch_size=64, epochs=2)
+    return Settings(seed=3, environments=2, workers=0, rollout_steps=16, batch_size=32, epochs=2)
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A folder with 256 steps of training in it."""
+    """A folder with 128 decisions of training in it."""
     from training.ppo import train
 
     folder = tmp_path_factory.mktemp("ppo")
-    train(small_task(), small_settings(), 256, folder, show_progress=False)
+    train(small_task(), small_settings(), 128, folder, show_progress=False)
     return folder
 
 
@@ -50,14 +52,14 @@ def test_continuous_integration_has_torch_so_that_training_is_tested():
 
 @needs_torch
 def test_a_short_training_leaves_a_complete_run_folder(run):
-    assert {path.name for path in run.iterdir()} == {"config.json", "metrics.csv", "model.zip"}
+    assert {path.name for path in run.iterdir()} == {"config.json", "metrics.csv", "model.zip", "tensorboard"}
     record = json.loads((run / "config.json").read_text())
     assert record["settings"]["seed"] == 3
     assert record["environment"]["lidar"]["beam_count"] == 60
     assert len(record["config_digest"]) == 12
     rows = metrics_of(run)
-    assert [int(row["steps"]) for row in rows] == [128, 256]
-    assert int(rows[-1]["episodes"]) == 4
+    assert [int(row["steps"]) for row in rows] == [64, 128]
+    assert 2 <= int(rows[-1]["episodes"]) <= 32
     assert math.isfinite(float(rows[-1]["mean_return"]))
 
 
@@ -65,7 +67,7 @@ def test_a_short_training_leaves_a_complete_run_folder(run):
 def test_a_trained_model_is_evaluated_against_random_actions(run, capsys):
     assert main(["evaluate", "--model", str(run / "model.zip"), "--seeds", "0-1"]) == 0
     table = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in table] == ["policy", "trained", "random"]
+    assert [line.split()[0] for line in table] == ["policy", "trained", "random", "nearest", "nearest-frontier"]
     assert all(math.isfinite(float(line.split()[1])) for line in table[1:])
 
 
@@ -76,7 +78,7 @@ def test_the_same_seed_learns_the_same_weights(run, tmp_path):
 
     from training.ppo import train
 
-    again = train(small_task(), small_settings(), 256, tmp_path, show_progress=False)
+    again = train(small_task(), small_settings(), 128, tmp_path, show_progress=False)
     first, second = (PPO.load(path, device="cpu").policy.state_dict() for path in (run / "model.zip", again))
     assert all(torch.equal(first[name], second[name]) for name in first)
 
@@ -85,10 +87,11 @@ def test_the_same_seed_learns_the_same_weights(run, tmp_path):
 def test_training_resumes_where_it_stopped_and_keeps_the_learning_curve(tmp_path):
     from training.ppo import train
 
-    train(small_task(), small_settings(), 128, tmp_path, show_progress=False)
-    train(small_task(), small_settings(), 256, tmp_path, resume=True, show_progress=False)
-    assert [int(row["steps"]) for row in metrics_of(tmp_path)] == [128, 256]
-    assert [int(row["episodes"]) for row in metrics_of(tmp_path)] == [2, 4]
+    train(small_task(), small_settings(), 64, tmp_path, show_progress=False)
+    train(small_task(), small_settings(), 128, tmp_path, resume=True, show_progress=False)
+    assert [int(row["steps"]) for row in metrics_of(tmp_path)] == [64, 128]
+    episodes = [int(row["episodes"]) for row in metrics_of(tmp_path)]
+    assert 0 < episodes[0] < episodes[1]
 
 
 @needs_torch
@@ -97,7 +100,7 @@ def test_a_wrong_map_leaves_no_run_folder(tmp_path):
     from training.run_folder import Task
 
     with pytest.raises(MapError, match="no map named 'twin-3'"):
-        train(Task("twin-3"), small_settings(), 256, tmp_path / "run")
+        train(Task("twin-3"), small_settings(), 128, tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -115,7 +118,7 @@ def test_a_finished_run_is_not_overwritten(run):
     from training.ppo import train
 
     with pytest.raises(DataError, match="already holds a model; go on with --resume"):
-        train(small_task(), small_settings(), 256, run)
+        train(small_task(), small_settings(), 128, run)
 
 
 @needs_torch
