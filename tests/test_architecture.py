@@ -40,6 +40,8 @@ COMPUTED = "<a name computed at run time>"
 PUBLIC_MODULES = {
     "twc_env.datasets",
     "twc_env.planning",
+    "twc_env.vector",
+    "twc_env.sb3",
     "twc_env.config",
     "twc_env.messages",
     "twc_env.geometry",
