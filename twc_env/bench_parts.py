@@ -43,7 +43,7 @@ class PartTime:
 
 def _parts() -> list[tuple[str, bool, Any, str]]:
     """(part, whether it is of the engine, owner, function or method) of all that is timed."""
-    from twc_env.exploration import evaluation
+    from twc_env.exploration import evaluation, map_view
     from twc_env.exploration.observations import ObservationBuilder
     from twc_env.slam.closure_search import ClosureSearch
     from twc_env.slam.engine import CooperativeSlam
@@ -78,7 +78,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("team: pose graph", True, TeamMapper, "_optimise"),
         ("team: redrawing", True, GroupMaps, "redraw"),
         ("team: the rest", True, CooperativeSlam, "absorb"),
-        ("observation: map crop", False, ObservationBuilder, "_map"),
+        ("observation: map crop", False, map_view, "crop_around"),
         ("observation: the rest", False, ObservationBuilder, "build"),
         ("reward: map against the truth", False, evaluation, "standing"),
     ]
