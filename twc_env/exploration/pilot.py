@@ -171,14 +171,15 @@ def terrain_of(known: dict[tuple, Terrain], belief: Belief, radius_m: float) -> 
 
 def _waypoint(action, agent: str, size: int) -> Array:
     try:
-        goal = np.asarray(action, float)
+        goal = np.asarray(action)
     except (TypeError, ValueError):
         goal = np.zeros(0)
-    if goal.shape != (size,) or not np.all(np.abs(goal) <= 1.0 + 1e-6):  # also true for NaN
+    # NaN fails the comparison too.
+    if goal.shape != (size,) or goal.dtype.kind not in "fiu" or not np.all(np.abs(goal) <= 1.0 + 1e-6):
         raise ActionError(
             f"action of {agent!r} must be 2 finite numbers (goal ahead, to the left) in [-1, 1]; got {action!r}"
         )
-    return goal
+    return goal.astype(float)
 
 
 def _choice(action, agent: str, size: int) -> int:
