@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 Array = NDArray
 
+UNSEEN_M = -0.001
+"""Range of a beam that tells nothing, as behind a scanner that looks ahead only: free up to nowhere, and no wall."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WifiScan:
@@ -50,7 +53,9 @@ class SensorFrame:
     turn_rate_rad_s: float
     """Gyro: turn rate averaged over the time since the last frame."""
     ranges_m: Array
-    """(beams,) beam i points to 2 pi i / beams in the robot frame; no return reads the scanner's maximum range."""
+    """(beams,) beam i points to 2 pi i / beams in the robot frame; no return reads the scanner's maximum range.
+
+    A negative range is free up to there without a wall; `UNSEEN_M` says nothing at all."""
     wifi: WifiScan | None = None
     """The scan that finished in this step, if one did."""
     signs: tuple[SignReading, ...] = ()

@@ -9,7 +9,7 @@ import pytest
 
 from twc_env.datasets.ble_flat import read_ble_run, read_flat
 from twc_env.datasets.indoor20 import read_indoor20
-from twc_env.datasets.scan_log import read_relations, read_scan_log
+from twc_env.datasets.scan_log import read_carmen_log, read_relations, read_scan_log
 from twc_env.datasets.sod_indoor_loc import read_sod
 from twc_env.datasets.uji_library import read_uji_library
 from twc_env.datasets.uw_floor import read_uw_floor
@@ -69,6 +69,8 @@ def test_relations_belong_to_two_different_scans(tmp_path):
         ("log.json", "{}", lambda p: read_scan_log(p)),
         ("log.json", '{"map": {"1": 3}}', lambda p: read_scan_log(p)),
         ("log.json", '{"map": {"1": ', lambda p: read_scan_log(p)),
+        ("carmen.log", "ODOM 0 0 0", lambda p: read_carmen_log(p)),
+        ("carmen.log", "FLASER 2 1.0 2.0 0 0", lambda p: read_carmen_log(p)),
         ("layout.csv", "x,z\n1,2\n", lambda p: read_flat(p.parent)),
         ("layout.csv", "x,y\n1,2\n3\n", lambda p: read_flat(p.parent)),
         ("none", "", lambda p: read_sod(p.parent, "CETC331")),

@@ -1,7 +1,8 @@
 """Logs of one robot's laser scans with poses, and hand-verified relations between them (Freiburg SLAM benchmark).
 
-A log is JSON {"map": {"<unix seconds>": {"range": [metres], "x": m, "y": m, "theta": rad}}}; relations are text lines
-`t1 t2 dx dy dz roll pitch yaw`: the pose at t2 in the frame of the pose at t1. Both may be gzipped.
+A log is JSON {"map": {"<unix seconds>": {"range": [metres], "x": m, "y": m, "theta": rad}}} or a text of CARMEN, whose
+lines `FLASER n r1 .. rn x y theta ...` are read; relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose at
+t2 in the frame of the pose at t1. All may be gzipped. `sensor_frames` makes of a log what the engine takes in.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import gzip
 import json
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.errors import DataError
+from twc_env.geometry import between
+from twc_env.messages import UNSEEN_M, SensorFrame
 
 Array = NDArray
+
+NO_RETURN_M = 30.0
+"""Scanners of these logs report more than this (81.83 m, 50 m, 32.7 m) for a beam that came back from nowhere."""
+TIME_BETWEEN_MIN_S = 1e-3
+"""Some logs round their times, so that scans seem to be taken at once."""
 
 TIME_TOLERANCE_S = 0.02
 """A relation belongs to a scan that was taken this close to its time."""
@@ -33,6 +42,8 @@ class ScanLog:
     """(scans, 3) x, y [m] and heading [rad] that the log holds: raw odometry or corrected."""
     ranges_m: Array
     """(scans, beams)."""
+    beam_angles_rad: Array
+    """(beams,) direction of each beam in the robot frame, counter-clockwise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,15 +63,77 @@ def read_scan_log(path: str | Path) -> ScanLog:
     try:
         scans = json.loads(_text(path))["map"]
         times = sorted(scans, key=float)
+        ranges_m = np.array([scans[t]["range"] for t in times], float)
         return ScanLog(
             times_s=np.array(times, float),
             poses=np.array([[scans[t][key] for key in ("x", "y", "theta")] for t in times], float).reshape(-1, 3),
-            ranges_m=np.array([scans[t]["range"] for t in times], float),
+            ranges_m=ranges_m,
+            beam_angles_rad=_half_circle(ranges_m.shape[1] if ranges_m.ndim == 2 else 0),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
             f"{path} is no scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
         ) from error
+
+
+def read_carmen_log(path: str | Path) -> ScanLog:
+    """Read the scans of a CARMEN log in the order of its lines. Raises DataError for anything without such scans."""
+    scans, poses, times = [], [], []
+    try:
+        for line in _text(path).splitlines():
+            if line.startswith("FLASER "):
+                _, beams, *values = line.split()
+                count = int(beams)
+                scans.append([float(v) for v in values[:count]])
+                poses.append([float(v) for v in values[count : count + 3]])
+                times.append(float(values[count + 6]))
+        ranges_m = np.array(scans, float)
+        if ranges_m.ndim != 2:
+            raise ValueError("no FLASER lines of one length")
+        return ScanLog(np.array(times), np.array(poses), ranges_m, _half_circle(ranges_m.shape[1]))
+    except (ValueError, IndexError) as error:
+        raise DataError(
+            f"{path} is no CARMEN log: {_short(error)}; expected lines FLASER n r1 .. rn x y theta"
+        ) from error
+
+
+def _half_circle(beams: int) -> Array:
+    """(beams,) directions from the right, counter-clockwise to the left; the last beam may be the left itself."""
+    return np.deg2rad(np.arange(beams) * (180.0 / max(beams - beams % 2, 1)) - 90.0)
+
+
+def onto_circle(ranges_m: Array, beam_angles_rad: Array, beam_count: int, range_max_m: float) -> Array:
+    """(beam_count,) one scan (beams,) as the world emits it: beams over the full circle, `UNSEEN_M` where none looked.
+
+    Where several beams fall on one direction the nearest range counts. What lies beyond range_max_m is free up to
+    there; a beam that came back from nowhere tells nothing, since glass and black walls give no echo either.
+    """
+    out = np.full(beam_count, np.inf)
+    told = (ranges_m > 0.0) & (ranges_m < NO_RETURN_M)
+    slot = np.rint(beam_angles_rad[told] * (beam_count / (2 * np.pi))).astype(int) % beam_count
+    np.minimum.at(out, slot, np.minimum(ranges_m[told], range_max_m))
+    out[np.isinf(out)] = UNSEEN_M
+    return out
+
+
+def sensor_frames(
+    log: ScanLog, beam_count: int, range_max_m: float, scans: Sequence[int] | Array | None = None, robot: int = 0
+) -> list[SensorFrame]:
+    """What a robot would have measured on the way of the log, a frame per scan of `scans` (default: all).
+
+    Odometry is the motion between the poses that the log holds; as it has no gyro, odometry's turn stands for it.
+    """
+    frames: list[SensorFrame] = []
+    chosen = np.arange(len(log.times_s)) if scans is None else np.asarray(scans)
+    time_s = 0.0
+    for step, k in enumerate(chosen):
+        last = chosen[max(step - 1, 0)]
+        odometry = between(log.poses[last], log.poses[k])
+        elapsed_s = max(log.times_s[k] - log.times_s[last], TIME_BETWEEN_MIN_S)
+        time_s += elapsed_s if step else 0.0
+        scan = onto_circle(log.ranges_m[k], log.beam_angles_rad, beam_count, range_max_m)
+        frames.append(SensorFrame(robot, step, float(time_s), odometry, float(odometry[2] / elapsed_s), scan))
+    return frames
 
 
 def read_relations(path: str | Path, log: ScanLog, tolerance_s: float = TIME_TOLERANCE_S) -> Relations:

@@ -1,0 +1,66 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twc_env.datasets.scan_log import ScanLog, onto_circle, read_carmen_log, read_scan_log, sensor_frames
+from twc_env.geometry import compose
+from twc_env.messages import UNSEEN_M
+from twc_env.slam.occupancy_grid import OccupancyGrid
+from twc_env.slam.scan_matching import scan_points
+
+needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="laser logs: set TWC_DATA to the data folder")
+
+
+def test_a_line_of_carmen_is_a_scan_with_its_pose(tmp_path):
+    path = tmp_path / "drive.log"
+    path.write_text("# a log\nODOM 1 2 3 0 0 0 5 host 5\nFLASER 3 1.0 2.0 81.9 4 5 0.5 9 9 9 7.25 host 7.3\n")
+    log = read_carmen_log(path)
+    assert log.ranges_m.tolist() == [[1.0, 2.0, 81.9]]
+    assert log.poses.tolist() == [[4.0, 5.0, 0.5]] and log.times_s.tolist() == [7.25]
+    assert np.degrees(log.beam_angles_rad) == pytest.approx([-90.0, 0.0, 90.0])
+
+
+def test_a_scan_of_the_front_says_nothing_of_the_back():
+    scan = onto_circle(np.array([1.0, 12.0, 81.9]), np.deg2rad([-90.0, 0.0, 90.0]), 8, 10.0)
+    assert scan.tolist() == [10.0, *[UNSEEN_M] * 5, 1.0, UNSEEN_M]
+
+
+def test_of_beams_that_share_a_direction_the_nearest_counts():
+    assert onto_circle(np.array([3.0, 2.0, 0.0]), np.deg2rad([1.0, -1.0, 90.0]), 4, 10.0)[:2].tolist() == [
+        2.0,
+        UNSEEN_M,
+    ]
+
+
+def test_the_engine_neither_clears_nor_matches_what_was_not_seen():
+    scan = onto_circle(np.full(180, 3.0), np.deg2rad(np.arange(180.0) - 90.0), 360, 10.0)
+    assert scan_points(scan, 10.0)[:, 0].min() > -0.06 and len(scan_points(scan, 10.0)) == 180
+    grid = OccupancyGrid(0.1, 10.0, 360)
+    grid.integrate(np.zeros((1, 3)), scan[None])
+    rows, columns = np.nonzero(grid.log_odds)
+    known = grid.snapshot().centre_of(np.stack([rows, columns], axis=-1))
+    assert known[:, 0].min() > -0.16 and (grid.log_odds < 0).sum() == pytest.approx(0.5 * np.pi * 9 * 100, rel=0.06)
+
+
+def test_odometry_and_gyro_of_the_frames_give_the_path_back():
+    poses = np.array([[1.0, 2.0, 0.3], [1.5, 2.1, 0.9], [1.2, 2.6, 2.0]])
+    log = ScanLog(np.array([4.0, 6.0, 6.0]), poses, np.ones((3, 3)), np.zeros(3))
+    frames = sensor_frames(log, 8, 10.0, [0, 1, 2], robot=1)
+    pose, heading = poses[0], poses[0, 2]
+    for before, frame in zip([frames[0], *frames], frames, strict=False):
+        pose = compose(pose, frame.odometry)
+        heading += frame.turn_rate_rad_s * (frame.time_s - before.time_s)
+    assert pose == pytest.approx(poses[-1]) and heading == pytest.approx(2.0)
+    assert [f.step for f in frames] == [0, 1, 2] and frames[2].time_s > frames[1].time_s and frames[0].robot == 1
+
+
+@needs_data
+def test_both_forms_of_the_intel_log_hold_the_same_scans():
+    folder = Path(os.environ["TWC_DATA"]) / "lidar"
+    carmen = read_carmen_log(folder / "carmen" / "intel-corrected.log.gz")
+    log = read_scan_log(folder / "raw_odometry" / "intel_corrected_log.json.gz")
+    assert carmen.ranges_m.shape == log.ranges_m.shape == (910, 180)
+    assert carmen.ranges_m[100] == pytest.approx(log.ranges_m[100], abs=0.01)
+    assert carmen.beam_angles_rad == pytest.approx(log.beam_angles_rad)
