@@ -1,4 +1,4 @@
-"""Command line: python -m twc_env maps | bench | record | replay | reproduce."""
+"""Command line: python -m twc_env maps | bench | soak | record | replay | reproduce."""
 
 from __future__ import annotations
 
@@ -65,6 +65,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     speed.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one object")
     speed.set_defaults(run=_bench)
+
+    long = commands.add_parser(
+        "soak",
+        help="play for very long in changing buildings and watch memory",
+        description="Robots wander by reflex through episodes of 500 steps, each in another building of the training "
+        "split. Prints what memory did after a warm-up; an exception ends it with the seed of its episode.",
+    )
+    long.add_argument("--steps", type=int, default=1_000_000, help="time steps in all (default: %(default)s)")
+    long.add_argument("--seed", type=int, default=0, help="of the first episode (default: %(default)s)")
+    long.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    long.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one flat object")
+    long.set_defaults(run=_soak)
 
     record = commands.add_parser(
         "record",
@@ -147,6 +159,18 @@ def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
     for key, value in matching.items():
         print(f"{key:<32}{value:>18.3f}")
     _write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows} | matching)
+
+
+def _soak(options: argparse.Namespace) -> None:
+    from twc_env.config import EnvConfig, override
+    from twc_env.soak import soak
+
+    config = override(EnvConfig(), assignments(options.set))
+    figures = soak(options.steps, options.seed, config, lambda line: print(f"\r{line}", end="", file=sys.stderr))
+    print(file=sys.stderr)
+    for key, value in figures.items():
+        print(f"{key:<28} {value:,.1f}" if isinstance(value, float) else f"{key:<28} {value}")
+    _write_json(options.json, figures)
 
 
 def _record(options: argparse.Namespace) -> None:

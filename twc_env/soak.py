@@ -1,0 +1,87 @@
+"""Play for very long, in a new building each episode, and watch memory: `python -m twc_env soak`."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twc_env.bench import wander
+from twc_env.config import EnvConfig, override
+from twc_env.exploration.environment import ExplorationEnv
+
+WARM_UP_SHARE = 0.3
+"""Of all steps: caches of buildings fill in this time; growth is counted from its end on."""
+EPISODE_STEPS = 500
+
+
+def soak(
+    steps: int, seed: int = 0, config: EnvConfig | None = None, report: Callable[[str], None] = lambda _: None
+) -> dict:
+    """Play `steps` time steps in buildings of the training split; gives memory before and after, and what was seen.
+
+    Every exception is passed on with the seed of its episode in its notes.
+    """
+    config = override(config or EnvConfig(), {"max_cycles": EPISODE_STEPS})
+    env = ExplorationEnv(config=config)
+    done, episode, began = 0, seed, time.perf_counter()
+    rows: list[tuple[int, float]] = []
+    buildings: set[str] = set()
+    while done < steps:
+        try:
+            done += _episode(env, episode)
+        except Exception as error:
+            error.add_note(f"in the episode of seed {episode}, split train: {env.floorplan.name}")
+            raise
+        buildings.add(env.floorplan.name)
+        episode += 1
+        gc.collect()
+        rows.append((done, resident_mb()))
+        report(
+            f"{done}/{steps} steps, {len(buildings)} buildings, {rows[-1][1]:.0f} MB, {time.perf_counter() - began:.0f} s"
+        )
+    return _figures(rows, len(buildings), episode - seed, time.perf_counter() - began)
+
+
+def _episode(env: ExplorationEnv, seed: int) -> int:
+    observations, _ = env.reset(seed, {"split": "train"})
+    for actions in wander(env, seed):
+        observations, rewards, *_ = env.step(actions)
+    assert all(np.isfinite(list(rewards.values())))
+    assert all(env.observation_space(agent).contains(o) for agent, o in observations.items())
+    return env.config.max_cycles
+
+
+def _figures(rows: list[tuple[int, float]], buildings: int, episodes: int, seconds: float) -> dict[str, Any]:
+    warm = [mb for done, mb in rows if done >= WARM_UP_SHARE * rows[-1][0]]
+    late = max(1, len(warm) // 4)
+    return {
+        "steps": rows[-1][0],
+        "episodes": episodes,
+        "buildings": buildings,
+        "memory_after_warm_up_mb": float(np.median(warm[:late])),
+        "memory_at_end_mb": float(np.median(warm[-late:])),
+        "memory_growth_mb": float(np.median(warm[-late:]) - np.median(warm[:late])),
+        "memory_peak_mb": max(mb for _, mb in rows),
+        "steps_per_s": rows[-1][0] / seconds,
+    }
+
+
+def resident_mb() -> float:
+    """Memory of this process [MB]: what it holds now on Linux, its peak so far elsewhere."""
+    status = Path("/proc/self/statm")
+    if status.exists():
+        import resource
+
+        return int(status.read_text().split()[1]) * resource.getpagesize() / 1e6
+    if sys.platform == "win32":
+        return float("nan")
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
