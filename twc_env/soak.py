@@ -42,9 +42,8 @@ def soak(
         episode += 1
         gc.collect()
         rows.append((done, resident_mb()))
-        report(
-            f"{done}/{steps} steps, {len(buildings)} buildings, {rows[-1][1]:.0f} MB, {time.perf_counter() - began:.0f} s"
-        )
+        took_s = time.perf_counter() - began
+        report(f"{done}/{steps} steps, {len(buildings)} buildings, {rows[-1][1]:.0f} MB, {took_s:.0f} s")
     return _figures(rows, len(buildings), episode - seed, time.perf_counter() - began)
 
 
