@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twc_env.maps import load_map
-from twc_env.reproduce.merging import add_arguments, merge_in, overlapping_ways, rows
+from twc_env.reproduce.merging import BYTES, THICKNESS, add_arguments, merge_in, overlapping_ways, rows
 from twc_env.reproduce.runner import Runner
 
 
@@ -29,16 +29,20 @@ def test_one_building_is_merged_rightly(small):
     assert row["fully_merged"] == 1 and row["wrong_merges"] == 0
     assert 0 < row["first_merge_s"] <= row["all_merged_s"] and row["bytes_to_first_merge"] > 0
     assert row["team_ate_m"] < 0.1
+    assert row["undone"] == 0
+    assert sum(row[key] for key in BYTES[1:]) == row["bytes_to_first_merge"]
+    assert row["wall_thickness_m"] < 1.3 * row["wall_thickness_true_m"]
 
 
 def test_the_table_ends_with_the_sum_over_buildings(tmp_path, monkeypatch):
     found = {"test/0000": 1, "test/0001": 0}
     monkeypatch.setattr(
         "twc_env.reproduce.merging.merge_in",
-        lambda name, robots, seed: {
+        lambda name, robots, seed, settings: {
             "building": name, "rooms": 3, "steps": 10, "fully_merged": found[name], "wrong_merges": 0,
             "first_merge_s": None if name == "test/0001" else 4.0, "all_merged_s": None, "bytes_to_first_merge": 7,
             "team_ate_m": 0.1 + found[name], "team_ate_max_m": 0.1 + found[name],
+            "undone": 0, **dict.fromkeys(BYTES[1:], 1), **dict.fromkeys(THICKNESS, 0.1),
         },
     )  # fmt: skip
     parser = argparse.ArgumentParser()

@@ -293,7 +293,7 @@ def evaluate(
         "steps": record.count - 1,
         "sim_time_s": round((record.count - 1) * config.dynamics.time_step_s, 6),
         "coverage_believed": score.believed_area_m2 / _floor_m2(cells),
-        "coverage_true": _seen_share(_map_at(engine, record.true_poses, config), cells),
+        "coverage_true": _seen_share(map_at(engine, record.true_poses, config), cells),
         "coverage_correct": score.coverage_correct,
         "map_iou": score.map_iou,
         "wall_iou": score.wall_iou,
@@ -361,7 +361,7 @@ def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.Map
     )
 
 
-def _map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
+def map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
     """The map that the keyframes' scans would give at other poses (steps + 1, robots, 3)."""
     grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
     for robot in range(poses.shape[1]):
@@ -386,7 +386,7 @@ def _seen_share(grid: GridMap, cells: Cells) -> float:
 
 def _score_odometry(engine: Engine, reckoned: Array, true: Array, config: EnvConfig, cells: Cells) -> metrics.MapScore:
     """The map that dead reckoning alone would give, its true relative starts given away, after one alignment."""
-    return _score(_map_at(engine, reckoned, config), metrics.align_team(reckoned, true), cells)
+    return _score(map_at(engine, reckoned, config), metrics.align_team(reckoned, true), cells)
 
 
 def _closures(engine: Engine, best: GroupVerdict, record: EpisodeRecord, alignment: Array) -> list[dict]:

@@ -3,7 +3,11 @@
 Each of the 100 buildings of the test split gets one episode. Its rooms are dealt to the robots in strips from left to
 right; every robot tours its own strip and the first rooms of the next, so that paths overlap partly. The walkers know
 the building; the engine sees sensor frames only. `wrong_merges` counts pairs of robots that ever shared a map although
-their own paths place it more than 1 m or 10 degrees apart.
+their own paths place it more than 1 m or 10 degrees apart; `undone` merges that the engine took back. Bytes are those
+put on the air until two robots first shared a map, by kind of message. `wall_thickness_m` is of the largest group's map;
+`wall_thickness_true_m` of one drawn from the same scans at the true poses: ghost walls would set them apart. With
+`--set link.scan_on_request=true` scans travel only where the mapper asks, with `--set link.topology=peer` there is no
+mapper in the middle but one on each robot.
 """
 
 from __future__ import annotations
@@ -15,10 +19,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.exploration.evaluation import map_at
 from twc_env.maps import load_map
+from twc_env.messages import GridMap
+from twc_env.metrics import wall_thickness_m
 from twc_env.reproduce.routes import RoutePlanner, room_tour, steer
 from twc_env.reproduce.runner import Runner
+from twc_env.slam.exchange import KINDS
 from twc_env.world.floorplan import Floorplan
 
 Array = NDArray
@@ -27,6 +36,8 @@ SUMMARY = "map merging from unknown start frames in 100 unseen generated buildin
 ROOMS_MAX = 4
 """Rooms of its own strip that a robot tours."""
 STEPS_PER_M = 20.0
+BYTES = ("bytes_to_first_merge", *(f"bytes_{kind}" for kind in KINDS))
+THICKNESS = ("wall_thickness_m", "wall_thickness_true_m")
 STUCK_STEPS, ESCAPE_STEPS = 30, 12
 """A walker that got nowhere for so many steps backs off for so many, by turns to the left and right."""
 
@@ -36,12 +47,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--buildings", type=int, default=100, help="of the test split (default: %(default)s)")
     parser.add_argument("--robots", type=int, default=3, help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of noise (default: %(default)s)")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """A row per building, and one for all of them at the end."""
     names = [f"test/{k:04d}" for k in range(options.buildings)]
-    found = runner.each(names, lambda name: merge_in(name, options.robots, options.seed))
+    settings = dict(text.split("=", 1) for text in options.set)
+    found = runner.each(names, lambda name: merge_in(name, options.robots, options.seed, settings))
     merged = [row["first_merge_s"] for row in found if row["first_merge_s"] is not None]
     total = {
         "building": f"all {len(found)}",
@@ -51,34 +64,38 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         "wrong_merges": sum(row["wrong_merges"] for row in found),
         "first_merge_s": float(np.median(merged)) if merged else None,
         "all_merged_s": _median([row["all_merged_s"] for row in found]),
-        "bytes_to_first_merge": _median([row["bytes_to_first_merge"] for row in found]),
+        "undone": sum(row["undone"] for row in found),
+        **{key: _median([row[key] for row in found]) for key in BYTES},
+        **{key: _mean([row[key] for row in found]) for key in THICKNESS},
         "team_ate_m": float(np.mean([row["team_ate_m"] for row in found])),
         "team_ate_max_m": max(row["team_ate_max_m"] for row in found),
     }
     return [*found, total]
 
 
-def merge_in(name: str, robots: int, seed: int) -> dict:
-    """One episode in one building."""
+def merge_in(name: str, robots: int, seed: int, changes: dict[str, object] | None = None) -> dict:
+    """One episode in one building, with some settings changed."""
     plan = load_map(name)
     ways = overlapping_ways(plan, robots)
     longest = max(float(np.hypot(*np.diff(way, axis=0).T).sum()) for way in ways)
-    settings = {"map": name, "robots": robots, "max_cycles": int(longest * STEPS_PER_M) + 50}
-    env = ExplorationEnv(config=settings)
+    settings = {**(changes or {}), "map": name, "robots": robots, "max_cycles": int(longest * STEPS_PER_M) + 50}
+    env = ExplorationEnv(config=override(EnvConfig(), settings))
     headings = [math.atan2(*(way[min(5, len(way) - 1)] - way[0])[::-1]) for way in ways]
     starts = np.array([[*way[0], heading] for way, heading in zip(ways, headings, strict=True)])
     env.reset(seed=seed, options={"starts": starts})
     walkers = [Walker(way) for way in ways]
-    first = everyone = sent = None
+    first = everyone = None
+    sent: dict[str, int] = {}
     while env.agents and not all(walker.is_done for walker in walkers):
         poses = env.state().reshape(robots, 6)[:, :3]
         env.step({a: w.act(p, env) for a, w, p in zip(env.agents, walkers, poses, strict=True)})
-        groups = len(env.engine.team.groups)
-        if groups < robots and first is None:
-            first, sent = env.frames[0].time_s, env.bytes_sent
-        if groups == 1 and everyone is None:
+        sharing = [len(view.robots) for view in env.engine.views()]
+        if max(sharing) > 1 and first is None:
+            first, sent = env.frames[0].time_s, dict(env.engine.bytes_sent)
+        if min(sharing) == robots and everyone is None:
             everyone = env.frames[0].time_s
-    figures = env.result().figures
+    result = env.result()
+    figures = result.figures
     return {
         "building": name,
         "rooms": len(plan.rooms),
@@ -87,10 +104,18 @@ def merge_in(name: str, robots: int, seed: int) -> dict:
         "wrong_merges": figures["wrong_merges"],
         "first_merge_s": first,
         "all_merged_s": everyone,
-        "bytes_to_first_merge": sent,
+        "undone": sum(mapper.merges_undone for mapper in env.engine.mappers),
+        "bytes_to_first_merge": sum(sent.values()) if sent else None,
+        **{f"bytes_{kind}": sent.get(kind) for kind in KINDS},
+        "wall_thickness_m": _thickness(result.grids[0], result.pose_building_map[0], plan),
+        "wall_thickness_true_m": _thickness(map_at(env.engine, result.true_poses, env.config), np.zeros(3), plan),
         "team_ate_m": figures["team_ate_m"],
         "team_ate_max_m": figures["team_ate_m"],
     }
+
+
+def _thickness(grid: GridMap, pose_building_map: Array, plan: Floorplan) -> float:
+    return wall_thickness_m(grid.log_odds, grid.origin_m, grid.resolution_m, pose_building_map, plan.walls_m)
 
 
 def overlapping_ways(plan: Floorplan, robots: int) -> list[Array]:
@@ -122,6 +147,11 @@ def _apart(ways: list[Array]) -> list[Array]:
         starts.append(way[k])
         cut.append(way[k:])
     return cut
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
 
 
 def _median(values: Sequence[float | None]) -> float | None:

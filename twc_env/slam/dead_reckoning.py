@@ -48,6 +48,7 @@ class DeadReckoning:
     def __init__(self, config: EnvConfig, robot_count: int):
         self.robots = [Reckoner(robot) for robot in range(robot_count)]
         self.team = TeamMapper(config, robot_count)
+        self.mappers = [self.team]
         self._grid = self.team.grid_of(0)
         self._frames: list[SensorFrame | None] = [None] * robot_count
 

@@ -54,6 +54,11 @@ class MergeReview:
         self._undone: list[tuple[int, int, Array]] = []
         """Two robots that were torn apart, and where the odom frame of the second had been put in that of the first."""
 
+    @property
+    def undone_count(self) -> int:
+        """Merges undone so far."""
+        return len(self._undone)
+
     def note(self, a: tuple[int, ...], b: tuple[int, ...], step: int) -> None:
         """Two groups became one."""
         self.merges.append(Merge(a, b, step + FIRST_STEPS))

@@ -111,6 +111,11 @@ class TeamMapper:
         return self._graph.closures
 
     @property
+    def merges_undone(self) -> int:
+        """How many merges turned out to be wrong and were taken back."""
+        return self._review.undone_count
+
+    @property
     def wanted(self) -> list[tuple[int, int]]:
         """(robot, keyframe index) of scans to ask for."""
         return list(self._maps.wanted)
