@@ -4,7 +4,7 @@ Each of the 100 buildings of the test split gets one episode. Its rooms are deal
 right; every robot tours its own strip and the first rooms of the next, so that paths overlap partly. The walkers know
 the building; the engine sees sensor frames only. `wrong_merges` counts pairs of robots that ever shared a map although
 their own paths place it more than 1 m or 10 degrees apart; `undone` merges that the engine took back. Bytes are those
-put on the air until two robots first shared a map, by kind of message. `wall_thickness_m` is of the largest group's map;
+put on the air until two robots first shared a map, by kind of message. `wall_thickness_m` is of the largest map,
 `wall_thickness_true_m` of one drawn from the same scans at the true poses: ghost walls would set them apart. With
 `--set link.scan_on_request=true` scans travel only where the mapper asks, with `--set link.topology=peer` there is no
 mapper in the middle but one on each robot.

@@ -10,7 +10,9 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +29,11 @@ TABLES: dict[str, str] = {
     "twc-table2": "twc_table2",
     "real-places": "real_places",
     "robustness": "robustness",
+    "solver": "solver",
     "stress": "stress",
 }
 """Name on the command line -> module of this package."""
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Runner:
@@ -40,15 +44,39 @@ class Runner:
         self._folder = folder / f"{name}-{__version__}-{digest}"
         self._started = time.monotonic()
 
-    def each(self, parts: Sequence, work: Callable[..., object], label: Callable[..., str] = str) -> list:
+    def each(
+        self, parts: Sequence, work: Callable[..., object], label: Callable[..., str] = str, processes: int = 1
+    ) -> list:
         """`work(part)` for every part, in order; a part that an earlier run finished is read back instead.
 
-        What `work` gives must survive JSON; `label` names a part uniquely.
+        What `work` gives must survive JSON; `label` names a part uniquely. With several processes, `work` and the parts
+        must be picklable; each process computes with one thread.
         """
+        if processes > 1:
+            return self._each_aside(parts, work, label, processes)
         results = []
         for count, part in enumerate(parts):
             self._say(f"{count}/{len(parts)} {label(part)}")
             results.append(self._once(label(part), work, part))
+        self._say(f"{len(parts)}/{len(parts)}", end="\n")
+        return results
+
+    def _each_aside(self, parts: Sequence, work: Callable[..., object], label: Callable[..., str], count: int) -> list:
+        """`each` in several processes; they start afresh, so that none inherits a lock or a pool of threads."""
+        held = {name: os.environ.get(name) for name in THREADS}
+        os.environ.update(dict.fromkeys(THREADS, "1"))
+        try:
+            with ProcessPoolExecutor(count, get_context("spawn")) as pool:
+                waiting = [pool.submit(self._once, label(part), work, part) for part in parts]
+                for done, _ in enumerate(as_completed(waiting)):
+                    self._say(f"{done}/{len(parts)}")
+                results = [future.result() for future in waiting]
+        finally:
+            for name, value in held.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
         self._say(f"{len(parts)}/{len(parts)}", end="\n")
         return results
 
