@@ -27,6 +27,12 @@ Array = NDArray
 
 KEEP_GATE = 25.0
 """A closure that the rest of the map contradicts by more is refused: 1.5e-5 of true ones at honest covariances."""
+LONE_GATE = 9.348
+"""In the end, a closure that has no group to vouch for it is held to 97.5 % of chi squared."""
+UNCHECKED_BELOW = 0.25
+"""Least share of its own noise that a closure's residual keeps after the fit when others check it."""
+DOUBTS_MAX, DOUBT_ROUNDS_MAX, REVOKED_MAX = 12, 10, 3
+"""Unchecked closures that are doubted, rounds of believing without one, and how often a group may be taken back."""
 ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 1.5, 3.0
 """Log odds from which groups are believed by the dozen; the best one, when there are no such; several together, when
 none is likely alone."""
@@ -64,6 +70,7 @@ class ClosureGrowth:
             if not self._believe_more():
                 break
             self._settle()
+        self._doubt()
         return self._finish()
 
     def _used(self) -> Array:
@@ -96,7 +103,7 @@ class ClosureGrowth:
 
     def _believe_more(self) -> bool:
         self._look()
-        pending = np.flatnonzero(~self._believed & (self._revoked < 3))
+        pending = np.flatnonzero(~self._believed & (self._revoked < REVOKED_MAX))
         if not len(pending):
             return False
         speaker = self._speaker[pending]
@@ -176,6 +183,24 @@ class ClosureGrowth:
         self._member_in[np.isin(self._group, groups)] = True
         return True
 
+    def _doubt(self) -> None:
+        """Lone closures that no other checks may keep several out that agree: see who is believed without each."""
+        self._look()
+        used = np.flatnonzero(self._used() & (self._size[self._group] == 1))
+        if not len(used) or self._believed.all():
+            return
+        unchecked = self._map.checked_share(used) < UNCHECKED_BELOW
+        for group in self._group[used[unchecked]][:DOUBTS_MAX].tolist():
+            held = self.poses, self._believed.copy(), self._revoked.copy(), self._member_in.copy()
+            self._believed[group], self._revoked[group] = False, REVOKED_MAX
+            self._settle()
+            for _ in range(DOUBT_ROUNDS_MAX):
+                if not self._believe_more():
+                    break
+                self._settle()
+            if np.count_nonzero(self._believed) <= np.count_nonzero(held[1]):
+                self.poses, self._believed, self._revoked, self._member_in = held
+
     def _finish(self):
         graph, closures = self._graph, self._closures
         for _ in range(3):  # with the map settled, every closure is judged on its own
@@ -188,7 +213,8 @@ class ClosureGrowth:
             evidence = self._map.evidence(error, covariance)
             loose = self._map.gate_scale
             proven = evidence + self._final_odds(evidence) > ODDS_LIKELY
-            kept = (squared < np.where(used, KEEP_GATE, GATE) * loose) & (used | proven)
+            gate = np.where(self._size[self._group] == 1, LONE_GATE, KEEP_GATE)
+            kept = (squared < np.where(used, gate, np.minimum(gate, GATE)) * loose) & (used | proven)
             same = np.array_equal(kept, used)
             self._believed[:] = True
             self._member_in = kept

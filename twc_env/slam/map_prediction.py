@@ -132,6 +132,12 @@ class MapPrediction:
         plain = self._graph.squared_errors(self._poses)[edges]
         return np.where(plain < GATE * min(self.scale, 1.0), np.minimum(squared, GATE * GATE_SCALE_MIN), squared)
 
+    def checked_share(self, used: Array) -> Array:
+        """(k,) how much of used closures' own noise the fit leaves in their residuals, in the direction with most."""
+        own = self.own_noise(used)
+        root = np.linalg.inv(np.linalg.cholesky(own))
+        return np.linalg.eigvalsh(turned(root, own - self.drift(used)))[:, -1]
+
     def joint_of(self, closures: Array, covariance: Array) -> Array:
         """(k, 3, k, 3) covariance of the predictions of several closures, `covariance` (k, 3, 3) on its diagonal."""
         a, b = self._key_of[self._i[closures]], self._key_of[self._j[closures]]
