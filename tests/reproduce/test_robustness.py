@@ -64,7 +64,21 @@ def test_the_clean_optimum_of_mit_is_better_than_odometry_leads_to():
 
 @needs_data
 def test_ours_survives_where_plain_least_squares_does_not(tmp_path):
-    rows = table(tmp_path, "--datasets", "MIT", "--shares", "0,0.5", "--methods", "plain,ours", "--seeds", "1-2")
+    rows = table(
+        tmp_path,
+        "--datasets",
+        "MIT",
+        "--shares",
+        "0,0.5",
+        "--methods",
+        "plain,ours",
+        "--seeds",
+        "1-2",
+        "--other-seeds",
+        "1-2",
+        "--processes",
+        "1",
+    )
     assert list(rows[0])[:4] == ["dataset", "false_kind", "false_share", "method"]
     assert len(rows) == 6
     for row in rows:

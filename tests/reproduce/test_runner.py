@@ -48,3 +48,14 @@ def test_a_missing_data_folder_is_named(monkeypatch):
     monkeypatch.delenv("TWC_DATA", raising=False)
     with pytest.raises(DataError, match="set TWC_DATA"):
         data_folder()
+
+
+def square(part):
+    return part * part
+
+
+def test_several_processes_give_the_same_rows_in_the_same_order(tmp_path):
+    alone, together = (
+        Runner("squares", tmp_path / str(count), {}).each([3, 1, 2], square, processes=count) for count in (1, 2)
+    )
+    assert alone == together == [9, 1, 4]
