@@ -5,8 +5,9 @@ import pytest
 
 HEAVY = ("torch", "pygame", "matplotlib", "PIL", "stable_baselines3", "pandas", "IPython")
 WARM_IMPORT_MAX_S = 0.6
+"""CPU time: a busy machine must not fail it."""
 
-TIMED = "import time; t = time.perf_counter(); import twc_env; print(time.perf_counter() - t)"
+TIMED = "import time; t = time.process_time(); import twc_env; print(time.process_time() - t)"
 
 
 def run(code: str) -> str:
@@ -20,7 +21,7 @@ def test_importing_twc_env_loads_nothing_heavy():
 
 def test_a_warm_import_of_twc_env_takes_less_than_its_limit():
     best_s = min(float(run(TIMED)) for _ in range(5))
-    print(f"import twc_env: {best_s:.2f} s warm, best of 5")
+    print(f"import twc_env: {best_s:.2f} s of CPU time warm, best of 5")
     assert best_s < WARM_IMPORT_MAX_S
 
 

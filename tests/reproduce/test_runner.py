@@ -59,3 +59,9 @@ def test_several_processes_give_the_same_rows_in_the_same_order(tmp_path):
         Runner("squares", tmp_path / str(count), {}).each([3, 1, 2], square, processes=count) for count in (1, 2)
     )
     assert alone == together == [9, 1, 4]
+
+
+def test_parts_of_another_code_are_not_taken(tmp_path, monkeypatch):
+    Runner("table", tmp_path, {}).each([0], lambda _: 1)
+    monkeypatch.setattr("twc_env.reproduce.runner.source_digest", lambda: "other")
+    assert Runner("table", tmp_path, {}).each([0], lambda _: 2) == [2]

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import cache
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
@@ -40,8 +41,8 @@ class Runner:
     """Runs the parts of a table one by one, keeps what is finished on disk, and says how far it is."""
 
     def __init__(self, name: str, folder: Path, settings: dict):
-        digest = hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode()).hexdigest()[:12]
-        self._folder = folder / f"{name}-{__version__}-{digest}"
+        text = json.dumps([settings, source_digest()], sort_keys=True, default=str)
+        self._folder = folder / f"{name}-{__version__}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
         self._started = time.monotonic()
 
     def each(
@@ -94,6 +95,16 @@ class Runner:
     def _say(self, text: str, end: str = "") -> None:
         elapsed = time.monotonic() - self._started
         print(f"\r[{elapsed:5.0f} s] {text[:100]:<100}", end=end, file=sys.stderr, flush=True)
+
+
+@cache
+def source_digest() -> str:
+    """Changes with any source file of the package: parts that another code finished are not taken for this one's."""
+    root = Path(__file__).parents[1]
+    content = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        content.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return content.hexdigest()[:12]
 
 
 def plain(value):
