@@ -32,6 +32,7 @@ TABLES: dict[str, str] = {
     "robustness": "robustness",
     "solver": "solver",
     "stress": "stress",
+    "sfw-table1": "sfw_table1",
 }
 """Name on the command line -> module of this package."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -1,0 +1,116 @@
+"""How right a map from signal strength is (SPEC K1, K2, K17-K19): walls crossed, free and wall overlap, calibration.
+
+Maps hold 255 where free, 0 where wall and 127 where nothing is known, one cell per element, truth and estimate on the
+same grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.metrics.mapping import score_map
+
+Array = NDArray
+
+FREE, UNKNOWN, WALL = 255, 127, 0
+
+
+@dataclass(frozen=True, slots=True)
+class StructureScore:
+    """An estimated map of walls compared with the truth."""
+
+    iou_free: float
+    """Eq. 11: cells known on both sides; what the estimate leaves unknown is excused, so read `coverage` with it."""
+    iou_wall: float
+    """Walls met within one cell, no cell excused (`score_map`)."""
+    coverage: float
+    """Share of the cells with a known truth of which the estimate says anything."""
+    mse: float
+    """Eq. 14 with maps from 0 to 1; times 65025 it is grey squared."""
+    brier: float
+    """Mean squared error of the wall probability, cells known on both sides."""
+    free_recall: float
+    """Share of the free floor that is called free."""
+
+
+def truth_map(free: Array, wall: Array) -> Array:
+    """(rows, columns) 255, 127 and 0 from free and wall cells."""
+    return np.where(free, FREE, np.where(wall, WALL, UNKNOWN)).astype(np.uint8)
+
+
+def score_structure(estimate: Array, truth: Array, probability: Array | None = None) -> StructureScore:
+    """Score an estimate (rows, columns) against the truth of the same shape; probability of a wall per cell, or NaN."""
+    known = (estimate != UNKNOWN) & (truth != UNKNOWN)
+    both = known & (estimate != WALL) & (truth != WALL)
+    either = known & ((estimate != WALL) | (truth != WALL))
+    log_odds = np.select([estimate == FREE, estimate == WALL], [-1, 1], 0).astype(np.int16)
+    walls = score_map(log_odds, np.zeros(2), 1.0, np.zeros(3), truth == FREE, truth == WALL, np.zeros(2), 1.0)
+    if probability is None:
+        probability = np.where(estimate == UNKNOWN, np.nan, (estimate == WALL).astype(float))
+    told = np.isfinite(probability) & (truth != UNKNOWN)
+    error = probability[told] - (truth[told] == WALL)
+    difference = estimate.astype(float) - truth.astype(float)
+    return StructureScore(
+        iou_free=float(both.sum() / max(either.sum(), 1)),
+        iou_wall=walls.wall_iou,
+        coverage=float(known.sum() / max((truth != UNKNOWN).sum(), 1)),
+        mse=float(np.mean((difference / 255.0) ** 2)),
+        brier=float(np.mean(error**2)) if told.any() else float("nan"),
+        free_recall=float(((estimate == FREE) & (truth == FREE)).sum() / max((truth == FREE).sum(), 1)),
+    )
+
+
+def reliability(probability: Array, is_wall: Array, bins: int = 10) -> tuple[Array, Array, Array]:
+    """(bins,) mean probability, share that are walls, and number, of cells whose probability falls into each tenth."""
+    place = np.minimum((np.asarray(probability) * bins).astype(int), bins - 1)
+    count = np.bincount(place, minlength=bins)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(place, probability, minlength=bins) / count
+        share = np.bincount(place, np.asarray(is_wall, float), minlength=bins) / count
+    return mean, share, count
+
+
+def calibration_error(probability: Array, is_wall: Array, bins: int = 10) -> float:
+    """Expected calibration error: mean gap between probability and share, weighted by number."""
+    mean, share, count = reliability(probability, is_wall, bins)
+    told = count > 0
+    return float((np.abs(mean - share)[told] * count[told]).sum() / max(count.sum(), 1))
+
+
+def walls_crossed_in_raster(wall: Array, start_cell: Array, target_cells: Array) -> Array:
+    """(targets,) walls on the line from a place (row, column) to each target (targets, 2), in cells and parts of them.
+
+    A wall is a run of occupied cells, whatever its thickness (SPEC K1); grazing along one counts once.
+    """
+    crossed = np.empty(len(target_cells), np.int64)
+    start, targets = np.asarray(start_cell, float), np.ascontiguousarray(target_cells, float)
+    _count_runs(np.ascontiguousarray(wall), start, targets, crossed)
+    return crossed
+
+
+def walls_crossed_map(wall: Array, free: Array, start_cell: Array) -> Array:
+    """(rows, columns) walls between a place (row, column) and every free cell, -1 elsewhere (SPEC K2)."""
+    cells = np.argwhere(free)
+    k_map = np.full(wall.shape, -1, np.int64)
+    k_map[tuple(cells.T)] = walls_crossed_in_raster(wall, start_cell, cells + 0.5)
+    return k_map
+
+
+@njit(cache=True, error_model="numpy")
+def _count_runs(wall, start, targets, crossed):
+    rows, columns = wall.shape
+    for i in range(targets.shape[0]):
+        dr, dc = targets[i, 0] - start[0], targets[i, 1] - start[1]
+        steps = int(np.sqrt(dr * dr + dc * dc) * 4.0) + 1
+        runs, inside = 0, False
+        for s in range(steps + 1):
+            r, c = int(np.floor(start[0] + dr * s / steps)), int(np.floor(start[1] + dc * s / steps))
+            hit = 0 <= r < rows and 0 <= c < columns and wall[r, c]
+            if hit and not inside:
+                runs += 1
+            inside = hit
+        crossed[i] = runs

@@ -1,0 +1,129 @@
+"""Run the published and our structure from WiFi on one walk, and score both alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.metrics.k_visibility import StructureScore, calibration_error, score_structure, truth_map
+from twc_env.reproduce.sfw_walks import RadioWalk
+from twc_env.slam import k_visibility_rules as published
+from twc_env.slam.k_visibility import Structure, map_structure
+from twc_env.slam.k_visibility_signal import k_means, predict_walls, sliding_window
+from twc_env.world.floorplan import Cells
+
+Array = NDArray
+
+METHODS = ("paper", "ours")
+RESOLUTION_M = 0.1
+_DENSE_READINGS = 1000
+"""With more readings than this the paper's window is 25 wide, else 7 (SPEC K6)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mapped:
+    """What one method made of a walk, on the grid of the truth."""
+
+    k_accuracy: float
+    score: StructureScore
+    calibration_error: float
+    classes: Array
+    truth: Array
+    probability: Array
+    structure: Structure | None = None
+
+
+def focus_of(walk: RadioWalk) -> tuple[Array, Array]:
+    """Rows of the readings that heard any router, and the strongest router of each."""
+    rows = np.flatnonzero(np.isfinite(walk.rssi_dbm).any(axis=1))
+    return rows, np.argmax(np.nan_to_num(walk.rssi_dbm[rows], nan=-200.0), axis=1)
+
+
+def by_paper(walk: RadioWalk, cells: Cells) -> Mapped:
+    """Sorted k-means on the strongest router's readings, sliding window, rules 1-5 with Eq. 4 and 5 as printed.
+
+    The paper does not print its number of clusters: the one that serves it best, in hindsight, is taken.
+    """
+    rows, focus = focus_of(walk)
+    width = 25 if len(rows) > _DENSE_READINGS else 7
+    smooth = np.zeros(len(rows))
+    for router in range(walk.rssi_dbm.shape[1]):
+        mine = focus == router
+        if mine.any():
+            smooth[mine] = sliding_window(walk.rssi_dbm[rows[mine], router], width)
+    true = walk.walls[rows, focus]
+    tries = [predict_walls(smooth, k_means(smooth, k + 1)) for k in range(1, max(int(true.max()), 1) + 1)]
+    k = max(tries, key=lambda guess: float(np.mean(guess == true)))
+    at = np.floor((walk.position_m[rows] - cells.origin_m) / cells.resolution_m).astype(np.int64)[:, ::-1]
+    routers = ((walk.router_m - cells.origin_m) / cells.resolution_m)[:, ::-1]
+    settings = published.RuleSettings(equation_4="literal")
+    classes, _ = published.map_by_rules(at, k, focus, routers, cells.free.shape, settings)
+    probability = np.where(classes == published.UNKNOWN, np.nan, (classes == published.WALL).astype(float))
+    return _judged(float(np.mean(k == true)), classes, probability, cells)
+
+
+def by_ours(walk: RadioWalk, cells: Cells, seed: int, router_known: bool = True) -> Mapped:
+    """`map_structure` on the same readings."""
+    structure = map_structure(
+        walk.position_m, walk.rssi_dbm, walk.router_m if router_known else None, cells.resolution_m, seed=seed,
+        origin_m=cells.origin_m,
+    )  # fmt: skip
+    rows, focus = focus_of(walk)
+    accuracy = float(np.mean(structure.walls[rows, focus] == walk.walls[rows, focus]))
+    classes = on_grid(structure.grid.classes(), structure.grid.origin_m, cells, published.UNKNOWN)
+    probability = on_grid(structure.grid.probability, structure.grid.origin_m, cells, np.nan)
+    return _judged(accuracy, classes, probability, cells, structure)
+
+
+def on_grid(values: Array, origin_m: Array, cells: Cells, outside) -> Array:
+    """Values of a grid with the same cells but another extent, on the grid of the truth."""
+    placed = np.full(cells.free.shape, outside, values.dtype)
+    column, row = np.round((origin_m - cells.origin_m) / cells.resolution_m).astype(int)
+    r0, c0 = max(row, 0), max(column, 0)
+    r1, c1 = min(row + values.shape[0], placed.shape[0]), min(column + values.shape[1], placed.shape[1])
+    placed[r0:r1, c0:c1] = values[r0 - row : r1 - row, c0 - column : c1 - column]
+    return placed
+
+
+def _judged(
+    accuracy: float, classes: Array, probability: Array, cells: Cells, structure: Structure | None = None
+) -> Mapped:
+    truth = truth_map(cells.free, cells.wall)
+    told = np.isfinite(probability) & (truth != published.UNKNOWN)
+    error = calibration_error(probability[told], truth[told] == published.WALL)
+    score = score_structure(classes, truth, probability)
+    return Mapped(accuracy, score, error, classes, truth, probability, structure)
+
+
+def draw_maps(path: Path, title: str, walk: RadioWalk, cells: Cells, maps: dict[str, Mapped]) -> None:
+    """Truth, and each method's map beside it. Says nothing where matplotlib is missing."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        return
+    rows, columns = cells.free.shape
+    figure = Figure(figsize=(5.0 * (len(maps) + 1), 5.0 * rows / columns + 1.0), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title)
+    axes = figure.subplots(1, len(maps) + 1)
+    x0, y0 = cells.origin_m
+    extent = (x0, x0 + columns * cells.resolution_m, y0, y0 + rows * cells.resolution_m)
+    shown = {"truth": next(iter(maps.values())).truth, **{name: made.classes for name, made in maps.items()}}
+    for axis, (name, image) in zip(axes, shown.items(), strict=True):
+        axis.imshow(image, origin="lower", extent=extent, cmap="gray", vmin=0, vmax=255)
+        axis.plot(*walk.position_m.T, color="tab:green", linewidth=0.4)
+        axis.plot(*walk.router_m.T, "r^", markersize=5)
+        if name in maps:
+            score = maps[name].score
+            name += (
+                f": k {maps[name].k_accuracy:.1%}, free IoU {score.iou_free:.3f}, wall IoU {score.iou_wall:.2f}, "
+                f"coverage {score.coverage:.2f}"
+            )
+        axis.set_title(name, fontsize=7)
+        axis.set_aspect("equal")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)

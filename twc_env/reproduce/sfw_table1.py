@@ -1,0 +1,103 @@
+"""Table I of inverse k-visibility (Kim et al.): six experiments on twin plans, the published method and ours.
+
+Plans, routers, numbers of readings and areas follow the print (SPEC K20); the radio preset is `sfw` with the wall losses
+that the plans state. `paper` chooses its number of clusters in hindsight, the best for it. Coverage stands beside every
+IoU, for what a map leaves unknown is excused by the paper's IoU.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from twc_env.config import RadioConfig, radio_preset
+from twc_env.maps import load_map
+from twc_env.reproduce import sfw_scoring as scoring
+from twc_env.reproduce.runner import Runner, parse_seeds
+from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_route
+
+SUMMARY = "inverse k-visibility Table I: walls crossed and maps of six plans from signal strength"
+POINTS = {1: 3159, 2: 4713, 3: 6001, 4: 1803, 5: 492, 6: 393}
+_PRINTED_ACCURACY = {1: 84.93, 2: 82.79, 3: 85.32, 4: 94.18, 5: 95.73, 6: 96.44}
+_PRINTED_IOU = {1: 0.8531, 2: 0.9028, 3: 0.8321, 4: 0.9349, 5: 0.8364, 6: 0.9627}
+_AVERAGED = ("k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier", "calibration_error", "router_error_m")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `reproduce sfw-table1`."""
+    parser.add_argument(
+        "--seeds", default="10", help="noise seeds: a count, or a range like 0-9 (default: %(default)s)"
+    )
+    parser.add_argument("--experiments", default="1,2,3,4,5,6", help="which of the six (default: %(default)s)")
+    parser.add_argument(
+        "--routers", choices=("known", "unknown"), default="known", help="whether `ours` is told where routers stand"
+    )
+    parser.add_argument("--out", type=Path, default=Path("runs/sfw-table1"), help="pictures (default: %(default)s)")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per experiment and method."""
+    seeds = parse_seeds(options.seeds)
+    experiments = [int(text) for text in options.experiments.split(",")]
+    parts = [(experiment, seed) for experiment in experiments for seed in seeds]
+    runs = runner.each(
+        parts,
+        lambda part: measure(*part, options.out if part[1] == seeds[0] else None, options.routers == "known"),
+        lambda part: f"experiment {part[0]} seed {part[1]}",
+    )
+    table = []
+    for experiment in experiments:
+        for method in scoring.METHODS:
+            own = [run[method] for part, run in zip(parts, runs, strict=True) if part[0] == experiment]
+            table.append(_row(experiment, method, own))
+    return table
+
+
+def twin_radio() -> RadioConfig:
+    """The preset of the paper, with walls that take what the twin plans say."""
+    return dataclasses.replace(radio_preset("sfw"), wall_loss_scale=1.0)
+
+
+def measure(experiment: int, seed: int, out: Path | None, router_known: bool = True, points: int | None = None) -> dict:
+    """Both methods on one walk: {method: figures}."""
+    plan = load_map(f"sfw-e{experiment}")
+    way = resampled(wall_following_route(plan), points or POINTS[experiment])
+    walk = read_walk(plan, twin_radio(), way, seed)
+    cells = plan.cells(scoring.RESOLUTION_M)
+    maps = {"paper": scoring.by_paper(walk, cells), "ours": scoring.by_ours(walk, cells, seed, router_known)}
+    if out is not None:
+        scoring.draw_maps(out / f"experiment-{experiment}.png", f"experiment {experiment}", walk, cells, maps)
+    figures = {
+        name: {
+            "k_accuracy": made.k_accuracy,
+            "iou_free": made.score.iou_free,
+            "iou_wall": made.score.iou_wall,
+            "coverage": made.score.coverage,
+            "mse": made.score.mse,
+            "brier": made.score.brier,
+            "calibration_error": made.calibration_error,
+            "router_error_m": 0.0
+            if made.structure is None
+            else float(np.median(np.linalg.norm(made.structure.router_m - walk.router_m, axis=1))),
+        }
+        for name, made in maps.items()
+    }
+    return figures
+
+
+def _row(experiment: int, method: str, runs: list[dict]) -> dict:
+    mean = {key: float(np.mean([run[key] for run in runs])) for key in _AVERAGED}
+    return {
+        "experiment": experiment,
+        "routers": len(load_map(f"sfw-e{experiment}").access_points),
+        "points": POINTS[experiment],
+        "method": method,
+        **{key: mean[key] for key in ("k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier")},
+        "paper_k_accuracy": _PRINTED_ACCURACY[experiment] / 100,
+        "paper_iou": _PRINTED_IOU[experiment],
+        "seeds": len(runs),
+        "sd": float(np.std([run["k_accuracy"] for run in runs], ddof=1)) if len(runs) > 1 else 0.0,
+    }

@@ -1,0 +1,134 @@
+"""Walks for structure-from-WiFi tables: a route along all walls, and what a receiver reads on it (SPEC K21)."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, label, uniform_filter1d
+
+from twc_env.config import RadioConfig
+from twc_env.errors import MapError
+from twc_env.reproduce.routes import RoutePlanner
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.radio import RadioModel, WifiReceiver
+
+Array = NDArray
+
+STANDOFF_M = 0.3
+"""The walker's sensor keeps this far from the wall that it follows."""
+_FINE_M = 0.05
+_SMOOTH_M = 0.2
+_AROUND = np.array([(0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadioWalk:
+    """Readings of one walk, with the truth that tables are scored by."""
+
+    position_m: Array
+    """(readings, 2) building frame."""
+    rssi_dbm: Array
+    """(readings, routers), NaN where not heard."""
+    router_m: Array
+    """(routers, 2)."""
+    walls: Array
+    """(readings, routers) true number of walls crossed."""
+
+
+def wall_following_route(plan: Floorplan, standoff_m: float = STANDOFF_M, area_max_m2: float = np.inf) -> Array:
+    """(points, 2) a way along every wall of the open floor, room by room, that keeps `standoff_m` from it (Fig. 7).
+
+    One round per contour: first the outer one, then around each free-standing block. MapError when nothing is that
+    clear of walls.
+    """
+    cells = plan.cells(_FINE_M)
+    rows, columns = np.nonzero(cells.free)
+    centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * _FINE_M
+    clear = np.zeros(cells.free.shape, bool)
+    clear[rows, columns] = plan.wall_index.distance_m(centres, 2 * standoff_m) >= standoff_m
+    parts, count = label(clear)
+    if count == 0:
+        raise MapError(f"map {plan.name!r} has no floor {standoff_m} m clear of walls; use a smaller standoff")
+    clear = parts == np.argmax(np.bincount(parts.ravel())[1:]) + 1
+    loops = [cells.origin_m + (loop[:, ::-1] + 0.5) * _FINE_M for loop in _contours(clear)]
+    loops = [loop for loop in loops if len(loop) * _FINE_M > 1.0]
+    way, planner = loops[0], RoutePlanner(plan)
+    for loop in loops[1:]:
+        start = int(np.argmin(((loop - way[-1]) ** 2).sum(axis=1)))
+        way = np.concatenate([way, planner.route([way[-1], loop[start]]), np.roll(loop, -start, axis=0)])
+    return uniform_filter1d(way, round(_SMOOTH_M / _FINE_M), axis=0, mode="nearest")
+
+
+def _contours(inside: Array) -> list[Array]:
+    """(cells, 2) rows and columns of the rim of a region, once around the outside, then around each hole."""
+    holes, count = label(~np.pad(inside, 1), structure=np.ones((3, 3)))
+    loops = []
+    for hole in range(1, count + 1):
+        rim = binary_dilation(holes == hole)[1:-1, 1:-1] & inside
+        if rim.any():
+            loops.append(_trace(inside, (holes == hole)[1:-1, 1:-1], np.argwhere(rim)[0]))
+    return sorted(loops, key=len, reverse=True)
+
+
+def _trace(inside: Array, hole: Array, start: Array) -> Array:
+    """Moore's tracing: keep the hole on one side until back at the start and heading as at first."""
+    padded_inside, padded_hole = np.pad(inside, 1), np.pad(hole, 1, constant_values=bool(hole[0, 0]))
+    at = start + 1
+    looks = next(k for k in range(0, 8, 2) if padded_hole[tuple(at + _AROUND[k])])
+    path: list[tuple[int, int]] = []
+    seen: set[tuple[int, int, int]] = set()
+    while True:
+        for turn in range(1, 9):
+            k = (looks + turn) % 8
+            if padded_inside[tuple(at + _AROUND[k])]:
+                break
+        else:
+            return np.array([at - 1])
+        state = (int(at[0]), int(at[1]), k)
+        if state in seen:
+            return np.array(path) - 1
+        seen.add(state)
+        path.append((int(at[0]), int(at[1])))
+        at = at + _AROUND[k]
+        looks = (k + 5) % 8 if k % 2 == 0 else (k + 4) % 8
+        while padded_inside[tuple(at + _AROUND[looks])]:
+            looks = (looks - 1) % 8
+
+
+def resampled(way_m: Array, count: int) -> Array:
+    """(count, 2) points evenly spaced along a way."""
+    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way_m, axis=0), axis=1))])
+    at = np.linspace(0.0, travel[-1], count)
+    return np.column_stack([np.interp(at, travel, way_m[:, axis]) for axis in (0, 1)])
+
+
+def length_m(way_m: Array) -> float:
+    """Length of a way (points, 2)."""
+    return float(np.linalg.norm(np.diff(way_m, axis=0), axis=1).sum())
+
+
+def read_walk(
+    plan: Floorplan,
+    config: RadioConfig,
+    position_m: Array,
+    seed: int,
+    faces_per_wall: int = 1,
+    routers: int | None = None,
+) -> RadioWalk:
+    """What one receiver reads of each router (the first address of each access point) at every position."""
+    points = tuple(dataclasses.replace(p, macs=p.macs[:1]) for p in plan.access_points[:routers])
+    plan = dataclasses.replace(plan, access_points=points)
+    config = dataclasses.replace(config, bssids_per_access_point=0)
+    model = RadioModel(config, plan)
+    receiver = WifiReceiver(config, model, 0, seed)
+    column_of = np.argsort([p.macs[0] for p in points])
+    rssi = np.full((len(position_m), len(points)), np.nan)
+    for k, place in enumerate(position_m):
+        scan = receiver.scan(place)
+        rssi[k, column_of[np.searchsorted(model.macs, scan.macs)]] = scan.rssi_dbm
+    router_m = np.array([p.position_m for p in points])
+    crossed = np.column_stack([plan.wall_index.crossing(router, position_m)[0] for router in router_m])
+    return RadioWalk(position_m, rssi, router_m, (crossed + faces_per_wall - 1) // faces_per_wall)

@@ -1,0 +1,303 @@
+"""Structure from WiFi: a map of walls from signal strength along a path (inverse k-visibility, K1-K18), our way.
+
+The signal model gives a first count of walls per reading (`k_visibility_signal`); the path offers pieces where walls
+may stand (`wall_candidates`); sampling all pieces against all rays of all routers at once tells which are walls
+(`wall_sampler`). Power, path loss and the loss of every straight stretch of wall are estimated along with them. The
+result is a grid of probabilities in which what no ray and no step has touched stays unknown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.slam.k_visibility_grid import WallGrid, cell_probabilities
+from twc_env.slam.k_visibility_signal import (
+    DISTANCE_MIN_M,
+    PathBins,
+    SignalFit,
+    bin_along_path,
+    fit_signal,
+    locate_router,
+)
+from twc_env.slam.wall_candidates import WallCandidates, wall_candidates
+from twc_env.slam.wall_sampler import COUPLING, find_crossings, sample_walls
+
+Array = NDArray
+
+STANDOFF_M = 0.3
+"""First guess of how far walls are from the path; the walls between two tracks correct it."""
+_COOLING = (3.0, 2.0, 1.5, 1.0, 3.0, 2.0, 1.5, 1.2, 1.0, 1.0, 1.0)
+_TRIES = (0, 1, None)
+"""Annealing can end in a poor optimum: it is tried with walls right of the path alone, left alone and on both sides,
+before all are let in; the best result counts."""
+_FIXED_ROUNDS = 4
+"""Rounds in which the signal's parameters stay as the signal model gave them."""
+_OPEN_ROUNDS, _BARRED_ODDS = 3, -10.0
+_COOLING_SWEEPS, _ROUNDS, _SWEEPS = 30, 6, 50
+_STANDOFF_SHARE, _APART_ODDS = 0.12, -2.0
+"""Pieces whose distance from the path differs more from the standoff are no walls that the walker followed."""
+_SIDE_ODDS_MAX = 3.0
+_VOTE_M = 0.5
+"""Length of wall for which the side of the path speaks once."""
+_ROUTER_CLEAR_M = 0.25
+"""A piece nearer to a router would only take the place of the router's power."""
+_LOSS_SPREAD, _LOSS_MIN_SHARE = 0.25, 0.7
+"""Walls of one building differ by this share in what they take; what takes less than the other share is none."""
+_CORRELATION_M = 0.3
+"""Binned readings within this length count as one: the same shadowing."""
+_NOISE_MIN_DB = 1.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """What signal strength along one path says about the building."""
+
+    router_m: Array
+    """(routers, 2) given or estimated."""
+    walls: Array
+    """(readings, routers) number of walls between each router and each reading, the most probable."""
+    wall_probability: Array
+    """(bins, routers, k + 1) of each number, per bin of the path."""
+    bins: PathBins
+    candidates: WallCandidates
+    probability: Array
+    """(pieces,) that each candidate is a wall."""
+    grid: WallGrid
+    wall_loss_db: float
+    power_dbm: Array
+    """(routers,) at one metre."""
+    exponent: Array
+    """(routers,)."""
+    noise_db: float
+    standoff_m: float
+
+
+def map_structure(
+    position_m: Array,
+    rssi_dbm: Array,
+    router_m: Array | None = None,
+    resolution_m: float = 0.1,
+    standoff_m: float | None = None,
+    seed: int = 0,
+    origin_m: Array | None = None,
+) -> Structure:
+    """Map walls from readings (n, routers) [dBm], NaN where not heard, taken in order at positions (n, 2).
+
+    Routers (routers, 2) that are not given are located first. `standoff_m` None: estimated from the walls found.
+    A corner of some cell of the grid comes to lie at origin_m (2,).
+    """
+    bins = bin_along_path(position_m, rssi_dbm)
+    count = bins.rssi_dbm.shape[1]
+    if router_m is None:
+        located = [locate_router(bins, r) for r in range(count)]
+        router_m, fits = np.array([place for place, _ in located]), [fit for _, fit in located]
+    else:
+        router_m = np.asarray(router_m, float).reshape(-1, 2)
+        fits = [fit_signal(bins, r, router_m[r]) for r in range(count)]
+    standoff = STANDOFF_M if standoff_m is None else standoff_m
+    for _ in range(1 if standoff_m is not None else 3):
+        candidates = wall_candidates(bins.position_m, standoff)
+        tries = [_Solver(bins, router_m, fits, candidates, standoff, seed) for _ in _TRIES]
+        for solver, barred in zip(tries, _TRIES, strict=True):
+            solver.solve(barred)
+        solver = min(tries, key=lambda solver: solver.energy)
+        seen = solver.standoff_m()
+        if standoff_m is not None or seen is None or abs(seen - standoff) < 0.01:
+            break
+        standoff = seen
+    probability = solver.probability
+    grid = cell_probabilities(
+        bins.position_m, router_m, np.isfinite(bins.rssi_dbm), solver.candidates, probability, standoff, resolution_m,
+        origin_m,
+    )  # fmt: skip
+    return Structure(
+        router_m=router_m,
+        walls=solver.walls_at(np.asarray(position_m, float)),
+        wall_probability=solver.wall_probability,
+        bins=bins,
+        candidates=solver.candidates,
+        probability=probability,
+        grid=grid,
+        wall_loss_db=solver.mean_loss_db,
+        power_dbm=solver.power_dbm,
+        exponent=solver.exponent,
+        noise_db=float(np.sqrt(solver.variance_db2)),
+        standoff_m=standoff,
+    )
+
+
+class _Solver:
+    """Candidates, rays and the signal's parameters, estimated in turn."""
+
+    def __init__(
+        self, bins: PathBins, router_m: Array, fits: list[SignalFit], candidates: WallCandidates,
+        standoff_m: float, seed: int,
+    ):  # fmt: skip
+        self.candidates, self._seed = candidates, seed
+        self._routers = router_m
+        routers, places = len(router_m), len(bins.position_m)
+        self._router_of = np.tile(np.arange(routers), places)
+        self._bin_of_ray = np.repeat(np.arange(places), routers)
+        far = bins.position_m[self._bin_of_ray]
+        self._heard = np.isfinite(bins.rssi_dbm).ravel()
+        self._level = np.nan_to_num(bins.rssi_dbm).ravel()
+        self._decades = 10 * np.log10(
+            np.maximum(np.linalg.norm(far - router_m[self._router_of], axis=1), DISTANCE_MIN_M)
+        )
+        self._shape = (places, routers)
+        self._first, self._members = _crossings(candidates.ends_m, router_m[self._router_of], far, self._heard)
+        self.power_dbm = np.array([fit.power_at_1m_dbm for fit in fits])
+        self.exponent = np.array([fit.exponent for fit in fits])
+        losses = [fit.wall_loss_db for fit in fits if fit.wall_loss_db > 0]
+        self.mean_loss_db = float(np.median(losses)) if losses else 9.0
+        self._stretches = int(candidates.stretch.max(initial=-1)) + 1
+        self._stretch_loss = np.full(self._stretches, self.mean_loss_db)
+        self.variance_db2 = max(float(np.median([fit.noise_db for fit in fits])), _NOISE_MIN_DB) ** 2
+        counts = np.maximum(bins.count.ravel(), 1.0)
+        self._noise_share = (1.0 + 16.0 / (4.0 * counts)) / np.mean(1.0 + 16.0 / (4.0 * counts))
+        """A bin of few readings is noisier than one of many: white noise of 4 dB on shadowing of 2 dB."""
+        self._weight = np.full(len(self._level), min(1.0, bins.step_m / _CORRELATION_M))
+        self._is_wall = np.zeros(len(candidates.ends_m), np.bool_)
+        self._side_odds = np.zeros(2)
+        self._is_beside = np.abs(candidates.standoff_m - standoff_m) <= _STANDOFF_SHARE * standoff_m
+        middles = (candidates.ends_m[:, :2] + candidates.ends_m[:, 2:]) / 2
+        near_router = np.linalg.norm(middles[:, None] - router_m, axis=2).min(axis=1, initial=np.inf) < _ROUTER_CLEAR_M
+        self._votes = np.minimum(1.0, np.hypot(*(candidates.ends_m[:, :2] - candidates.ends_m[:, 2:]).T) / _VOTE_M)
+        self._barred = np.where(near_router, _BARRED_ODDS, 0.0)
+        self.probability = np.zeros(len(candidates.ends_m))
+        self.wall_probability = np.zeros((*self._shape, 8))
+
+    def solve(self, barred_side: int | None = None) -> None:
+        """Anneal, at first without the pieces that lie only on `barred_side`, then sample."""
+        candidates = self.candidates
+        is_barred = np.zeros(len(candidates.side), bool)
+        if barred_side is not None:
+            is_barred = (candidates.side == barred_side) & ~(self._is_beside & candidates.is_between)
+        self._barred = self._barred + np.where(is_barred, _BARRED_ODDS, 0.0)
+        for round_, temperature in enumerate(_COOLING):
+            if round_ == len(_COOLING) - _OPEN_ROUNDS:
+                self._barred = self._barred - np.where(is_barred, _BARRED_ODDS, 0.0)
+            self._sample(temperature, _COOLING_SWEEPS, round_, None, None)
+            if round_ >= _FIXED_ROUNDS:
+                self._refit(with_stretches=round_ > _FIXED_ROUNDS + 1)
+            self._learn_sides()
+        on_count = np.zeros(len(self._is_wall))
+        k_count = np.zeros((len(self._level), self.wall_probability.shape[2]))
+        self.energy = 0.0
+        for round_ in range(_ROUNDS):
+            self._sample(1.0, _SWEEPS, 100 + round_, on_count, k_count)
+            self.energy += self._energy()
+            self._refit(with_stretches=True)
+        self.probability = on_count / (_ROUNDS * _SWEEPS)
+        self.wall_probability = (k_count / (_ROUNDS * _SWEEPS)).reshape(*self._shape, -1)
+
+    def standoff_m(self) -> float | None:
+        """Median distance from the path of the walls found between two tracks; None when there are few."""
+        sure = self.candidates.is_between & (self.probability > 0.8)
+        return float(np.median(self.candidates.standoff_m[sure])) if sure.sum() >= 8 else None
+
+    def walls_at(self, position_m: Array) -> Array:
+        """(n, routers) walls crossed between each router and each position, by the pieces that are walls."""
+        ends = np.ascontiguousarray(self.candidates.ends_m[self.probability > 0.5])
+        routers = len(self._routers)
+        near = np.tile(self._routers, (len(position_m), 1))
+        far = np.repeat(position_m, routers, axis=0)
+        _, members = _crossings(ends, near, far, np.ones(len(far), np.bool_))
+        return np.bincount(members, minlength=len(far)).reshape(-1, routers)
+
+    def _sample(self, temperature: float, sweeps: int, round_: int, on_count: Array | None, k_count: Array | None):
+        if len(self._is_wall) == 0:
+            return
+        loss = self._stretch_loss[self.candidates.stretch]
+        excess = self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades - self._level
+        summed = self._summed(loss)
+        nothing = np.zeros(0)
+        sample_walls(
+            self._is_wall, summed, loss, self._first, self._members, self.candidates.before, self.candidates.after,
+            self._prior_odds(), excess, self.variance_db2 * self._noise_share, self._weight,
+            temperature, sweeps, np.random.default_rng([self._seed, round_]), nothing if on_count is None else on_count,
+            np.zeros((0, 0)) if k_count is None else k_count, np.zeros(len(excess), np.int64),
+        )  # fmt: skip
+
+    def _prior_odds(self) -> Array:
+        """(pieces,) log-odds of being a wall before any ray is looked at: one vote per length of wall."""
+        odds = np.where(self._is_beside, self._side_odds[self.candidates.side], _APART_ODDS)
+        return odds * self._votes + self._barred
+
+    def _summed(self, loss: Array) -> Array:
+        per_member = np.repeat(np.where(self._is_wall, loss, 0.0), np.diff(self._first))
+        return np.bincount(self._members, per_member, minlength=len(self._level))
+
+    def _refit(self, with_stretches: bool) -> None:
+        """Power and exponent of each router, the loss of each stretch, the noise, and which side has the walls."""
+        routers = self._shape[1]
+        on = np.repeat(self._is_wall, np.diff(self._first))
+        piece = np.repeat(self.candidates.stretch, np.diff(self._first))[on]
+        width = self._stretches if with_stretches else 1
+        design = np.zeros((len(self._level), 2 * routers + width))
+        rays = np.arange(len(self._level))
+        design[rays, self._router_of] = 1.0
+        design[rays, routers + self._router_of] = -self._decades
+        np.add.at(design, (self._members[on], 2 * routers + (piece if with_stretches else 0)), -1.0)
+        loss = self._stretch_loss[self.candidates.stretch]
+        error = self._errors(loss)
+        robust = 5.0 / (4.0 + error**2 / (self.variance_db2 * self._noise_share))
+        weight = self._weight * robust * self._heard / (self.variance_db2 * self._noise_share)
+        mean = np.concatenate([np.zeros(routers), np.full(routers, 2.0), np.full(width, self.mean_loss_db)])
+        spread = _LOSS_SPREAD * self.mean_loss_db if with_stretches else 3.5
+        precision = np.concatenate(
+            [np.full(routers, 1e-6), np.full(routers, 1 / 0.4**2), np.full(width, 1 / spread**2)]
+        )
+        normal = design.T @ (weight[:, None] * design) + np.diag(precision)
+        solution = np.linalg.solve(normal, design.T @ (weight * self._level) + precision * mean)
+        self.power_dbm, self.exponent = solution[:routers], np.maximum(solution[routers : 2 * routers], 0.0)
+        losses = np.maximum(solution[2 * routers :], _LOSS_MIN_SHARE * self.mean_loss_db)
+        if with_stretches:
+            used = np.bincount(piece, minlength=self._stretches) > 0
+            self._stretch_loss = losses
+            if used.any():
+                told = np.diag(normal)[2 * routers :] - precision[2 * routers :]
+                self.mean_loss_db = float(0.5 * self.mean_loss_db + 0.5 * (told @ losses) / told.sum())
+        else:
+            self.mean_loss_db = float(losses[0])
+            self._stretch_loss = np.full(self._stretches, self.mean_loss_db)
+        error = self._errors(self._stretch_loss[self.candidates.stretch])
+        robust = 5.0 / (4.0 + error**2 / (self.variance_db2 * self._noise_share))
+        heard = self._heard
+        self.variance_db2 = max(float((robust * error**2 / self._noise_share)[heard].mean()), _NOISE_MIN_DB**2)
+
+    def _energy(self) -> float:
+        """Minus the logarithm of the posterior of the present state, up to a constant."""
+        variance = self.variance_db2 * self._noise_share
+        error = self._errors(self._stretch_loss[self.candidates.stretch])
+        misfit = self._weight * (2.5 * np.log1p(error**2 / (4.0 * variance)) + 0.5 * np.log(variance))
+        before = self.candidates.before
+        linked = before >= 0
+        agreeing = self._is_wall[linked] == self._is_wall[before[linked]]
+        prior = np.sum(self._prior_odds()[self._is_wall]) + COUPLING * (np.sum(agreeing) - np.sum(~agreeing))
+        spread = _LOSS_SPREAD * self.mean_loss_db
+        losses = 0.5 * np.sum(((self._stretch_loss - self.mean_loss_db) / spread) ** 2)
+        return float(misfit[self._heard].sum() - prior + losses)
+
+    def _errors(self, loss: Array) -> Array:
+        expected = self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades
+        return expected - self._level - self._summed(loss)
+
+    def _learn_sides(self) -> None:
+        """How often a piece on the left, and on the right, is a wall, told by those that rays cross."""
+        told = np.diff(self._first) >= 2
+        for side in (0, 1):
+            mine = told & self._is_beside & (self.candidates.side == side)
+            share = (self._is_wall[mine].sum() + 1.0) / (mine.sum() + 4.0)
+            self._side_odds[side] = np.clip(np.log(share / (1 - share)), -_SIDE_ODDS_MAX, _SIDE_ODDS_MAX)
+
+
+def _crossings(ends: Array, near: Array, far: Array, is_heard: Array) -> tuple[Array, Array]:
+    first = np.zeros(len(ends) + 1, np.int64)
+    total = find_crossings(ends, near, far, is_heard, first, np.empty(0, np.int64))
+    members = np.empty(total, np.int64)
+    find_crossings(ends, near, far, is_heard, first, members)
+    return first, members

@@ -1,0 +1,110 @@
+"""Wall probabilities on a grid, and the classes free, unknown and wall (255, 127 and 0, SPEC K13)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.slam.wall_candidates import WallCandidates
+
+Array = NDArray
+
+FREE, UNKNOWN, WALL = 255, 127, 0
+BODY_RADIUS_M = 0.15
+"""What the robot's body has swept is free (rule 1)."""
+_MARGIN_M = 1.0
+_FREE_BELOW = 0.25
+_WALL_ABOVE = 0.4
+_RAYS_MIN = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WallGrid:
+    """What is known of each cell; row 0 is the lowest y."""
+
+    probability: Array
+    """(rows, columns) that the cell holds a wall; NaN where nothing is known."""
+    origin_m: Array
+    """(2,) lower left corner of cell [0, 0]."""
+    resolution_m: float
+    rays: Array
+    """(rows, columns) rays through each cell."""
+
+    def classes(self) -> Array:
+        """(rows, columns) uint8: FREE, WALL, or UNKNOWN where it is neither surely enough."""
+        known = np.nan_to_num(self.probability, nan=0.5 * (_FREE_BELOW + _WALL_ABOVE))
+        return np.where(known < _FREE_BELOW, FREE, np.where(known > _WALL_ABOVE, WALL, UNKNOWN)).astype(np.uint8)
+
+
+def cell_probabilities(
+    position_m: Array, router_m: Array, is_heard: Array, candidates: WallCandidates, probability: Array,
+    standoff_m: float, resolution_m: float, origin_m: Array | None = None,
+) -> WallGrid:  # fmt: skip
+    """Lay candidates with their probabilities (pieces,) on a grid; positions (bins, 2), is_heard (bins, routers).
+
+    A corner of some cell comes to lie at origin_m (2,).
+    """
+    everything = np.concatenate([position_m, router_m, candidates.ends_m[probability > 0.3].reshape(-1, 2)])
+    corner = np.zeros(2) if origin_m is None else np.asarray(origin_m, float)
+    low = corner + np.floor((everything.min(axis=0) - _MARGIN_M - corner) / resolution_m) * resolution_m
+    columns, rows = (np.ceil((everything.max(axis=0) + _MARGIN_M - low) / resolution_m).astype(int)).tolist()
+    rays, swept = np.zeros((rows, columns), np.int64), np.zeros((rows, columns), np.bool_)
+    likely = np.zeros((rows, columns))
+    scaled = (position_m - low) / resolution_m
+    for r, router in enumerate((router_m - low) / resolution_m):
+        _count_rays(rays, np.ascontiguousarray(scaled[is_heard[:, r]]), router)
+    _sweep(swept, scaled, BODY_RADIUS_M / resolution_m)
+    _stamp(likely, (candidates.ends_m - np.tile(low, 2)) / resolution_m, probability)
+    # Nearer to the path than the walls that it follows there is nothing else.
+    beside = np.zeros((rows, columns), np.bool_)
+    _sweep(beside, scaled, standoff_m / resolution_m - 0.5)
+    seen = (rays >= _RAYS_MIN) | swept | beside | (likely > 0.0)
+    value = np.where(swept, 0.02, likely)
+    value = np.clip(value, 0.02, 0.98)
+    return WallGrid(np.where(seen, value, np.nan), low, resolution_m, rays)
+
+
+@njit(cache=True, error_model="numpy")
+def _count_rays(rays, ends, start):
+    """Add one to every cell that a ray start -> ends[i] passes; all in cells."""
+    rows, columns = rays.shape
+    for i in range(ends.shape[0]):
+        dx, dy = ends[i, 0] - start[0], ends[i, 1] - start[1]
+        steps = int(max(abs(dx), abs(dy)) * 2.0) + 1
+        last = -1
+        for s in range(steps + 1):
+            c = int(np.floor(start[0] + dx * s / steps))
+            r = int(np.floor(start[1] + dy * s / steps))
+            if 0 <= r < rows and 0 <= c < columns and r * columns + c != last:
+                last = r * columns + c
+                rays[r, c] += 1
+
+
+@njit(cache=True, error_model="numpy")
+def _sweep(swept, path, radius):
+    rows, columns = swept.shape
+    for i in range(path.shape[0]):
+        x, y = path[i, 0], path[i, 1]
+        for r in range(max(0, int(y - radius)), min(rows, int(y + radius) + 1)):
+            for c in range(max(0, int(x - radius)), min(columns, int(x + radius) + 1)):
+                if (c + 0.5 - x) ** 2 + (r + 0.5 - y) ** 2 <= radius * radius:
+                    swept[r, c] = True
+
+
+@njit(cache=True, error_model="numpy")
+def _stamp(likely, ends, probability):
+    """Cells whose centre lies within half a cell of a piece get its probability, the largest counts."""
+    rows, columns = likely.shape
+    for j in range(ends.shape[0]):
+        x1, y1, x2, y2 = ends[j, 0], ends[j, 1], ends[j, 2], ends[j, 3]
+        ex, ey = x2 - x1, y2 - y1
+        square = max(ex * ex + ey * ey, 1e-12)
+        for r in range(max(0, int(min(y1, y2) - 1.0)), min(rows, int(max(y1, y2) + 2.0))):
+            for c in range(max(0, int(min(x1, x2) - 1.0)), min(columns, int(max(x1, x2) + 2.0))):
+                t = min(max(((c + 0.5 - x1) * ex + (r + 0.5 - y1) * ey) / square, 0.0), 1.0)
+                gap = (c + 0.5 - x1 - t * ex) ** 2 + (r + 0.5 - y1 - t * ey) ** 2
+                if gap <= 0.25:
+                    likely[r, c] = max(likely[r, c], probability[j])

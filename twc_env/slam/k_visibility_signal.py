@@ -1,0 +1,339 @@
+"""How many walls lie between a router and each reading, from signal strength along a path (SPEC K5, K6, K24d).
+
+Two ways. As published: smooth, cluster the strengths, read the cluster's rank (inverse k-visibility Eq. 1-3). Ours: a
+hidden Markov model along the path whose state is the number of walls k and whose reading is
+
+    rssi = power - 10 n log10(distance) - wall_loss k + noise,
+
+with power, n, wall_loss and noise estimated together with k by expectation maximisation, and the largest k by BIC.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.errors import DataError
+
+Array = NDArray
+
+DISTANCE_MIN_M = 0.5
+K_MAX = 5
+_EXPONENT_PRIOR = (2.0, 0.4)
+"""Mean and standard deviation: indoors, with walls counted apart."""
+_WALL_LOSS_PRIOR_DB = (9.0, 3.5)
+_WALL_LOSS_STARTS_DB = (5.0, 8.0, 12.0, 18.0)
+_STAY_M = 1.5
+"""Mean path length over which k stays what it is."""
+_JUMP_DECAY = 0.15
+"""How much rarer each further wall in one jump of k is."""
+_CORRELATION_M = 0.3
+"""Binned readings within this length count as one, for their shadowing is the same."""
+_NOISE_MIN_DB = 1.0
+
+
+# --- as published -----------------------------------------------------------------------------------------------------
+
+
+def sliding_window(rssi_dbm: Array, width: int, median: bool = False) -> Array:
+    """(n,) readings of one router in the order of the path -> their running mean (or median); edges are padded."""
+    width = max(1, min(width, len(rssi_dbm)))
+    padded = np.pad(np.asarray(rssi_dbm, float), (width // 2, width - 1 - width // 2), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, width)
+    return np.median(windows, axis=1) if median else windows.mean(axis=1)
+
+
+def k_means(values: Array, clusters: int, iterations: int = 100) -> Array:
+    """(clusters,) centroids of numbers, descending (C_0 strongest); starts at quantiles, an empty cluster stays."""
+    values = np.asarray(values, float)
+    centroids = np.quantile(values, (np.arange(clusters) + 0.5) / clusters)
+    for _ in range(iterations):
+        nearest = np.argmin(np.abs(values[:, None] - centroids), axis=1)
+        counts = np.bincount(nearest, minlength=clusters)
+        sums = np.bincount(nearest, values, minlength=clusters)
+        updated = np.where(counts > 0, sums / np.maximum(counts, 1), centroids)
+        if np.allclose(updated, centroids):
+            break
+        centroids = updated
+    return np.sort(centroids)[::-1]
+
+
+def predict_walls(values: Array, centroids: Array) -> Array:
+    """(n,) k of each value: how many thresholds t_k = (C_(k-1) + C_k) / 2 it does not exceed (Eq. 1 and 3)."""
+    thresholds = (centroids[:-1] + centroids[1:]) / 2
+    return (np.asarray(values)[:, None] <= thresholds).sum(axis=1)
+
+
+def silhouette_k(values: Array, k_max: int = K_MAX) -> int:
+    """The largest k, 1 to k_max, whose clusters lie apart best (mean simplified silhouette)."""
+    values = np.asarray(values, float)
+    scores = []
+    for k in range(1, k_max + 1):
+        gaps = np.sort(np.abs(values[:, None] - k_means(values, k + 1)), axis=1)
+        scores.append(float(np.mean(1.0 - gaps[:, 0] / np.maximum(gaps[:, 1], 1e-9))))
+    return int(np.argmax(scores)) + 1
+
+
+def compensate_distance(rssi_dbm: Array, distance_m: Array, exponent: float) -> Array:
+    """Readings as if all were taken one metre from the router."""
+    return rssi_dbm + 10.0 * exponent * np.log10(np.maximum(distance_m, DISTANCE_MIN_M))
+
+
+# --- the hidden Markov model ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SignalFit:
+    """What one router's readings say about its signal and the walls."""
+
+    power_at_1m_dbm: float
+    exponent: float
+    wall_loss_db: float
+    noise_db: float
+    """Standard deviation of a binned reading around the model."""
+    probability: Array
+    """(bins, k_max + 1) of each number of walls."""
+    log_likelihood: float
+    """Of all bins, correlated ones counted once, priors included."""
+
+    @property
+    def walls(self) -> Array:
+        """(bins,) most probable number of walls."""
+        return np.argmax(self.probability, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathBins:
+    """Readings gathered along a path."""
+
+    position_m: Array
+    """(bins, 2) mean position."""
+    rssi_dbm: Array
+    """(bins, routers) mean reading, NaN where a router was not heard."""
+    count: Array
+    """(bins, routers) readings behind each mean."""
+    travel_m: Array
+    """(bins,) path length up to the bin."""
+    bin_of: Array
+    """(readings,) bin of each reading."""
+
+    @property
+    def step_m(self) -> float:
+        """Mean spacing."""
+        return float(self.travel_m[-1] - self.travel_m[0]) / max(len(self.travel_m) - 1, 1) or 1e-3
+
+
+def bin_along_path(position_m: Array, rssi_dbm: Array, step_m: float = 0.1) -> PathBins:
+    """Average readings (n, routers), NaN where not heard, taken at positions (n, 2), over steps of the path."""
+    position, rssi = np.asarray(position_m, float), np.asarray(rssi_dbm, float)
+    if position.ndim != 2 or rssi.ndim != 2 or len(position) != len(rssi) or len(position) < 2:
+        raise DataError(
+            f"k-visibility needs positions (n, 2) and readings (n, routers), n >= 2; got {position.shape}, {rssi.shape}"
+        )
+    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+    _, bin_of = np.unique(np.floor(travel / step_m).astype(np.int64), return_inverse=True)
+    total = np.bincount(bin_of).astype(float)
+    heard = np.isfinite(rssi)
+    count = np.column_stack([np.bincount(bin_of, column) for column in heard.T.astype(float)])
+    sums = np.column_stack([np.bincount(bin_of, column) for column in np.where(heard, rssi, 0.0).T])
+    with np.errstate(invalid="ignore"):
+        mean = sums / np.where(count > 0, count, np.nan)
+    place = np.column_stack([np.bincount(bin_of, position[:, axis]) / total for axis in (0, 1)])
+    return PathBins(place, mean, count, np.bincount(bin_of, travel) / total, bin_of)
+
+
+def fit_signal(bins: PathBins, router: int, router_m: Array, k_max: int | None = None) -> SignalFit:
+    """Estimate signal and walls for one router at a known place; k_max None: chosen by BIC.
+
+    Raises DataError when the router was heard in fewer than five bins.
+    """
+    distance = np.linalg.norm(bins.position_m - np.asarray(router_m, float), axis=1)
+    rows, decades, level, weight = _heard(bins, router, distance)
+    best = max(
+        (_fit(decades, level, weight, bins, rows, K_MAX if k_max is None else k_max, start)
+         for start in _WALL_LOSS_STARTS_DB),
+        key=lambda fit: fit.log_likelihood,
+    )  # fmt: skip
+    if k_max is None:
+        smaller = [_fit(decades, level, weight, bins, rows, k, best.wall_loss_db) for k in range(K_MAX)]
+        effective = max(len(rows) * min(1.0, bins.step_m / _CORRELATION_M), 2.0)
+        best = max(
+            [*smaller, best],
+            key=lambda fit: fit.log_likelihood - 0.5 * np.log(effective) * fit.probability.shape[1],
+        )
+    return best
+
+
+def locate_router(bins: PathBins, router: int, margin_m: float = 1.0, step_m: float = 0.5) -> tuple[Array, SignalFit]:
+    """Where a router stands (2,), from signal alone (SPEC K24g): the place whose model explains the readings best.
+
+    Tried are places within 4 m of the strongest readings and `margin_m` around the path; the best is refined.
+    """
+    strongest = bins.position_m[np.argsort(np.nan_to_num(bins.rssi_dbm[:, router], nan=-200.0))[-5:]].mean(axis=0)
+    low = np.maximum(bins.position_m.min(axis=0) - margin_m, strongest - 4.0)
+    high = np.minimum(bins.position_m.max(axis=0) + margin_m, strongest + 4.0)
+    best, centre = -np.inf, strongest
+    result: tuple[Array, SignalFit] | None = None
+    while step_m > 0.05:
+        for x in np.arange(low[0], high[0] + 1e-9, step_m):
+            for y in np.arange(low[1], high[1] + 1e-9, step_m):
+                place = np.array([x, y])
+                rows, decades, level, weight = _heard(bins, router, np.linalg.norm(bins.position_m - place, axis=1))
+                for start in _WALL_LOSS_STARTS_DB[1:3]:
+                    fit = _fit(decades, level, weight, bins, rows, 3, start, iterations=6)
+                    if fit.log_likelihood > best:
+                        best, centre, result = fit.log_likelihood, place, (place, fit)
+        low, high, step_m = centre - step_m, centre + step_m, step_m / 3
+    if result is None:
+        raise DataError("no place of the router explains the readings; check the units of positions and strengths")
+    return centre, fit_signal(bins, router, centre)
+
+
+def _heard(bins: PathBins, router: int, distance_m: Array) -> tuple[Array, Array, Array, Array]:
+    """Rows of the bins that heard the router, their 10 log10 distance, their level, and readings behind each."""
+    rows = np.flatnonzero(np.isfinite(bins.rssi_dbm[:, router]))
+    if len(rows) < 5:
+        raise DataError(f"router {router} was heard in {len(rows)} places only; at least 5 are needed")
+    decades = 10.0 * np.log10(np.maximum(distance_m[rows], DISTANCE_MIN_M))
+    return rows, decades, bins.rssi_dbm[rows, router], bins.count[rows, router]
+
+
+def _fit(
+    decades: Array, level: Array, count: Array, bins: PathBins, rows: Array, k_max: int, start_db: float,
+    iterations: int = 25,
+) -> SignalFit:  # fmt: skip
+    states = k_max + 1
+    steps = np.diff(bins.travel_m[rows], prepend=bins.travel_m[rows[0]])
+    # Correlated readings say the same thing again: their likelihood is tempered to one per correlation length.
+    temper = min(1.0, max(bins.step_m, 1e-3) / _CORRELATION_M)
+    power = float(np.quantile(level + _EXPONENT_PRIOR[0] * decades, 0.9))
+    parameters = np.array([power, _EXPONENT_PRIOR[0], start_db if k_max else 0.0, 4.0])
+    probability = np.empty((len(rows), states))
+    log_likelihood = _expectation_maximisation(
+        decades, level, steps, np.ones(len(rows)), temper, iterations, k_max > 0, parameters, probability,
+    )  # fmt: skip
+    everywhere = probability[np.clip(np.searchsorted(rows, np.arange(len(bins.position_m))), 0, len(rows) - 1)]
+    prior = -0.5 * ((parameters[1] - _EXPONENT_PRIOR[0]) / _EXPONENT_PRIOR[1]) ** 2
+    if k_max:
+        prior -= 0.5 * ((parameters[2] - _WALL_LOSS_PRIOR_DB[0]) / _WALL_LOSS_PRIOR_DB[1]) ** 2
+    return SignalFit(*(float(v) for v in parameters), everywhere, float(log_likelihood + prior))
+
+
+@njit(cache=True, error_model="numpy")
+def _expectation_maximisation(decades, level, steps, weight, temper, iterations, has_walls, parameters, probability):
+    """Baum-Welch with a regression as its M step; parameters (4,) power, exponent, wall loss, noise, in and out."""
+    count, states = probability.shape
+    log_emit = np.empty((count, states))
+    forward = np.empty((count, states))
+    total = 0.0
+    for _ in range(iterations):
+        power, exponent, loss, noise = parameters
+        for i in range(count):
+            for k in range(states):
+                e = (level[i] - power + exponent * decades[i] + loss * k) / noise
+                log_emit[i, k] = temper * (-2.5 * np.log(1.0 + e * e / 4.0) - np.log(noise))
+        total = _forward_backward(log_emit, steps, forward, probability)
+        # Normal equations of (power, exponent, loss) with Gaussian priors, in units of the noise.
+        a = np.zeros((3, 3))
+        b = np.zeros(3)
+        for i in range(count):
+            for k in range(states):
+                e = (level[i] - power + exponent * decades[i] + loss * k) / noise
+                w = probability[i, k] * weight[i] * 5.0 / (4.0 + e * e) * temper / (noise * noise)
+                x0, x1, x2 = 1.0, -decades[i], -1.0 * k
+                a[0, 0] += w * x0 * x0
+                a[0, 1] += w * x0 * x1
+                a[0, 2] += w * x0 * x2
+                a[1, 1] += w * x1 * x1
+                a[1, 2] += w * x1 * x2
+                a[2, 2] += w * x2 * x2
+                b[0] += w * x0 * level[i]
+                b[1] += w * x1 * level[i]
+                b[2] += w * x2 * level[i]
+        a[1, 0], a[2, 0], a[2, 1] = a[0, 1], a[0, 2], a[1, 2]
+        a[0, 0] += 1e-6
+        a[1, 1] += 1.0 / _EXPONENT_PRIOR[1] ** 2
+        b[1] += _EXPONENT_PRIOR[0] / _EXPONENT_PRIOR[1] ** 2
+        a[2, 2] += 1.0 / _WALL_LOSS_PRIOR_DB[1] ** 2
+        b[2] += _WALL_LOSS_PRIOR_DB[0] / _WALL_LOSS_PRIOR_DB[1] ** 2
+        solution = np.linalg.solve(a, b)
+        parameters[0], parameters[1] = solution[0], max(solution[1], 0.0)
+        parameters[2] = max(solution[2], 2.0) if has_walls else 0.0
+        spread, mass = 0.0, 0.0
+        for i in range(count):
+            for k in range(states):
+                e = level[i] - parameters[0] + parameters[1] * decades[i] + parameters[2] * k
+                w = probability[i, k] * 5.0 / (4.0 + (e / noise) ** 2)
+                spread += w * e * e
+                mass += probability[i, k]
+        parameters[3] = max(np.sqrt(spread / max(mass, 1e-9)), _NOISE_MIN_DB)
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _forward_backward(log_emit, steps, forward, probability):
+    """Posterior of each state (count, states); gives the log-likelihood. The first bin prefers no state."""
+    count, states = log_emit.shape
+    transition = np.empty((states, states))
+    backward = np.ones(states)
+    total = 0.0
+    emit = np.empty(states)
+    for i in range(count):
+        top = log_emit[i].max()
+        scale = 0.0
+        _transitions(steps[i], transition)
+        for k in range(states):
+            if i == 0:
+                came = 1.0 / states
+            else:
+                came = 0.0
+                for j in range(states):
+                    came += forward[i - 1, j] * transition[j, k]
+            forward[i, k] = came * np.exp(log_emit[i, k] - top)
+            scale += forward[i, k]
+        for k in range(states):
+            forward[i, k] /= scale
+        total += np.log(scale) + top
+    for i in range(count - 1, -1, -1):
+        norm = 0.0
+        for k in range(states):
+            probability[i, k] = forward[i, k] * backward[k]
+            norm += probability[i, k]
+        for k in range(states):
+            probability[i, k] /= norm
+        if i == 0:
+            break
+        top = log_emit[i].max()
+        _transitions(steps[i], transition)
+        for k in range(states):
+            emit[k] = np.exp(log_emit[i, k] - top) * backward[k]
+        norm = 0.0
+        for j in range(states):
+            value = 0.0
+            for k in range(states):
+                value += transition[j, k] * emit[k]
+            backward[j] = value
+            norm += value
+        for j in range(states):
+            backward[j] /= norm
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _transitions(step, transition):
+    """How k changes over one step of the path: rarely, and by one wall more often than by two."""
+    states = transition.shape[0]
+    leave = 1.0 - np.exp(-max(step, 1e-6) / _STAY_M)
+    for j in range(states):
+        total = 0.0
+        for k in range(states):
+            if k != j:
+                total += _JUMP_DECAY ** (abs(k - j) - 1)
+        for k in range(states):
+            if k == j:
+                transition[j, k] = 1.0 - leave if states > 1 else 1.0
+            else:
+                transition[j, k] = leave * _JUMP_DECAY ** (abs(k - j) - 1) / total
