@@ -81,14 +81,15 @@ def calibration_error(probability: Array, is_wall: Array, bins: int = 10) -> flo
     return float((np.abs(mean - share)[told] * count[told]).sum() / max(count.sum(), 1))
 
 
-def walls_crossed_in_raster(wall: Array, start_cell: Array, target_cells: Array) -> Array:
+def walls_crossed_in_raster(wall: Array, start_cell: Array, target_cells: Array, gap_cells: float = 0.0) -> Array:
     """(targets,) walls on the line from a place (row, column) to each target (targets, 2), in cells and parts of them.
 
-    A wall is a run of occupied cells, whatever its thickness (SPEC K1); grazing along one counts once.
+    A wall is a run of occupied cells, whatever its thickness (SPEC K1). Runs nearer to each other than `gap_cells` are
+    one: a ray that grazes along the rough wall of a measured map crosses it once.
     """
     crossed = np.empty(len(target_cells), np.int64)
     start, targets = np.asarray(start_cell, float), np.ascontiguousarray(target_cells, float)
-    _count_runs(np.ascontiguousarray(wall), start, targets, crossed)
+    _count_runs(np.ascontiguousarray(wall), start, targets, gap_cells, crossed)
     return crossed
 
 
@@ -101,16 +102,20 @@ def walls_crossed_map(wall: Array, free: Array, start_cell: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def _count_runs(wall, start, targets, crossed):
+def _count_runs(wall, start, targets, gap, crossed):
     rows, columns = wall.shape
     for i in range(targets.shape[0]):
         dr, dc = targets[i, 0] - start[0], targets[i, 1] - start[1]
-        steps = int(np.sqrt(dr * dr + dc * dc) * 4.0) + 1
-        runs, inside = 0, False
+        length = np.sqrt(dr * dr + dc * dc)
+        steps = int(length * 4.0) + 1
+        runs, inside, left_at = 0, False, -1e9
         for s in range(steps + 1):
             r, c = int(np.floor(start[0] + dr * s / steps)), int(np.floor(start[1] + dc * s / steps))
             hit = 0 <= r < rows and 0 <= c < columns and wall[r, c]
-            if hit and not inside:
+            at = length * s / steps
+            if hit and not inside and at - left_at >= gap:
                 runs += 1
+            if hit:
+                left_at = at
             inside = hit
         crossed[i] = runs

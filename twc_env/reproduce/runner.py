@@ -33,6 +33,8 @@ TABLES: dict[str, str] = {
     "solver": "solver",
     "stress": "stress",
     "sfw-table1": "sfw_table1",
+    "sfw-authors": "sfw_authors",
+    "sfw-ble": "sfw_ble",
 }
 """Name on the command line -> module of this package."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -57,12 +57,18 @@ def by_paper(walk: RadioWalk, cells: Cells) -> Mapped:
     true = walk.walls[rows, focus]
     tries = [predict_walls(smooth, k_means(smooth, k + 1)) for k in range(1, max(int(true.max()), 1) + 1)]
     k = max(tries, key=lambda guess: float(np.mean(guess == true)))
+    return by_rules(walk, cells, k)
+
+
+def by_rules(walk: RadioWalk, cells: Cells, walls: Array) -> Mapped:
+    """The published map from the walls (heard readings,) between each reading and its strongest router."""
+    rows, focus = focus_of(walk)
     at = np.floor((walk.position_m[rows] - cells.origin_m) / cells.resolution_m).astype(np.int64)[:, ::-1]
     routers = ((walk.router_m - cells.origin_m) / cells.resolution_m)[:, ::-1]
     settings = published.RuleSettings(equation_4="literal")
-    classes, _ = published.map_by_rules(at, k, focus, routers, cells.free.shape, settings)
+    classes, _ = published.map_by_rules(at, walls, focus, routers, cells.free.shape, settings)
     probability = np.where(classes == published.UNKNOWN, np.nan, (classes == published.WALL).astype(float))
-    return _judged(float(np.mean(k == true)), classes, probability, cells)
+    return _judged(float(np.mean(walls == walk.walls[rows, focus])), classes, probability, cells)
 
 
 def by_ours(walk: RadioWalk, cells: Cells, seed: int, router_known: bool = True) -> Mapped:

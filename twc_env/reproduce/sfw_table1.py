@@ -1,8 +1,8 @@
 """Table I of inverse k-visibility (Kim et al.): six experiments on twin plans, the published method and ours.
 
-Plans, routers, numbers of readings and areas follow the print (SPEC K20); the radio preset is `sfw` with the wall losses
-that the plans state. `paper` chooses its number of clusters in hindsight, the best for it. Coverage stands beside every
-IoU, for what a map leaves unknown is excused by the paper's IoU.
+Plans, routers, numbers of readings and areas follow the print (SPEC K20); the radio preset is `sfw` with the wall
+losses that the plans state. `paper` chooses its number of clusters in hindsight, the best for it. Coverage stands
+beside every IoU, for what a map leaves unknown is excused by the paper's IoU.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from twc_env.slam.k_visibility_grid import WallGrid, cell_probabilities
 from twc_env.slam.k_visibility_signal import (
@@ -21,6 +22,7 @@ from twc_env.slam.k_visibility_signal import (
     bin_along_path,
     fit_signal,
     locate_router,
+    smooth_along_path,
 )
 from twc_env.slam.wall_candidates import WallCandidates, wall_candidates
 from twc_env.slam.wall_sampler import COUPLING, find_crossings, sample_walls
@@ -40,12 +42,20 @@ _COOLING_SWEEPS, _ROUNDS, _SWEEPS = 30, 6, 50
 _STANDOFF_SHARE, _APART_ODDS = 0.12, -2.0
 """Pieces whose distance from the path differs more from the standoff are no walls that the walker followed."""
 _SIDE_ODDS_MAX = 3.0
+_STANDOFF_SPREAD_MAX_M = 0.05
+"""With a larger spread the path does not keep its distance: walls that no ray has crossed are then left unknown."""
 _VOTE_M = 0.5
 """Length of wall for which the side of the path speaks once."""
+_MEAN_LOSS_FACTOR = 1.25
+"""The mean loss of a wall stays this near to what the signal alone says."""
 _ROUTER_CLEAR_M = 0.25
 """A piece nearer to a router would only take the place of the router's power."""
 _LOSS_SPREAD, _LOSS_MIN_SHARE = 0.25, 0.7
 """Walls of one building differ by this share in what they take; what takes less than the other share is none."""
+_K_STATES = 8
+_NEAR_CHANGE_M, _MAP_DOUBT, _OVERRULE = 0.1, 0.001, 0.5
+"""k of the map is trusted but this far around its changes, and but for this share; readings surer than the last
+overrule it."""
 _CORRELATION_M = 0.3
 """Binned readings within this length count as one: the same shadowing."""
 _NOISE_MIN_DB = 1.2
@@ -109,14 +119,16 @@ def map_structure(
             break
         standoff = seen
     probability = solver.probability
+    walls, wall_probability = solver.count_walls(np.asarray(position_m, float))
+    keeps_distance = solver.standoff_spread_m() <= _STANDOFF_SPREAD_MAX_M
     grid = cell_probabilities(
-        bins.position_m, router_m, np.isfinite(bins.rssi_dbm), solver.candidates, probability, standoff, resolution_m,
-        origin_m,
+        bins.position_m, router_m, np.isfinite(bins.rssi_dbm), solver.candidates, probability,
+        None if keeps_distance else solver.is_told, standoff, resolution_m, origin_m,
     )  # fmt: skip
     return Structure(
         router_m=router_m,
-        walls=solver.walls_at(np.asarray(position_m, float)),
-        wall_probability=solver.wall_probability,
+        walls=walls,
+        wall_probability=wall_probability,
         bins=bins,
         candidates=solver.candidates,
         probability=probability,
@@ -136,7 +148,7 @@ class _Solver:
         self, bins: PathBins, router_m: Array, fits: list[SignalFit], candidates: WallCandidates,
         standoff_m: float, seed: int,
     ):  # fmt: skip
-        self.candidates, self._seed = candidates, seed
+        self.candidates, self._seed, self._bins = candidates, seed, bins
         self._routers = router_m
         routers, places = len(router_m), len(bins.position_m)
         self._router_of = np.tile(np.arange(routers), places)
@@ -153,6 +165,7 @@ class _Solver:
         self.exponent = np.array([fit.exponent for fit in fits])
         losses = [fit.wall_loss_db for fit in fits if fit.wall_loss_db > 0]
         self.mean_loss_db = float(np.median(losses)) if losses else 9.0
+        self._mean_loss_range_db = (self.mean_loss_db / _MEAN_LOSS_FACTOR, self.mean_loss_db * _MEAN_LOSS_FACTOR)
         self._stretches = int(candidates.stretch.max(initial=-1)) + 1
         self._stretch_loss = np.full(self._stretches, self.mean_loss_db)
         self.variance_db2 = max(float(np.median([fit.noise_db for fit in fits])), _NOISE_MIN_DB) ** 2
@@ -168,7 +181,6 @@ class _Solver:
         self._votes = np.minimum(1.0, np.hypot(*(candidates.ends_m[:, :2] - candidates.ends_m[:, 2:]).T) / _VOTE_M)
         self._barred = np.where(near_router, _BARRED_ODDS, 0.0)
         self.probability = np.zeros(len(candidates.ends_m))
-        self.wall_probability = np.zeros((*self._shape, 8))
 
     def solve(self, barred_side: int | None = None) -> None:
         """Anneal, at first without the pieces that lie only on `barred_side`, then sample."""
@@ -180,35 +192,74 @@ class _Solver:
         for round_, temperature in enumerate(_COOLING):
             if round_ == len(_COOLING) - _OPEN_ROUNDS:
                 self._barred = self._barred - np.where(is_barred, _BARRED_ODDS, 0.0)
-            self._sample(temperature, _COOLING_SWEEPS, round_, None, None)
+            self._sample(temperature, _COOLING_SWEEPS, round_, None)
             if round_ >= _FIXED_ROUNDS:
                 self._refit(with_stretches=round_ > _FIXED_ROUNDS + 1)
             self._learn_sides()
         on_count = np.zeros(len(self._is_wall))
-        k_count = np.zeros((len(self._level), self.wall_probability.shape[2]))
         self.energy = 0.0
         for round_ in range(_ROUNDS):
-            self._sample(1.0, _SWEEPS, 100 + round_, on_count, k_count)
+            self._sample(1.0, _SWEEPS, 100 + round_, on_count)
             self.energy += self._energy()
             self._refit(with_stretches=True)
         self.probability = on_count / (_ROUNDS * _SWEEPS)
-        self.wall_probability = (k_count / (_ROUNDS * _SWEEPS)).reshape(*self._shape, -1)
 
     def standoff_m(self) -> float | None:
         """Median distance from the path of the walls found between two tracks; None when there are few."""
         sure = self.candidates.is_between & (self.probability > 0.8)
         return float(np.median(self.candidates.standoff_m[sure])) if sure.sum() >= 8 else None
 
-    def walls_at(self, position_m: Array) -> Array:
-        """(n, routers) walls crossed between each router and each position, by the pieces that are walls."""
-        ends = np.ascontiguousarray(self.candidates.ends_m[self.probability > 0.5])
+    def standoff_spread_m(self) -> float:
+        """How much the distance from the path differs between the walls found between two tracks."""
+        sure = self.candidates.is_between & (self.probability > 0.8)
+        return float(np.std(self.candidates.standoff_m[sure])) if sure.sum() >= 8 else 0.0
+
+    @property
+    def is_told(self) -> Array:
+        """(pieces,) bool: some ray crosses it, so that readings bear on it."""
+        return np.diff(self._first) > 0
+
+    def count_walls(self, position_m: Array) -> tuple[Array, Array]:
+        """(n, routers) walls between routers and positions, and (bins, routers, k + 1) their probability per bin.
+
+        The map says what k is nearly everywhere; where exactly it changes, the readings nearby say better.
+        """
+        by_map, _ = self._through_walls(position_m)
+        at_bins, loss = self._through_walls(self._bins.position_m)
+        variance = (self.variance_db2 * self._noise_share).reshape(self._shape)
+        expected = (self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades).reshape(
+            self._shape
+        )
+        heard = self._heard.reshape(self._shape)
+        probability = np.zeros((*self._shape, _K_STATES))
+        k = np.arange(_K_STATES)
+        near = max(round(_NEAR_CHANGE_M / max(self._bins.step_m, 1e-3)), 1)
+        for r in range(self._shape[1]):
+            is_k = (np.minimum(at_bins[:, r], _K_STATES - 1)[:, None] == k).astype(float)
+            share = uniform_filter1d(is_k, 2 * near + 1, axis=0, mode="nearest")
+            level = expected[:, r, None] - loss[:, r, None] - self.mean_loss_db * (k - at_bins[:, r, None])
+            error = self._bins.rssi_dbm[:, r, None] - level
+            told = -2.5 * np.log1p(error**2 / (4.0 * variance[:, r, None]))
+            evidence = np.where(heard[:, r, None], self._weight[0] * told, 0.0) + np.log(share + _MAP_DOUBT)
+            probability[:, r] = smooth_along_path(evidence, self._bins.travel_m)
+        settled = np.argmax(probability, axis=2)
+        bin_of = self._bins.bin_of
+        is_sure = (settled != at_bins) & (probability.max(axis=2) > _OVERRULE)
+        return np.where(is_sure[bin_of], settled[bin_of], by_map), probability
+
+    def _through_walls(self, position_m: Array) -> tuple[Array, Array]:
+        """(n, routers) pieces that are walls between each router and each position, and their summed loss."""
+        is_wall = self.probability > 0.5
+        ends = np.ascontiguousarray(self.candidates.ends_m[is_wall])
         routers = len(self._routers)
         near = np.tile(self._routers, (len(position_m), 1))
         far = np.repeat(position_m, routers, axis=0)
-        _, members = _crossings(ends, near, far, np.ones(len(far), np.bool_))
-        return np.bincount(members, minlength=len(far)).reshape(-1, routers)
+        first, members = _crossings(ends, near, far, np.ones(len(far), np.bool_))
+        losses = np.repeat(self._stretch_loss[self.candidates.stretch[is_wall]], np.diff(first))
+        count = np.bincount(members, minlength=len(far)).reshape(-1, routers)
+        return count, np.bincount(members, losses, minlength=len(far)).reshape(-1, routers)
 
-    def _sample(self, temperature: float, sweeps: int, round_: int, on_count: Array | None, k_count: Array | None):
+    def _sample(self, temperature: float, sweeps: int, round_: int, on_count: Array | None):
         if len(self._is_wall) == 0:
             return
         loss = self._stretch_loss[self.candidates.stretch]
@@ -219,7 +270,6 @@ class _Solver:
             self._is_wall, summed, loss, self._first, self._members, self.candidates.before, self.candidates.after,
             self._prior_odds(), excess, self.variance_db2 * self._noise_share, self._weight,
             temperature, sweeps, np.random.default_rng([self._seed, round_]), nothing if on_count is None else on_count,
-            np.zeros((0, 0)) if k_count is None else k_count, np.zeros(len(excess), np.int64),
         )  # fmt: skip
 
     def _prior_odds(self) -> Array:
@@ -260,9 +310,10 @@ class _Solver:
             self._stretch_loss = losses
             if used.any():
                 told = np.diag(normal)[2 * routers :] - precision[2 * routers :]
-                self.mean_loss_db = float(0.5 * self.mean_loss_db + 0.5 * (told @ losses) / told.sum())
+                mean = 0.5 * self.mean_loss_db + 0.5 * (told @ losses) / told.sum()
+                self.mean_loss_db = float(np.clip(mean, *self._mean_loss_range_db))
         else:
-            self.mean_loss_db = float(losses[0])
+            self.mean_loss_db = float(np.clip(losses[0], *self._mean_loss_range_db))
             self._stretch_loss = np.full(self._stretches, self.mean_loss_db)
         error = self._errors(self._stretch_loss[self.candidates.stretch])
         robust = 5.0 / (4.0 + error**2 / (self.variance_db2 * self._noise_share))

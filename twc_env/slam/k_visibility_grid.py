@@ -13,7 +13,7 @@ from twc_env.slam.wall_candidates import WallCandidates
 Array = NDArray
 
 FREE, UNKNOWN, WALL = 255, 127, 0
-BODY_RADIUS_M = 0.15
+BODY_RADIUS_M = 0.1
 """What the robot's body has swept is free (rule 1)."""
 _MARGIN_M = 1.0
 _FREE_BELOW = 0.25
@@ -41,11 +41,13 @@ class WallGrid:
 
 def cell_probabilities(
     position_m: Array, router_m: Array, is_heard: Array, candidates: WallCandidates, probability: Array,
-    standoff_m: float, resolution_m: float, origin_m: Array | None = None,
+    is_told: Array | None, standoff_m: float, resolution_m: float, origin_m: Array | None = None,
 ) -> WallGrid:  # fmt: skip
     """Lay candidates with their probabilities (pieces,) on a grid; positions (bins, 2), is_heard (bins, routers).
 
-    A corner of some cell comes to lie at origin_m (2,).
+    is_told (pieces,) given: only pieces that rays have crossed are believed, and what lies between path and walls only
+    where rays pass. None: the path keeps its distance, so that all walls beside it are. A corner of some cell comes to
+    lie at origin_m (2,).
     """
     everything = np.concatenate([position_m, router_m, candidates.ends_m[probability > 0.3].reshape(-1, 2)])
     corner = np.zeros(2) if origin_m is None else np.asarray(origin_m, float)
@@ -57,13 +59,20 @@ def cell_probabilities(
     for r, router in enumerate((router_m - low) / resolution_m):
         _count_rays(rays, np.ascontiguousarray(scaled[is_heard[:, r]]), router)
     _sweep(swept, scaled, BODY_RADIUS_M / resolution_m)
-    _stamp(likely, (candidates.ends_m - np.tile(low, 2)) / resolution_m, probability)
-    # Nearer to the path than the walls that it follows there is nothing else.
-    beside = np.zeros((rows, columns), np.bool_)
-    _sweep(beside, scaled, standoff_m / resolution_m - 0.5)
-    seen = (rays >= _RAYS_MIN) | swept | beside | (likely > 0.0)
-    value = np.where(swept, 0.02, likely)
-    value = np.clip(value, 0.02, 0.98)
+    ends = (candidates.ends_m - np.tile(low, 2)) / resolution_m
+    seen = (rays >= _RAYS_MIN) | swept
+    if is_told is None:
+        # Nearer to the path than the walls that it follows there is nothing else.
+        beside = np.zeros((rows, columns), np.bool_)
+        _sweep(beside, scaled, standoff_m / resolution_m - 0.5)
+        _stamp(likely, ends, probability)
+        seen |= beside | (likely > 0.0)
+    else:
+        doubtful = np.zeros((rows, columns))
+        _stamp(likely, ends[is_told], probability[is_told])
+        _stamp(doubtful, ends[~is_told], probability[~is_told])
+        seen &= swept | (doubtful <= likely)
+    value = np.clip(np.where(swept, 0.02, likely), 0.02, 0.98)
     return WallGrid(np.where(seen, value, np.nan), low, resolution_m, rays)
 
 

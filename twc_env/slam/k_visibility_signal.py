@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import norm
 
 from twc_env.errors import DataError
 
@@ -24,7 +26,9 @@ DISTANCE_MIN_M = 0.5
 K_MAX = 5
 _EXPONENT_PRIOR = (2.0, 0.4)
 """Mean and standard deviation: indoors, with walls counted apart."""
-_WALL_LOSS_PRIOR_DB = (9.0, 3.5)
+_WALL_LOSS_PRIOR_DB = (9.0, 2.5)
+_WALL_LOSS_MIN_DB = 7.0
+"""Walls that take less cannot be told from shadowing: several of them are counted as one."""
 _WALL_LOSS_STARTS_DB = (5.0, 8.0, 12.0, 18.0)
 _STAY_M = 1.5
 """Mean path length over which k stays what it is."""
@@ -32,7 +36,9 @@ _JUMP_DECAY = 0.15
 """How much rarer each further wall in one jump of k is."""
 _CORRELATION_M = 0.3
 """Binned readings within this length count as one, for their shadowing is the same."""
-_NOISE_MIN_DB = 1.0
+_NOISE_MIN_DB, _NOISE_MAX_DB = 1.0, 6.0
+_HEARD_REACH = 3
+"""Bins on either side over which the share of readings that heard a router is taken."""
 
 
 # --- as published -----------------------------------------------------------------------------------------------------
@@ -80,6 +86,14 @@ def silhouette_k(values: Array, k_max: int = K_MAX) -> int:
 def compensate_distance(rssi_dbm: Array, distance_m: Array, exponent: float) -> Array:
     """Readings as if all were taken one metre from the router."""
     return rssi_dbm + 10.0 * exponent * np.log10(np.maximum(distance_m, DISTANCE_MIN_M))
+
+
+def smooth_along_path(log_evidence: Array, travel_m: Array) -> Array:
+    """(bins, k + 1) probability of each number of walls, from each bin's own log evidence and how rarely k changes."""
+    probability = np.empty(log_evidence.shape)
+    steps = np.diff(travel_m, prepend=travel_m[0])
+    _forward_backward(np.ascontiguousarray(log_evidence, float), steps, np.empty(log_evidence.shape), probability)
+    return probability
 
 
 # --- the hidden Markov model ------------------------------------------------------------------------------------------
@@ -141,8 +155,25 @@ def bin_along_path(position_m: Array, rssi_dbm: Array, step_m: float = 0.1) -> P
     sums = np.column_stack([np.bincount(bin_of, column) for column in np.where(heard, rssi, 0.0).T])
     with np.errstate(invalid="ignore"):
         mean = sums / np.where(count > 0, count, np.nan)
+    mean -= _bias_of_the_heard(rssi, count, total)
     place = np.column_stack([np.bincount(bin_of, position[:, axis]) / total for axis in (0, 1)])
     return PathBins(place, mean, count, np.bincount(bin_of, travel) / total, bin_of)
+
+
+def _bias_of_the_heard(rssi: Array, count: Array, total: Array) -> Array:
+    """(bins, routers) by how much the mean is too high where only the strong ones of the readings were heard [dB].
+
+    The mean of a normal value above a limit, from the share of readings above it.
+    """
+    width = 2 * _HEARD_REACH + 1
+    heard = uniform_filter1d(count, width, axis=0, mode="nearest")
+    share = np.clip(heard / uniform_filter1d(total, width, mode="nearest")[:, None], 0.02, 1.0)
+    bias = np.zeros(share.shape)
+    for router in range(rssi.shape[1]):
+        steps = np.diff(rssi[np.isfinite(rssi[:, router]), router])
+        noise = min(float(np.median(np.abs(steps))) / 0.954, _NOISE_MAX_DB) if len(steps) else 0.0
+        bias[:, router] = noise * norm.pdf(norm.ppf(share[:, router])) / share[:, router]
+    return bias
 
 
 def fit_signal(bins: PathBins, router: int, router_m: Array, k_max: int | None = None) -> SignalFit:
@@ -261,7 +292,7 @@ def _expectation_maximisation(decades, level, steps, weight, temper, iterations,
         b[2] += _WALL_LOSS_PRIOR_DB[0] / _WALL_LOSS_PRIOR_DB[1] ** 2
         solution = np.linalg.solve(a, b)
         parameters[0], parameters[1] = solution[0], max(solution[1], 0.0)
-        parameters[2] = max(solution[2], 2.0) if has_walls else 0.0
+        parameters[2] = max(solution[2], _WALL_LOSS_MIN_DB) if has_walls else 0.0
         spread, mass = 0.0, 0.0
         for i in range(count):
             for k in range(states):

@@ -19,7 +19,7 @@ _PIECE_M = 0.05
 _NEAR, _FAR = 1.2, 2.8
 """Two tracks between these many standoffs apart may have a wall midway."""
 _FACING_COS = 0.6
-_CLEAR_SHARE, _TIP_SHARE = 0.85, 0.97
+_CLEAR_SHARE, _TIP_SHARE = 0.85, 0.9
 """A piece nearer to any part of the path than this share of its own distance cannot be a wall; at ends, the other."""
 _DIRECTION_RAD = np.deg2rad(20.0)
 """Tracks run along a direction when they differ from it by less."""

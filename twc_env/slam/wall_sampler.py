@@ -77,13 +77,11 @@ def sample_walls(
     sweeps,
     random,
     on_count,
-    k_count,
-    crossed,
 ):
     """Gibbs sweeps and flips of whole runs, in place; a temperature of 1 samples the posterior.
 
-    is_wall (p,) and summed (rays,) loss on each ray are the state; base (p,) prior log-odds; on_count (p,) and
-    k_count (rays, k + 1) gather how often a piece was a wall and a ray crossed k of them; crossed (rays,) scratch.
+    is_wall (p,) and summed (rays,) loss on each ray are the state; base (p,) prior log-odds; on_count (p,)
+    gathers how often each piece was a wall, or is empty.
     """
     pieces, rays = is_wall.shape[0], summed.shape[0]
     stamp = np.full(rays, -1, np.int64)
@@ -154,14 +152,9 @@ def sample_walls(
                 for t in range(count):
                     summed[touched[t]] = held[touched[t]]
         if on_count.shape[0] > 0:
-            crossed[:] = 0
             for j in range(pieces):
                 if is_wall[j]:
                     on_count[j] += 1
-                    for m in range(first[j], first[j + 1]):
-                        crossed[members[m]] += 1
-            for i in range(rays):
-                k_count[i, min(crossed[i], k_count.shape[1] - 1)] += 1
 
 
 @njit(cache=True, error_model="numpy")

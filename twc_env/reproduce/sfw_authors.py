@@ -1,0 +1,159 @@
+"""The k-visibility authors' own logs (their experiments 3 and 5), scored against their LiDAR map.
+
+Walk and map have no common frame: the map is laid on the walk by a similarity transform, whose fit is printed. True
+numbers of walls are runs of cells of the map that are not free. `authors` uses the thresholds of the authors' program
+where they apply (one router), `paper` k-means as the paper says, `ours` all columns at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_closing, binary_dilation
+
+from twc_env.datasets.raster import largest_part
+from twc_env.datasets.sfw_authors import (
+    FLOOR_M2,
+    ROUTERS_PX,
+    THRESHOLDS_DBM,
+    AuthorsWalk,
+    read_authors_walk,
+    read_lidar_map,
+)
+from twc_env.metrics.k_visibility import walls_crossed_in_raster
+from twc_env.reproduce import sfw_scoring as scoring
+from twc_env.reproduce.runner import Runner, data_folder
+from twc_env.reproduce.sfw_registration import Registration, register
+from twc_env.reproduce.sfw_walks import RadioWalk
+from twc_env.world.floorplan import Cells
+
+Array = NDArray
+
+SUMMARY = "inverse k-visibility on the authors' own logs, with the registration fit"
+_PRINTED = {1: (3, 85.32, 0.8321), 2: (5, 95.73, 0.8364)}
+_MARGIN_CELLS = 10
+_GAP_CELLS = 5.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `reproduce sfw-authors`."""
+    parser.add_argument("--out", type=Path, default=Path("runs/sfw-authors"), help="pictures (default: %(default)s)")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per walk and method."""
+    folder = data_folder() / "sfw_authors"
+    return [
+        row for part in runner.each((1, 2), lambda n: measure(n, folder, options.out), "walk {}".format) for row in part
+    ]
+
+
+def remarks(table: list[dict]) -> list[str]:
+    """The registrations, in words."""
+    return [
+        f"experiment {row['experiment']}: map laid on the walk with scale {row['fit_scale']:.4f}, turned "
+        f"{row['fit_angle_deg']:.2f} degrees; {row['fit_free_share']:.1%} of the path in free space, mean gap of the "
+        f"rim to the path {row['fit_wall_gap_m']:.2f} m"
+        for row in table
+        if row["method"] == "ours"
+    ]
+
+
+def measure(routers: int, folder: Path, out: Path | None) -> list[dict]:
+    """The rows of one walk."""
+    walk = read_authors_walk(folder, routers)
+    free, wall = read_lidar_map(folder)
+    free = largest_part(free)
+    fit = register(walk.position_px, free)
+    pixels_per_m = float(np.sqrt(free.sum() / FLOOR_M2))
+    cells = _cells(free, wall, pixels_per_m)
+    placed = _placed(walk, fit, cells, free.shape[0], pixels_per_m)
+    strongest = _strongest_column_each(placed, walk.router_of)
+    maps = {"paper": scoring.by_paper(strongest, cells)}
+    if routers == 1:
+        thresholds = np.array(THRESHOLDS_DBM)
+        k = (placed.rssi_dbm[:, 0, None] <= thresholds).sum(axis=1)
+        maps["authors"] = scoring.by_rules(strongest, cells, k)
+    maps["ours"] = scoring.by_ours(placed, cells, seed=0)
+    experiment, accuracy, iou = _PRINTED[routers]
+    if out is not None:
+        scoring.draw_maps(
+            out / f"experiment-{experiment}.png", f"authors' log, {routers} router(s)", placed, cells, maps
+        )
+    return [
+        {
+            "experiment": experiment,
+            "routers": routers,
+            "points": len(walk.position_px),
+            "method": method,
+            "k_accuracy": made.k_accuracy,
+            "iou_free": made.score.iou_free,
+            "iou_wall": made.score.iou_wall,
+            "coverage": made.score.coverage,
+            "mse": made.score.mse,
+            "brier": made.score.brier,
+            "paper_k_accuracy": accuracy / 100,
+            "paper_iou": iou,
+            "seeds": 1,
+            "sd": 0.0,
+            "fit_scale": fit.scale,
+            "fit_angle_deg": float(np.rad2deg(fit.angle_rad)),
+            "fit_free_share": fit.free_share,
+            "fit_wall_gap_m": fit.wall_gap_px / pixels_per_m,
+        }
+        for method, made in maps.items()
+    ]
+
+
+def _cells(free: Array, wall: Array, pixels_per_m: float) -> Cells:
+    """The picture as cells of the scoring grid, y up: free where most pixels are, wall where dark beside free ones."""
+    size = scoring.RESOLUTION_M * pixels_per_m
+    rows, columns = (np.ceil(np.array(free.shape) / size)).astype(int)
+    row, column = (np.floor(np.arange(n) / size).astype(int) for n in free.shape)
+    flat = (row[:, None] * columns + column).ravel()
+    count = np.bincount(flat, minlength=rows * columns)
+    share = np.bincount(flat, free.ravel(), minlength=rows * columns) / np.maximum(count, 1)
+    dark = np.bincount(flat, wall.ravel(), minlength=rows * columns) > 0
+    is_free = binary_closing((share > 0.5).reshape(rows, columns)) | (share > 0.5).reshape(rows, columns)
+    is_wall = dark.reshape(rows, columns) & ~is_free & binary_dilation(is_free, np.ones((3, 3)))
+    is_free, is_wall = (np.pad(a[::-1], _MARGIN_CELLS) for a in (is_free, is_wall))
+    return Cells(is_free, is_wall, np.full(2, -_MARGIN_CELLS * scoring.RESOLUTION_M), scoring.RESOLUTION_M)
+
+
+def _placed(walk: AuthorsWalk, fit: Registration, cells: Cells, height_px: int, pixels_per_m: float) -> RadioWalk:
+    rows = np.ceil(height_px / (scoring.RESOLUTION_M * pixels_per_m)) * scoring.RESOLUTION_M
+
+    def in_metres(points_px: Array) -> Array:
+        metres = fit.apply(points_px) / pixels_per_m
+        return np.column_stack([metres[:, 0], rows - metres[:, 1]])
+
+    position, routers = in_metres(walk.position_px), in_metres(ROUTERS_PX)[walk.router_of]
+    crossed = np.column_stack([_walls_between(cells, router, position) for router in routers])
+    return RadioWalk(position, walk.rssi_dbm, routers, crossed)
+
+
+def _walls_between(cells: Cells, router_m: Array, position_m: Array) -> Array:
+    """Runs of cells that are not free; what a router or reading itself stands in by a misfit of the map is none."""
+    blocked = ~cells.free
+    for place in (router_m[None], position_m):
+        at = np.floor((place - cells.origin_m) / cells.resolution_m).astype(int)
+        for dr in (-1, 0, 1):
+            for dc in (-1, 0, 1):
+                r = np.clip(at[:, 1] + dr, 0, blocked.shape[0] - 1)
+                c = np.clip(at[:, 0] + dc, 0, blocked.shape[1] - 1)
+                blocked[r[blocked[at[:, 1], at[:, 0]]], c[blocked[at[:, 1], at[:, 0]]]] = False
+    start = ((router_m - cells.origin_m) / cells.resolution_m)[::-1]
+    return walls_crossed_in_raster(
+        blocked, start, ((position_m - cells.origin_m) / cells.resolution_m)[:, ::-1], _GAP_CELLS
+    )
+
+
+def _strongest_column_each(walk: RadioWalk, router_of: Array) -> RadioWalk:
+    """One column per router: the strongest of its bands, as the authors' own last column."""
+    numbers = np.unique(router_of)
+    first = [int(np.flatnonzero(router_of == n)[0]) for n in numbers]
+    rssi = np.column_stack([walk.rssi_dbm[:, router_of == n].max(axis=1) for n in numbers])
+    return RadioWalk(walk.position_m, rssi, walk.router_m[first], walk.walls[:, first])
