@@ -35,6 +35,7 @@ TABLES: dict[str, str] = {
     "sfw-table1": "sfw_table1",
     "sfw-authors": "sfw_authors",
     "sfw-ble": "sfw_ble",
+    "sfw-houseexpo": "sfw_houseexpo",
 }
 """Name on the command line -> module of this package."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -1,7 +1,9 @@
 """Walls crossed in a real flat (Kolakowski 2021): six BLE transmitters, known walls, one robot.
 
 The wall plan is used for scoring alone. k is cut at each `k_max` in truth and estimates; `majority` is the accuracy of
-always guessing the commonest k. `ours` maps all transmitters at once; `signal` is its signal model alone, without a map.
+always guessing the commonest k. `ours` is the signal model with power, exponent and wall loss shared by all tags, which
+are alike; `known signal` rounds each smoothed reading with the true power, exponent and loss, the best any rule without
+geometry can know.
 """
 
 from __future__ import annotations
@@ -17,15 +19,16 @@ from twc_env.reproduce import radio_places as places
 from twc_env.reproduce import sfw_scoring as scoring
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.sfw_walks import RadioWalk
-from twc_env.slam.k_visibility_signal import bin_along_path, fit_signal, k_means, predict_walls, sliding_window
+from twc_env.slam.k_visibility_signal import bin_along_path, fit_alike, k_means, predict_walls, sliding_window
 
 Array = NDArray
 
 SUMMARY = "walls crossed in a real flat with six BLE transmitters"
 _WALL_FACES = 2
 _WINDOW = 7
-_RUNS = ("calib3", "calib4")
-"""Drives in the order of time; the calibration set is no path."""
+_RUNS = ("calibration",)
+_TRUE_SIGNAL = (-50.7, 0.77, 6.0)
+"""Power [dBm], exponent and wall loss [dB] fitted with the walls known (`reproduce radio-model`)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +44,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     for k_max in (1, 2, 3):
         true = np.minimum(np.concatenate([run["true"] for run in runs]), k_max)
         majority = float(np.bincount(true).max() / len(true))
-        for method in ("k-means", "signal", "ours"):
+        for method in ("k-means", "ours", "known signal"):
             guess = np.concatenate([run[f"{method} {k_max}"] for run in runs])
             table.append(
                 {"k_max": k_max, "method": method, "k_accuracy": float(np.mean(guess == true)), "majority": majority}
@@ -59,20 +62,23 @@ def measure(run: str, folder: Path, out: Path | None) -> dict:
         survey.position_m, survey.rssi_dbm.astype(float), routers, (crossed + _WALL_FACES - 1) // _WALL_FACES
     )
     heard = np.isfinite(walk.rssi_dbm)
-    mapped = scoring.by_ours(walk, plan.cells(scoring.RESOLUTION_M), seed=0)
     bins = bin_along_path(walk.position_m, walk.rssi_dbm)
     figures = {"true": walk.walls[heard]}
+    power, exponent, loss = _TRUE_SIGNAL
+    apart_m = np.linalg.norm(bins.position_m[:, None] - routers, axis=2)
+    excess = power - 10 * exponent * np.log10(np.maximum(apart_m, 0.5)) - bins.rssi_dbm
+    known = np.maximum(np.round(np.nan_to_num(excess) / loss), 0).astype(int)[bins.bin_of]
     for k_max in (1, 2, 3):
-        by_means, by_signal = np.zeros(walk.walls.shape, int), np.zeros(walk.walls.shape, int)
-        for r, router in enumerate(routers):
-            level = walk.rssi_dbm[heard[:, r], r]
-            smooth = sliding_window(level, _WINDOW)
+        by_means = np.zeros(walk.walls.shape, int)
+        for r in range(len(routers)):
+            smooth = sliding_window(walk.rssi_dbm[heard[:, r], r], _WINDOW)
             by_means[heard[:, r], r] = predict_walls(smooth, k_means(smooth, k_max + 1))
-            by_signal[:, r] = fit_signal(bins, r, router, k_max).walls[bins.bin_of]
+        by_signal = np.column_stack([fit.walls[bins.bin_of] for fit in fit_alike(bins, routers, k_max)])
         figures[f"k-means {k_max}"] = by_means[heard]
-        figures[f"signal {k_max}"] = by_signal[heard]
-        figures[f"ours {k_max}"] = np.minimum(mapped.structure.walls, k_max)[heard]
+        figures[f"ours {k_max}"] = by_signal[heard]
+        figures[f"known signal {k_max}"] = np.minimum(known, k_max)[heard]
     if out is not None:
         cells = plan.cells(scoring.RESOLUTION_M)
+        mapped = scoring.by_ours(walk, cells, seed=0)
         scoring.draw_maps(out / f"{run}.png", f"flat, {run}", walk, cells, {"ours": mapped})
     return figures

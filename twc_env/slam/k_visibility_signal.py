@@ -198,6 +198,35 @@ def fit_signal(bins: PathBins, router: int, router_m: Array, k_max: int | None =
     return best
 
 
+def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
+    """One fit for all routers (routers, 2) of one make: power, exponent and wall loss are shared."""
+    parts = []
+    for router, place in enumerate(np.asarray(router_m, float)):
+        rows, decades, level, _ = _heard(bins, router, np.linalg.norm(bins.position_m - place, axis=1))
+        steps = np.diff(bins.travel_m[rows], prepend=bins.travel_m[rows[0]] - 1e3)  # nothing carries over
+        parts.append((rows, decades, level, steps))
+    decades, level, steps = (np.concatenate([part[i] for part in parts]) for i in (1, 2, 3))
+    best: tuple[float, Array, Array] | None = None
+    for start in _WALL_LOSS_STARTS_DB:
+        power = float(np.quantile(level + _EXPONENT_PRIOR[0] * decades, 0.9))
+        parameters, probability = np.array([power, _EXPONENT_PRIOR[0], start, 4.0]), np.empty((len(level), k_max + 1))
+        temper = min(1.0, max(bins.step_m, 1e-3) / _CORRELATION_M)
+        score = _expectation_maximisation(
+            decades, level, steps, np.ones(len(level)), temper, 40, True, parameters, probability
+        )
+        score -= 0.5 * ((parameters[2] - _WALL_LOSS_PRIOR_DB[0]) / _WALL_LOSS_PRIOR_DB[1]) ** 2
+        if best is None or score > best[0]:
+            best = score, parameters, probability
+    assert best is not None
+    fits, first = [], 0
+    for rows, *_ in parts:
+        own = best[2][first : first + len(rows)]
+        everywhere = own[np.clip(np.searchsorted(rows, np.arange(len(bins.position_m))), 0, len(rows) - 1)]
+        fits.append(SignalFit(*(float(v) for v in best[1]), everywhere, float(best[0])))
+        first += len(rows)
+    return fits
+
+
 def locate_router(bins: PathBins, router: int, margin_m: float = 1.0, step_m: float = 0.5) -> tuple[Array, SignalFit]:
     """Where a router stands (2,), from signal alone (SPEC K24g): the place whose model explains the readings best.
 

@@ -1,0 +1,116 @@
+"""Structure from WiFi on HouseExpo plans, with a route along all walls (inverse k-visibility Fig. 7).
+
+One router, the access point with the shortest mean distance to the route; strengths from the preset `sfw`. Plans larger
+than `--area-max` are left out, for one router does not reach through them. No plan of these was used to set anything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from twc_env.config import radio_preset
+from twc_env.datasets.house_expo import read_house_expo
+from twc_env.errors import MapError
+from twc_env.metrics.k_visibility import calibration_error, reliability
+from twc_env.reproduce import sfw_scoring as scoring
+from twc_env.reproduce.runner import Runner, data_folder
+from twc_env.reproduce.sfw_walks import length_m, read_walk, resampled, wall_following_route
+
+SUMMARY = "structure from WiFi on HouseExpo plans, route along all walls, with a reliability curve"
+_READINGS_PER_M = 40.0
+_WALL_FACES = 2
+_KEYS = ("k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `reproduce sfw-houseexpo`."""
+    parser.add_argument(
+        "--plans", type=int, default=30, help="how many, the smallest files first (default: %(default)s)"
+    )
+    parser.add_argument("--area-max", type=float, default=400.0, help="floor area [m2] (default: %(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("runs/sfw-houseexpo"), help="pictures (default: %(default)s)")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per plan and method, and the mean of all at the end."""
+    paths = sorted((data_folder() / "houseexpo").glob("*.json"), key=lambda path: path.stat().st_size)[: options.plans]
+    runs = [run for run in runner.each(paths, lambda path: measure(path, options), lambda path: path.stem[:8]) if run]
+    table = []
+    for method in scoring.METHODS:
+        own = [row for run in runs for row in run["rows"] if row["method"] == method]
+        if own:
+            means = {key: float(np.mean([row[key] for row in own])) for key in ("area_m2", "points", *_KEYS)}
+            table.append({**own[0], **means, "plan": f"mean of {len(own)}", "calibration_error": None})
+    cells = [np.array(run["cells"]) for run in runs]
+    if cells and table:
+        both = np.concatenate(cells)
+        table[-1]["calibration_error"] = calibration_error(both[:, 0], both[:, 1] > 0.5)
+        draw_reliability(options.out / "reliability.png", both[:, 0], both[:, 1] > 0.5)
+    return [row for run in runs for row in run["rows"]] + table
+
+
+def measure(path: Path, options: argparse.Namespace) -> dict | None:
+    """Both methods on one plan, and (probability, is wall) of our cells; None for a plan that is left out."""
+    plan = read_house_expo(path)
+    if plan.floor_area_m2() > options.area_max:
+        return None
+    try:
+        way = wall_following_route(plan)
+    except MapError:
+        return None
+    route = resampled(way, int(np.clip(_READINGS_PER_M * length_m(way), 300, 6000)))
+    nearest = min(plan.access_points, key=lambda p: float(np.linalg.norm(route - p.position_m, axis=1).mean()))
+    plan = dataclasses.replace(plan, access_points=(nearest,))
+    radio = dataclasses.replace(radio_preset("sfw"), wall_loss_scale=2.0)
+    walk = read_walk(plan, radio, route, seed=0, faces_per_wall=_WALL_FACES)
+    cells = plan.cells(scoring.RESOLUTION_M)
+    maps = {"paper": scoring.by_paper(walk, cells), "ours": scoring.by_ours(walk, cells, seed=0)}
+    scoring.draw_maps(options.out / f"{path.stem[:8]}.png", path.stem, walk, cells, maps)
+    ours = maps["ours"]
+    told = np.isfinite(ours.probability) & (ours.truth != 127)
+    pairs = np.column_stack([ours.probability[told], ours.truth[told] == 0]).round(3)
+    return {
+        "rows": [
+            {
+                "plan": path.stem[:8],
+                "area_m2": plan.floor_area_m2(),
+                "points": len(route),
+                "method": method,
+                "k_accuracy": made.k_accuracy,
+                "iou_free": made.score.iou_free,
+                "iou_wall": made.score.iou_wall,
+                "coverage": made.score.coverage,
+                "mse": made.score.mse,
+                "brier": made.score.brier,
+                "calibration_error": made.calibration_error,
+            }
+            for method, made in maps.items()
+        ],
+        "cells": pairs,
+    }
+
+
+def draw_reliability(path: Path, probability: np.ndarray, is_wall: np.ndarray) -> None:
+    """The share of walls among cells of each probability. Says nothing where matplotlib is missing."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        return
+    mean, share, count = reliability(probability, is_wall)
+    figure = Figure(figsize=(5, 5), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot([0, 1], [0, 1], color="0.7")
+    axes.plot(mean, share, "o-")
+    for x, y, n in zip(mean, share, count, strict=True):
+        if n:
+            axes.annotate(f"{n:,}", (x, y), fontsize=7)
+    axes.set(xlabel="probability of a wall", ylabel="share that are walls", aspect="equal")
+    axes.set_title(f"expected calibration error {calibration_error(probability, is_wall):.3f}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
