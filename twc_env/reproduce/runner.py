@@ -33,6 +33,7 @@ TABLES: dict[str, str] = {
     "solver": "solver",
     "stress": "stress",
     "sfw-table1": "sfw_table1",
+    "sfw-routers": "sfw_routers",
     "sfw-authors": "sfw_authors",
     "sfw-ble": "sfw_ble",
     "sfw-houseexpo": "sfw_houseexpo",

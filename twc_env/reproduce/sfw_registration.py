@@ -56,7 +56,7 @@ def register(path_px: Array, free: Array) -> Registration:
         gaps = cKDTree(placed).query(rim)[0]
         return float(_OUTSIDE_WEIGHT * away.mean() + np.minimum(gaps, 100.0).mean())
 
-    best = None
+    found_all = []
     for factor in (0.85, 0.92, 1.0):
         for angle in np.deg2rad([-8.0, 0.0, 8.0]):
             start = np.array([factor * base, angle, 0.0, 0.0])
@@ -64,8 +64,8 @@ def register(path_px: Array, free: Array) -> Registration:
             simplex = start + np.vstack([np.zeros(4), np.diag([0.05 * base, 0.05, 15.0, 15.0])])
             options = {"initial_simplex": simplex, "maxiter": 400, "xatol": 1e-3, "fatol": 1e-3}
             found = minimize(cost, start, method="Nelder-Mead", options=options)
-            if best is None or found.fun < best.fun:
-                best = found
+            found_all.append(found)
+    best = min(found_all, key=lambda found: found.fun)
     placed = _transform(best.x, path_px)
     at = np.clip(np.floor(placed).astype(int), 0, np.array(free.shape)[::-1] - 1)
     gap = float(cKDTree(placed).query(rim)[0].mean())

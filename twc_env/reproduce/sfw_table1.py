@@ -1,19 +1,18 @@
 """Table I of inverse k-visibility (Kim et al.): six experiments on twin plans, the published method and ours.
 
-Plans, routers, numbers of readings and areas follow the print (SPEC K20); the radio preset is `sfw` with the wall
-losses that the plans state. `paper` chooses its number of clusters in hindsight, the best for it. Coverage stands
+Plans, routers, numbers of readings and areas follow the print (SPEC K20); the radio preset is
+`sfw`. `paper` chooses its number of clusters in hindsight, the best for it. Coverage stands
 beside every IoU, for what a map leaves unknown is excused by the paper's IoU.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from pathlib import Path
 
 import numpy as np
 
-from twc_env.config import RadioConfig, radio_preset
+from twc_env.config import radio_preset
 from twc_env.maps import load_map
 from twc_env.reproduce import sfw_scoring as scoring
 from twc_env.reproduce.runner import Runner, parse_seeds
@@ -45,7 +44,9 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     parts = [(experiment, seed) for experiment in experiments for seed in seeds]
     runs = runner.each(
         parts,
-        lambda part: measure(*part, options.out if part[1] == seeds[0] else None, options.routers == "known"),
+        lambda part: measure(
+            part[0], part[1], options.out if part[1] == seeds[0] else None, options.routers == "known"
+        ),
         lambda part: f"experiment {part[0]} seed {part[1]}",
     )
     table = []
@@ -56,16 +57,11 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     return table
 
 
-def twin_radio() -> RadioConfig:
-    """The preset of the paper, with walls that take what the twin plans say."""
-    return dataclasses.replace(radio_preset("sfw"), wall_loss_scale=1.0)
-
-
 def measure(experiment: int, seed: int, out: Path | None, router_known: bool = True, points: int | None = None) -> dict:
     """Both methods on one walk: {method: figures}."""
     plan = load_map(f"sfw-e{experiment}")
     way = resampled(wall_following_route(plan), points or POINTS[experiment])
-    walk = read_walk(plan, twin_radio(), way, seed)
+    walk = read_walk(plan, radio_preset("sfw"), way, seed)
     cells = plan.cells(scoring.RESOLUTION_M)
     maps = {"paper": scoring.by_paper(walk, cells), "ours": scoring.by_ours(walk, cells, seed, router_known)}
     if out is not None:

@@ -291,7 +291,8 @@ class _Solver:
         rays = np.arange(len(self._level))
         design[rays, self._router_of] = 1.0
         design[rays, routers + self._router_of] = -self._decades
-        np.add.at(design, (self._members[on], 2 * routers + (piece if with_stretches else 0)), -1.0)
+        column = 2 * routers + piece * int(with_stretches)
+        np.add.at(design, (self._members[on], column), -1.0)
         loss = self._stretch_loss[self.candidates.stretch]
         error = self._errors(loss)
         robust = 5.0 / (4.0 + error**2 / (self.variance_db2 * self._noise_share))

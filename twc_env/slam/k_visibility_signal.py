@@ -176,6 +176,11 @@ def _bias_of_the_heard(rssi: Array, count: Array, total: Array) -> Array:
     return bias
 
 
+def _signal(parameters: Array, probability: Array, log_likelihood: float) -> SignalFit:
+    power, exponent, loss, noise = parameters.tolist()
+    return SignalFit(power, exponent, loss, noise, probability, log_likelihood)
+
+
 def fit_signal(bins: PathBins, router: int, router_m: Array, k_max: int | None = None) -> SignalFit:
     """Estimate signal and walls for one router at a known place; k_max None: chosen by BIC.
 
@@ -222,7 +227,7 @@ def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
     for rows, *_ in parts:
         own = best[2][first : first + len(rows)]
         everywhere = own[np.clip(np.searchsorted(rows, np.arange(len(bins.position_m))), 0, len(rows) - 1)]
-        fits.append(SignalFit(*(float(v) for v in best[1]), everywhere, float(best[0])))
+        fits.append(_signal(best[1], everywhere, float(best[0])))
         first += len(rows)
     return fits
 
@@ -279,7 +284,7 @@ def _fit(
     prior = -0.5 * ((parameters[1] - _EXPONENT_PRIOR[0]) / _EXPONENT_PRIOR[1]) ** 2
     if k_max:
         prior -= 0.5 * ((parameters[2] - _WALL_LOSS_PRIOR_DB[0]) / _WALL_LOSS_PRIOR_DB[1]) ** 2
-    return SignalFit(*(float(v) for v in parameters), everywhere, float(log_likelihood + prior))
+    return _signal(parameters, everywhere, float(log_likelihood + prior))
 
 
 @njit(cache=True, error_model="numpy")

@@ -122,7 +122,7 @@ def _respaced(path_m: Array) -> Array:
 
 def _have_tip(gaps: Array, standoff_m: float) -> Array:
     """(vertices,) whether the track runs around a wall's end: its other side is two standoffs away."""
-    return ((gaps > 1.7 * standoff_m) & (gaps < 2.2 * standoff_m)).any(axis=0)
+    return np.any((gaps > 1.7 * standoff_m) & (gaps < 2.2 * standoff_m), axis=0)
 
 
 def _runs(tangent: Array, has_tip: Array) -> list[tuple[slice, float | None]]:

@@ -1,0 +1,47 @@
+import argparse
+
+import numpy as np
+import pytest
+
+from twc_env.maps import load_map
+from twc_env.reproduce import sfw_table1
+from twc_env.reproduce.runner import Runner
+from twc_env.reproduce.sfw_registration import register
+from twc_env.reproduce.sfw_walks import STANDOFF_M, length_m, wall_following_route
+
+
+@pytest.mark.parametrize("name", ["sfw-e1", "sfw-e4"])
+def test_the_route_follows_every_wall_at_its_distance(name):
+    plan = load_map(name)
+    way = wall_following_route(plan)
+    assert plan.wall_index.distance_m(way, 1.0).min() > STANDOFF_M - 0.1
+    middles = plan.walls_m.mean(axis=1)
+    gaps = np.linalg.norm(middles[:, None] - way[None], axis=2).min(axis=1)
+    assert gaps.max() < STANDOFF_M + 0.3
+    assert length_m(way) > 0.8 * np.linalg.norm(plan.walls_m[:, 0] - plan.walls_m[:, 1], axis=1).sum()
+
+
+def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(tmp_path, monkeypatch):
+    monkeypatch.setitem(sfw_table1.POINTS, 1, 600)
+    options = argparse.Namespace(seeds="1", experiments="1", routers="known", out=tmp_path)
+    rows = sfw_table1.rows(options, Runner("sfw-table1", tmp_path, {}))
+    assert [row["method"] for row in rows] == ["paper", "ours"]
+    assert list(rows[0]) == [
+        "experiment", "routers", "points", "method", "k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier",
+        "paper_k_accuracy", "paper_iou", "seeds", "sd",
+    ]  # fmt: skip
+    assert rows[1]["k_accuracy"] > 0.95 > rows[0]["k_accuracy"]
+    assert rows[1]["iou_free"] > 0.97
+    assert rows[1]["coverage"] > 0.8
+
+
+def test_a_picture_is_laid_back_on_a_path_drawn_to_another_scale():
+    free = np.zeros((300, 400), bool)
+    free[50:250, 60:340] = True
+    free[50:150, 200:340] = False
+    corners = np.array([(75, 65), (185, 65), (185, 165), (325, 165), (325, 235), (75, 235), (75, 65)], float)
+    travel = np.linspace(0, len(corners) - 1, 300)
+    path = np.column_stack([np.interp(travel, np.arange(len(corners)), corners[:, k]) for k in (0, 1)])
+    fit = register((path - [20.0, 10.0]) / 0.8, free)
+    assert fit.scale == pytest.approx(0.8, abs=0.03)
+    assert np.linalg.norm(fit.apply((path - [20.0, 10.0]) / 0.8) - path, axis=1).mean() < 6.0

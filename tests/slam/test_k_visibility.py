@@ -1,0 +1,129 @@
+"""Walls from signal strength: the published rules, the signal model, and walls sampled against rays."""
+
+import numpy as np
+import pytest
+
+from twc_env.errors import DataError
+from twc_env.metrics.k_visibility import walls_crossed_in_raster, walls_crossed_map
+from twc_env.slam import k_visibility_rules as rules
+from twc_env.slam.k_visibility import map_structure
+from twc_env.slam.k_visibility_signal import (
+    bin_along_path,
+    fit_signal,
+    k_means,
+    locate_router,
+    predict_walls,
+    silhouette_k,
+    sliding_window,
+)
+
+ROUTER = np.array([0.8, 1.2])
+
+
+def two_rooms():
+    """A route along the walls of two rooms of 4 x 4 m with a wall at x = 4, open above y = 3, one lap."""
+    corners = [
+        (0.3, 0.3),
+        (3.7, 0.3),
+        (3.7, 3.3),
+        (4.3, 3.3),
+        (4.3, 0.3),
+        (7.7, 0.3),
+        (7.7, 3.7),
+        (0.3, 3.7),
+        (0.3, 0.3),
+    ]
+    travel = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    at = np.linspace(0, travel[-1], 1500)
+    path = np.column_stack([np.interp(at, travel, np.array(corners)[:, k]) for k in (0, 1)])
+    height = ROUTER[1] + (path[:, 1] - ROUTER[1]) * (4.0 - ROUTER[0]) / np.maximum(path[:, 0] - ROUTER[0], 1e-9)
+    walls = ((path[:, 0] > 4.0) & (height < 3.0)).astype(int)
+    distance = np.maximum(np.linalg.norm(path - ROUTER, axis=1), 0.5)
+    noise = np.random.default_rng(0).normal(0, 2.0, len(path))
+    return path, (-30 - 18 * np.log10(distance) - 9.0 * walls + noise)[:, None], walls
+
+
+def test_clusters_are_ranked_from_the_strongest_and_a_value_on_a_threshold_is_behind_one_more_wall():
+    centroids = k_means(np.array([-70.0, -71, -50, -51, -30, -31]), 3)
+    assert centroids.tolist() == [-30.5, -50.5, -70.5]
+    assert predict_walls(np.array([-40.4, -40.5, -61.0]), centroids).tolist() == [0, 1, 2]
+    assert silhouette_k(np.repeat([-70.0, -50.0, -30.0], 9) + np.tile(np.linspace(-1, 1, 9), 3), 3) == 2
+
+
+def test_the_sliding_window_keeps_the_length_and_the_mean_of_a_constant():
+    assert np.array_equal(sliding_window(np.full(9, -40.0), 5), np.full(9, -40.0))
+    assert sliding_window(np.array([0.0, 0, 9, 0, 0]), 3, median=True).max() == 0.0
+
+
+def test_a_thick_wall_counts_once_and_every_further_wall_once_more():
+    wall = np.zeros((5, 30), bool)
+    wall[:, 10:12] = wall[:, 20] = True
+    start = np.array([2.5, 0.5])
+    targets = np.array([[2.5, 5.5], [2.5, 15.5], [2.5, 25.5]])
+    assert walls_crossed_in_raster(wall, start, targets).tolist() == [0, 1, 2]
+    assert walls_crossed_in_raster(wall, start, targets, gap_cells=15).tolist() == [0, 1, 1]
+
+
+def test_the_dense_inverse_gives_back_the_walls_that_the_router_sees():
+    wall = np.zeros((41, 61), bool)
+    wall[[0, -1]] = wall[:, [0, -1]] = True
+    wall[5:30, 30] = True
+    k_map = walls_crossed_map(wall, ~wall, np.array([20.5, 10.5]))
+    found = rules.walls_from_k_map(k_map, np.array([20.5, 10.5]))
+    seen = wall.copy()
+    seen[[0, -1], 31:] = False
+    seen[:, -1] = False
+    seen[10:30, -1] = found[10:30, -1]
+    assert (found & wall).sum() / (found | seen).sum() >= 0.9
+
+
+def test_rays_without_a_wall_are_free_and_a_wall_is_sought_between_unequal_readings():
+    cells, walls = np.array([[5, 10], [5, 20]]), np.array([0, 1])
+    classes, mu = rules.map_by_rules(cells, walls, np.zeros(2, int), np.array([[5.5, 0.5]]), (11, 30))
+    assert (classes[5, :11] == rules.FREE).all()
+    assert (classes[5, 11:20] == rules.WALL).all()
+    assert np.nansum(mu[5]) == pytest.approx(1.0)
+    literal, mu = rules.map_by_rules(
+        cells, walls, np.zeros(2, int), np.array([[5.5, 0.5]]), (11, 30), rules.RuleSettings(equation_4="literal")
+    )
+    assert np.nanmax(mu) == pytest.approx(np.exp(0) / 10)
+    assert np.array_equal(literal, classes)
+
+
+def test_algorithm_1_raises_what_a_clear_ray_passes_and_lowers_what_lies_before_a_wall():
+    cells, walls = np.array([[5, 10], [5, 20]]), np.array([0, 1])
+    levels = rules.map_by_algorithm_1(cells, walls, np.array([[-30.0], [-50.0]]), np.array([[5.5, 0.5]]), (11, 30))
+    assert levels[5, 5] > rules.UNKNOWN > levels[5, 15]
+    assert levels[5, 10] == rules.FREE
+
+
+def test_the_signal_model_finds_power_loss_and_walls_together():
+    path, rssi, walls = two_rooms()
+    bins = bin_along_path(path, rssi)
+    fit = fit_signal(bins, 0, ROUTER)
+    assert fit.wall_loss_db == pytest.approx(9.0, abs=1.5)
+    assert np.mean(fit.walls[bins.bin_of] == walls) > 0.95
+    assert fit.probability.sum(axis=1) == pytest.approx(1.0)
+
+
+def test_an_unknown_router_is_found_within_a_metre():
+    path, rssi, _ = two_rooms()
+    place, _ = locate_router(bin_along_path(path, rssi), 0)
+    assert np.linalg.norm(place - ROUTER) < 1.0
+
+
+def test_the_wall_between_two_rooms_stands_where_the_signal_drops():
+    path, rssi, walls = two_rooms()
+    found = map_structure(path, rssi, ROUTER[None])
+    assert np.mean(found.walls[:, 0] == walls) > 0.97
+    middle = (found.candidates.ends_m[:, :2] + found.candidates.ends_m[:, 2:]) / 2
+    on_wall = (np.abs(middle[:, 0] - 4.0) < 0.05) & (middle[:, 1] > 0.5) & (middle[:, 1] < 2.8)
+    assert on_wall.sum() > 20
+    assert found.probability[on_wall].mean() > 0.9
+    again = map_structure(path, rssi, ROUTER[None])
+    assert np.array_equal(found.probability, again.probability)
+
+
+def test_too_few_readings_are_refused_with_a_reason():
+    with pytest.raises(DataError, match="heard in 2 places"):
+        fit_signal(bin_along_path(np.array([[0.0, 0], [1, 0]]), np.array([[-40.0], [-41.0]])), 0, ROUTER)

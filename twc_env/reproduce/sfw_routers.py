@@ -1,0 +1,54 @@
+"""Routers located from signal alone in the twin plans (inverse k-visibility calls it easy and does not show it).
+
+The walks, readings and radio are those of `sfw-table1`; only strengths and positions are given.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from twc_env.config import radio_preset
+from twc_env.maps import load_map
+from twc_env.reproduce.runner import Runner, parse_seeds
+from twc_env.reproduce.sfw_table1 import POINTS
+from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_route
+from twc_env.slam.k_visibility_signal import bin_along_path, locate_router
+
+SUMMARY = "routers located from signal strength alone, in the k-visibility twins"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `reproduce sfw-routers`."""
+    parser.add_argument(
+        "--seeds", default="10", help="noise seeds: a count, or a range like 0-9 (default: %(default)s)"
+    )
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per experiment, and one for all."""
+    seeds = parse_seeds(options.seeds)
+    parts = [(experiment, seed) for experiment in POINTS for seed in seeds]
+    errors = runner.each(parts, lambda part: errors_m(*part), lambda part: f"experiment {part[0]} seed {part[1]}")
+    table = []
+    for experiment in (*POINTS, "all"):
+        own = np.concatenate([e for p, e in zip(parts, errors, strict=True) if experiment in (p[0], "all")])
+        table.append(
+            {
+                "experiment": experiment,
+                "routers_located": len(own),
+                "median_error_m": float(np.median(own)),
+                "error_90_percent_m": float(np.quantile(own, 0.9)),
+                "seeds": len(seeds),
+            }
+        )
+    return table
+
+
+def errors_m(experiment: int, seed: int) -> list[float]:
+    """Distance between each router and where it was placed."""
+    plan = load_map(f"sfw-e{experiment}")
+    walk = read_walk(plan, radio_preset("sfw"), resampled(wall_following_route(plan), POINTS[experiment]), seed)
+    bins = bin_along_path(walk.position_m, walk.rssi_dbm)
+    return [float(np.linalg.norm(locate_router(bins, r)[0] - place)) for r, place in enumerate(walk.router_m)]
