@@ -11,7 +11,7 @@ from agents.__main__ import main
 from agents.explore import explore, table_of, write_json
 from agents.picture import Film
 from twc_env import ConfigError, EnvConfig
-from twc_env.config import digest, from_dict
+from twc_env.config import digest, from_dict, override
 from twc_env.datasets.g2o import read_g2o
 from twc_env.datasets.tum import read_tum
 
@@ -174,3 +174,8 @@ def test_progress_is_silent_in_a_pipe(capsys, monkeypatch):
 def test_an_unknown_agent_is_an_error_before_anything_runs():
     with pytest.raises(ConfigError, match="unknown agent 'none'"):
         explore(EnvConfig(), "none", 0)
+
+
+def test_actions_that_scripted_teams_do_not_give_are_refused():
+    with pytest.raises(ConfigError, match="steer by velocity"):
+        explore_module.explore(override(EnvConfig(), {"action.kind": "frontier"}), "random", 0)
