@@ -23,6 +23,7 @@ from twc_env.errors import ConfigError, DataError
 
 TABLES: dict[str, str] = {
     "matching": "matching",
+    "intel": "intel",
     "merging": "merging",
     "odometry": "odometry",
     "radio-model": "radio_model",

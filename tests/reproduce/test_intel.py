@@ -1,0 +1,33 @@
+import argparse
+import os
+
+import numpy as np
+import pytest
+
+from twc_env.datasets.scan_log import Relations
+from twc_env.reproduce import intel
+from twc_env.reproduce.runner import Runner
+
+needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="the Intel log: set TWC_DATA to the data folder")
+
+
+def test_relations_between_robots_that_share_no_map_are_not_judged():
+    poses = np.array([[0.0, 0, 0], [1.0, 0, 0], [5.0, 5.0, 1.0], [6.0, 5.0, 1.0]])
+    measured = np.array([[1.0, 0.2, 0.1], [3.0, 0.0, 0.0]])
+    relations = Relations(np.array([0, 1]), np.array([1, 3]), measured)
+    row = intel.row("engine", poses, np.array([0, 0, 1, 1]), relations, np.zeros(2, bool), 2)
+    assert row["relations"] == 1 and row["robots_in_one_map"] == 1
+    assert row["translation_error_m"] == pytest.approx(0.2)
+    assert row["rotation_error_deg"] == pytest.approx(np.degrees(0.1))
+
+
+@needs_data
+def test_the_engine_betters_the_odometry_of_the_first_scans(tmp_path):
+    parser = argparse.ArgumentParser()
+    intel.add_arguments(parser)
+    options = parser.parse_args(["--scans", "120", "--robots", "1"])
+    runner = Runner("intel", tmp_path, {})
+    table = {row["method"]: row for row in intel.rows(options, runner)}
+    assert table["engine"]["relations"] == table["odometry"]["relations"] >= 10
+    assert table["engine"]["translation_median_m"] < 0.6 * table["odometry"]["translation_median_m"]
+    assert [path.stat().st_size > 10_000 for path in intel.draw(options, runner, tmp_path)] == [True]
