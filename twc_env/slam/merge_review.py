@@ -2,7 +2,7 @@
 
 A merge is looked at again after some time, then after twice that time and so on, and whenever closures that contradict
 it have become more. It is wrong when nothing holds it together any more, when more closures agree on another place than
-speak for this one, or agree on one that radio and walls confirm while radio does not confirm this one, or when walls or
+speak for this one, or agree on one that radio and walls confirm while they do not confirm this one, or when walls or
 radio, now that more has been seen, speak against it.
 """
 
@@ -117,23 +117,24 @@ class MergeReview:
         rival = self._judge.proposal(self._graph.closures_between(a, b, "rejected"), a) if is_news else None
         if rival is not None and self._is_better(rival, a, b, len(supporters)):
             return f"{rival.support.sum()} closures agree on another place, {len(supporters)} on this one"
-        return self._speaks_against(a, b, rival is not None) if is_due or rival is not None else ""
+        return self._speaks_against(a, b) if is_due else ""
 
     def _is_better(self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: int) -> bool:
-        """Whether another place has more closures for it, or radio and walls where this one has no radio."""
+        """Whether walls and radio allow another place, and more closures, or radio and walls, prefer it to this one."""
+        grids, there = self._grids(a, b), rival.pose_a_b
+        heard = self._judge.radio_agrees(a, b, there) if self._rule.wifi_check else None
+        if heard is False or self._judge.walls_disagree(*grids, there):
+            return False
         if rival.support.sum() > supporters:
             return True
-        if not self._rule.wifi_check or self._judge.radio_agrees(a, b, IN_PLACE):
-            return False
-        grids = self._grids(a, b)
-        return bool(self._judge.radio_agrees(a, b, rival.pose_a_b)) and not self._judge.walls_disagree(
-            *grids, rival.pose_a_b
+        return heard is True and (
+            self._judge.walls_disagree(*grids, IN_PLACE) or not self._judge.radio_agrees(a, b, IN_PLACE)
         )
 
-    def _speaks_against(self, a: Sequence[int], b: Sequence[int], has_rival: bool) -> str:
-        """What walls and radio say; a rival place makes their case easier."""
+    def _speaks_against(self, a: Sequence[int], b: Sequence[int]) -> str:
+        """What walls and radio say."""
         share = wall_contradiction(*self._grids(a, b), IN_PLACE)
-        if share > self._rule.contradiction_max * (1.0 if has_rival else WALLS_SLACK):
+        if share > self._rule.contradiction_max * WALLS_SLACK:
             return f"{share:.0%} of the walls of one stand in the free space of the other"
         if self._rule.wifi_check and self._judge.radio_agrees(a, b, IN_PLACE) is False:
             return "places that it brings together sound different"
