@@ -76,8 +76,9 @@ class DynamicsConfig(_Checked):
 class OdometryConfig(_Checked):
     """How measured motion differs from true motion."""
 
-    platform: str = _choice("wheeled", "handheld", "legged", "pioneer-intel")
-    """`pioneer-intel` drifts as the raw odometry of the Intel Research Lab log does."""
+    platform: str = _choice("wheeled", "handheld", "legged", "skid-steer", "pioneer-intel")
+    """`skid-steer` is a robot that was never calibrated well; `pioneer-intel` drifts as the raw odometry of the Intel
+    Research Lab log does."""
     drift: float = _number(1.0, 0.0, 10.0)
     """Multiplies every error of the platform's preset: 0 gives perfect odometry and gyro, 1 the preset."""
 
@@ -370,6 +371,40 @@ class MergingConfig(_Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RadioSlamConfig(_Checked):
+    """SLAM from radio fingerprints: see `twc_env.slam.radio_slam`."""
+
+    weighting: str = _choice("ours", "paper")
+    """`paper` is the literal print: every similar pair counts in full, distances come from Eq. 3 as printed."""
+    similarity: str = _choice("shifted", "raw", "linear")
+    similarity_min: float = _number(0.7, 0.0, 1.0)
+    """theta_s."""
+    apart_m: float = _number(30.0, 0.0, 1000.0)
+    """Two places of one path are a closure only when it is this long in between (`paper`: 100 m)."""
+    bin_width: float = _number(0.05, 0.001, 1.0)
+    """r of Eq. 3."""
+    window_wifi_m: float = _number(60.0, 1.0, 10_000.0)
+    """Pairs within this path length teach the model (SPEC R5)."""
+    window_lte_m: float = _number(150.0, 1.0, 10_000.0)
+    smoothing_wifi_m: float = _number(5.0, 0.0, 100.0)
+    """Scans this near along the path are averaged into one fingerprint."""
+    smoothing_lte_m: float = _number(15.0, 0.0, 100.0)
+    spacing_m: float = _number(3.0, 0.1, 100.0)
+    """Path length between places of the graph; longer on long paths, so that there are at most `places_max`."""
+    places_max: int = _number(600, 10, 100_000)
+    cell_m: float = _number(6.0, 0.1, 100.0)
+    """Of all closures between two stretches this long the strongest is kept."""
+    closures_per_place: int = _number(3, 1, 1000)
+    robust_scale: float = _number(2.0, 0.1, 1000.0)
+    """Cauchy: at this many standard deviations a closure has lost half of its weight."""
+    position_std_per_m: float = _number(0.05, 0.0, 1.0)
+    """Odometry noise over one metre; it grows with the root of the path."""
+    heading_std_per_m: float = _number(0.004, 0.0, 1.0)
+    heading_std_per_rad: float = _number(0.006, 0.0, 1.0)
+    """Heading noise over a turn of one radian."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SlamConfig(_Checked):
     """The whole engine; it also reads the scanner's own data sheet (`lidar`)."""
 
@@ -388,6 +423,7 @@ class SlamConfig(_Checked):
     verification: VerificationConfig = field(default_factory=VerificationConfig)
     pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     merging: MergingConfig = field(default_factory=MergingConfig)
+    radio_slam: RadioSlamConfig = field(default_factory=RadioSlamConfig)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -65,8 +65,8 @@ class Walk:
 class RoutePlanner:
     """Shortest ways over the open floor of a plan that keep clear of walls."""
 
-    def __init__(self, plan: Floorplan):
-        self._cells = plan.cells()
+    def __init__(self, plan: Floorplan, resolution_m: float | None = None):
+        self._cells = plan.cells() if resolution_m is None else plan.cells(resolution_m)
         clear = distance_transform_edt(self._cells.free) * self._cells.resolution_m >= CLEARANCE_M
         self._rows, self._columns = np.nonzero(clear)
         if len(self._rows) == 0:

@@ -38,6 +38,7 @@ TABLES: dict[str, str] = {
     "sfw-authors": "sfw_authors",
     "sfw-ble": "sfw_ble",
     "sfw-houseexpo": "sfw_houseexpo",
+    "radio-table1": "radio_table1",
 }
 """Name on the command line -> module of this package."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -50,6 +51,8 @@ class Runner:
         text = json.dumps([settings, source_digest()], sort_keys=True, default=str)
         self._folder = folder / f"{name}-{__version__}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
         self._started = time.monotonic()
+        self.notes: list[str] = []
+        """Sentences that are printed below the rows."""
 
     def each(
         self, parts: Sequence, work: Callable[..., object], label: Callable[..., str] = str, processes: int = 1
@@ -186,6 +189,7 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     runner = Runner(name, options.cache, settings)
     rows = plain(module.rows(options, runner))
     print_rows(rows)
+    print("".join(note + "\n" for note in runner.notes), end="")
     for remark in getattr(module, "remarks", lambda _: ())(rows):
         print(remark)
     if options.json:

@@ -1,0 +1,37 @@
+import json
+
+import numpy as np
+import pytest
+
+from twc_env.__main__ import main
+from twc_env.reproduce import radio_walks
+from twc_env.reproduce.radio_table1 import PLACES, true_path
+
+KEYS = ["environment", "method", "error_mean_m", "error_std_m", "ate_m", "paper_mean_m", "paper_std_m", "seeds"]
+
+
+def test_the_command_writes_its_rows(tmp_path, capsys):
+    path = tmp_path / "rows.json"
+    arguments = ["--seeds", "1", "--places", "semi-indoor", "--share", "0.4", "--methods", "odometry,wifi"]
+    main(["reproduce", "radio-table1", *arguments, "--json", str(path), "--cache", str(tmp_path / "cache")])
+    rows = json.loads(path.read_text())
+    assert [list(row) for row in rows] == [KEYS] * 2
+    assert rows[0]["error_mean_m"] == pytest.approx(0.4 * 51.98, rel=0.02)
+    assert rows[1]["error_mean_m"] < rows[0]["error_mean_m"]
+    assert (rows[1]["paper_mean_m"], rows[1]["paper_std_m"]) == (4.48, 2.98)
+    assert "worse than its odometry in 0 of 1" in capsys.readouterr().out
+
+
+def test_an_unknown_place_or_method_is_named(tmp_path, capsys):
+    assert main(["reproduce", "radio-table1", "--places", "semi-outdoor", "--cache", str(tmp_path)]) == 2
+    assert "semi-outdoor" in capsys.readouterr().err
+
+
+def test_a_walk_has_the_printed_length_and_speed_and_turns_no_faster_than_the_robot_can():
+    place = PLACES["semi-indoor"]
+    poses = true_path(place, 3)
+    steps = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
+    assert steps.sum() == pytest.approx(place.length_m, rel=0.01)
+    assert steps.max() <= place.speed_m_s * radio_walks.ODOMETRY_STEP_S * 1.01
+    turns = np.abs((np.diff(poses[:, 2]) + np.pi) % (2 * np.pi) - np.pi)
+    assert turns.max() <= radio_walks.TURN_RATE_RAD_S * radio_walks.ODOMETRY_STEP_S + 1e-9

@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+
+from twc_env.messages import Fingerprint
+from twc_env.slam.radio_similarity import (
+    CELL_ID_MIN,
+    FingerprintStore,
+    all_similarities,
+    cosine,
+    feature_rows,
+    split_cues,
+)
+
+
+def heard(levels: dict[int, float]) -> Fingerprint:
+    macs = np.array(sorted(levels), np.int64)
+    return Fingerprint(macs, np.array([levels[m] for m in macs.tolist()], float))
+
+
+def crowd(count: int = 60, seed: int = 0) -> list[Fingerprint]:
+    random = np.random.default_rng(seed)
+    return [
+        heard({int(m): float(random.integers(-90, -40)) for m in random.choice(80, random.integers(0, 30), False)})
+        for _ in range(count)
+    ]
+
+
+@pytest.mark.parametrize("mode", ["shifted", "raw", "linear"])
+def test_the_cosine_is_one_for_itself_symmetric_and_zero_without_a_common_transmitter(mode):
+    a, b = heard({1: -50, 2: -70, 3: -60}), heard({2: -65, 4: -40})
+    assert cosine(a, a, mode) == pytest.approx(1.0, abs=1e-6)
+    assert cosine(a, b, mode) == pytest.approx(cosine(b, a, mode))
+    assert cosine(a, heard({7: -50}), mode) == 0.0
+    assert cosine(a, heard({}), mode) == 0.0
+
+
+def test_equation_two_by_hand():
+    a, b = heard({1: -50, 2: -70}), heard({1: -40, 3: -60})
+    assert cosine(a, b) == pytest.approx(50 * 60 / np.hypot(50, 30) / np.hypot(60, 40), rel=1e-6)
+    assert cosine(a, b, "raw") == pytest.approx(50 * 40 / np.hypot(50, 70) / np.hypot(40, 60), rel=1e-6)
+
+
+def test_all_pairs_and_the_store_agree_with_a_dense_product():
+    prints = crowd()
+    rows = feature_rows(prints).toarray()
+    unit = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12)
+    expected = unit @ unit.T
+    found = all_similarities(feature_rows(prints))
+    assert found == pytest.approx(expected, abs=1e-5)
+    store = FingerprintStore()
+    for k, one in enumerate(prints):
+        assert store.similarities(one) == pytest.approx(expected[k, :k], abs=1e-5)
+        assert store.add(one) == k
+    best, similarity = store.nearest(prints[7], 5)
+    assert best[0] == 7 and similarity[0] == pytest.approx(1.0, abs=1e-5)
+    assert similarity == pytest.approx(np.sort(expected[7])[::-1][:5], abs=1e-5)
+
+
+def test_a_transmitter_that_the_store_never_heard_makes_a_print_less_alike():
+    store = FingerprintStore()
+    store.add(heard({1: -50}))
+    assert store.similarities(heard({1: -50, 2: -50}))[0] == pytest.approx(np.sqrt(0.5), abs=1e-6)
+
+
+def test_wifi_and_lte_are_told_apart_by_their_numbers():
+    cues = split_cues(heard({5: -60, CELL_ID_MIN + 1: -100}))
+    assert cues["wifi"].macs.tolist() == [5] and cues["lte"].macs.tolist() == [CELL_ID_MIN + 1]
+    assert feature_rows([cues["lte"]]).toarray().tolist() == [[20.0]]

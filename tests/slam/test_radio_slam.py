@@ -1,0 +1,150 @@
+"""Radio SLAM on a made world: transmitters over a square, strengths that fall with distance, a robot that curls."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from twc_env.config import RadioSlamConfig
+from twc_env.geometry import between, wrap_angle
+from twc_env.messages import Fingerprint
+from twc_env.metrics.trajectory import absolute_trajectory_error_m
+from twc_env.slam import radio_closures, radio_field
+from twc_env.slam.distance_factor import Distances
+from twc_env.slam.odometry_calibration import Motions, calibrated
+from twc_env.slam.radio_similarity import CELL_ID_MIN
+from twc_env.slam.radio_slam import RadioLog, solve, spread
+
+LAP_M = (40.0, 25.0)
+TRANSMITTERS = 60
+
+
+def true_path(laps: int = 3) -> np.ndarray:
+    width, height = LAP_M
+    corners = np.array([(0, 0), (width, 0), (width, height), (0, height), (0, 0)], float)
+    sides = [np.linspace(a, b, int(np.linalg.norm(b - a)), endpoint=False) for a, b in itertools.pairwise(corners)]
+    points = np.concatenate([np.concatenate(sides)] * laps)
+    step = np.diff(points, axis=0, append=points[:1])
+    return np.column_stack([points, np.arctan2(step[:, 1], step[:, 0])])
+
+
+def made_log(
+    curl: float = 0.006, seed: int = 0, first_mac: int = 1, noise_db: float = 2.0
+) -> tuple[RadioLog, np.ndarray]:
+    random = np.random.default_rng(seed)
+    truth = true_path()
+    places = random.uniform((-15, -15), (55, 40), (TRANSMITTERS, 2))
+    away = np.linalg.norm(truth[:, None, :2] - places[None], axis=2)
+    level = -35 - 30 * np.log10(np.maximum(away, 1.0)) + noise_db * random.normal(size=away.shape)
+    macs = first_mac + np.arange(TRANSMITTERS)
+    prints = [Fingerprint(macs[row > -85], np.round(row[row > -85])) for row in level]
+    motion = between(truth[:-1], truth[1:])
+    motion[:, 0] *= 1.02
+    motion[:, 2] += curl + 0.003 * random.normal(size=len(motion))
+    return RadioLog(motion, motion[:, 2].copy(), prints), truth
+
+
+def errors(log: RadioLog, truth: np.ndarray, config: RadioSlamConfig | None = None, **more) -> tuple[float, float]:
+    result = solve(log, config or RadioSlamConfig(), **more)
+    return absolute_trajectory_error_m(result.poses, truth), absolute_trajectory_error_m(log.odometry, truth)
+
+
+def test_radio_takes_the_drift_out_of_odometry():
+    log, truth = made_log()
+    ours, odometry = errors(log, truth)
+    assert odometry > 10.0 and ours < 1.0
+    paper, _ = errors(log, truth, RadioSlamConfig(weighting="paper"))
+    assert ours < paper
+
+
+def test_a_fifth_of_false_closures_changes_little():
+    log, truth = made_log()
+    clean = solve(log, RadioSlamConfig())
+    random = np.random.default_rng(1)
+    count = len(clean.closures) // 4
+    false = Distances(
+        np.sort(random.integers(0, len(truth), (count, 2)), axis=1), np.full(count, 2.0), np.full(count, 2.0)
+    )
+    assert errors(log, truth, false_closures=false)[0] < 0.5
+
+
+def test_fingerprints_that_tell_nothing_leave_the_odometry_alone():
+    log, _ = made_log()
+    random = np.random.default_rng(2)
+    shuffled = dataclasses.replace(
+        log, fingerprints=[log.fingerprints[k] for k in random.permutation(len(log.fingerprints))]
+    )
+    result = solve(shuffled, RadioSlamConfig())
+    assert result.fell_back and result.poses == pytest.approx(log.odometry, abs=1e-9)
+    empty = dataclasses.replace(
+        log, fingerprints=[Fingerprint(np.zeros(0, np.int64), np.zeros(0))] * len(log.fingerprints)
+    )
+    assert solve(empty, RadioSlamConfig()).fell_back
+
+
+def test_wifi_and_lte_are_heard_apart_and_together():
+    wifi, truth = made_log()
+    lte, _ = made_log(seed=5, first_mac=CELL_ID_MIN)
+    both = [
+        Fingerprint(np.concatenate([a.macs, b.macs]), np.concatenate([a.rssi_dbm, b.rssi_dbm]))
+        for a, b in zip(wifi.fingerprints, lte.fingerprints, strict=True)
+    ]
+    together = dataclasses.replace(wifi, fingerprints=both)
+    result = solve(together, RadioSlamConfig())
+    assert sorted(result.models) == ["lte", "wifi"]
+    assert absolute_trajectory_error_m(result.poses, truth) < 1.0
+    assert sorted(solve(together, RadioSlamConfig(), cues=("lte",)).models) == ["lte"]
+
+
+def test_the_same_log_gives_the_same_bytes():
+    log, _ = made_log()
+    assert solve(log, RadioSlamConfig()).poses.tobytes() == solve(log, RadioSlamConfig()).poses.tobytes()
+
+
+def test_calibration_finds_scale_curl_and_turn_factor():
+    truth = true_path(8)
+    motion = between(truth[:-1], truth[1:])
+    turned = motion[:, 2].copy()
+    wrong = motion.copy()
+    wrong[:, 0] *= 1.05
+    wrong[:, 2] = wrap_angle(1.06 * turned + 0.01 * motion[:, 0])
+    found = calibrated(Motions(wrong, 1.06 * turned + 0.01 * motion[:, 0]), truth)
+    assert np.abs(found.motion[:, :2] - motion[:, :2]).max() < 0.01
+    left, before = (np.abs(wrap_angle(m[:, 2] - turned)).max() for m in (found.motion, wrong))
+    assert left < 0.5 * before
+
+
+def test_closures_that_stand_alone_are_not_believed():
+    travel = np.arange(0.0, 200.0, 2.0)
+    i, j = np.array([10, 11, 12, 40]), np.array([80, 81, 82, 70])
+    assert radio_closures.with_support(i, j, travel).tolist() == [True, True, True, False]
+
+
+def test_of_each_pair_of_stretches_the_strongest_closure_stays():
+    travel = np.arange(0.0, 100.0, 2.0)
+    i, j, s = np.array([0, 1, 20]), np.array([30, 31, 45]), np.array([0.8, 0.9, 0.7])
+    assert sorted(radio_closures.strongest_per_cell(i, j, s, travel, 6.0).tolist()) == [1, 2]
+    one_place, alike = np.zeros(4, int), np.array([1, 4, 2, 3])
+    kept = radio_closures.strongest_per_place(one_place, one_place, alike, 2)
+    assert kept.tolist() == [False, True, False, True]
+
+
+def test_fields_of_strength_find_a_displacement_and_its_direction():
+    random = np.random.default_rng(0)
+    grid = np.stack(np.meshgrid(np.arange(0.0, 12.0, 1.5), np.arange(0.0, 12.0, 1.5)), axis=-1).reshape(-1, 2)
+    slopes = random.normal(0, 1.0, (40, 2))
+    feature = 50 + grid @ slopes.T
+    shifted = grid.copy()
+    shifted[27] += (1.0, -0.5)  # believed to be there
+    travel = 100.0 * np.arange(len(grid))
+    found = radio_field.ties(feature, shifted, travel, 4.0, 30.0, 0.1, 6.0)
+    mine = found.pairs[:, 1] == 27
+    target = shifted[found.pairs[mine, 0]] + found.offset_m[mine]
+    assert target == pytest.approx(np.tile(grid[27], (mine.sum(), 1)), abs=0.35)
+
+
+def test_poses_between_moved_ones_share_the_difference():
+    path = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
+    moved = spread(path, np.arange(5.0), np.array([0, 4]), np.array([[0, 0, 0], [4.0, 2.0, 0.0]]))
+    assert moved[:, 1] == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0])

@@ -1,0 +1,212 @@
+"""Long walks of one robot with five phones and wheel odometry through the places of the radio SLAM paper (SPEC R14).
+
+The printed tables tell lengths, durations and how far off odometry was; each walk's drift is set so that its own
+odometry is as far off as printed. The robot stops nowhere: it moves along shortest ways between random places.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from twc_env.config import LidarConfig, OdometryConfig, RadioConfig
+from twc_env.geometry import compose, wrap_angle
+from twc_env.maps import load_map
+from twc_env.messages import Fingerprint
+from twc_env.random_streams import random_stream
+from twc_env.reproduce import radio_places
+from twc_env.reproduce.routes import RoutePlanner
+from twc_env.slam.radio_fingerprint import fingerprint
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.lidar import Lidar, glass_walls
+from twc_env.world.odometry import Odometry
+from twc_env.world.radio import RadioModel, WifiReceiver
+
+Array = NDArray
+
+PLATFORM = "skid-steer"
+PHONES = 5
+SCAN_PERIOD_S = 2.0
+ODOMETRY_STEP_S = 0.5
+STEPS_PER_SCAN = round(SCAN_PERIOD_S / ODOMETRY_STEP_S)
+LEGS_AT_ONCE = 6
+"""Random places drawn at a time until the way is long enough."""
+ROUNDING_M = 0.4
+"""Corners of the shortest way are rounded over about this length."""
+TURN_RATE_RAD_S = 0.6
+DRIFT_MIN, DRIFT_MAX, DRIFT_GROWTH = 0.02, 10.0, 1.4
+MATCHED_SHARE = 0.005
+"""Odometry counts as matched when its error is this near to the wanted one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadioWalk:
+    """What one robot sensed at its radio scans (n), beside the truth."""
+
+    true_poses: Array
+    """(n, 3)."""
+    motions: Array
+    """(n - 1, 3) odometry from each scan to the next."""
+    turned_rad: Array
+    """(n - 1,) how far it says the robot turned on the way, not wrapped."""
+    fingerprints: tuple[Fingerprint, ...]
+    """One per scan, merged over the phones; WiFi or LTE, as the radio was configured."""
+    drift: float
+
+    @property
+    def odometry(self) -> Array:
+        """(n, 3) dead reckoning from the true first pose."""
+        return dead_reckoning(self.true_poses[0], self.motions)
+
+    def errors_m(self, poses: Array) -> Array:
+        """(n,) distance of each position to the truth; both start at the same pose."""
+        return np.linalg.norm(poses[:, :2] - self.true_poses[:, :2], axis=1)
+
+
+@lru_cache(maxsize=4)
+def planner(name: str, resolution_m: float) -> RoutePlanner:
+    """Ways through a named map."""
+    return RoutePlanner(load_map(name), resolution_m)
+
+
+def drive(name: str, length_m: float, speed_m_s: float, seed: int, resolution_m: float = 0.1) -> Array:
+    """(steps, 3) true poses every ODOMETRY_STEP_S along a way of this length between random places."""
+    plan, ways = load_map(name), planner(name, resolution_m)
+    random = random_stream(seed, f"radio walk {name}")
+    cells = plan.cells(resolution_m)
+    rows, columns = np.nonzero(cells.free)
+    way = np.zeros((0, 2))
+    while _length(way) < length_m + 1.0:
+        stops = random.integers(0, len(rows), LEGS_AT_ONCE)
+        places = cells.origin_m + (np.column_stack([columns[stops], rows[stops]]) + 0.5) * resolution_m
+        way = np.concatenate([way, ways.route([*way[-1:], *places])])
+    return _poses_along(way, length_m, speed_m_s)
+
+
+def _poses_along(way: Array, length_m: float, speed_m_s: float) -> Array:
+    fine = _resampled(way, np.arange(0.0, _length(way), 0.1))
+    fine = gaussian_filter1d(fine, ROUNDING_M / 0.1, axis=0, mode="nearest")
+    step_m = speed_m_s * ODOMETRY_STEP_S
+    positions = _resampled(fine, np.arange(0.0, min(length_m, _length(fine)), step_m))
+    ahead = np.gradient(positions, axis=0)
+    return _turning_slowly(positions, np.arctan2(ahead[:, 1], ahead[:, 0]))
+
+
+def _turning_slowly(positions: Array, heading: Array) -> Array:
+    """Poses (more, 3) of a robot that stops for turns it cannot make on the way."""
+    turn = wrap_angle(np.diff(heading))
+    steps = np.maximum(1, np.ceil(np.abs(turn) / (TURN_RATE_RAD_S * ODOMETRY_STEP_S))).astype(int)
+    at = np.repeat(np.arange(len(turn)), steps)
+    part = np.arange(len(at)) - np.repeat(np.cumsum(steps) - steps, steps)  # 0 .. steps - 1 of each turn
+    turning = heading[at] + turn[at] * (part + 1) / steps[at]
+    moved = positions[at + (part + 1 == steps[at])]
+    poses = np.column_stack([moved, wrap_angle(turning)])
+    return np.concatenate([[[*positions[0], heading[0]]], poses])
+
+
+def record(
+    name: str,
+    true_poses: Array,
+    radio: RadioConfig,
+    seed: int,
+    odometry_error_m: float | None = None,
+    storeys: tuple[int, ...] = (0,),
+    drift: float = 1.0,
+) -> RadioWalk:
+    """What the robot senses on a `drive`: odometry whose mean error is `odometry_error_m` (else of a given drift)."""
+    at = np.arange(0, len(true_poses), STEPS_PER_SCAN)
+    if odometry_error_m is not None:
+        drift = matched_drift(true_poses, at, odometry_error_m, seed)
+    motions, turned_rad = measured_odometry(true_poses, at, drift, seed)
+    plan = radio_places.over_storeys(load_map(name), storeys)
+    prints = scan_radio(plan, radio, true_poses[at], seed)
+    return RadioWalk(true_poses[at], motions, turned_rad, prints, drift)
+
+
+def scan_radio(plan: Floorplan, radio: RadioConfig, poses: Array, seed: int) -> tuple[Fingerprint, ...]:
+    """Fingerprints at true poses (n, 3), each merged over the phones."""
+    model = _model(radio, plan)
+    receivers = [WifiReceiver(radio, model, device, seed) for device in range(PHONES)]
+    prints = []
+    for k, pose in enumerate(poses):
+        scans = [receiver.scan(pose[:2], k * SCAN_PERIOD_S) for receiver in receivers]
+        prints.append(fingerprint(scans, 0.0))
+    return tuple(prints)
+
+
+def thinned(fingerprints: Sequence[Fingerprint], share: float, seed: int) -> tuple[Fingerprint, ...]:
+    """As heard with only this share of the transmitters."""
+    known = np.unique(np.concatenate([f.macs for f in fingerprints]))
+    kept = known[random_stream(seed, "transmitters kept").random(len(known)) < share]
+    return tuple(
+        Fingerprint(f.macs[is_kept], f.rssi_dbm[is_kept])
+        for f, is_kept in ((f, np.isin(f.macs, kept)) for f in fingerprints)
+    )
+
+
+def scan_lidar(plan: Floorplan, lidar: LidarConfig, poses: Array, seed: int) -> Array:
+    """(n, beams) ranges at true poses (n, 3)."""
+    scanner = Lidar(lidar, plan.wall_index, 0.2, 1, seed, glass_walls(plan))
+    return np.concatenate([scanner.scan(pose[None]) for pose in poses])
+
+
+def dead_reckoning(start: Array, motions: Array) -> Array:
+    """(n, 3) poses from a first one and the motions (n - 1, 3) that follow."""
+    poses = np.empty((len(motions) + 1, 3))
+    poses[0] = start
+    for k, motion in enumerate(motions):
+        poses[k + 1] = compose(poses[k], motion)
+    return poses
+
+
+def measured_odometry(true_poses: Array, at: Array, drift: float, seed: int) -> tuple[Array, Array]:
+    """Motions (scans - 1, 3) between the scans, that lie at the steps `at`, and turns (scans - 1,) not wrapped."""
+    odometry = Odometry(OdometryConfig(platform=PLATFORM, drift=drift), ODOMETRY_STEP_S, 1, seed)
+    steps = np.array([odometry.measure(a[None], b[None])[0][0] for a, b in itertools.pairwise(true_poses)])
+    motions = steps[at[:-1]]
+    for k in range(1, int(at[1] - at[0])):
+        motions = compose(motions, steps[at[:-1] + k])
+    turned = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    return motions, np.diff(turned[at])
+
+
+def matched_drift(true_poses: Array, at: Array, wanted_m: float, seed: int) -> float:
+    """The least drift whose odometry is off by `wanted_m` on average."""
+
+    def tried(drift: float) -> float:
+        reckoned = dead_reckoning(true_poses[0], measured_odometry(true_poses, at, drift, seed)[0])
+        return float(np.linalg.norm(reckoned[:, :2] - true_poses[at, :2], axis=1).mean())
+
+    low, high = 0.0, DRIFT_MIN
+    error = tried(high)
+    while error < wanted_m and high < DRIFT_MAX:
+        low, high = high, min(high * DRIFT_GROWTH, DRIFT_MAX)
+        error = tried(high)
+    drift = high
+    for _ in range(20):
+        if abs(error - wanted_m) <= MATCHED_SHARE * wanted_m:
+            break
+        low, high = (drift, high) if error < wanted_m else (low, drift)
+        drift = (low + high) / 2
+        error = tried(drift)
+    return drift
+
+
+@lru_cache(maxsize=2)
+def _model(radio: RadioConfig, plan: Floorplan) -> RadioModel:
+    return radio_places.RememberingModel(radio, plan)
+
+
+def _length(way: Array) -> float:
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+
+
+def _resampled(way: Array, at_m: Array) -> Array:
+    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+    return np.column_stack([np.interp(at_m, travel, way[:, k]) for k in (0, 1)])

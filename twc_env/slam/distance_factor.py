@@ -1,0 +1,106 @@
+"""Pose graphs that also hold distances: a radio closure says how far apart two poses are, not in which direction.
+
+Residual of a distance edge (radio SLAM Eq. 1 with Eq. 3's model): (|p_i - p_j| - z) / std, of one dimension. Headings
+do not enter it, and where both positions coincide its direction is undefined: it then pulls nowhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.slam.pose_graph import NormalEquations
+
+Array = NDArray
+
+COINCIDENT_M = 1e-3
+"""Positions nearer than this have no direction between them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Distances:
+    """Distance edges: pairs (k, 2) of poses, distance_m (k,), variance_m2 (k,)."""
+
+    pairs: Array
+    distance_m: Array
+    variance_m2: Array
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def __getitem__(self, chosen) -> Distances:
+        return Distances(self.pairs[chosen], self.distance_m[chosen], self.variance_m2[chosen])
+
+    def residuals(self, poses: Array) -> Array:
+        """(k,) how many standard deviations each distance is longer than measured."""
+        away = poses[self.pairs[:, 0], :2] - poses[self.pairs[:, 1], :2]
+        return (np.hypot(away[:, 0], away[:, 1]) - self.distance_m) / np.sqrt(self.variance_m2)
+
+    def jacobian(self, poses: Array) -> Array:
+        """(k, 2) derivative of each residual by the first position; the second's is its negative."""
+        away = poses[self.pairs[:, 0], :2] - poses[self.pairs[:, 1], :2]
+        length = np.hypot(away[:, 0], away[:, 1])
+        unit = np.where((length > COINCIDENT_M)[:, None], away / np.maximum(length, COINCIDENT_M)[:, None], 0.0)
+        return unit / np.sqrt(self.variance_m2)[:, None]
+
+
+class RadioEquations(NormalEquations):
+    """Normal equations of relative poses and distances together; errors come in this order."""
+
+    def __init__(
+        self, edges: Array, measured: Array, information: Array, distances: Distances, count: int, fixed: int = 0
+    ):
+        self._relative_count = len(edges)
+        self._distances = distances
+        nothing = np.zeros((len(distances), 3))
+        # As edges without information the pairs take their places in the sparse pattern.
+        super().__init__(
+            np.concatenate([np.reshape(edges, (-1, 2)), distances.pairs]),
+            np.concatenate([np.reshape(measured, (-1, 3)), nothing]),
+            np.concatenate([np.reshape(information, (-1, 3, 3)), np.zeros((len(distances), 3, 3))]),
+            count,
+            fixed,
+        )
+
+    def squared_errors(self, poses: Array) -> Array:
+        """(relative + distances,) squared length of each residual."""
+        squared = super().squared_errors(poses)
+        squared[self._relative_count :] = self._distances.residuals(poses) ** 2
+        return squared
+
+    def linearise(self, poses: Array, weight: Array) -> tuple[Array, Array, Array]:
+        """As of NormalEquations, with the distances' part added."""
+        diagonal, blocks, gradient = super().linearise(poses, weight)
+        distances, first = self._distances, self._relative_count
+        _add_distances(
+            distances.pairs, distances.residuals(poses), distances.jacobian(poses), weight[first:],
+            self._blocks[first:], self._fixed, diagonal, blocks, gradient,
+        )  # fmt: skip
+        return diagonal, blocks, gradient
+
+    def _heard(self, weight: Array) -> tuple[NormalEquations, Array]:
+        return self, weight
+
+
+@njit(cache=True, error_model="numpy")
+def _add_distances(pairs, residuals, jacobian, weight, block_of_edge, fixed, diagonal, blocks, gradient):
+    for e in range(len(pairs)):
+        w, r = weight[e], residuals[e]
+        if w == 0.0:
+            continue
+        block = block_of_edge[e]
+        for row in range(2):
+            g = w * jacobian[e, row] * r
+            for end in range(2):
+                pose = pairs[e, end]
+                if pose == fixed:
+                    continue
+                gradient[pose, row] -= g if end == 0 else -g
+                for col in range(2):
+                    diagonal[pose, row, col] += w * jacobian[e, row] * jacobian[e, col]
+            if block >= 0:
+                for col in range(2):
+                    blocks[block, row, col] -= w * jacobian[e, row] * jacobian[e, col]

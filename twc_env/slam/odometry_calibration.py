@@ -1,0 +1,60 @@
+"""What an optimised path says about the odometry it was made of: its errors that stay the same all along.
+
+Wheels of unequal size curl every metre by the same angle, and turns are read too large or too small by one factor:
+over a kilometre this outweighs all noise, and a few numbers undo it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.geometry import between, wrap_angle
+
+Array = NDArray
+
+PIECE = 20
+"""Motions summed before they are compared: single ones are mostly noise."""
+CURL_STD_RAD_M, TURN_STD = 0.02, 0.05
+"""How large the errors may be before anything is known."""
+NOISE_RAD = 0.05
+"""Heading noise over one metre that the comparison expects."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motions:
+    """Odometry of one chain of poses: motion (n - 1, 3) to the next pose, turned_rad (n - 1,) not wrapped."""
+
+    motion: Array
+    turned_rad: Array
+
+    def __len__(self) -> int:
+        return len(self.motion)
+
+    def __getitem__(self, chosen) -> Motions:
+        return Motions(self.motion[chosen], self.turned_rad[chosen])
+
+    @property
+    def length_m(self) -> Array:
+        """(n - 1,)."""
+        return np.hypot(self.motion[:, 0], self.motion[:, 1])
+
+
+def calibrated(motions: Motions, poses: Array) -> Motions:
+    """The odometry with the scale, curl and turn factor taken out that poses show against its beginning."""
+    corrected = between(poses[:-1], poses[1:])
+    length, fitted = motions.length_m, len(corrected)
+    scale = np.hypot(corrected[:, 0], corrected[:, 1]).sum() / max(length[:fitted].sum(), 1e-9)
+    piece = np.arange(fitted) // PIECE
+    missing = np.bincount(piece, wrap_angle(corrected[:, 2] - motions.motion[:fitted, 2]))
+    causes = np.column_stack([np.bincount(piece, length[:fitted]), np.bincount(piece, motions.turned_rad[:fitted])])
+    weight = 1.0 / (NOISE_RAD**2 * (causes[:, :1] + 0.1))
+    normal = (causes * weight).T @ causes + np.diag([CURL_STD_RAD_M**-2, TURN_STD**-2])
+    curl, turn = np.linalg.solve(normal, (causes * weight).T @ missing)
+    more_turn = curl * length + turn * motions.turned_rad
+    motion = motions.motion.copy()
+    motion[:, :2] *= scale
+    motion[:, 2] = wrap_angle(motion[:, 2] + more_turn)
+    return Motions(motion, motions.turned_rad + more_turn)

@@ -1,0 +1,113 @@
+"""Radio and laser together: the radio trajectory says which scans may show one place, scan matching says how exactly.
+
+The front end has already registered each scan to those before it (radio SLAM, "registration of LiDAR scans in
+proximity"). Here keyframes that the radio trajectory puts near each other are matched, the closures that hold are
+optimised with the front end's own motions, robustly, and what is near in the better trajectory is matched again. A
+corridor does not fix its own axis: the matcher leaves that direction to odometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import between, wrap_angle
+from twc_env.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
+from twc_env.slam import radio_slam, robust_backend
+from twc_env.slam.loop_verification import LoopVerifier
+from twc_env.slam.occupancy_grid import OccupancyGrid
+
+Array = NDArray
+
+ROUNDS = ((5.0, "wifi"), (2.5, "proximity"))
+"""How near two keyframes must be to be matched, and what the first guess is worth: by radio first, then by laser."""
+SPACING_M = 1.5
+"""Path length between keyframes that are matched."""
+APART_M = 15.0
+VISITS = 2
+"""Each is matched to the nearest keyframe of this many other visits."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadioLidarResult:
+    """Trajectory and map of one robot."""
+
+    poses: Array
+    """(keyframes, 3), the first at (0, 0, 0)."""
+    closures: tuple[LoopClosure, ...]
+    """That scan matching accepted and the last optimisation believed."""
+    grid: GridMap
+    radio: radio_slam.RadioResult
+
+
+def radio_log(keyframes: Sequence[Keyframe]) -> radio_slam.RadioLog:
+    """Keyframes of one robot as a log for radio SLAM."""
+    motions = np.array([k.motion for k in keyframes[1:]]).reshape(-1, 3)
+    return radio_slam.RadioLog(motions, wrap_angle(motions[:, 2]), [k.fingerprint for k in keyframes])
+
+
+def solve(keyframes: Sequence[Keyframe], config: EnvConfig, cues: Sequence[str] = radio_slam.CUES) -> RadioLidarResult:
+    """Trajectory and occupancy map from one robot's keyframes, in order."""
+    radio = radio_slam.solve(radio_log(keyframes), config.slam.radio_slam, cues)
+    poses = radio.poses
+    closures: tuple[LoopClosure, ...] = ()
+    for reach_m, source in ROUNDS:
+        found = _matched(keyframes, poses, reach_m, source, config)
+        poses, closures = _optimised(keyframes, poses, found, config)
+    grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
+    grid.integrate(poses, np.array([k.ranges_m for k in keyframes]))
+    return RadioLidarResult(poses, closures, grid.snapshot(), radio)
+
+
+def _matched(
+    keyframes: Sequence[Keyframe], poses: Array, reach_m: float, source: str, config: EnvConfig
+) -> list[LoopClosure]:
+    """Closures between keyframes that lie near each other but far apart along the path, as scan matching finds them."""
+    verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar.range_max_m)
+    travel_m = np.array([k.travel_m for k in keyframes])
+    accepted, last_m = [], -np.inf
+    for here, keyframe in enumerate(keyframes):
+        if travel_m[here] - last_m < SPACING_M:
+            continue
+        last_m = travel_m[here]
+        for there in _nearest_visits(poses, travel_m, here, reach_m):
+            guess = between(poses[there], poses[here])
+            candidate = LoopCandidate((keyframe.robot, int(there)), (keyframe.robot, here), guess, source)
+            closure = verifier.verify(candidate, keyframes, keyframes)
+            if closure.status == "accepted":
+                accepted.append(closure)
+    return accepted
+
+
+def _nearest_visits(poses: Array, travel_m: Array, here: int, reach_m: float) -> list[int]:
+    """Keyframes before this one, of other visits, the nearest first."""
+    count = int(np.searchsorted(travel_m, travel_m[here] - APART_M))
+    away = np.linalg.norm(poses[:count, :2] - poses[here, :2], axis=1)
+    chosen: list[int] = []
+    for there in np.argsort(away, kind="stable").tolist():
+        if away[there] > reach_m or len(chosen) == VISITS:
+            break
+        if all(abs(travel_m[there] - travel_m[other]) > APART_M for other in chosen):
+            chosen.append(there)
+    return chosen
+
+
+def _optimised(
+    keyframes: Sequence[Keyframe], poses: Array, closures: list[LoopClosure], config: EnvConfig
+) -> tuple[Array, tuple[LoopClosure, ...]]:
+    """The second optimisation: motions and laser closures, robust."""
+    count = len(keyframes)
+    chain = np.column_stack([np.arange(count - 1), np.arange(1, count)])
+    pairs = np.array([(c.candidate.target[1], c.candidate.source[1]) for c in closures], np.int64).reshape(-1, 2)
+    measured = [k.motion for k in keyframes[1:]] + [c.pose_target_source for c in closures]
+    covariance = [k.motion_covariance for k in keyframes[1:]] + [c.covariance for c in closures]
+    result = robust_backend.solve(
+        poses, np.concatenate([chain, pairs]), np.array(measured), np.linalg.inv(np.array(covariance)),
+        np.arange(len(measured)) >= count - 1, replace(config.slam.pose_graph, robust="ours", iterations_max=50),
+    )  # fmt: skip
+    believed = tuple(c for c, is_good in zip(closures, result.accepted[count - 1 :], strict=True) if is_good)
+    return result.poses, believed

@@ -1,0 +1,196 @@
+"""How alike radio fingerprints are: cosine similarity (radio SLAM Eq. 2), one against many and all against all.
+
+Fingerprints are kept by transmitter, not by place: each transmitter has a list of the places that heard it, so a
+comparison touches only what two places have in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from twc_env.messages import Fingerprint
+
+Array = NDArray
+
+CELL_ID_MIN = 1 << 48
+"""LTE cells have numbers from here on, beyond all MAC addresses."""
+MODES = ("shifted", "raw", "linear")
+WIFI_OFFSET_DB, CELL_OFFSET_DB = 100.0, 120.0
+"""`shifted` counts strength from these levels up (SPEC R4): what is not heard then equals what is hardly heard."""
+_SHORTEST = 1e-12
+
+
+def features(macs: Array, rssi_dbm: Array, mode: str = "shifted") -> Array:
+    """(heard,) what the cosine is taken of.
+
+    `shifted`: dB above the faintest that is ever heard; `raw`: dBm as printed, in which the faintest weigh most;
+    `linear`: amplitude 10^(dBm / 20).
+    """
+    if mode == "shifted":
+        return np.maximum(rssi_dbm + np.where(macs >= CELL_ID_MIN, CELL_OFFSET_DB, WIFI_OFFSET_DB), 0.0)
+    if mode == "raw":
+        return np.asarray(rssi_dbm, float)
+    if mode == "linear":
+        return 10.0 ** (np.asarray(rssi_dbm, float) / 20.0)
+    raise ValueError(f"a similarity mode is one of {', '.join(MODES)}; got {mode!r}")
+
+
+def split_cues(fingerprint: Fingerprint) -> dict[str, Fingerprint]:
+    """The WiFi and the LTE part of a fingerprint."""
+    is_cell = fingerprint.macs >= CELL_ID_MIN
+    return {
+        "wifi": Fingerprint(fingerprint.macs[~is_cell], fingerprint.rssi_dbm[~is_cell]),
+        "lte": Fingerprint(fingerprint.macs[is_cell], fingerprint.rssi_dbm[is_cell]),
+    }
+
+
+def feature_rows(fingerprints: Sequence[Fingerprint], mode: str = "shifted") -> csr_array:
+    """(fingerprints, transmitters) features, one row each; the columns are all transmitters heard, ascending."""
+    macs = [f.macs for f in fingerprints]
+    heard = np.concatenate(macs) if macs else np.zeros(0, np.int64)
+    known, columns = np.unique(heard, return_inverse=True)
+    levels = np.concatenate([f.rssi_dbm for f in fingerprints]) if macs else np.zeros(0)
+    ends = np.concatenate([[0], np.cumsum([len(m) for m in macs])]).astype(np.int64)
+    rows = csr_array((features(heard, levels, mode), columns, ends), shape=(len(macs), max(len(known), 1)))
+    rows.eliminate_zeros()
+    return rows
+
+
+def all_similarities(rows: csr_array) -> Array:
+    """(n, n) float32 cosine of all pairs of rows; 0 with an empty one."""
+    unit = _normalised(rows)
+    starts, members, weights = _by_transmitter(unit)
+    return _all_pairs(unit.indptr, unit.indices, unit.data, starts, members, weights)
+
+
+def cosine(a: Fingerprint, b: Fingerprint, mode: str = "shifted") -> float:
+    """Similarity of two fingerprints; 0 where one is empty."""
+    return float(all_similarities(feature_rows([a, b], mode))[0, 1])
+
+
+def _normalised(rows: csr_array) -> csr_array:
+    lengths = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
+    unit = csr_array(rows, dtype=np.float32)
+    unit.data = (rows.data / np.repeat(np.maximum(lengths, _SHORTEST), np.diff(rows.indptr))).astype(np.float32)
+    return unit
+
+
+def _by_transmitter(unit: csr_array) -> tuple[Array, Array, Array]:
+    columns = unit.tocsc()
+    return columns.indptr, columns.indices, columns.data
+
+
+class FingerprintStore:
+    """Fingerprints that can be searched by likeness while they grow in number.
+
+    Each transmitter's list lies in one pool and moves to its end, into twice the room, when it is full.
+    """
+
+    def __init__(self, mode: str = "shifted"):
+        if mode not in MODES:
+            raise ValueError(f"a similarity mode is one of {', '.join(MODES)}; got {mode!r}")
+        self._mode = mode
+        self._number: dict[int, int] = {}
+        self._start, self._length, self._room = (np.zeros(64, np.int64) for _ in range(3))
+        self._member, self._weight = np.zeros(1024, np.int32), np.zeros(1024, np.float32)
+        self._used = 0
+        self.count = 0
+        """How many are stored; each is known by its number, in order of `add`."""
+
+    def __len__(self) -> int:
+        return self.count
+
+    def add(self, fingerprint: Fingerprint) -> int:
+        """Store one; gives its number."""
+        columns, weights = self._vector(fingerprint, grow=True)
+        for column in columns.tolist():
+            if self._length[column] == self._room[column]:
+                self._enlarge(column)
+        at = self._start[columns] + self._length[columns]
+        self._member[at], self._weight[at] = self.count, weights
+        self._length[columns] += 1
+        self.count += 1
+        return self.count - 1
+
+    def similarities(self, fingerprint: Fingerprint) -> Array:
+        """(count,) float32 likeness of each stored one to this one."""
+        columns, weights = self._vector(fingerprint, grow=False)
+        out = np.zeros(self.count, np.float32)
+        _one_to_many(columns, weights, self._start, self._length, self._member, self._weight, out)
+        return out
+
+    def nearest(self, fingerprint: Fingerprint, count: int) -> tuple[Array, Array]:
+        """Numbers and similarities of the most alike, best first; ties by number."""
+        similarity = self.similarities(fingerprint)
+        count = min(count, self.count)
+        best = np.argpartition(-similarity, count - 1)[:count] if count < self.count else np.arange(self.count)
+        best = best[np.lexsort((best, -similarity[best]))]
+        return best, similarity[best]
+
+    def _vector(self, fingerprint: Fingerprint, grow: bool) -> tuple[Array, Array]:
+        """Columns and unit-length features; without `grow`, transmitters never heard before only add to the length."""
+        values = features(fingerprint.macs, fingerprint.rssi_dbm, self._mode)
+        values = values / max(float(np.sqrt((values**2).sum())), _SHORTEST)
+        columns = np.array([self._column(mac, grow) for mac in fingerprint.macs.tolist()], np.int64)
+        known = (columns >= 0) & (values != 0.0)
+        return columns[known], values[known].astype(np.float32)
+
+    def _column(self, mac: int, grow: bool) -> int:
+        column = self._number.get(mac, -1)
+        if column < 0 and grow:
+            column = self._number[mac] = len(self._number)
+            if column == len(self._start):
+                self._start, self._length, self._room = (_doubled(a) for a in (self._start, self._length, self._room))
+        return column
+
+    def _enlarge(self, column: int) -> None:
+        room = max(4, 2 * int(self._room[column]))
+        while self._used + room > len(self._member):
+            self._member, self._weight = _doubled(self._member), _doubled(self._weight)
+        old, length = int(self._start[column]), int(self._length[column])
+        for pool in (self._member, self._weight):
+            pool[self._used : self._used + length] = pool[old : old + length]
+        self._start[column], self._room[column] = self._used, room
+        self._used += room
+
+
+def _doubled(values: Array) -> Array:
+    return np.concatenate([values, np.zeros_like(values)])
+
+
+@njit(cache=True, error_model="numpy")
+def _one_to_many(columns, weights, start, length, member, weight, out):
+    for k in range(len(columns)):
+        first, size, w = start[columns[k]], length[columns[k]], weights[k]
+        if size == 0:
+            continue
+        if member[first + size - 1] - member[first] == size - 1:  # heard without a gap: one run that vectorises
+            run, own = out[member[first] : member[first] + size], weight[first : first + size]
+            for i in range(size):
+                run[i] += w * own[i]
+            continue
+        for at in range(first, first + size):
+            out[member[at]] += w * weight[at]
+
+
+@njit(cache=True, error_model="numpy")
+def _all_pairs(row_starts, columns, weights, starts, members, member_weights):
+    count = len(row_starts) - 1
+    out = np.zeros((count, count), np.float32)
+    begin = starts.copy()  # members ascend: what lies before a row was compared from the other side
+    for i in range(count):
+        row = out[i]
+        for k in range(row_starts[i], row_starts[i + 1]):
+            column, w = columns[k], weights[k]
+            for at in range(begin[column], starts[column + 1]):
+                row[members[at]] += w * member_weights[at]
+            begin[column] += 1
+    for i in range(count):
+        for j in range(i):
+            out[i, j] = out[j, i]
+    return out

@@ -1,0 +1,347 @@
+"""SLAM from odometry and radio fingerprints alone: a trajectory and a radio map, without knowing any transmitter.
+
+Two steps: closures that tell distances, from the similarity of fingerprints (radio SLAM Eq. 1-3), untangle the path
+from its beginning onwards; then the fields of signal strength around each place tie it to other visits near by. After
+each fit the odometry's constant errors are taken out. `paper` does the first step only, as printed.
+
+All pairs of places judge the result, also the many that are no closures: where likeness falls with distance no better
+than it does along the odometry, the odometry is given back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.stats import spearmanr
+
+from twc_env.config import RadioSlamConfig
+from twc_env.geometry import between, compose, inverse, wrap_angle
+from twc_env.messages import Fingerprint
+from twc_env.slam import radio_closures, radio_field
+from twc_env.slam.distance_factor import Distances, RadioEquations
+from twc_env.slam.odometry_calibration import Motions, calibrated
+from twc_env.slam.radio_similarity import all_similarities, feature_rows, split_cues
+from twc_env.slam.similarity_model import SimilarityModel, train_on_path
+
+Array = NDArray
+
+CUES = ("wifi", "lte")
+FIRST_STAGE_M, STAGE_GROWTH = 60.0, 1.3
+"""The path is fitted up to here first, then up to this many times as far, and so on."""
+STAGE_ITERATIONS, FINAL_ITERATIONS, FINAL_ROUNDS = 6, 20, 4
+PAPER_APART_M, PAPER_ITERATIONS = 100.0, 60
+BANDWIDTHS_M = {"wifi": (8.0, 8.0, 5.0, 4.0, 4.0, 4.0), "lte": (40.0, 40.0, 30.0, 30.0, 25.0, 25.0, 20.0, 20.0, 20.0)}
+"""Of the fields of strength, round by round."""
+FIELD_SMOOTHING = 0.6
+"""Fields are fitted to fingerprints averaged over this share of the length that similarities are taken over."""
+MOVED_PER_BANDWIDTH = 1.5
+WORTH_ITERATIONS = 10
+JUDGES_MAX = 50_000
+"""Pairs of places that judge the result."""
+POSITION_STD_MIN_M, HEADING_STD_MIN_RAD = 0.02, 0.005
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadioLog:
+    """One robot's record, scan by scan (n)."""
+
+    motions: Array
+    """(n - 1, 3) odometry from each scan to the next."""
+    turned_rad: Array
+    """(n - 1,) the turn on the way, not wrapped."""
+    fingerprints: Sequence[Fingerprint]
+    """(n) WiFi and LTE together, as far as there is any."""
+
+    @property
+    def odometry(self) -> Array:
+        """(n, 3) dead reckoning from (0, 0, 0)."""
+        return _reckoned(self.motions)
+
+    @property
+    def travel_m(self) -> Array:
+        """(n,) path length."""
+        return np.concatenate([[0.0], np.cumsum(np.hypot(self.motions[:, 0], self.motions[:, 1]))])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadioResult:
+    """What came of a log."""
+
+    poses: Array
+    """(n, 3) of every scan, the first at (0, 0, 0)."""
+    places: Array
+    """(p,) scans that are places of the graph."""
+    place_poses: Array
+    """(p, 3)."""
+    models: dict[str, SimilarityModel]
+    closures: Distances
+    """Between places."""
+    fell_back: bool
+    """Whether the odometry was given back."""
+
+
+@dataclass(slots=True, eq=False)
+class _Cue:
+    """One kind of radio at the places of the graph."""
+
+    name: str
+    similarity: Array
+    feature: Array
+    model: SimilarityModel
+    worth: dict[float, float] = field(default_factory=dict)
+    """Of the fields, by bandwidth."""
+
+
+def solve(
+    log: RadioLog, config: RadioSlamConfig, cues: Sequence[str] = CUES, false_closures: Distances | None = None
+) -> RadioResult:
+    """Trajectory from a log. Cues that the log does not hold are left out; without any the odometry comes back.
+
+    `false_closures`, between scans, are put among the closures: for tests of robustness.
+    """
+    return _Solver(log, config, cues).run(false_closures)
+
+
+class _Solver:
+    def __init__(self, log: RadioLog, config: RadioSlamConfig, cues: Sequence[str]):
+        self._log, self._config = log, config
+        travel_m, odometry = log.travel_m, log.odometry
+        spacing_m = max(config.spacing_m, travel_m[-1] / config.places_max)
+        self._places = _spaced(travel_m, spacing_m)
+        self._travel_m = travel_m[self._places]
+        self._odometry = odometry[self._places]
+        turned = np.concatenate([[0.0], np.cumsum(log.turned_rad)])[self._places]
+        turned_abs = np.concatenate([[0.0], np.cumsum(np.abs(log.turned_rad))])[self._places]
+        motion = between(self._odometry[:-1], self._odometry[1:])
+        self._motions = Motions(motion, np.diff(turned))
+        self._information = self._motion_information(np.diff(self._travel_m), np.diff(turned_abs))
+        self._cell_m = max(config.cell_m, 2 * spacing_m)
+        self._cues = [cue for name in cues if (cue := self._prepare(name)) is not None]
+
+    def run(self, false_closures: Distances | None) -> RadioResult:
+        closures = self._closures(false_closures)
+        if len(closures) < radio_field.NEIGHBOURS_MIN:
+            return self._result(self._odometry, closures, fell_back=True)
+        if self._config.weighting == "paper":
+            poses = self._fit(self._odometry, self._motions, closures, robust=False, iterations=PAPER_ITERATIONS)
+            return self._result(poses, closures, fell_back=False)
+        poses = self._refine(*self._grow(closures))
+        if self._order(poses) <= self._order(self._odometry):
+            return self._result(self._odometry, closures, fell_back=True)
+        return self._result(poses, closures, fell_back=False)
+
+    def _order(self, poses: Array) -> float:
+        """How well distances order the similarities of places that the path does not tie: mean rank correlation."""
+        i, j = np.triu_indices(len(poses), 1)
+        apart = np.flatnonzero(self._travel_m[j] - self._travel_m[i] > self._config.apart_m)
+        chosen = apart[:: max(1, len(apart) // JUDGES_MAX)]
+        i, j = i[chosen], j[chosen]
+        near = -np.linalg.norm(poses[i, :2] - poses[j, :2], axis=1)
+        return float(np.mean([spearmanr(near, cue.similarity[i, j]).statistic for cue in self._cues]))
+
+    # --- from scans to closures
+
+    def _prepare(self, name: str) -> _Cue | None:
+        config, travel_m = self._config, self._log.travel_m
+        rows = feature_rows([split_cues(f)[name] for f in self._log.fingerprints], config.similarity)
+        if rows.nnz == 0:
+            return None
+        is_ours = config.weighting == "ours"
+        smoothing_m = config.smoothing_wifi_m if name == "wifi" else config.smoothing_lte_m
+        window_m = config.window_wifi_m if name == "wifi" else config.window_lte_m
+        alike = averaged(rows, travel_m, smoothing_m if is_ours else 0.0)[self._places]
+        similarity = all_similarities(csr_array(alike))
+        model = train_on_path(
+            similarity, self._travel_m, self._odometry[:, :2], config.similarity_min, window_m, config.bin_width,
+            "repaired" if is_ours else "paper",
+        )  # fmt: skip
+        if not len(model.centre):
+            return None
+        feature = averaged(rows, travel_m, FIELD_SMOOTHING * smoothing_m)[self._places].toarray()
+        return _Cue(name, similarity, feature.astype(np.float32), model)
+
+    def _closures(self, false_closures: Distances | None) -> Distances:
+        config, parts = self._config, []
+        is_ours = config.weighting == "ours"
+        for cue in self._cues:
+            if is_ours:
+                parts.append(
+                    radio_closures.closures(
+                        cue.similarity, self._travel_m, cue.model, config.similarity_min, config.apart_m, self._cell_m,
+                        config.closures_per_place,
+                    )
+                )  # fmt: skip
+                continue
+            i, j = radio_closures.alike_pairs(cue.similarity, self._travel_m, config.similarity_min, PAPER_APART_M)
+            parts.append(Distances(np.column_stack([i, j]), *cue.model.distance(cue.similarity[i, j])))
+        if false_closures is not None:
+            near = np.abs(self._places[None] - false_closures.pairs.reshape(-1, 1)).argmin(axis=1).reshape(-1, 2)
+            parts.append(Distances(np.sort(near, axis=1), false_closures.distance_m, false_closures.variance_m2))
+        together = _joined(parts)
+        together = together[together.pairs[:, 0] != together.pairs[:, 1]]
+        if is_ours:
+            together = together[radio_closures.with_support(together.pairs[:, 0], together.pairs[:, 1], self._travel_m)]
+        return together
+
+    # --- fitting
+
+    def _motion_information(self, length_m: Array, turned_rad: Array) -> Array:
+        config = self._config
+        position = config.position_std_per_m**2 * length_m + POSITION_STD_MIN_M**2
+        heading = config.heading_std_per_m**2 * length_m + config.heading_std_per_rad**2 * turned_rad
+        information = np.zeros((len(length_m), 3, 3))
+        information[:, 0, 0] = information[:, 1, 1] = 1.0 / position
+        information[:, 2, 2] = 1.0 / (heading + HEADING_STD_MIN_RAD**2)
+        return information
+
+    def _grow(self, closures: Distances) -> tuple[Array, Motions]:
+        """Fit the path from its beginning on, further and further; its odometry is calibrated on the way."""
+        motions, total_m = self._motions, self._travel_m[-1]
+        poses = np.zeros((1, 3))
+        end_m, last = FIRST_STAGE_M, closures.pairs.max(axis=1)
+        rounds_left = FINAL_ROUNDS
+        while rounds_left:
+            is_whole = end_m >= total_m
+            count = len(self._travel_m) if is_whole else max(int(np.searchsorted(self._travel_m, end_m)), 2)
+            rest = _reckoned(motions.motion[len(poses) - 1 : count - 1])
+            poses = np.concatenate([poses[:-1], compose(poses[-1], rest)])
+            within = closures[last < count]
+            if len(within) >= radio_field.NEIGHBOURS_MIN:
+                iterations = FINAL_ITERATIONS if is_whole else STAGE_ITERATIONS
+                poses = self._fit(poses, motions, within, iterations=iterations)
+                motions = calibrated(motions, poses)
+            end_m *= STAGE_GROWTH
+            rounds_left -= is_whole
+        return poses, motions
+
+    def _refine(self, poses: Array, motions: Motions) -> Array:
+        """Tie places by the fields of strength, from coarse to fine."""
+        for k in range(max(len(BANDWIDTHS_M[cue.name]) for cue in self._cues)):
+            ties = [self._ties(cue, poses, motions, k) for cue in self._cues]
+            poses = self._fit(poses, motions, None, [t for t in ties if len(t.pairs)], iterations=WORTH_ITERATIONS)
+            motions = calibrated(motions, poses)
+        return poses
+
+    def _ties(self, cue: _Cue, poses: Array, motions: Motions, round_: int) -> radio_field.Ties:
+        bandwidths = BANDWIDTHS_M[cue.name]
+        bandwidth_m = max(bandwidths[min(round_, len(bandwidths) - 1)], 1.5 * self._cell_m / 2)
+        if bandwidth_m not in cue.worth:
+            reckoned = _reckoned(motions.motion)
+            cue.worth[bandwidth_m] = radio_field.learn_worth(cue.feature, reckoned[:, :2], self._travel_m, bandwidth_m)
+        return radio_field.ties(
+            cue.feature, poses[:, :2], self._travel_m, bandwidth_m, self._config.apart_m, cue.worth[bandwidth_m],
+            MOVED_PER_BANDWIDTH * bandwidth_m,
+        )  # fmt: skip
+
+    def _fit(
+        self, poses: Array, motions: Motions, closures: Distances | None, ties: Sequence[radio_field.Ties] = (),
+        robust: bool = True, iterations: int = FINAL_ITERATIONS,
+    ) -> Array:  # fmt: skip
+        """Poses after least squares over the odometry of their part of the path, closures and ties."""
+        count = len(poses)
+        chain = np.arange(count - 1)
+        edges, measured = [np.column_stack([chain, chain + 1])], [motions.motion[: count - 1]]
+        information = [self._information[: count - 1]]
+        for tie in ties:
+            edges.append(tie.pairs)
+            relative, its_information = _in_first_frame(tie, poses)
+            measured.append(relative)
+            information.append(its_information)
+        equations = RadioEquations(
+            np.concatenate(edges), np.concatenate(measured), np.concatenate(information),
+            closures if closures is not None else NO_DISTANCES, count,
+        )  # fmt: skip
+        scale2 = self._config.robust_scale**2
+
+        def weigh(squared: Array) -> Array:
+            weight = 1.0 / (1.0 + squared / scale2) if robust else np.ones(len(squared))
+            weight[: count - 1] = 1.0
+            return weight
+
+        return equations.minimise(poses, weigh, iterations)
+
+    def _result(self, place_poses: Array, closures: Distances, fell_back: bool) -> RadioResult:
+        poses = spread(self._log.odometry, self._log.travel_m, self._places, place_poses)
+        models = {cue.name: cue.model for cue in self._cues}
+        return RadioResult(poses, self._places, place_poses, models, closures, fell_back)
+
+
+NO_DISTANCES = Distances(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0))
+
+
+def averaged(rows: csr_array, travel_m: Array, reach_m: float) -> csr_array:
+    """Feature rows averaged along the path, nearer ones weighing more; what was not heard counts as 0."""
+    if reach_m <= 0.0:
+        return rows
+    first = np.searchsorted(travel_m, travel_m - reach_m, side="right")
+    last = np.maximum(np.searchsorted(travel_m, travel_m + reach_m, side="left"), first + 1)
+    size = last - first
+    i = np.repeat(np.arange(len(travel_m)), size)
+    j = np.arange(len(i)) - np.repeat(np.cumsum(size) - size, size) + np.repeat(first, size)
+    weight = np.maximum(1.0 - np.abs(travel_m[i] - travel_m[j]) / reach_m, 1e-3)
+    weight /= np.bincount(i, weight, len(travel_m))[i]
+    mixing = coo_array((weight, (i, j)), shape=(len(travel_m), len(travel_m))).tocsr()
+    return csr_array(mixing @ rows)
+
+
+def spread(path: Array, travel_m: Array, places: Array, place_poses: Array) -> Array:
+    """All poses of a path (n, 3) when some of them (at `places`) have moved: the difference is shared out between."""
+    poses = np.empty_like(path)
+    for a, b, start, end in zip(places, [*places[1:], len(path)], place_poses, [*place_poses[1:], None], strict=True):
+        own = compose(start, between(path[a], path[a:b]))
+        if end is not None:
+            missing = end - compose(start, between(path[a], path[b]))
+            missing[2] = wrap_angle(missing[2])
+            share = (travel_m[a:b] - travel_m[a]) / max(travel_m[b] - travel_m[a], 1e-9)
+            own = own + share[:, None] * missing
+        poses[a:b] = own
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return compose(inverse(poses[0]), poses)
+
+
+def _reckoned(motions: Array) -> Array:
+    """(n, 3) poses from (0, 0, 0) along motions (n - 1, 3)."""
+    heading = np.concatenate([[0.0], np.cumsum(motions[:, 2])])
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    x = np.concatenate([[0.0], np.cumsum(c * motions[:, 0] - s * motions[:, 1])])
+    y = np.concatenate([[0.0], np.cumsum(s * motions[:, 0] + c * motions[:, 1])])
+    return np.column_stack([x, y, wrap_angle(heading)])
+
+
+def _spaced(travel_m: Array, spacing_m: float) -> Array:
+    """Numbers of the first scan and of every next one at least spacing_m further."""
+    chosen, last = [0], travel_m[0]
+    for k in range(1, len(travel_m)):
+        if travel_m[k] - last >= spacing_m:
+            chosen.append(k)
+            last = travel_m[k]
+    return np.array(chosen)
+
+
+def _in_first_frame(tie: radio_field.Ties, poses: Array) -> tuple[Array, Array]:
+    """Ties as relative poses (k, 3) that say nothing of the heading, with information (k, 3, 3)."""
+    first, second = poses[tie.pairs[:, 0]], poses[tie.pairs[:, 1]]
+    c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
+    turn = wrap_angle(second[:, 2] - first[:, 2])
+    dx, dy = tie.offset_m.T
+    relative = np.column_stack([c * dx + s * dy, -s * dx + c * dy, turn])
+    # The residual is seen from the second pose's frame (g2o), so the information is turned into that.
+    c, s = np.cos(second[:, 2]), np.sin(second[:, 2])
+    rotation = np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
+    information = np.zeros((len(turn), 3, 3))
+    information[:, :2, :2] = rotation @ tie.information @ np.swapaxes(rotation, 1, 2)
+    return relative, information
+
+
+def _joined(parts: Sequence[Distances]) -> Distances:
+    if not parts:
+        return NO_DISTANCES
+    return Distances(
+        np.concatenate([p.pairs for p in parts]).astype(np.int64),
+        np.concatenate([p.distance_m for p in parts]),
+        np.concatenate([p.variance_m2 for p in parts]),
+    )
