@@ -379,7 +379,7 @@ class RadioSlamConfig(_Checked):
     similarity: str = _choice("shifted", "raw", "linear")
     similarity_min: float = _number(0.7, 0.0, 1.0)
     """theta_s."""
-    apart_m: float = _number(30.0, 0.0, 1000.0)
+    apart_m: float = _number(20.0, 0.0, 1000.0)
     """Two places of one path are a closure only when it is this long in between (`paper`: 100 m)."""
     bin_width: float = _number(0.05, 0.001, 1.0)
     """r of Eq. 3."""
@@ -397,10 +397,10 @@ class RadioSlamConfig(_Checked):
     closures_per_place: int = _number(3, 1, 1000)
     robust_scale: float = _number(2.0, 0.1, 1000.0)
     """Cauchy: at this many standard deviations a closure has lost half of its weight."""
-    position_std_per_m: float = _number(0.05, 0.0, 1.0)
+    position_std_per_m: float = _number(0.03, 0.0, 1.0)
     """Odometry noise over one metre; it grows with the root of the path."""
-    heading_std_per_m: float = _number(0.004, 0.0, 1.0)
-    heading_std_per_rad: float = _number(0.006, 0.0, 1.0)
+    heading_std_per_m: float = _number(0.002, 0.0, 1.0)
+    heading_std_per_rad: float = _number(0.004, 0.0, 1.0)
     """Heading noise over a turn of one radian."""
 
 

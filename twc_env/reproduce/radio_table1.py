@@ -29,7 +29,7 @@ from twc_env.reproduce.radio_walks import RadioWalk
 from twc_env.reproduce.runner import Runner, parse_seeds
 from twc_env.slam import radio_lidar, radio_slam
 from twc_env.slam.distance_factor import Distances
-from twc_env.slam.robot import RobotFrontEnd
+from twc_env.slam.robot import FrontEnds
 from twc_env.world.odometry import Odometry
 
 Array = NDArray
@@ -51,6 +51,8 @@ class Place:
     length_m: float
     duration_s: float
     odometry_m: float
+    drift: float
+    """Of the odometry, about which it is matched to the printed error."""
     printed: dict[str, tuple[float, float | None]]
     """Method -> mean and deviation of the error [m]."""
     storeys: tuple[int, ...] = (0,)
@@ -66,16 +68,16 @@ class Place:
 
 PLACES = {
     "indoor": Place(
-        "radio-sutd-indoor", "radio-indoor", 1114.9, 3092.1, 10.01,
+        "radio-sutd-indoor", "radio-indoor", 1114.9, 3092.1, 10.01, 0.2,
         {"odometry": (10.01, None), "wifi": (3.69, 2.21), "lte": (5.18, 2.59)}, storeys=(0, 1, -1, 2, -2, 3, -3),
     ),
     "semi-indoor": Place(
-        "radio-ntu", "radio-semi-indoor", 1072.6, 2583.9, 51.98,
+        "radio-ntu", "radio-semi-indoor", 1072.6, 2583.9, 51.98, 1.7,
         {"odometry": (51.98, None), "wifi": (4.48, 2.98), "lte": (12.22, 10.95), "wifi+lidar": (0.84, None)},
         has_lidar=True,
     ),
     "outdoor": Place(
-        "radio-sutd-outdoor", "radio-outdoor", 5171.3, 5494.7, 75.06,
+        "radio-sutd-outdoor", "radio-outdoor", 5171.3, 5494.7, 75.06, 0.08,
         {"odometry": (75.06, None), "wifi": (8.82, 3.94), "lte": (18.38, 10.70)}, resolution_m=0.5,
     ),
 }  # fmt: skip
@@ -135,7 +137,7 @@ def record(place: Place, kind: str, seed: int) -> RadioWalk:
     """The walk of a seed with its WiFi or LTE scans."""
     true_poses = true_path(place, seed)
     radio = radio_config(place, kind)
-    return radio_walks.record(place.twin, true_poses, radio, seed, place.odometry_m, place.storeys)
+    return radio_walks.record(place.twin, true_poses, radio, seed, place.odometry_m, place.drift, place.storeys)
 
 
 def true_path(place: Place, seed: int) -> Array:
@@ -215,9 +217,12 @@ def keyframes_of(place: Place, walk: RadioWalk, seed: int):
     true_poses = true_path(place, seed)
     ranges = radio_walks.scan_lidar(load_map(place.twin), LIDAR, true_poses, seed)
     odometry = Odometry(
-        OdometryConfig(platform=radio_walks.PLATFORM, drift=walk.drift), radio_walks.ODOMETRY_STEP_S, 1, seed
+        OdometryConfig(platform=radio_walks.PLATFORM, drift=walk.drift),
+        radio_walks.ODOMETRY_STEP_S,
+        1,
+        walk.odometry_stream,
     )
-    front_end, every = RobotFrontEnd(0, lidar_config()), radio_walks.STEPS_PER_SCAN
+    front_end, every = FrontEnds(lidar_config(), 1), radio_walks.STEPS_PER_SCAN
     keyframes, truth = [], []
     for step, pose in enumerate(true_poses):
         motion, turn_rate = np.zeros((1, 3)), np.zeros(1)
@@ -227,8 +232,7 @@ def keyframes_of(place: Place, walk: RadioWalk, seed: int):
         scan = WifiScan(heard.macs, heard.rssi_dbm) if heard is not None else None
         time_s = step * radio_walks.ODOMETRY_STEP_S
         frame = SensorFrame(0, step, time_s, motion[0].copy(), float(turn_rate[0]), ranges[step], scan)
-        keyframe = front_end.update(frame)
-        if keyframe is not None:
+        for keyframe in front_end.update([frame]):
             keyframes.append(keyframe)
             truth.append(pose)
     return keyframes, np.array(truth)
@@ -299,7 +303,14 @@ def _sweep_rows(seeds: list[int], runner: Runner, share: float) -> list[dict]:
     """WiFi SLAM semi-indoor against access points per scan, odometry error and distance."""
     base = _shortened(PLACES["semi-indoor"], share)
     cases: list[tuple[str, Place, float]] = [(f"{s:.0%} of the access points", base, s) for s in AP_SHARES]
-    cases += [(f"odometry off by {e:g} m", dataclasses.replace(base, odometry_m=e), 1.0) for e in ODOMETRY_ERRORS_M]
+    cases += [
+        (
+            f"odometry off by {e:g} m",
+            dataclasses.replace(base, odometry_m=e, drift=base.drift * e / base.odometry_m),
+            1.0,
+        )
+        for e in ODOMETRY_ERRORS_M
+    ]
     for length in LENGTHS_M:
         scaled = dataclasses.replace(
             base, length_m=length * share, duration_s=length * share / base.speed_m_s,

@@ -1,7 +1,7 @@
 """Long walks of one robot with five phones and wheel odometry through the places of the radio SLAM paper (SPEC R14).
 
-The printed tables tell lengths, durations and how far off odometry was; each walk's drift is set so that its own
-odometry is as far off as printed. The robot stops nowhere: it moves along shortest ways between random places.
+The printed table tells lengths, durations and how far off odometry was; each walk's odometry is as far off as printed.
+The robot stops nowhere: it moves along shortest ways between random places.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from twc_env.config import LidarConfig, OdometryConfig, RadioConfig
+from twc_env.errors import ConfigError
 from twc_env.geometry import compose, wrap_angle
 from twc_env.maps import load_map
 from twc_env.messages import Fingerprint
@@ -40,7 +41,7 @@ LEGS_AT_ONCE = 6
 ROUNDING_M = 0.4
 """Corners of the shortest way are rounded over about this length."""
 TURN_RATE_RAD_S = 0.6
-DRIFT_MIN, DRIFT_MAX, DRIFT_GROWTH = 0.02, 10.0, 1.4
+DRIFT_FACTORS, STREAMS_MAX = (0.6, 1.7), 100
 MATCHED_SHARE = 0.005
 """Odometry counts as matched when its error is this near to the wanted one."""
 
@@ -58,6 +59,8 @@ class RadioWalk:
     fingerprints: tuple[Fingerprint, ...]
     """One per scan, merged over the phones; WiFi or LTE, as the radio was configured."""
     drift: float
+    odometry_stream: int
+    """Seed of the odometry's noise."""
 
     @property
     def odometry(self) -> Array:
@@ -115,18 +118,17 @@ def record(
     true_poses: Array,
     radio: RadioConfig,
     seed: int,
-    odometry_error_m: float | None = None,
+    odometry_error_m: float,
+    nominal_drift: float,
     storeys: tuple[int, ...] = (0,),
-    drift: float = 1.0,
 ) -> RadioWalk:
-    """What the robot senses on a `drive`: odometry whose mean error is `odometry_error_m` (else of a given drift)."""
+    """What the robot senses on a `drive`, with odometry whose mean error is `odometry_error_m`."""
     at = np.arange(0, len(true_poses), STEPS_PER_SCAN)
-    if odometry_error_m is not None:
-        drift = matched_drift(true_poses, at, odometry_error_m, seed)
-    motions, turned_rad = measured_odometry(true_poses, at, drift, seed)
+    drift, stream = matched_odometry(true_poses, at, odometry_error_m, nominal_drift, seed)
+    motions, turned_rad = measured_odometry(true_poses, at, drift, stream)
     plan = radio_places.over_storeys(load_map(name), storeys)
     prints = scan_radio(plan, radio, true_poses[at], seed)
-    return RadioWalk(true_poses[at], motions, turned_rad, prints, drift)
+    return RadioWalk(true_poses[at], motions, turned_rad, prints, drift, stream)
 
 
 def scan_radio(plan: Floorplan, radio: RadioConfig, poses: Array, seed: int) -> tuple[Fingerprint, ...]:
@@ -176,26 +178,30 @@ def measured_odometry(true_poses: Array, at: Array, drift: float, seed: int) -> 
     return motions, np.diff(turned[at])
 
 
-def matched_drift(true_poses: Array, at: Array, wanted_m: float, seed: int) -> float:
-    """The least drift whose odometry is off by `wanted_m` on average."""
+def matched_odometry(
+    true_poses: Array, at: Array, wanted_m: float, nominal_drift: float, seed: int
+) -> tuple[float, int]:
+    """Drift near the nominal one, and the stream of noise, for which odometry is off by `wanted_m` on average.
 
-    def tried(drift: float) -> float:
-        reckoned = dead_reckoning(true_poses[0], measured_odometry(true_poses, at, drift, seed)[0])
-        return float(np.linalg.norm(reckoned[:, :2] - true_poses[at, :2], axis=1).mean())
+    How far a path drifts is mostly chance; streams that need a quite different drift for it are passed over.
+    """
+    for stream in range(STREAMS_MAX * seed, STREAMS_MAX * (seed + 1)):
+        low, high = (factor * nominal_drift for factor in DRIFT_FACTORS)
+        away = [_odometry_error_m(true_poses, at, drift, stream) - wanted_m for drift in (low, high)]
+        if away[0] > 0 or away[1] < 0:
+            continue
+        while True:
+            drift = (low + high) / 2
+            error = _odometry_error_m(true_poses, at, drift, stream) - wanted_m
+            if abs(error) <= MATCHED_SHARE * wanted_m or high - low < 1e-6:
+                return drift, stream
+            low, high = (drift, high) if error < 0 else (low, drift)
+    raise ConfigError(f"no odometry is off by {wanted_m:g} m at a drift near {nominal_drift:g}; choose another drift")
 
-    low, high = 0.0, DRIFT_MIN
-    error = tried(high)
-    while error < wanted_m and high < DRIFT_MAX:
-        low, high = high, min(high * DRIFT_GROWTH, DRIFT_MAX)
-        error = tried(high)
-    drift = high
-    for _ in range(20):
-        if abs(error - wanted_m) <= MATCHED_SHARE * wanted_m:
-            break
-        low, high = (drift, high) if error < wanted_m else (low, drift)
-        drift = (low + high) / 2
-        error = tried(drift)
-    return drift
+
+def _odometry_error_m(true_poses: Array, at: Array, drift: float, stream: int) -> float:
+    reckoned = dead_reckoning(true_poses[0], measured_odometry(true_poses, at, drift, stream)[0])
+    return float(np.linalg.norm(reckoned[:, :2] - true_poses[at, :2], axis=1).mean())
 
 
 @lru_cache(maxsize=2)

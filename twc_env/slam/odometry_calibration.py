@@ -17,7 +17,7 @@ Array = NDArray
 
 PIECE = 20
 """Motions summed before they are compared: single ones are mostly noise."""
-CURL_STD_RAD_M, TURN_STD = 0.02, 0.05
+CURL_STD_RAD_M, TURN_STD = 0.03, 0.2
 """How large the errors may be before anything is known."""
 NOISE_RAD = 0.05
 """Heading noise over one metre that the comparison expects."""

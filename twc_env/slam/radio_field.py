@@ -27,8 +27,8 @@ VISIT_APART_M = 15.0
 """... which lie further apart than this along the path."""
 PRIOR_STD_M = 5.0
 """Displacements are expected to be within this."""
-BEST_STD_M = 1.0
-"""Nothing is ever known better than this from strengths."""
+BEST_STD_M = 2.0
+"""No tie is believed more than this: what shapes the fields bends all ties of a place alike."""
 MEDIAN_SQUARED = 0.455
 """Median of chi squared with one degree of freedom."""
 

@@ -40,6 +40,11 @@ FIELD_SMOOTHING = 0.6
 """Fields are fitted to fingerprints averaged over this share of the length that similarities are taken over."""
 MOVED_PER_BANDWIDTH = 1.5
 WORTH_ITERATIONS = 10
+NOISE_LEVELS = (1.0, 2.0, 4.0, 10.0)
+"""How noisy the odometry is, nobody knows: each is tried, and the one whose result the fingerprints fit best stays."""
+ORDER_TIE, ORDER_MIN = 0.003, 0.1
+"""Rank correlations this near to the best count as equal, and the least noise is then assumed; fingerprints that fit
+worse than the second tell nothing."""
 JUDGES_MAX = 50_000
 """Pairs of places that judge the result."""
 POSITION_STD_MIN_M, HEADING_STD_MIN_RAD = 0.02, 0.005
@@ -118,7 +123,9 @@ class _Solver:
         turned_abs = np.concatenate([[0.0], np.cumsum(np.abs(log.turned_rad))])[self._places]
         motion = between(self._odometry[:-1], self._odometry[1:])
         self._motions = Motions(motion, np.diff(turned))
-        self._information = self._motion_information(np.diff(self._travel_m), np.diff(turned_abs))
+        self._own_information = self._information = self._motion_information(
+            np.diff(self._travel_m), np.diff(turned_abs)
+        )
         self._cell_m = max(config.cell_m, 2 * spacing_m)
         self._cues = [cue for name in cues if (cue := self._prepare(name)) is not None]
 
@@ -129,10 +136,17 @@ class _Solver:
         if self._config.weighting == "paper":
             poses = self._fit(self._odometry, self._motions, closures, robust=False, iterations=PAPER_ITERATIONS)
             return self._result(poses, closures, fell_back=False)
-        poses = self._refine(*self._grow(closures))
-        if self._order(poses) <= self._order(self._odometry):
+        tries = [self._solved(closures, noise) for noise in NOISE_LEVELS]
+        orders = np.array([self._order(poses) for poses in tries])
+        best = int(np.argmax(orders >= orders.max() - ORDER_TIE))
+        if orders[best] <= max(self._order(self._odometry), ORDER_MIN):
             return self._result(self._odometry, closures, fell_back=True)
-        return self._result(poses, closures, fell_back=False)
+        return self._result(tries[best], closures, fell_back=False)
+
+    def _solved(self, closures: Distances, noise: float) -> Array:
+        """The whole way, with odometry this many times as noisy as configured."""
+        self._information = self._own_information / noise**2
+        return self._refine(*self._grow(closures))
 
     def _order(self, poses: Array) -> float:
         """How well distances order the similarities of places that the path does not tie: mean rank correlation."""
