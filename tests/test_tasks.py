@@ -7,16 +7,16 @@ from twc_env.config import digest
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "f55b39180c9c",
-    "twc/ExploreTwin01-v0": "f55b39180c9c",
-    "twc/ExploreTwin02-v0": "1dd6090d373f",
-    "twc/ExploreOffice-v0": "ba2074cba270",
-    "twc/ExploreFrontier-v0": "6f69936bee39",
-    "twc/ExploreFrontierAsync-v0": "b1c6194a0531",
-    "twc/ExploreHard-v0": "68d50b0abffd",
-    "twc/ExploreKnownStarts-v0": "91ce9e7cb534",
-    "twc/ExploreTruePoses-v0": "ca0982c52a75",
-    "twc/ExploreNoMerging-v0": "07276189026e",
+    "twc/Explore-v0": "53dd0167e470",
+    "twc/ExploreTwin01-v0": "53dd0167e470",
+    "twc/ExploreTwin02-v0": "15276127d4ef",
+    "twc/ExploreOffice-v0": "8f4a5463fd05",
+    "twc/ExploreFrontier-v0": "6380195f09f3",
+    "twc/ExploreFrontierAsync-v0": "45c8a21ccba4",
+    "twc/ExploreHard-v0": "c4673e169c51",
+    "twc/ExploreKnownStarts-v0": "bafab879a3cb",
+    "twc/ExploreTruePoses-v0": "6434f2606d42",
+    "twc/ExploreNoMerging-v0": "8f1ddc5cd33f",
 }
 
 
