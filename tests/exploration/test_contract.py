@@ -8,7 +8,6 @@ from pettingzoo.test import (
     max_cycles_test,
     parallel_api_test,
     parallel_seed_test,
-    render_test,
     seed_test,
     state_test,
 )
@@ -45,29 +44,12 @@ def test_pettingzoo_finds_the_episode_as_long_as_asked_for():
     max_cycles_test(twc_env)
 
 
-def test_pettingzoo_accepts_the_pictures():
-    def make(render_mode):  # the test asks for "human" whatever the environment offers
-        modes = twc_env.ExplorationEnv.metadata["render_modes"]
-        return twc_env.env(render_mode=render_mode if render_mode in modes else None)
-
-    render_test(make)
-
-
 def test_pettingzoo_accepts_the_state():
     state_test(twc_env.env(max_cycles=30), twc_env.parallel_env(max_cycles=30), num_cycles=20)
 
 
 def test_gymnasium_accepts_the_view_of_one_robot():
     check_env(gymnasium.make(ID, max_cycles=40).unwrapped, skip_render_check=True)
-
-
-def test_gymnasium_accepts_the_pictures_of_one_robot():
-    env = gymnasium.make(ID, max_cycles=10, render_mode="rgb_array")
-    env.reset(seed=0)
-    picture = env.render()
-    assert picture.dtype == np.uint8
-    assert picture.ndim == 3
-    assert picture.std() > 0
 
 
 def test_stable_baselines_accepts_the_view_of_one_robot():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
@@ -32,6 +32,9 @@ from twc_env.world.generate import split_names
 from twc_env.world.link import Link
 from twc_env.world.thinning import thinned
 from twc_env.world.world import World
+
+if TYPE_CHECKING:
+    from twc_env.exploration.viewer import Viewer
 
 Array = NDArray
 
@@ -91,11 +94,13 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     `slam.mode = "off"` runs no engine: `pose` is odometry summed up, `map` and `team` stay zero, `coverage` pays
     nothing (there is no map), and `result()` judges dead reckoning.
 
-    Arguments: `map` (bundled name or file), `robots`, `max_cycles` and `render_mode` ("rgb_array" or None); `config`
-    (an EnvConfig, a dict of overrides, dotted keys allowed) holds everything else; `task` names a standard task that
-    the overrides change. `reset(options=...)` holds for one episode: `{"starts": "map"}` uses the map's own starts
-    instead of drawing them by seed, `{"map": NAME}` plays in another building, `{"split": "train"}` (or validation,
-    test) in one of that split, drawn by the seed.
+    Arguments: `map` (bundled name or file), `robots`, `max_cycles` and `render_mode` ("human", "rgb_array" or None);
+    `config` (an EnvConfig, a dict of overrides, dotted keys allowed) holds everything else; `task` names a standard
+    task that the overrides change; `render_signal=True` lays WiFi strength over the pictures. In mode "human" a window
+    shows every time step, at `metadata["render_fps"]`; who shuts it ends the pictures, not the episode.
+    `reset(options=...)` holds for one episode: `{"starts": "map"}` uses the map's own starts instead of drawing them by
+    seed, `{"map": NAME}` plays in another building, `{"split": "train"}` (or validation, test) in one of that split,
+    drawn by the seed.
 
     `belief(agent)` gives a planner what the robot knows; `result()` judges the episode so far against the truth;
     `snapshot()` and `restore()` save and bring back a moment, exactly.
@@ -105,7 +110,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     metadata = {  # noqa: RUF012
         "name": "twc_env_explore_v0",
-        "render_modes": ["rgb_array"],
+        "render_modes": ["human", "rgb_array"],
         "is_parallelizable": True,
         "render_fps": 10,
     }
@@ -119,15 +124,17 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         render_mode: str | None = None,
         floorplan: Floorplan | None = None,
         task: str | None = None,
+        render_signal: bool = False,
     ):
         announce_compilation()
         self.config = _resolve(_base(config, task), {"map": map, "robots": robots, "max_cycles": max_cycles})
         # Copies are made from the resolved values: a dict may be changed by its owner later.
-        EzPickle.__init__(self, config=self.config, render_mode=render_mode, floorplan=floorplan)
+        EzPickle.__init__(
+            self, config=self.config, render_mode=render_mode, floorplan=floorplan, render_signal=render_signal
+        )
         self.metadata = copy.deepcopy(type(self).metadata)
-        if render_mode not in (None, "rgb_array"):
-            raise ConfigError(f"render_mode must be 'rgb_array' or None; got {render_mode!r}")
         self.render_mode = render_mode
+        self._viewer = _make_viewer(render_mode, self.metadata["render_fps"], render_signal)
         self._own_floorplan = floorplan if floorplan is not None else load_map(self.config.map)
         self._world_of(self.config, self._own_floorplan)
         count = self.config.robots
@@ -171,6 +178,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._standing = rewards.Standing.nothing(count)
         self._steps = 0
         self._frames_of_step = []
+        if self._viewer is not None:
+            self._viewer.begin()
         self.agents = self.possible_agents[:]
         self._think(self._world.sense())
         self._notice()
@@ -256,12 +265,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         )
 
     def render(self) -> Array | None:
-        """(height, width, 3) uint8 picture of truth and merged map, or None when no render_mode was chosen."""
-        if self.render_mode is None:
-            return None
-        from twc_env.exploration.rendering import render, scene_of
-
-        return render(scene_of(self.floorplan, self.engine, self._record, self._cells))
+        """(height, width, 3) uint8 picture of truth and belief; None without a render_mode, or if a window shows it."""
+        return None if self._viewer is None else self._viewer.draw(self)
 
     def snapshot(self) -> Snapshot:
         """This moment of the episode: world, engine, pose graph and random streams. Raises TwcError before `reset`."""
@@ -275,7 +280,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         restore_snapshot(self, snapshot)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Shut the window of render_mode "human"; there is nothing else to release."""
+        if self._viewer is not None:
+            self._viewer.close()
 
     def _next_seed(self) -> int:
         return int(np.random.default_rng().integers(2**31)) if self._seed is None else self._seed + 1
@@ -352,6 +359,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._beliefs = [self.engine.belief(robot) for robot in range(self.config.robots)]
         for builder, frame, belief in zip(self._builders, self._frames, self._beliefs, strict=True):
             builder.notice(frame, belief)
+        if self._viewer is not None:
+            self._viewer.follow(self)
 
     def _judge(self, is_last: bool, bytes_sent: int) -> list[dict[str, float]]:
         before = self._standing
@@ -391,6 +400,17 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             if self.config.action.kind == "frontier":
                 infos[agent]["action_mask"] = pilot.mask(robot)
         return infos
+
+
+def _make_viewer(render_mode: str | None, frames_per_s: float, with_signal: bool) -> Viewer | None:
+    """What draws in a render_mode; loaded only where one is asked for."""
+    if render_mode is None:
+        return None
+    if render_mode not in ExplorationEnv.metadata["render_modes"]:
+        raise ConfigError(f"render_mode must be 'human', 'rgb_array' or None; got {render_mode!r}")
+    from twc_env.exploration.viewer import Viewer
+
+    return Viewer(render_mode, frames_per_s, with_signal)
 
 
 def _checked_seed(seed: int) -> int:

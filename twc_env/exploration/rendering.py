@@ -1,23 +1,26 @@
 """Draw a moment of an episode as an RGB array: what is there, what the team believes, and who is where.
 
 Truth is grey, belief lies over it: believed floor is white (tinted per group while the team has several maps),
-believed walls are dark. A filled disc is where a robot is, a ring where it believes to be.
+believed walls are dark. A filled disc is where a robot is, a ring where it believes to be. Green lines are closures
+that the team accepted, red dashes those it rejected; a new one is bold, and a rejected one fades away. The signal
+overlay shows the strongest access point, from dark violet (weak) to yellow (strong).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twc_env.exploration.evaluation import EpisodeRecord, verdicts_of
+from twc_env.exploration.evaluation import EpisodeRecord, GroupVerdict
 from twc_env.geometry import compose, inverse
 from twc_env.messages import GridMap
 from twc_env.slam.modes import Engine
-from twc_env.world.floorplan import Cells, Floorplan
+from twc_env.world.floorplan import Floorplan
 
 Array = NDArray
 
@@ -38,6 +41,35 @@ _FLOOR = np.array([255, 255, 255], np.float64)
 _WALL = np.array([38, 44, 56], np.float64)
 _TINT = 0.16
 TRAIL_STEPS = 150
+ACCEPTED, REJECTED = np.array([0, 158, 115], np.float64), np.array([204, 51, 17], np.float64)
+FRESH_S = 5.0
+"""For so long a closure is seen as new."""
+_OLD_ACCEPTED = 0.3
+_DASH_PX = 5.0
+_SIGNAL = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
+_SIGNAL_OPACITY = 0.45
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosureLine:
+    """A loop closure between two places of the building."""
+
+    ends_m: Array
+    """(2, 2), where its two keyframes are believed to be."""
+    is_accepted: bool
+    age_s: float
+    """For how long it has been accepted or rejected."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SignalLayer:
+    """How strong the best access point is."""
+
+    share: Array
+    """(rows, columns) [0, 1], NaN off the floor; row 0 is the lowest y."""
+    origin_m: Array
+    """(2,) lower left corner of share[0, 0]."""
+    cell_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +94,8 @@ class Scene:
     trails_m: tuple[Array, ...] = ()
     """Per robot (k, 2) the way it came, oldest first."""
     robot_radius_m: float = 0.2
+    closures: tuple[ClosureLine, ...] = ()
+    signal: SignalLayer | None = None
 
 
 @njit(cache=True, error_model="numpy")
@@ -94,6 +128,27 @@ def _paint_grid(image, left, top, metres, log_odds, grid_x, grid_y, cell, pose_m
                 continue
             for k in range(3):
                 image[v, u, k] = _WALL[k] if log_odds[row, column] > 0 else floor[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _paint_signal(image, left, top, metres, share, layer_x, layer_y, cell):
+    """Tint the floor by signal strength; dark pixels, which are walls, stay readable."""
+    height, width, _ = image.shape
+    rows, columns = share.shape
+    steps = _SIGNAL.shape[0] - 1
+    for v in range(height):
+        row = int(math.floor((top - (v + 0.5) * metres - layer_y) / cell))
+        for u in range(width):
+            column = int(math.floor((left + (u + 0.5) * metres - layer_x) / cell))
+            if row < 0 or column < 0 or row >= rows or column >= columns or math.isnan(share[row, column]):
+                continue
+            if image[v, u, 0] < 100.0:
+                continue
+            at = share[row, column] * steps
+            k0 = min(int(at), steps - 1)
+            for k in range(3):
+                colour = _SIGNAL[k0, k] + (at - k0) * (_SIGNAL[k0 + 1, k] - _SIGNAL[k0, k])
+                image[v, u, k] += _SIGNAL_OPACITY * (colour - image[v, u, k])
 
 
 @njit(cache=True, error_model="numpy")
@@ -135,9 +190,16 @@ def _draw_ring(image, u0, v0, radius, half_width, colour):
                 image[v, u, k] += cover * (colour[k] - image[v, u, k])
 
 
-def scene_of(floorplan: Floorplan, engine: Engine, record: EpisodeRecord, cells: Cells) -> Scene:
+def scene_of(
+    floorplan: Floorplan,
+    engine: Engine,
+    record: EpisodeRecord,
+    verdicts: Sequence[GroupVerdict],
+    closures: tuple[ClosureLine, ...] = (),
+    signal: SignalLayer | None = None,
+) -> Scene:
     """The present moment of an episode, every group's map laid on the building as well as one rigid motion can."""
-    verdicts = verdicts_of(engine, record, cells)
+    cells = floorplan.cells()
     true = record.true_poses
     estimated = np.zeros((true.shape[1], 3))
     for verdict in verdicts:
@@ -153,6 +215,8 @@ def scene_of(floorplan: Floorplan, engine: Engine, record: EpisodeRecord, cells:
         estimated_poses=estimated,
         groups=tuple(v.robots for v in verdicts),
         trails_m=tuple(true[-TRAIL_STEPS:, robot, :2] for robot in range(true.shape[1])),
+        closures=closures,
+        signal=signal,
     )
 
 
@@ -169,6 +233,10 @@ def render(scene: Scene) -> Array:
     _paint_floor(image, *view, walls, float(scene.origin_m[0]), float(scene.origin_m[1]), float(scene.resolution_m))
     for k in range(len(scene.grids) - 1, -1, -1):  # the largest group lies on top
         _paint_estimate(image, view, scene, k)
+    if scene.signal is not None:
+        x, y = float(scene.signal.origin_m[0]), float(scene.signal.origin_m[1])
+        _paint_signal(image, *view, scene.signal.share, x, y, float(scene.signal.cell_m))
+    _paint_closures(image, view, scene)
     _paint_robots(image, view, scene)
     return image.astype(np.uint8)
 
@@ -183,24 +251,41 @@ def _paint_estimate(image: Array, view: tuple, scene: Scene, group: int) -> None
     _paint_grid(image, *view, grid.log_odds, x, y, float(grid.resolution_m), pose_map_building, floor)
 
 
-def _paint_robots(image: Array, view: tuple, scene: Scene) -> None:
+def _paint_closures(image: Array, view: tuple, scene: Scene) -> None:
+    """Oldest first, so that the new ones lie on top."""
+    for line in sorted(scene.closures, key=lambda line: -line.age_s):
+        freshness = max(0.0, 1.0 - line.age_s / FRESH_S)
+        first, last = _to_pixels(line.ends_m, view)
+        half_width = 0.8 + 1.0 * freshness
+        if line.is_accepted:
+            opacity = _OLD_ACCEPTED + (1.0 - _OLD_ACCEPTED) * freshness
+            _draw_line(image, *first, *last, half_width, ACCEPTED, opacity)
+            continue
+        dashes = 1 + 2 * int(math.hypot(*(last - first)) / (2 * _DASH_PX))
+        for k in range(0, dashes, 2):
+            begin, end = first + (last - first) * k / dashes, first + (last - first) * (k + 1) / dashes
+            _draw_line(image, *begin, *end, half_width, REJECTED, freshness)
+
+
+def _to_pixels(points_m: Array, view: tuple) -> Array:
+    """(k, 2) places of the building -> (k, 2) pixels, u to the right, v down."""
     left, top, metres = view
+    points_m = np.asarray(points_m, float)
+    return np.column_stack([(points_m[:, 0] - left) / metres - 0.5, (top - points_m[:, 1]) / metres - 0.5])
 
-    def to_pixels(points_m: Array) -> Array:
-        points_m = np.asarray(points_m, float)
-        return np.column_stack([(points_m[:, 0] - left) / metres - 0.5, (top - points_m[:, 1]) / metres - 0.5])
 
-    radius = max(scene.robot_radius_m / metres, 3.5)
+def _paint_robots(image: Array, view: tuple, scene: Scene) -> None:
+    radius = max(scene.robot_radius_m / view[2], 3.5)
     for robot, trail in enumerate(scene.trails_m):
         if len(trail) > 1:
-            _draw_path(image, to_pixels(trail), max(0.9, 0.28 * radius), _colour(robot), 0.15)
+            _draw_path(image, _to_pixels(trail, view), max(0.9, 0.28 * radius), _colour(robot), 0.15)
     for robot, pose in enumerate(np.asarray(scene.estimated_poses, float).reshape(-1, 3)):
-        (u, v), ahead = to_pixels(pose[None, :2])[0], 1.9 * radius
+        (u, v), ahead = _to_pixels(pose[None, :2], view)[0], 1.9 * radius
         tip_u, tip_v = u + ahead * math.cos(pose[2]), v - ahead * math.sin(pose[2])
         _draw_ring(image, u, v, 1.25 * radius, 0.8, _colour(robot))
         _draw_line(image, u, v, tip_u, tip_v, 0.8, _colour(robot), 1.0)
     for robot, pose in enumerate(np.asarray(scene.true_poses, float).reshape(-1, 3)):
-        u, v = to_pixels(pose[None, :2])[0]
+        u, v = _to_pixels(pose[None, :2], view)[0]
         _draw_line(image, u, v, u, v, radius, _colour(robot), 1.0)
         tip_u, tip_v = u + 0.75 * radius * math.cos(pose[2]), v - 0.75 * radius * math.sin(pose[2])
         _draw_line(image, u, v, tip_u, tip_v, max(0.6, 0.16 * radius), _FLOOR, 1.0)

@@ -15,7 +15,7 @@ from twc_env.messages import Belief
 class SingleRobotEnv(gymnasium.Env):
     """`ExplorationEnv` with one robot: same observation, action and reward, without the dictionaries per agent."""
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012
 
     def __init__(
         self,
@@ -24,9 +24,16 @@ class SingleRobotEnv(gymnasium.Env):
         config: EnvConfig | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         task: str | None = None,
+        render_signal: bool = False,
     ):
         self._team = ExplorationEnv(
-            map=map, robots=1, max_cycles=max_cycles, config=config, render_mode=render_mode, task=task
+            map=map,
+            robots=1,
+            max_cycles=max_cycles,
+            config=config,
+            render_mode=render_mode,
+            task=task,
+            render_signal=render_signal,
         )
         self._agent = self._team.possible_agents[0]
         self.render_mode = render_mode
@@ -57,3 +64,7 @@ class SingleRobotEnv(gymnasium.Env):
     def render(self):
         """A picture, in render_mode "rgb_array"."""
         return self._team.render()
+
+    def close(self) -> None:
+        """Shut the window of render_mode "human"."""
+        self._team.close()

@@ -1,0 +1,103 @@
+"""Pictures of a running episode: what they show besides the present moment, and where they go."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import RadioConfig
+from twc_env.exploration.evaluation import GroupVerdict, verdicts_of
+from twc_env.exploration.rendering import ClosureLine, SignalLayer, render, scene_of
+from twc_env.exploration.window import Window
+from twc_env.geometry import transform_points
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
+
+if TYPE_CHECKING:
+    from twc_env.exploration.environment import ExplorationEnv
+
+Array = NDArray
+
+
+class Viewer:
+    """Draws an environment; in mode "human" on a window, at most once for each time step."""
+
+    def __init__(self, mode: str, frames_per_s: float, with_signal: bool):
+        """Raises ConfigError where "human" cannot be shown for want of pygame."""
+        self._window = Window("twc_env", frames_per_s) if mode == "human" else None
+        self._with_signal = with_signal
+        self._signal: tuple[Floorplan, SignalLayer] | None = None
+        self._seen = SeenClosures()
+        self._shown_step = -1
+
+    def begin(self) -> None:
+        """A new episode: no closure has been seen yet."""
+        self._seen, self._shown_step = SeenClosures(), -1
+
+    def draw(self, env: ExplorationEnv) -> Array | None:
+        """The picture of this moment, or None where it went to the window."""
+        if self._window is None:
+            return self._picture(env)
+        step = env.record.count
+        if self._window.answer() and step != self._shown_step:
+            self._window.show(self._picture(env))
+            self._shown_step = step
+        return None
+
+    def follow(self, env: ExplorationEnv) -> None:
+        """Draw on the window, where there is one."""
+        if self._window is not None:
+            self.draw(env)
+
+    def close(self) -> None:
+        """Shut the window, where there is one."""
+        if self._window is not None:
+            self._window.close()
+
+    def _picture(self, env: ExplorationEnv) -> Array:
+        verdicts = verdicts_of(env.engine, env.record, env.floorplan.cells())
+        lines = self._seen.lines(verdicts, env.record.count, env.config.dynamics.time_step_s)
+        signal = self._signal_of(env.floorplan, env.config.radio) if self._with_signal else None
+        return render(scene_of(env.floorplan, env.engine, env.record, verdicts, lines, signal))
+
+    def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
+        if self._signal is None or self._signal[0] is not plan:
+            strength_dbm, origin_m, cell_m = signal_map_dbm(plan, config)
+            low, high = SIGNAL_SPAN_DBM
+            share = np.clip((strength_dbm - low) / (high - low), 0.0, 1.0)
+            self._signal = plan, SignalLayer(share, np.array(origin_m), cell_m)
+        return self._signal[1]
+
+
+class SeenClosures:
+    """Remembers since when each closure of the best map has been accepted or rejected."""
+
+    def __init__(self) -> None:
+        self._since: dict[tuple, tuple[str, int]] = {}
+
+    def lines(self, verdicts: Sequence[GroupVerdict], step: int, time_step_s: float) -> tuple[ClosureLine, ...]:
+        """The judged closures of the largest map's mapper, as they are believed to lie in the building."""
+        best, shown = verdicts[0], {robot: v for v in reversed(verdicts) for robot in v.view.viewers}
+        shown |= dict.fromkeys(best.robots, best)
+
+        def place_m(robot: int, index: int) -> Array:
+            verdict = shown[robot]
+            pose = verdict.view.mapper.poses_of(robot)[index : index + 1, :2]
+            return transform_points(verdict.pose_building_map, pose)[0]
+
+        lines = []
+        for closure in best.view.mapper.closures:
+            if closure.status not in ("accepted", "rejected"):
+                continue
+            candidate = closure.candidate
+            key = (candidate.target, candidate.source, candidate.recogniser)
+            status, since = self._since.get(key, ("", step))
+            if status != closure.status or since > step:
+                since = step
+                self._since[key] = closure.status, step
+            ends_m = np.array([place_m(*candidate.target), place_m(*candidate.source)])
+            lines.append(ClosureLine(ends_m, closure.status == "accepted", (step - since) * time_step_s))
+        return tuple(lines)
