@@ -108,7 +108,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     Versions: v0, first release.
     """
 
-    metadata = {  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "name": "twc_env_explore_v0",
         "render_modes": ["human", "rgb_array"],
         "is_parallelizable": True,
