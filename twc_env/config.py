@@ -405,6 +405,22 @@ class RadioSlamConfig(_Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class KVisibilityConfig(_Checked):
+    """Walls from signal strength as a map of its own (`Belief.radio_map`), and what it assumes about signals."""
+
+    enabled: bool = False
+    """Also adds the block `radio` to observations: probably free and probably wall, from radio alone."""
+    power_at_1m_dbm: float = _number(-35.0, -80.0, 30.0)
+    path_loss_exponent: float = _number(2.3, 0.0, 6.0)
+    wall_loss_db: float = _number(6.0, 0.5, 40.0)
+    noise_std_db: float = _number(4.0, 0.1, 20.0)
+    located_from_dbm: float = _number(-48.0, -120.0, 30.0)
+    """A transmitter heard at least this strongly was passed nearly enough to know where it stands."""
+    period_scans: int = _number(10, 1, 10_000)
+    """The map is worked out anew after so many scans."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SlamConfig(_Checked):
     """The whole engine; it also reads the scanner's own data sheet (`lidar`)."""
 
@@ -424,6 +440,7 @@ class SlamConfig(_Checked):
     pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     merging: MergingConfig = field(default_factory=MergingConfig)
     radio_slam: RadioSlamConfig = field(default_factory=RadioSlamConfig)
+    k_visibility: KVisibilityConfig = field(default_factory=KVisibilityConfig)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

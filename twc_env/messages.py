@@ -208,3 +208,6 @@ class Belief:
     """Path length since that closure; since the start where there was none."""
     contact_steps: dict[int, int] = field(default_factory=dict)
     """Other robot -> step of the newest keyframe heard of it; -1: nothing yet."""
+    radio_map: GridMap | None = None
+    """What signal strength says of the group's map frame: probably free < 0, probably wall > 0. None: not asked for
+    (`slam.k_visibility`), or nothing heard yet."""

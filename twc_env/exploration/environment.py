@@ -83,6 +83,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest first: present, bearing / pi, d / (d + 10 m), |
     | | | | path l / (l + 10 m), size s / (s + 5 m), a mate is nearer |
     | `action_mask` | (11,) int8 | 0, 1 | which choices count (only with `action.kind = "frontier"`) |
+    | `radio` | (2, 64, 64) uint8 | 0, 255 | with `slam.k_visibility.enabled`: probably free, probably wall, told by |
+    | | | | signal strength alone, as `map` |
 
     With `observation.kind = "flat"` the blocks come as one vector of float32, pictures scaled to [0, 1].
 

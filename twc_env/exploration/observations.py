@@ -53,6 +53,8 @@ def block_spaces(config: EnvConfig) -> dict[str, spaces.Space]:
     wanted = {
         name: space for name, space in blocks.items() if getattr(shape, name) or (chooses and name == "frontiers")
     }
+    if config.slam.k_visibility.enabled:
+        wanted["radio"] = spaces.Box(0, 255, (2, shape.map_cells, shape.map_cells), np.uint8)
     if chooses:
         wanted["action_mask"] = spaces.Box(0, 1, (slots + len(EXTRA_CHOICES),), np.int8)
     return wanted
@@ -99,6 +101,7 @@ class ObservationBuilder:
             "signs": self._recent_signs,
             "team": self._team,
             "frontiers": self._frontiers,
+            "radio": self._radio,
             "action_mask": self._mask,
         }
         self._makers = [(name, made[name]) for name in block_spaces(config)]
@@ -170,6 +173,13 @@ class ObservationBuilder:
             self._index_signs(belief.signs)
             map_view.mark(crop[map_view.SIGNS], self._sign_places, belief.pose_map_robot, shape.map_cell_m)
         return crop
+
+    def _radio(self, seen: _Seen) -> Array:
+        """Probably free, probably wall around the robot, from signal strength alone."""
+        shape, belief = self._config.observation, seen.belief
+        if belief.radio_map is None:
+            return np.zeros((2, shape.map_cells, shape.map_cells), np.uint8)
+        return map_view.crop_around(belief.radio_map, belief.pose_map_robot, shape.map_cells, shape.map_cell_m)[:2]
 
     def _index_signs(self, signs: tuple[KnownSign, ...]) -> None:
         """Places (k, 2) and how often each text is known, made anew only when the list changed."""

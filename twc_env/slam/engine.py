@@ -11,8 +11,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
+from twc_env.messages import Belief, Contacts, GridMap, Keyframe, SensorFrame
 from twc_env.slam.exchange import Exchange
+from twc_env.slam.radio_structure import RadioStructure
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
@@ -70,6 +71,8 @@ class CooperativeSlam:
         self._held_map_odom: list[Array | None] = [None] * robot_count
         """The objects that the rows of `_poses_map_odom` were copied from."""
         self._last_step = 0
+        radio = config.slam.k_visibility
+        self._radio = RadioStructure(radio, config.slam.resolution_m, robot_count) if radio.enabled else None
 
     def give_starts(self, poses: Array) -> None:
         """Tell all mappers where the robots started (robots, 3): an oracle, for comparison only (`slam.oracle`)."""
@@ -101,6 +104,9 @@ class CooperativeSlam:
         for frame in frames:
             self._frames[frame.robot] = frame
         keyframes = self._front_ends.update(frames)
+        if self._radio is not None:
+            for frame in frames:
+                self._radio.add(frame, self.robots[frame.robot].pose_odom)
         for keyframe in keyframes:
             self._exchange.add(keyframe)
         return keyframes
@@ -168,7 +174,16 @@ class CooperativeSlam:
             pose_std=pose_std,
             since_closure_m=since_closure_m,
             contact_steps={mate: mapper.last_step_of(mate) for mate in range(len(self.robots)) if mate != robot},
+            radio_map=self._radio_map(mapper, group, robot),
         )
+
+    def _radio_map(self, mapper: TeamMapper, group: int, robot: int) -> GridMap | None:
+        """What the readings of all robots of the group say; with a mapper on each robot, of its own."""
+        if self._radio is None:
+            return None
+        robots = mapper.groups[group].robots if self._is_central else (robot,)
+        poses = np.array([mapper.pose_map_odom(r) for r in robots])
+        return self._radio.map_of(robots, poses, mapper.groups[group].version)
 
     def _pose_of_mate(self, mapper: TeamMapper, mate: int) -> Array:
         """(3,) where a mate is, as far as this mapper has heard: now, or at its last keyframe that came."""

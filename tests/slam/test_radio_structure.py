@@ -1,0 +1,54 @@
+import numpy as np
+
+import twc_env
+from twc_env.config import KVisibilityConfig
+from twc_env.messages import SensorFrame, WifiScan
+from twc_env.slam.radio_structure import RadioStructure
+
+CONFIG = KVisibilityConfig(enabled=True, noise_std_db=2.0, wall_loss_db=10.0, period_scans=1)
+
+
+def frame(rssi_dbm):
+    scan = WifiScan(np.array([7]), np.array([rssi_dbm]))
+    return SensorFrame(0, 0, 0.0, np.zeros(3), 0.0, np.zeros(4), scan)
+
+
+def level(distance_m, walls):
+    return -35.0 - 23.0 * np.log10(max(distance_m, 0.5)) - 10.0 * walls
+
+
+def test_clear_rays_become_free_and_rays_through_a_wall_doubtful():
+    radio = RadioStructure(CONFIG, 0.1, 1)
+    for angle in np.linspace(0, 2 * np.pi, 80):
+        for distance in (0.5, 4.0):
+            place = np.array([distance * np.cos(angle), distance * np.sin(angle), 0.0])
+            radio.add(frame(level(distance, distance > 2.0 and place[0] > 0)), place)
+    grid = radio.map_of((0,), np.zeros((1, 3)), 0)
+
+    def at(x, y):
+        return grid.log_odds[tuple(grid.cell_of(np.array([x, y])))]
+
+    assert at(-2.0, 0.3) < 0
+    assert at(2.0, 0.3) > at(-2.0, 0.3)
+
+
+def test_the_map_moves_with_the_frame_and_is_kept_until_something_new_is_heard():
+    radio = RadioStructure(CONFIG, 0.1, 1)
+    for x in np.linspace(0.4, 5.0, 30):
+        radio.add(frame(level(x, 0)), np.array([x, 0.0, 0.0]))
+    first = radio.map_of((0,), np.zeros((1, 3)), 0)
+    assert radio.map_of((0,), np.zeros((1, 3)), 0) is first
+    moved = radio.map_of((0,), np.array([[100.0, 0.0, 0.0]]), 1)
+    assert np.allclose(moved.origin_m - first.origin_m, [100.0, 0.0], atol=0.11)
+
+
+def test_observations_hold_the_radio_map_only_when_asked_for():
+    plain = twc_env.parallel_env(map="sfw-e4", robots=1)
+    assert "radio" not in plain.observation_space("robot_0").spaces
+    env = twc_env.parallel_env(map="sfw-e4", robots=1, max_cycles=40, config={"slam.k_visibility.enabled": True})
+    observations, _ = env.reset(seed=0)
+    assert env.belief("robot_0").radio_map is None or env.belief("robot_0").radio_map.resolution_m == 0.1
+    for _ in range(30):
+        observations, *_ = env.step({"robot_0": np.array([0.5, 0.2], np.float32)})
+    assert env.observation_space("robot_0").contains(observations["robot_0"])
+    assert env.belief("robot_0").radio_map is not None
