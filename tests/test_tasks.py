@@ -7,16 +7,16 @@ from twc_env.config import digest
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "53dd0167e470",
-    "twc/ExploreTwin01-v0": "53dd0167e470",
-    "twc/ExploreTwin02-v0": "15276127d4ef",
-    "twc/ExploreOffice-v0": "8f4a5463fd05",
-    "twc/ExploreFrontier-v0": "6380195f09f3",
-    "twc/ExploreFrontierAsync-v0": "45c8a21ccba4",
-    "twc/ExploreHard-v0": "c4673e169c51",
-    "twc/ExploreKnownStarts-v0": "bafab879a3cb",
-    "twc/ExploreTruePoses-v0": "6434f2606d42",
-    "twc/ExploreNoMerging-v0": "8f1ddc5cd33f",
+    "twc/Explore-v0": "3ca9c35b4dc1",
+    "twc/ExploreTwin01-v0": "3ca9c35b4dc1",
+    "twc/ExploreTwin02-v0": "1d0bacee5388",
+    "twc/ExploreOffice-v0": "964da6a647ea",
+    "twc/ExploreFrontier-v0": "d15076b6793a",
+    "twc/ExploreFrontierAsync-v0": "d98ec31dae8e",
+    "twc/ExploreHard-v0": "83e8a536291b",
+    "twc/ExploreKnownStarts-v0": "173a92c19b76",
+    "twc/ExploreTruePoses-v0": "4172240f2d77",
+    "twc/ExploreNoMerging-v0": "8b4cb1146997",
 }
 
 
