@@ -24,7 +24,8 @@ POSE_LAYOUT_RUN = {
     "calib4": (0.47, 6.34, _HALF_TURN_RAD),
 }
 """Where each run's own frame lies in the frame of the wall plan."""
-_ANCHORS = {"calibration": (1, 2, 3, 4, 5, 6), "calib3": (3, 4, 5, 8, 10, 11), "calib4": (3, 4, 5, 8, 10, 11)}
+ANCHORS = {"calibration": (1, 2, 3, 4, 5, 6), "calib3": (3, 4, 5, 8, 10, 11), "calib4": (3, 4, 5, 8, 10, 11)}
+"""The numbers that each run gives the six fixed radios, in the order of the plan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +54,7 @@ def read_ble_run(folder: str | Path, run: str) -> RadioSurvey:
     if run not in POSE_LAYOUT_RUN:
         raise DataError(f"the flat has no run {run!r}; known are {', '.join(POSE_LAYOUT_RUN)}")
     path = Path(folder) / f"{run}_df.csv.gz"
-    columns = [f"rssi_{anchor}" for anchor in _ANCHORS[run]]
+    columns = [f"rssi_{anchor}" for anchor in ANCHORS[run]]
     header, rows = read_table(path, ("ts", "x", "y", *columns))
     table = numbers(rows, path)
     at = {name: i for i, name in enumerate(header)}

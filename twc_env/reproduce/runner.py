@@ -23,6 +23,7 @@ from twc_env.errors import ConfigError, DataError
 
 TABLES: dict[str, str] = {
     "matching": "matching",
+    "ble-lidar": "ble_lidar",
     "intel": "intel",
     "merging": "merging",
     "odometry": "odometry",

@@ -1,0 +1,141 @@
+"""The drives of the flat as sensor frames: laser scans, open-loop odometry from the commands, and BLE strengths.
+
+Files as `ble_flat` describes them; scans hold a line of unix seconds, then [angles, millidegrees] and [ranges, cm] that
+are wrapped over lines; commands are lines `unix_s,command,speed`.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.datasets.ble_flat import ANCHORS, POSE_LAYOUT_RUN
+from twc_env.datasets.fingerprints import numbers, read_table
+from twc_env.datasets.scan_log import onto_circle
+from twc_env.errors import DataError
+from twc_env.geometry import between, compose, transform_points
+from twc_env.messages import SensorFrame, WifiScan
+
+Array = NDArray
+
+SPEED_M_S = 0.28 / 0.15
+"""Metres per second for each unit of commanded speed."""
+TURN_RAD_S = {"left": np.pi / 2 / 1.2 / 0.15, "right": -np.pi / 2 / 1.1 / 0.15}
+SCAN_S = 0.52
+"""One turn of the scanner, which ends at the scan's time; a scan during which the robot turned is smeared: left out."""
+RANGE_MIN_M, RANGE_RELIABLE_M = 0.2, 15.0
+DRIVES = ("calib3", "calib4")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """What the robot measured, and where its tag was tracked."""
+
+    frames: list[SensorFrame]
+    tracked_m: Array
+    """(frames, 2) in the frame of the wall plan; NaN while the tag was not tracked."""
+
+
+def read_ble_drive(folder: str | Path, run: str, beam_count: int, range_max_m: float) -> Drive:
+    """One drive, "calib3" or "calib4", a frame per scan. Raises DataError for missing or broken files."""
+    if run not in DRIVES:
+        raise DataError(f"the flat has no drive {run!r}; known are {', '.join(DRIVES)}")
+    folder = Path(folder)
+    ends_s, angles_rad, ranges_m = _scans(folder / f"{run}_scan.txt.gz")
+    times_s = ends_s - 0.5 * SCAN_S
+    path, is_turning = _commanded(folder / f"{run}_motion.txt.gz", times_s)
+    table_path = folder / f"{run}_df.csv.gz"
+    header, lines = read_table(table_path, ("ts", "x", "y", *(f"rssi_{a}" for a in ANCHORS[run])))
+    table = numbers(lines, table_path)
+    tracked_s = table[:, header.index("ts")] * 1e-9
+    positions = transform_points(POSE_LAYOUT_RUN[run], table[:, [header.index("x"), header.index("y")]])
+    rssi_dbm = table[:, [header.index(f"rssi_{a}") for a in ANCHORS[run]]]
+    frames: list[SensorFrame] = []
+    last, tracked = 0, []
+    for k in np.flatnonzero(~is_turning):
+        last = k if not frames else last
+        odometry = between(path[last], path[k])
+        elapsed_s = float(times_s[k] - times_s[last])
+        frames.append(
+            SensorFrame(
+                robot=0,
+                step=len(frames),
+                time_s=float(times_s[k] - times_s[0]),
+                odometry=odometry,
+                turn_rate_rad_s=float(odometry[2] / elapsed_s) if elapsed_s > 0 else 0.0,
+                ranges_m=onto_circle(ranges_m[k], angles_rad[k], beam_count, range_max_m),
+                wifi=_heard(rssi_dbm[(tracked_s > times_s[last]) & (tracked_s <= times_s[k])]),
+            )
+        )
+        tracked.append([np.interp(times_s[k], tracked_s, positions[:, axis], np.nan, np.nan) for axis in (0, 1)])
+        last = k
+    return Drive(frames, np.array(tracked).reshape(-1, 2))
+
+
+def _heard(rssi_dbm: Array) -> WifiScan | None:
+    """The mean of the readings (rows, anchors) since the last frame; None where there is no row."""
+    heard = np.isfinite(rssi_dbm).any(axis=0) if len(rssi_dbm) else np.zeros(0, bool)
+    if not heard.any():
+        return None
+    return WifiScan(np.flatnonzero(heard).astype(np.int64) + 1, np.nanmean(rssi_dbm[:, heard], axis=0))
+
+
+def _scans(path: Path) -> tuple[Array, list[Array], list[Array]]:
+    """Times (scans,), and angles [rad] and ranges [m] of each scan; too near and too far ranges are 0: nothing told."""
+    text = _text(path)
+    times = re.findall(r"^(\d+\.\d+)\s*$", text, flags=re.MULTILINE)
+    try:
+        blocks = [np.array(block.split(), float) for block in re.findall(r"\[([^\]]*)\]", text)]
+    except ValueError as error:
+        raise DataError(f"{path} is no scan file: {error}; expected numbers in brackets") from error
+    angles, ranges = blocks[0::2], blocks[1::2]
+    if not times or not len(times) == len(angles) == len(ranges) or any(map(_differ, angles, ranges)):
+        raise DataError(f"{path} is no scan file or is cut off; expected a time, angles and ranges for each scan")
+    kept = [np.where((r > 100 * RANGE_MIN_M) & (r < 100 * RANGE_RELIABLE_M), 0.01 * r, 0.0) for r in ranges]
+    return np.array(times, float), [np.deg2rad(0.001 * a) for a in angles], kept
+
+
+def _differ(a: Array, b: Array) -> bool:
+    return len(a) != len(b)
+
+
+def _commanded(path: Path, times_s: Array) -> tuple[Array, Array]:
+    """Poses (k, 3) by the commands alone in the middle (k,) of each scan, and whether the robot turned during it."""
+    try:
+        lines = [line.split(",") for line in _text(path).splitlines() if line.strip()]
+        starts = np.array([float(line[0]) for line in lines])
+        speed = np.array([float(line[2]) for line in lines])
+        ahead = np.array([{"forward": 1.0, "reverse": -1.0}.get(line[1], 0.0) for line in lines]) * speed * SPEED_M_S
+        turn = np.array([TURN_RAD_S.get(line[1], 0.0) for line in lines]) * speed
+    except (ValueError, IndexError) as error:
+        raise DataError(f"{path} holds no commands: {error}; expected lines unix_s,command,speed") from error
+    at_start = np.zeros((len(starts), 3))
+    for k in range(1, len(starts)):
+        at_start[k] = compose(at_start[k - 1], _moved(ahead[k - 1], turn[k - 1], starts[k] - starts[k - 1]))
+    now = np.searchsorted(starts, times_s, side="right") - 1
+    poses = np.zeros((len(times_s), 3))
+    for i in np.flatnonzero(now >= 0):
+        k = now[i]
+        poses[i] = compose(at_start[k], _moved(ahead[k], turn[k], times_s[i] - starts[k]))
+    ends = np.append(starts[1:], np.inf)
+    turns = turn != 0.0
+    is_turning = [bool((turns & (starts < t + 0.5 * SCAN_S) & (ends > t - 0.5 * SCAN_S)).any()) for t in times_s]
+    return poses, np.array(is_turning)
+
+
+def _moved(ahead_m_s: float, turn_rad_s: float, time_s: float) -> Array:
+    """Motion at constant speeds; the robot never does both at once."""
+    return np.array([ahead_m_s * time_s, 0.0, turn_rad_s * time_s])
+
+
+def _text(path: Path) -> str:
+    try:
+        return gzip.decompress(path.read_bytes()).decode()
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
+        raise DataError(f"cannot read {path}: {error}; check the path or fetch the file again") from error
