@@ -25,9 +25,10 @@ def test_relations_between_robots_that_share_no_map_are_not_judged():
 def test_the_engine_betters_the_odometry_of_the_first_scans(tmp_path):
     parser = argparse.ArgumentParser()
     intel.add_arguments(parser)
-    options = parser.parse_args(["--scans", "120", "--robots", "1"])
+    options = parser.parse_args(["--scans", "120", "--robots", "1", "--particles", "4", "--seeds", "1"])
     runner = Runner("intel", tmp_path, {})
     table = {row["method"]: row for row in intel.rows(options, runner)}
     assert table["engine"]["relations"] == table["odometry"]["relations"] >= 10
     assert table["engine"]["translation_median_m"] < 0.6 * table["odometry"]["translation_median_m"]
+    assert table["particle filter, seed 0"]["rotation_median_deg"] < 0.6 * table["odometry"]["rotation_median_deg"]
     assert [path.stat().st_size > 10_000 for path in intel.draw(options, runner, tmp_path)] == [True]

@@ -58,7 +58,7 @@ def read_ble_drive(folder: str | Path, run: str, beam_count: int, range_max_m: f
     rssi_dbm = table[:, [header.index(f"rssi_{a}") for a in ANCHORS[run]]]
     frames: list[SensorFrame] = []
     last, tracked = 0, []
-    for k in np.flatnonzero(~is_turning):
+    for k in np.flatnonzero(~is_turning).tolist():
         last = k if not frames else last
         odometry = between(path[last], path[k])
         elapsed_s = float(times_s[k] - times_s[last])

@@ -9,7 +9,8 @@ a relation between robots that share no map counts as missed (`relations` counts
 Errors are means (and medians) over the hand-verified relations of the Freiburg SLAM benchmark that have both ends in
 the log. A few of them contradict GMapping's path and ours by the same angle, up to 24 degrees, so that the mean of the
 rotation error has a floor that no path gets below; `rotation_undisputed_deg` leaves out the relations that the log's
-corrected path (GMapping), which knows nothing of ours, contradicts by more than `DISPUTED_DEG`.
+corrected path (GMapping), which knows nothing of ours, contradicts by more than `DISPUTED_DEG`. The particle filter is
+our own baseline in GMapping's manner (`twc_env.slam.particle_filter`).
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ from twc_env.config import EnvConfig, from_dict
 from twc_env.datasets.scan_log import Relations, ScanLog, read_relations, read_scan_log, sensor_frames
 from twc_env.geometry import between, compose, wrap_angle
 from twc_env.messages import SensorFrame
-from twc_env.reproduce.runner import Runner, data_folder
+from twc_env.reproduce.runner import Runner, data_folder, parse_seeds
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.occupancy_grid import OccupancyGrid
+from twc_env.slam.particle_filter import ParticleFilterSettings, map_frames
 
 Array = NDArray
 
@@ -63,6 +65,8 @@ SETTINGS: dict = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument("--robots", type=int, nargs="+", default=[1, 3], help="pieces of the log (default: 1 3)")
+    parser.add_argument("--particles", type=int, default=20, help="of the particle filter (default: 20)")
+    parser.add_argument("--seeds", type=parse_seeds, default=[0, 1, 2], help="of the particle filter (default: 0-2)")
     parser.add_argument("--scans", type=int, default=910, help="only the first scans of the log (default: all)")
 
 
@@ -82,7 +86,20 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     ]
     for robots, run in zip(options.robots, _runs(options, runner), strict=True):
         table.append(row("engine", np.array(run["poses"]), np.array(run["group"]), relations, disputed, robots))
+    for seed, path in zip(options.seeds, _particle_paths(options, runner), strict=True):
+        table.append(row(f"particle filter, seed {seed}", np.array(path), alone, relations, disputed, 1))
     return table
+
+
+def _particle_paths(options: argparse.Namespace, runner: Runner) -> list:
+    log, _ = read_log(options.scans)
+    frames = sensor_frames(log, BEAMS, RANGE_MAX_M)
+    settings = ParticleFilterSettings(particles=options.particles)
+    return runner.each(
+        options.seeds,
+        lambda seed: map_frames(frames, settings, RANGE_MAX_M, seed)[0],
+        lambda seed: f"particle filter {seed}",
+    )
 
 
 def _runs(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -1,0 +1,284 @@
+"""Rao-Blackwellised particle filter with a grid map per particle, in the manner of GMapping: only a baseline.
+
+Each particle moves by odometry and noise, climbs to the best match of the scan with its own map, and draws its pose
+among samples around that match by the likelihood of scan and motion (the improved proposal of Grisetti, Stachniss,
+Burgard 2007, IEEE T-RO 23(1), with the draw in place of its Gaussian). Particles are drawn anew when the effective
+sample size falls below half (their Eq. 20). The answer is the path and the map of the heaviest particle at the end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.geometry import beam_directions
+from twc_env.messages import GridMap, SensorFrame
+
+Array = NDArray
+
+OCCUPIED_SHARE = 0.25
+"""A cell is wall when at least this share of the beams that came to it ended in it."""
+NO_WALL_CELLS = 1.5
+"""A beam that ends near no wall counts as one this many cells away from it."""
+CLIMB_STEP_M, CLIMB_STEP_RAD, CLIMB_HALVINGS = 0.1, 0.05, 5
+SAMPLE_STD = (0.02, 0.02, 0.005)
+"""Spread of the samples around a match [m, m, rad]."""
+MATCHED_SHARE_MIN = 0.2
+"""With fewer of the beams near walls of its map a particle follows odometry alone."""
+
+AWAY_MAX = 18.0
+"""Squared distance from odometry, in standard deviations, beyond which a match is no less likely: wheels may slip."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParticleFilterSettings:
+    """Settings of the filter; the motion's noise grows with distance and turn as in GMapping."""
+
+    particles: int = 20
+    samples: int = 20
+    """Poses tried around each particle's match."""
+    size_m: float = 80.0
+    """Side of the square maps; the robot starts in the middle."""
+    cell_m: float = 0.1
+    hit_std_m: float = 0.075
+    """Distance of a beam's end from its wall."""
+    correlation: float = 20.0
+    """So many beams of a scan count as one."""
+    distance_std_per_m: float = 0.1
+    distance_std_per_rad: float = 0.1
+    turn_std_per_m: float = 0.05
+    turn_std_per_rad: float = 0.1
+
+
+@njit(cache=True, error_model="numpy")
+def _is_wall(hits, visits, row, column):
+    return hits[row, column] > 0 and hits[row, column] >= OCCUPIED_SHARE * visits[row, column]
+
+
+@njit(cache=True, error_model="numpy")
+def _misfit(hits, visits, ends, inverse_m, points, n, x, y, heading):
+    """Sum of the beams' squared distances from walls [cells^2], and how many ended near one."""
+    rows, columns = hits.shape
+    c, s = math.cos(heading), math.sin(heading)
+    total, near = 0.0, 0
+    for i in range(n):
+        px, py = (
+            (x + c * points[i, 0] - s * points[i, 1]) * inverse_m,
+            (y + s * points[i, 0] + c * points[i, 1]) * inverse_m,
+        )
+        column, row = int(math.floor(px)), int(math.floor(py))
+        best = NO_WALL_CELLS**2
+        found = False
+        if 1 <= row < rows - 1 and 1 <= column < columns - 1:
+            for r in range(row - 1, row + 2):
+                for k in range(column - 1, column + 2):
+                    if _is_wall(hits, visits, r, k):
+                        dx, dy = ends[r, k, 0] / hits[r, k] - px, ends[r, k, 1] / hits[r, k] - py
+                        squared = dx * dx + dy * dy
+                        if squared < best:
+                            best, found = squared, True
+        total += best
+        near += found
+    return total, near
+
+
+@njit(cache=True, error_model="numpy")
+def _climb(hits, visits, ends, inverse_m, points, n, pose):
+    """Move pose (3,) to the nearest minimum of the misfit; gives that, and how many beams end near walls."""
+    step_m, step_rad = CLIMB_STEP_M, CLIMB_STEP_RAD
+    best, near = _misfit(hits, visits, ends, inverse_m, points, n, pose[0], pose[1], pose[2])
+    halvings = 0
+    while halvings < CLIMB_HALVINGS:
+        is_better = False
+        x, y, heading = pose[0], pose[1], pose[2]
+        for move in range(6):
+            sign = 1.0 if move % 2 == 0 else -1.0
+            dx = sign * step_m if move // 2 == 0 else 0.0
+            dy = sign * step_m if move // 2 == 1 else 0.0
+            turn = sign * step_rad if move // 2 == 2 else 0.0
+            value, count = _misfit(hits, visits, ends, inverse_m, points, n, x + dx, y + dy, heading + turn)
+            if value < best:
+                best, near, is_better = value, count, True
+                pose[0], pose[1], pose[2] = x + dx, y + dy, heading + turn
+        if not is_better:
+            step_m *= 0.5
+            step_rad *= 0.5
+            halvings += 1
+    return best, near
+
+
+@njit(cache=True, error_model="numpy")
+def _draw(hits, visits, ends, inverse_m, pose, ranges, range_max, directions):
+    """Count the cells that the beams of a scan came through (visits) and ended in (hits, and where: ends [cells])."""
+    rows, columns = hits.shape
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    x0, y0 = pose[0] * inverse_m, pose[1] * inverse_m
+    for i in range(ranges.shape[0]):
+        length = min(abs(ranges[i]), range_max) * inverse_m
+        dx, dy = c * directions[i, 0] - s * directions[i, 1], s * directions[i, 0] + c * directions[i, 1]
+        is_hit = 0.0 <= ranges[i] < range_max
+        last_row, last_column = int(math.floor(y0 + length * dy)), int(math.floor(x0 + length * dx))
+        steps = int(length / 0.7)
+        previous_row = previous_column = -1
+        for k in range(steps):
+            row, column = int(math.floor(y0 + 0.7 * k * dy)), int(math.floor(x0 + 0.7 * k * dx))
+            if row == previous_row and column == previous_column:
+                continue
+            previous_row, previous_column = row, column
+            if is_hit and row == last_row and column == last_column:
+                break
+            if 0 <= row < rows and 0 <= column < columns:
+                visits[row, column] += 1
+        if is_hit and 0 <= last_row < rows and 0 <= last_column < columns:
+            hits[last_row, last_column] += 1
+            visits[last_row, last_column] += 1
+            ends[last_row, last_column, 0] += x0 + length * dx
+            ends[last_row, last_column, 1] += y0 + length * dy
+
+
+@njit(cache=True, error_model="numpy")
+def _choose(hits, visits, ends, inverse_m, points, n, told, motion_std, scale, pick, tried, logs):
+    """Number of the pose drawn from tried (samples, 3) by likelihood of scan and motion, and the log of their mean."""
+    top = -np.inf
+    for k in range(tried.shape[0]):
+        misfit, _ = _misfit(hits, visits, ends, inverse_m, points, n, tried[k, 0], tried[k, 1], tried[k, 2])
+        away = math.hypot(tried[k, 0] - told[0], tried[k, 1] - told[1]) / motion_std[0]
+        turned = (tried[k, 2] - told[2]) / motion_std[2]
+        logs[k] = -scale * misfit - 0.5 * min(away * away + turned * turned, AWAY_MAX)
+        top = max(top, logs[k])
+    total = 0.0
+    for k in range(tried.shape[0]):
+        logs[k] = math.exp(logs[k] - top)
+        total += logs[k]
+    left, chosen = pick * total, 0
+    while chosen < tried.shape[0] - 1 and left >= logs[chosen]:
+        left -= logs[chosen]
+        chosen += 1
+    return chosen, top + math.log(total / tried.shape[0])
+
+
+@njit(cache=True, error_model="numpy")
+def _move(pose, motion, out):
+    """`geometry.compose`, with the heading left unwrapped."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    out[0] = pose[0] + c * motion[0] - s * motion[1]
+    out[1] = pose[1] + s * motion[0] + c * motion[1]
+    out[2] = pose[2] + motion[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _step(
+    poses, log_weights, hits, visits, ends, inverse_m, odometry, motion_std, moves, offsets, picks, ranges, range_max,
+    directions, hit_cells, correlation, is_first,
+):  # fmt: skip
+    """One scan: move, match, draw a pose, weigh and map, particle by particle.
+
+    moves (n, 3) standard normal, offsets (n, samples, 3) [m, m, rad] around the match, picks (n,) in [0, 1).
+    """
+    points = np.empty((ranges.shape[0], 2))
+    n = 0
+    for i in range(ranges.shape[0]):
+        if 0.0 <= ranges[i] < range_max:
+            points[n, 0], points[n, 1] = ranges[i] * directions[i, 0], ranges[i] * directions[i, 1]
+            n += 1
+    told, pose, tried, logs = np.empty(3), np.empty(3), np.empty(offsets.shape[1:]), np.empty(offsets.shape[1])
+    scale = 0.5 / (hit_cells * hit_cells * correlation)
+    for p in range(poses.shape[0]):
+        if not is_first:
+            _move(poses[p], odometry, told)
+            _move(poses[p], odometry + motion_std * moves[p], pose)
+            poses[p] = pose
+            _, near = _climb(hits[p], visits[p], ends[p], inverse_m, points, n, pose)
+            if near >= MATCHED_SHARE_MIN * n:
+                tried[:] = pose + offsets[p]
+                chosen, log_mean = _choose(
+                    hits[p], visits[p], ends[p], inverse_m, points, n, told, motion_std, scale, picks[p], tried, logs
+                )
+                poses[p] = tried[chosen]
+                log_weights[p] += log_mean
+            else:
+                log_weights[p] -= scale * n * NO_WALL_CELLS**2
+        _draw(hits[p], visits[p], ends[p], inverse_m, poses[p], ranges, range_max, directions)
+
+
+class ParticleFilter:
+    """Mapping by particles; feed it the frames of one robot in order."""
+
+    def __init__(self, settings: ParticleFilterSettings, range_max_m: float, rng: np.random.Generator):
+        self._settings, self._range_max_m, self._rng = settings, range_max_m, rng
+        cells, count = int(round(settings.size_m / settings.cell_m)), settings.particles
+        self._hits, self._visits = (np.zeros((count, cells, cells), np.int16) for _ in range(2))
+        self._ends = np.zeros((count, cells, cells, 2), np.float32)
+        self._poses = np.tile([0.5 * settings.size_m, 0.5 * settings.size_m, 0.0], (count, 1))
+        self._log_weights = np.zeros(count)
+        self._past: list[Array] = []
+        self._parents: list[Array] = []
+        self.resamplings = 0
+        """How often the particles were drawn anew."""
+
+    def update(self, frame: SensorFrame) -> None:
+        """Take in the next frame."""
+        rule, count = self._settings, self._settings.particles
+        moved, turned = float(np.hypot(*frame.odometry[:2])), abs(float(frame.odometry[2]))
+        std_m = rule.distance_std_per_m * moved + rule.distance_std_per_rad * turned + 1e-3
+        std_rad = rule.turn_std_per_m * moved + rule.turn_std_per_rad * turned + 1e-3
+        parents = np.arange(count)
+        if self._past:
+            parents = self._resample()
+        _step(
+            self._poses, self._log_weights, self._hits, self._visits, self._ends, 1.0 / rule.cell_m,
+            np.asarray(frame.odometry, float), np.array([std_m, std_m, std_rad]), self._rng.normal(size=(count, 3)),
+            self._rng.normal(size=(count, rule.samples, 3)) * SAMPLE_STD, self._rng.random(count), frame.ranges_m,
+            self._range_max_m, beam_directions(len(frame.ranges_m)), rule.hit_std_m / rule.cell_m, rule.correlation,
+            not self._past,
+        )  # fmt: skip
+        self._past.append(self._poses.copy())
+        self._parents.append(parents)
+
+    def _resample(self) -> Array:
+        """Draw the particles anew where few carry all the weight; the number of each one's parent."""
+        count = len(self._poses)
+        weights = np.exp(self._log_weights - self._log_weights.max())
+        weights /= weights.sum()
+        if 1.0 / (weights**2).sum() >= 0.5 * count:
+            return np.arange(count)
+        places = (np.arange(count) + self._rng.random()) / count
+        parents = np.minimum(np.searchsorted(np.cumsum(weights), places), count - 1)
+        for array in (self._poses, self._hits, self._visits, self._ends):
+            array[:] = array[parents]
+        self._log_weights[:] = 0.0
+        self.resamplings += 1
+        return parents
+
+    def path(self) -> Array:
+        """(frames, 3) of the heaviest particle, from where it started."""
+        particle = int(np.argmax(self._log_weights))
+        poses = np.empty((len(self._past), 3))
+        for k in range(len(poses) - 1, -1, -1):
+            poses[k] = self._past[k][particle]
+            particle = self._parents[k][particle]
+        poses[:, :2] -= 0.5 * self._settings.size_m
+        return poses
+
+    def grid(self) -> GridMap:
+        """The map of the heaviest particle: walls above 0, free below."""
+        particle, rule = int(np.argmax(self._log_weights)), self._settings
+        hits, visits = self._hits[particle], self._visits[particle]
+        is_wall = (hits > 0) & (hits >= OCCUPIED_SHARE * visits)
+        log_odds = np.where(is_wall, 20, np.where(visits > 0, -20, 0)).astype(np.int16)
+        return GridMap(log_odds, np.full(2, -0.5 * rule.size_m), rule.cell_m)
+
+
+def map_frames(
+    frames: Iterable[SensorFrame], settings: ParticleFilterSettings, range_max_m: float, seed: int
+) -> tuple[Array, GridMap]:
+    """Path (frames, 3) and map of a whole log of one robot."""
+    particles = ParticleFilter(settings, range_max_m, np.random.default_rng(seed))
+    for frame in frames:
+        particles.update(frame)
+    return particles.path(), particles.grid()
