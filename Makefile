@@ -4,7 +4,7 @@ PY := .venv/bin/python
 INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PINS := pyproject.toml constraints.txt
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-bounds check clean
+.PHONY: help setup demo test test-bounds test-ray check clean
 
 help: ## list the commands
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 16
@@ -43,6 +43,15 @@ test: .venv/installed-test ## all tests, training included (installs torch)
 test-bounds: .venv/installed-test ## the engine's tests with numba's bounds checks (own kernel cache; slow)
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PY) -m pytest -q tests/slam tests/exploration
 
+.venv-ray/installed: pyproject.toml
+	$(PYTHON) -m venv .venv-ray
+	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray]' pytest hypothesis
+	@touch $@
+
+test-ray: .venv-ray/installed ## RLlib plays a team (in .venv-ray: ray asks for an older gymnasium)
+	.venv-ray/bin/python -c 'import ray.rllib'
+	.venv-ray/bin/python -m pytest -q -k "rllib or RLlib" tests/test_tools.py tests/test_docs_tools.py
+
 clean: ## delete caches and runs, keep .venv
 	rm -rf runs build dist .numba_bounds .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
+	find . -name __pycache__ -not -path './.venv*' -prune -exec rm -rf {} +

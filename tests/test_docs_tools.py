@@ -1,0 +1,38 @@
+"""The snippets of docs/tools.md run as they stand."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import twc_env
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "docs/tools.md").read_text()
+SNIPPETS = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?```python\n(.*?)```", TEXT, flags=re.DOTALL | re.MULTILINE))
+NEEDS = {"stable-baselines3": "stable_baselines3", "TorchRL": "torchrl", "RLlib": "ray", "Seeing it": "PIL"}
+
+
+@pytest.mark.parametrize("heading", SNIPPETS)
+def test_a_snippet_runs(heading, tmp_path):
+    module = NEEDS.get(heading, "numpy")
+    if importlib.util.find_spec(module) is None:
+        pytest.skip(f"needs {module}")
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", SNIPPETS[heading]],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_page_names_every_tool_and_every_task():
+    assert {*NEEDS, "Gymnasium, vectorised", "Copies and moments"} == SNIPPETS.keys()
+    assert set(re.findall(r"`(twc/[\w-]+)`", TEXT)) == set(twc_env.TASKS)

@@ -1,0 +1,157 @@
+"""The tools that must accept the environment: each does a few real steps with it."""
+
+import importlib
+import pickle
+from functools import partial
+
+import gymnasium
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env.errors import ConfigError
+
+ID = "twc/Explore-v0"
+SMALL = {"lidar.beam_count": 60}
+
+
+def needs(*modules: str, extra: str):
+    """The last of some modules, or a skip that names the extra."""
+    found = [pytest.importorskip(name, reason=f"needs the extra {extra!r}") for name in modules]
+    return found[-1]
+
+
+def make_alone():
+    return gymnasium.make(ID, max_cycles=8, config=SMALL)
+
+
+@pytest.mark.parametrize("mode", [gymnasium.vector.AutoresetMode.NEXT_STEP, gymnasium.vector.AutoresetMode.SAME_STEP])
+def test_gymnasium_makes_a_vector_of_the_single_view_with_the_autoreset_mode_it_declares(mode):
+    envs = gymnasium.make_vec(
+        ID, 2, "sync", vector_kwargs={"autoreset_mode": mode}, max_cycles=8, config=SMALL, map="twin-01"
+    )
+    assert envs.metadata["autoreset_mode"] is mode
+    observations, _ = envs.reset(seed=3)
+    alone = make_alone()
+    assert np.array_equal(observations["lidar"][0], alone.reset(seed=3)[0]["lidar"])
+    actions = np.full((2, 2), 0.5, np.float32)
+    ends = []
+    for _ in range(10):
+        observations, rewards, _, truncated, _ = envs.step(actions)
+        ends.append(bool(truncated.all()))
+        assert rewards.shape == (2,)
+    assert [k for k, is_end in enumerate(ends) if is_end] == [7]
+    assert envs.observation_space.contains(observations)
+    envs.close()
+
+
+def test_gymnasium_runs_the_single_view_in_processes_as_it_does_in_one():
+    played = []
+    for kind in (gymnasium.vector.SyncVectorEnv, partial(gymnasium.vector.AsyncVectorEnv, context="spawn")):
+        envs = kind([make_alone], autoreset_mode=gymnasium.vector.AutoresetMode.NEXT_STEP)
+        envs.reset(seed=5)
+        for _ in range(4):
+            observations, *_ = envs.step(np.full((1, 2), 0.5, np.float32))
+        played.append({key: block.copy() for key, block in observations.items()})
+        envs.close()
+    assert all(np.array_equal(played[0][key], played[1][key]) for key in played[0])
+
+
+def test_stable_baselines_trains_one_policy_for_all_robots():
+    ppo = needs("torch", "stable_baselines3", extra="train").PPO
+    from twc_env.sb3 import TeamVecEnv
+
+    envs = TeamVecEnv(2, {**SMALL, "robots": 2, "max_cycles": 8, "observation.kind": "flat"})
+    model = ppo("MlpPolicy", envs, n_steps=8, batch_size=16, n_epochs=1, seed=0, device="cpu")
+    before = [p.detach().clone() for p in model.policy.parameters()]
+    model.learn(32)
+    assert model.num_timesteps == 32
+    assert any(bool((a != b).any()) for a, b in zip(before, model.policy.parameters(), strict=True))
+    envs.close()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning", "ignore::FutureWarning")
+def test_torchrl_rolls_a_team_out():
+    needs("torch", "tensordict", extra="torchrl")
+    wrapper = needs("torchrl.envs.libs.pettingzoo", extra="torchrl").PettingZooWrapper
+    check = importlib.import_module("torchrl.envs.utils").check_env_specs
+
+    team = twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL)
+    env = wrapper(team, categorical_actions=True)
+    env.set_seed(3)
+    rollout = env.rollout(20)
+    robots = rollout["next", "robot"]
+    assert rollout.batch_size == (8,)
+    assert robots["reward"].shape == (8, 2, 1)
+    assert robots["observation", "lidar"].shape == (8, 2, 60)
+    assert bool(robots["truncated"][-1].all())
+    assert float(robots["reward"].sum()) > 0
+    check(wrapper(twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL)))
+    env.close()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_rllib_plays_a_team():
+    needs("ray", "ray.rllib", extra="ray")
+    wrapper = needs("ray.rllib.env.wrappers.pettingzoo_env", extra="ray").ParallelPettingZooEnv
+    env = wrapper(twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL))
+    observations, _ = env.reset(seed=3)
+    spaces = env.get_observation_space("robot_0")
+    assert set(observations) == {"robot_0", "robot_1"}
+    assert all(spaces.contains(observation) for observation in observations.values())
+    steps, is_over, paid = 0, False, 0.0
+    while not is_over:
+        actions = {agent: env.get_action_space(agent).sample() for agent in observations}
+        observations, rewards, _, truncations, _ = env.step(actions)
+        steps, is_over, paid = steps + 1, truncations["__all__"], paid + sum(rewards.values())
+    assert steps == 8
+    assert paid > 0
+    env.close()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_gymnasium_records_a_video_of_the_single_view(tmp_path):
+    needs("moviepy", extra="moviepy of gymnasium[other]")
+    env = gymnasium.wrappers.RecordVideo(
+        gymnasium.make(ID, max_cycles=8, config=SMALL, render_mode="rgb_array"), str(tmp_path), disable_logger=True
+    )
+    env.reset(seed=0)
+    for _ in range(8):
+        env.step(np.array([0.5, 0.1], np.float32))
+    env.close()
+    assert [path.suffix for path in tmp_path.glob("*.mp4")] == [".mp4"]
+
+
+def test_a_team_is_filmed_one_file_for_each_episode(tmp_path):
+    image = pytest.importorskip("PIL.Image", reason="needs the extra 'viz'")
+    from twc_env.video import RecordEpisodes
+
+    env = RecordEpisodes(
+        twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL, render_mode="rgb_array"), tmp_path / "films", every=2
+    )
+    for seed in (0, 1):
+        env.reset(seed=seed)
+        while env.agents:
+            env.step({agent: np.array([0.9, 0.5], np.float32) for agent in env.agents})
+    env.reset(seed=2)
+    env.close()
+    assert sorted(path.name for path in (tmp_path / "films").iterdir()) == ["episode-0.gif", "episode-1.gif"]
+    with image.open(tmp_path / "films" / "episode-0.gif") as film:
+        assert film.n_frames == 5
+        assert film.info["duration"] == 200  # two time steps of a tenth of a second
+
+
+def test_filming_needs_pictures_and_changes_nothing(tmp_path, same_last=("lidar", "map")):
+    from twc_env.video import RecordEpisodes
+
+    with pytest.raises(ConfigError, match="rgb_array"):
+        RecordEpisodes(twc_env.parallel_env(), tmp_path)
+    plain = twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL, render_mode="rgb_array")
+    filmed = RecordEpisodes(pickle.loads(pickle.dumps(plain)), tmp_path)
+    seen = []
+    for env in (plain, filmed):
+        env.reset(seed=4)
+        for _ in range(5):
+            observations, *_ = env.step({agent: np.array([0.9, 0.5], np.float32) for agent in env.agents})
+        seen.append(observations["robot_1"])
+    assert all(np.array_equal(seen[0][key], seen[1][key]) for key in same_last)
