@@ -30,7 +30,7 @@ def _parser() -> argparse.ArgumentParser:
     ppo = commands.add_parser("ppo", help="train with proximal policy optimisation")
     ppo.add_argument("--map", help="one bundled map or map file, instead of small generated buildings")
     ppo.add_argument(
-        "--area", type=float, default=120.0, help="floor of generated buildings [m2] (default %(default)s)"
+        "--area", type=float, default=250.0, help="floor of generated buildings [m2] (default %(default)s)"
     )
     ppo.add_argument("--robots", type=int, default=2, help="robots per team (default %(default)s)")
     ppo.add_argument("--steps", type=int, default=60_000, help="decisions of all robots (default %(default)s)")

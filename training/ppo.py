@@ -55,16 +55,27 @@ class MaskedPolicy(MultiInputActorCriticPolicy):
 
     _mask: torch.Tensor
 
-    def extract_features(self, obs, features_extractor=None):
-        """Remember the mask of the observations whose features are asked for."""
-        if "action_mask" in obs:
-            self._mask = obs["action_mask"].reshape(len(obs["action_mask"]), -1) > 0
-        return super().extract_features(obs, features_extractor)
+    def forward(self, obs, deterministic: bool = False):
+        """Act, and say what it is worth."""
+        self._remember(obs)
+        return super().forward(obs, deterministic)
+
+    def evaluate_actions(self, obs, actions: torch.Tensor):
+        """How likely actions are now, and what they are worth."""
+        self._remember(obs)
+        return super().evaluate_actions(obs, actions)
+
+    def get_distribution(self, obs):
+        """The choices with their probabilities; `predict` asks for it."""
+        self._remember(obs)
+        return super().get_distribution(obs)
+
+    def _remember(self, obs) -> None:
+        mask = obs["action_mask"]
+        self._mask = mask.reshape(len(mask), -1) > 0
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
-        logits = self.action_net(latent_pi)
-        if hasattr(self, "_mask"):
-            logits = logits.masked_fill(~self._mask, -1e9)
+        logits = self.action_net(latent_pi).masked_fill(~self._mask, -1e9)
         return self.action_dist.proba_distribution(action_logits=logits)
 
 

@@ -14,6 +14,7 @@ HELD_OUT_SEED = 100_000
 """Generated buildings from this seed on are never trained in."""
 SMALL_VIEW = {
     "action.kind": "frontier",
+    "action.timing": "asynchronous",
     "observation.lidar": False,
     "observation.map": False,
     "observation.wifi": False,
@@ -30,7 +31,7 @@ class Task:
     """One bundled map or map file to learn and to be judged in; None: generated buildings."""
     kinds: tuple[str, ...] = ("office", "ring", "ward")
     """Of generated buildings, in turns."""
-    area_m2: float = 120.0
+    area_m2: float = 250.0
     buildings: int = 300
     """Generated buildings to train in."""
     robots: int = 2

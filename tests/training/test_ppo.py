@@ -151,3 +151,22 @@ def test_without_torch_the_error_names_what_to_install():
 def test_seeds_are_read_from_ranges_and_lists():
     assert seeds_of("0-4") == [0, 1, 2, 3, 4]
     assert seeds_of("1,5,7-8") == [1, 5, 7, 8]
+
+
+@needs_torch
+def test_a_choice_that_the_mask_rules_out_is_never_taken(run):
+    import numpy as np
+    from stable_baselines3 import PPO
+
+    from training.run_folder import read_settings, task_of
+
+    model = PPO.load(run / "model.zip", device="cpu")
+    observation = {
+        name: np.zeros((1, *space.shape), space.dtype) for name, space in model.observation_space.spaces.items()
+    }
+    assert task_of(read_settings(run)) == small_task()
+    for only in range(observation["action_mask"].shape[1]):
+        observation["action_mask"][:] = 0
+        observation["action_mask"][0, only] = 1
+        for deterministic in (True, False):
+            assert model.predict(observation, deterministic=deterministic)[0].tolist() == [only]
