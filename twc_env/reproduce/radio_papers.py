@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import RADIO_PRESETS, RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
-from twc_env.datasets.k_visibility_log import read_k_visibility_log
+from twc_env.datasets.sfw_authors import read_authors_walk
 from twc_env.maps import load_map
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio_study import Figures, Study, similarity_figures
@@ -112,9 +112,9 @@ def k_visibility_studies() -> Iterator[Study]:
     for experiment, role in (("E3", "calibrated"), ("E5", "reported")):
 
         def real(folder: Path, quick: bool, experiment=experiment) -> Figures:
-            log = read_k_visibility_log(folder / "sfw_authors", experiment)
-            low_band = [k for k, signal in enumerate(log.signals) if not signal.endswith("_5")]
-            return _class_figures([log.rssi_dbm[:, k] for k in low_band])
+            walk = read_authors_walk(folder / "sfw_authors", 1 if experiment == "E3" else 2)
+            low_band = range(0, walk.rssi_dbm.shape[1], 2)  # each router's 2.4 GHz stands before its 5 GHz
+            return _class_figures([walk.rssi_dbm[:, k] for k in low_band])
 
         def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool, experiment=experiment) -> Figures:
             length_m, step_m, window = _WALKS[experiment]
