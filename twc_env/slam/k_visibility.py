@@ -23,6 +23,7 @@ from twc_env.slam.k_visibility_signal import (
     fit_signal,
     locate_router,
     smooth_along_path,
+    typical_signal,
 )
 from twc_env.slam.wall_candidates import WallCandidates, wall_candidates
 from twc_env.slam.wall_sampler import COUPLING, find_crossings, sample_walls
@@ -34,7 +35,7 @@ STANDOFF_M = 0.3
 _COOLING = (3.0, 2.0, 1.5, 1.0, 3.0, 2.0, 1.5, 1.2, 1.0, 1.0, 1.0)
 _TRIES = (0, 1, None)
 """Annealing can end in a poor optimum: it is tried with walls right of the path alone, left alone and on both sides,
-before all are let in; the best result counts."""
+before all are let in, and from the signal as fitted as from a typical one; the best result counts."""
 _FIXED_ROUNDS = 4
 """Rounds in which the signal's parameters stay as the signal model gave them."""
 _OPEN_ROUNDS, _BARRED_ODDS = 3, -10.0
@@ -107,12 +108,15 @@ def map_structure(
     else:
         router_m = np.asarray(router_m, float).reshape(-1, 2)
         fits = [fit_signal(bins, r, router_m[r]) for r in range(count)]
+    typical = [typical_signal(bins, r, place) for r, place in enumerate(router_m)]
     standoff = STANDOFF_M if standoff_m is None else standoff_m
     for _ in range(1 if standoff_m is not None else 3):
         candidates = wall_candidates(bins.position_m, standoff)
-        tries = [_Solver(bins, router_m, fits, candidates, standoff, seed) for _ in _TRIES]
-        for solver, barred in zip(tries, _TRIES, strict=True):
+        tries = []
+        for start, barred in [(fits, side) for side in _TRIES] + [(typical, side) for side in _TRIES[:2]]:
+            solver = _Solver(bins, router_m, start, candidates, standoff, seed)
             solver.solve(barred)
+            tries.append(solver)
         solver = min(tries, key=lambda solver: solver.energy)
         seen = solver.standoff_m()
         if standoff_m is not None or seen is None or abs(seen - standoff) < 0.01:

@@ -36,6 +36,7 @@ _JUMP_DECAY = 0.15
 """How much rarer each further wall in one jump of k is."""
 _CORRELATION_M = 0.3
 """Binned readings within this length count as one, for their shadowing is the same."""
+_TYPICAL_EXPONENT, _TYPICAL_LOSS_DB, _TYPICAL_CLEAR = 1.6, 8.0, 0.9
 _NOISE_MIN_DB, _NOISE_MAX_DB = 1.0, 6.0
 _HEARD_REACH = 3
 """Bins on either side over which the share of readings that heard a router is taken."""
@@ -201,6 +202,17 @@ def fit_signal(bins: PathBins, router: int, router_m: Array, k_max: int | None =
             key=lambda fit: fit.log_likelihood - 0.5 * np.log(effective) * fit.probability.shape[1],
         )
     return best
+
+
+def typical_signal(bins: PathBins, router: int, router_m: Array) -> SignalFit:
+    """A start for those who estimate further: usual exponent and wall loss, power from the strongest readings."""
+    distance = np.linalg.norm(bins.position_m - router_m, axis=1)
+    rows, decades, level, _ = _heard(bins, router, distance)
+    power = float(np.quantile(level + _TYPICAL_EXPONENT * decades, _TYPICAL_CLEAR))
+    walls = np.clip(np.round((power - _TYPICAL_EXPONENT * decades - level) / _TYPICAL_LOSS_DB), 0, K_MAX).astype(int)
+    probability = np.eye(K_MAX + 1)[walls]
+    everywhere = probability[np.clip(np.searchsorted(rows, np.arange(len(distance))), 0, len(rows) - 1)]
+    return SignalFit(power, _TYPICAL_EXPONENT, _TYPICAL_LOSS_DB, 3.0, everywhere, -np.inf)
 
 
 def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
