@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from agents import benchmark, picture
+from agents import benchmark, picture, radio_prior
 from agents.explore import Progress, explore, table_of, write_json, write_run
 from agents.policy import make_policy, policy_names
 from twc_env import ConfigError, EnvConfig, TwcError, load_map, map_names
@@ -110,6 +110,16 @@ def _benchmark(options: argparse.Namespace) -> int:
     return 130 if was_interrupted else 0
 
 
+def _radio_prior(options: argparse.Namespace) -> int:
+    maps = [f"test/{number:04d}" for number in range(options.buildings)]
+    found = radio_prior.compare(maps, options.steps, options.out, lambda text: print(text, file=sys.stderr))
+    for name, seconds, reached in zip(maps, found.seconds, found.reached, strict=True):
+        print(name, *(f"{s:7.1f} s{'' if ok else ' (not reached)'}" for s, ok in zip(seconds, reached, strict=True)))
+    low, high = found.interval_s
+    print(f"saved by the radio map: {found.saved_s:.1f} s, 95 % interval {low:.1f} to {high:.1f} s")
+    return 0
+
+
 def _config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
     """Defaults, then the file, then the options, then --set."""
     config = load(options.config) if options.config else EnvConfig()
@@ -149,6 +159,11 @@ def _parser() -> argparse.ArgumentParser:
     many.add_argument("--out", type=Path, default=Path("runs/benchmark"), help="folder of all runs")
     many.add_argument("--jobs", type=_natural, default=1, help="processes (default: 1)")
     many.set_defaults(run=_benchmark)
+    prior = _command(commands, "radio-prior", "exploration with the map from radio against without, in pairs", "")
+    prior.add_argument("--buildings", type=_natural, default=8, help="test buildings (default: %(default)s)")
+    prior.add_argument("--steps", type=_natural, default=3000, help="steps at most (default: %(default)s)")
+    prior.add_argument("--out", type=Path, default=Path("runs/radio-prior"), help="finished episodes (%(default)s)")
+    prior.set_defaults(run=_radio_prior)
     for command in (one, many):
         command.add_argument("--agent", default="nearest-frontier", help=f"one of {', '.join(policy_names())}")
         command.add_argument("--robots", type=_natural, help="number of robots (default: 3)")

@@ -380,7 +380,12 @@ class NearestFrontier:
             penalty[np.arange(len(penalty)) != own] += explorer.change_penalty_m if own else 0.0
         if not np.isfinite(penalty[1:]).any():
             return None
+        penalty = penalty + self.extra_penalty_m(belief, centres)
         return self._finder.cheapest(terrain, robot.pose[:2], terrain.labels, penalty, discs)
+
+    def extra_penalty_m(self, belief: Belief, centres_m: Array) -> Array:
+        """(frontiers,) metres of detour by which frontiers at centres (frontiers, 2) are less wanted; none here."""
+        return np.zeros(len(centres_m))
 
     def _banned(self, robot: _Robot, belief: Belief, beliefs: dict[str, Belief]) -> list[Array]:
         """Places of goals that failed lately: the robot's own, and its mates' after repeated failure."""

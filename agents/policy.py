@@ -9,6 +9,7 @@ from typing import Protocol
 from numpy.typing import NDArray
 
 from agents.nearest_frontier import NearestFrontier
+from agents.radio_frontier import RadioFrontier
 from agents.random_walk import RandomWalk
 from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError
@@ -28,7 +29,11 @@ class Policy(Protocol):
         """Whether there is nothing left worth doing; an episode may end early then."""
 
 
-_POLICIES: dict[str, type[Policy]] = {"nearest-frontier": NearestFrontier, "random": RandomWalk}
+_POLICIES: dict[str, type[Policy]] = {
+    "nearest-frontier": NearestFrontier,
+    "radio-frontier": RadioFrontier,
+    "random": RandomWalk,
+}
 
 
 def policy_names() -> tuple[str, ...]:

@@ -1,0 +1,37 @@
+"""The nearest-frontier team with a prior from radio: frontiers with floor beyond, as signal strength tells, come first."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.nearest_frontier import NearestFrontier
+from twc_env.messages import Belief
+
+Array = NDArray
+
+REACH_M = 4.0
+"""How far beyond a frontier unseen floor counts."""
+METRES_PER_M2 = 0.3
+"""Detour that one square metre of floor told by radio is worth."""
+BONUS_MAX_M = 6.0
+
+
+class RadioFrontier(NearestFrontier):
+    """Needs `slam.k_visibility.enabled`; without a radio map it is the nearest-frontier team."""
+
+    def extra_penalty_m(self, belief: Belief, centres_m: Array) -> Array:
+        """(frontiers,) less for those beyond which radio tells free floor that no scan has seen."""
+        radio, grid = belief.radio_map, belief.grid
+        if radio is None or grid.log_odds.size == 0:
+            return np.zeros(len(centres_m))
+        free = np.argwhere(radio.log_odds < 0)
+        places = radio.centre_of(free)
+        at = grid.cell_of(places)
+        inside = np.all((at >= 0) & (at < grid.log_odds.shape), axis=1)
+        is_known = np.zeros(len(places), bool)
+        is_known[inside] = grid.log_odds[tuple(at[inside].T)] != 0
+        unseen = places[~is_known]
+        area_m2 = np.array([np.sum(np.hypot(*(unseen - centre).T) < REACH_M) for centre in centres_m])
+        bonus = np.minimum(area_m2 * radio.resolution_m**2 * METRES_PER_M2, BONUS_MAX_M)
+        return bonus.max(initial=0.0) - bonus
