@@ -1,4 +1,4 @@
-"""The nearest-frontier team with a prior from radio: frontiers with floor beyond, as signal strength tells, come first."""
+"""The nearest-frontier team with a prior from radio: frontiers beyond which signal strength tells floor come first."""
 
 from __future__ import annotations
 
