@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plans", type=int, default=30, help="how many, the smallest files first (default: %(default)s)"
     )
-    parser.add_argument("--area-max", type=float, default=400.0, help="floor area [m2] (default: %(default)s)")
+    parser.add_argument("--area-max", type=float, default=200.0, help="floor area [m2] (default: %(default)s)")
     parser.add_argument("--out", type=Path, default=Path("runs/sfw-houseexpo"), help="pictures (default: %(default)s)")
 
 
