@@ -22,7 +22,7 @@ help: ## list the commands
 	@touch $@
 
 .venv/installed-test: $(PINS) | .venv/bin/python
-	$(INSTALL) torch -e '.[viz,dev,train]'
+	$(INSTALL) torch -e '.[viz,dev,train,ocr]'
 	@touch $@
 
 setup: .venv/installed-dev ## .venv with everything but torch
@@ -37,7 +37,7 @@ check: .venv/installed-dev ## format, lint, types, import arrows
 	$(PY) -m mypy
 	$(PY) -m pytest -q tests/test_architecture.py
 
-test: .venv/installed-test ## all tests, training included (installs torch)
+test: .venv/installed-test ## all tests, training and OCR included (installs torch and onnxruntime)
 	$(PY) -m pytest -q
 
 test-bounds: .venv/installed-test ## the engine's tests with numba's bounds checks (own kernel cache; slow)

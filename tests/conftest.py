@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from twc_env.errors import ConfigError
 from twc_env.geometry import wrap_angle
+from twc_env.world import ocr
 
 # The first call of a kernel compiles it, which no deadline should judge; CI draws the same examples in every run.
 settings.register_profile("twc_env", deadline=None, derandomize="CI" in os.environ)
@@ -30,3 +32,12 @@ def wander_by_scan(ranges_m: np.ndarray, step: int = 0, robot: int = 0) -> np.nd
 @pytest.fixture(scope="session")
 def wander():
     return wander_by_scan
+
+
+@pytest.fixture(scope="session")
+def real_ocr():
+    """Skips where the extra `ocr` is not installed or cannot be loaded."""
+    try:
+        ocr.require()
+    except ConfigError as error:
+        pytest.skip(str(error))

@@ -1,4 +1,4 @@
-"""Command line: python -m twc_env maps | bench | soak | record | replay | reproduce."""
+"""Command line: python -m twc_env maps | ocr | bench | soak | record | replay | reproduce."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from twc_env.errors import ConfigError, TwcError
 from twc_env.maps_cli import add_maps_parser
+from twc_env.ocr_cli import add_ocr_parser
 from twc_env.reproduce.runner import TABLES, add_parser
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     add_maps_parser(commands)
+    add_ocr_parser(commands)
 
     speed = commands.add_parser(
         "bench",

@@ -190,18 +190,32 @@ class RadioConfig(_Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignsConfig(_Checked):
-    """Which signs are read, and how OCR misreads them."""
+    """The camera: which signs are in view, how well their letters show, and how OCR reads them."""
 
+    reader: str = _choice("fast", "paddle", "simple")
+    """`fast` draws from the measured table, `paddle` runs a real OCR on a picture of each sign (slow; extra `ocr`),
+    `simple` takes the same two probabilities for every sign."""
     period_s: float = _number(0.5, 0.01, 60.0)
     range_max_m: float = _number(4.0, 0.1, 50.0)
     field_of_view_rad: float = _number(2.6, 0.1, 2 * math.pi)
     incidence_max_rad: float = _number(1.05, 0.1, math.pi / 2)
     """Largest angle between the line of sight and the sign's normal."""
+    focal_length_px: float = _number(740.0, 10.0, 100_000.0)
+    """Pixels per radian: 740 spreads 1920 pixels over the field of view."""
+    character_height_m: float = _number(0.05, 0.002, 2.0)
+    """Height of the capitals on all signs."""
+    height_min_px: float = _number(5.0, 1.0, 1000.0)
+    """Signs with lower capitals in the picture are not looked at."""
+    exposure_s: float = _number(0.005, 0.0, 1.0)
+    """While it lasts, turning and passing by smear the picture."""
+    robots_hide: bool = True
+    """Whether other robots hide the letters behind them."""
     bearing_noise_std_rad: float = _number(0.01, 0.0, 0.5)
     range_noise_std_m: float = _number(0.03, 0.0, 1.0)
     fragment_probability: float = _number(0.07, 0.0, 1.0)
-    """Chance that a reading is a fragment (10 to 45 % of the characters)."""
+    """Of `simple`: chance that a reading is a fragment (10 to 45 % of the characters)."""
     character_error_probability: float = _number(0.03, 0.0, 1.0)
+    """Of `simple`: chance that a character is changed, lost or doubled with another."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,9 +5,10 @@ import pytest
 
 from twc_env.config import SignsConfig
 from twc_env.world.floorplan import Floorplan, Sign, validate
-from twc_env.world.signs import SignCamera, misread
+from twc_env.world.misreading import misread
+from twc_env.world.signs import SignCamera
 
-CLEAR = {"fragment_probability": 0.0, "character_error_probability": 0.0}
+CLEAR = {"reader": "simple", "fragment_probability": 0.0, "character_error_probability": 0.0}
 EXACT = {**CLEAR, "bearing_noise_std_rad": 0.0, "range_noise_std_m": 0.0}
 
 
@@ -124,10 +125,73 @@ def test_substitutions_prefer_the_character_that_looks_alike():
 
 
 def test_a_reading_always_has_its_source_even_when_text_is_lost():
-    config = {"fragment_probability": 0.0, "character_error_probability": 1.0}
+    config = {**CLEAR, "character_error_probability": 1.0}
     plan = room()
     device = SignCamera(SignsConfig(**config), plan, 0, 0)
     for _ in range(200):
         readings, sources = device.read(np.array([3.0, 5.0, math.pi]))
         assert len(readings) == len(sources)
         assert all(r.text.strip() for r in readings)
+
+
+def test_small_letters_far_away_are_not_looked_at():
+    device = camera(range_max_m=8.0, focal_length_px=500.0, character_height_m=0.05, height_min_px=5.0)
+    assert device.legible(towards_sign(4.9, 5.0)) == (0,)
+    assert device.legible(towards_sign(5.1, 5.0)) == ()
+
+
+def rate_read(config: dict, pose, previous=None, robots=None, count=300) -> float:
+    """Share of readings that are right, every one by a new camera."""
+    plan, right = room(), 0
+    for seed in range(count):
+        device = SignCamera(SignsConfig(**config), plan, 0, seed)
+        readings, _ = device.read(np.array(pose), previous, robots)
+        right += any(r.text == "SIGN 0" for r in readings)
+    return right / count
+
+
+def test_texts_are_read_worse_from_far_away_obliquely_and_while_turning():
+    facing = math.pi
+    near = rate_read({}, [1.5, 5.0, facing])
+    assert near > 0.5
+    assert rate_read({"range_max_m": 8.0}, [6.0, 5.0, facing]) < near - 0.2
+    oblique = [2.5 * math.cos(1.0), 5.0 + 2.5 * math.sin(1.0), facing + 1.0]
+    assert (
+        rate_read({"focal_length_px": 400.0}, oblique) < rate_read({"focal_length_px": 400.0}, [2.5, 5, facing]) - 0.1
+    )
+    turning = np.array([1.5, 5.0, facing - 0.3])
+    assert rate_read({"exposure_s": 0.02}, [1.5, 5.0, facing], turning) < 0.1
+
+
+def test_a_robot_in_between_hides_the_letters_behind_it():
+    pose = [3.0, 5.0, math.pi]
+    hides = np.array([pose, [1.5, 5.0, 0.0]])
+    beside = np.array([pose, [1.5, 6.5, 0.0]])
+    assert rate_read({}, pose, None, hides, 50) == 0.0
+    assert rate_read({}, pose, None, beside, 50) == rate_read({}, pose, None, None, 50) > 0.3
+    assert rate_read({"robots_hide": False}, pose, None, hides, 50) > 0.3
+
+
+def test_a_robot_at_the_left_of_the_view_hides_the_beginning_of_the_text():
+    config = SignsConfig(focal_length_px=3000.0, character_height_m=0.1)
+    device = SignCamera(config, room(), 0, 0)
+    # Facing -x, the reader's left is -y: the disc covers what lies below the sign's middle.
+    robots = np.array([[3.0, 5.0, math.pi], [1.0, 4.77, 0.0]])
+    texts = {r.text for _ in range(50) for r in device.read(robots[0], None, robots)[0]}
+    assert texts
+    assert all("SI" not in text for text in texts)
+    assert any(text.endswith("0") or text.endswith("O") for text in texts)
+
+
+def test_a_sign_is_misread_by_all_robots_in_much_the_same_way():
+    config = SignsConfig(focal_length_px=380.0)
+    pose, plan, again, another = np.array([3.0, 5.0, math.pi]), room(), [], []
+    for seed in range(400):
+        one, two = (SignCamera(config, plan, robot, seed) for robot in (0, 1))
+        first, second = one.read(pose)[0], two.read(pose)[0]
+        other = SignCamera(config, plan, 0, seed + 1000).read(pose)[0]
+        if first and first[0].text != "SIGN 0":
+            again.append(bool(second) and second[0].text == first[0].text)
+            another.append(bool(other) and other[0].text == first[0].text)
+    assert len(again) > 60
+    assert np.mean(again) > np.mean(another) + 0.1

@@ -147,7 +147,7 @@ def test_sensors_fire_at_their_periods_staggered_over_the_robots():
 
 
 def test_true_signs_match_the_readings_one_to_one():
-    w = world(signs={"fragment_probability": 0.0, "character_error_probability": 0.0})
+    w = world(signs={"reader": "simple", "fragment_probability": 0.0, "character_error_probability": 0.0})
     seen = 0
     for step in range(300):
         w.step(commands(step))

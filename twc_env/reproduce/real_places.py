@@ -38,7 +38,7 @@ METHODS = ("text", "wifi", "twc", "fused")
 SAME_PLACE_M = 5.0
 PLACE_STEP_M = 4.0
 TRACE_SHARE = 0.8
-CAMERA = SignsConfig(range_max_m=8.0)
+CAMERA = SignsConfig(reader="simple", range_max_m=8.0, character_height_m=0.15)
 """Names over shops can be read from further away than door plates."""
 READ_PERIOD_S, READ_AROUND_S = 0.5, 2.0
 """How often names are read, and for how long before and after a scan."""

@@ -27,6 +27,7 @@ TABLES: dict[str, str] = {
     "intel": "intel",
     "merging": "merging",
     "odometry": "odometry",
+    "ocr": "ocr",
     "radio-model": "radio_model",
     "twc-table1": "twc_table1",
     "twc-table2": "twc_table2",

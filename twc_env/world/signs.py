@@ -1,4 +1,4 @@
-"""Which signs a robot's camera can read from where it stands, and how OCR misreads them (SPEC T3)."""
+"""Which signs a robot's camera can read from where it stands, and how it sees them."""
 
 from __future__ import annotations
 
@@ -8,40 +8,42 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twc_env.config import SignsConfig
+from twc_env.config import DynamicsConfig, SignsConfig
 from twc_env.messages import SignReading
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, Floorplan
+from twc_env.world.sign_readers import Sight, make_reader
 
 Array = NDArray
 
-_CONFUSABLE = dict(zip("OISBAEZ" + "0158432", "0158432" + "OISBAEZ", strict=True))
-_CONFUSABLE_SHARE = 0.7
-"""Share of the substitutions that take the look-alike, where there is one."""
-_SUBSTITUTION_SHARE, _DELETION_SHARE = 0.70, 0.15
-"""Of all character errors; the rest are insertions."""
-_FRAGMENT_MIN, _FRAGMENT_MAX = 0.10, 0.45
-_ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"
+CHARACTER_PITCH = 0.95
+"""Width of a character on a plate [capital heights]."""
+_ROBOT = DynamicsConfig()
 
 
 class SignCamera:
     """One robot's camera and OCR for one episode."""
 
-    def __init__(self, config: SignsConfig, plan: Floorplan, robot: int, seed: int):
+    def __init__(self, config: SignsConfig, plan: Floorplan, robot: int, seed: int, dynamics: DynamicsConfig = _ROBOT):
         self._config, self._index = config, plan.wall_index
-        self._texts = tuple(sign.text for sign in plan.signs)
+        self._time_step_s, self._robot_radius_m = dynamics.time_step_s, dynamics.robot_radius_m
+        texts = tuple(sign.text for sign in plan.signs)
         normals = np.array([(math.cos(s.facing_rad), math.sin(s.facing_rad)) for s in plan.signs]).reshape(-1, 2)
         faces = np.array([s.position_m for s in plan.signs]).reshape(-1, 2) + SIGN_FACE_M * normals
         self._signs = np.column_stack([faces, normals])  # (signs, 4)
+        self._visible = [np.zeros(len(text), np.bool_) for text in texts]
+        self._range_max_m = min(
+            config.range_max_m, config.focal_length_px * config.character_height_m / config.height_min_px
+        )
         self._noise = random_stream(seed, "camera", robot)
-        self._ocr = random_stream(seed, "ocr", robot)
+        self._reader = make_reader(config, texts, robot, seed)
 
     def legible(self, pose: Array) -> tuple[int, ...]:
-        """The signs that can be read from a true pose (3,): in range and view, not too oblique, not hidden."""
+        """The signs whose middle is in view from a true pose (3,): near enough, not too oblique, behind no wall."""
         config = self._config
         candidates = np.empty(len(self._signs), np.int64)
         count = _in_view(
-            self._signs, pose[0], pose[1], pose[2], config.range_max_m,
+            self._signs, pose[0], pose[1], pose[2], self._range_max_m,
             0.5 * config.field_of_view_rad, math.cos(config.incidence_max_rad), candidates,
         )  # fmt: skip
         if count == 0:
@@ -50,59 +52,50 @@ class SignCamera:
         crossed, _ = self._index.crossing(pose, self._signs[near, :2])
         return tuple(near[crossed == 0].tolist())
 
-    def read(self, pose: Array) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
-        """What OCR gives at a true pose (3,), and which signs (plan numbers) those readings truly are."""
+    def read(
+        self, pose: Array, previous: Array | None = None, robots: Array | None = None
+    ) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
+        """What OCR gives at a true pose (3,), and which signs (plan numbers) those readings truly are.
+
+        One time step before, the camera was at `previous`; without it, it stands still. `robots` (k, 3), itself among
+        them or not, may hide part of a text.
+        """
+        legible = self.legible(pose)
+        if not legible:
+            return (), ()
+        config = self._config
+        sights = [self._sight(sign, pose, previous, robots) for sign in legible]
         readings, sources = [], []
-        for sign in self.legible(pose):
-            text = misread(self._texts[sign], self._config, self._ocr)
-            bearing_noise, range_noise = self._noise.standard_normal(2)
-            if not text.strip():
+        for sight, text in zip(sights, self._reader.read(sights), strict=True):
+            bearing_noise, range_noise = self._noise.standard_normal(2).tolist()
+            if not text:
                 continue
-            dx, dy = self._signs[sign, 0] - pose[0], self._signs[sign, 1] - pose[1]
-            bearing = math.atan2(dy, dx) - pose[2] + self._config.bearing_noise_std_rad * bearing_noise
-            distance = max(math.hypot(dx, dy) + self._config.range_noise_std_m * range_noise, 0.0)
-            readings.append(SignReading(text, float(math.remainder(bearing, 2 * math.pi)), float(distance)))
-            sources.append(sign)
+            bearing = sight.bearing_rad + config.bearing_noise_std_rad * bearing_noise
+            distance = max(sight.distance_m + config.range_noise_std_m * range_noise, 0.0)
+            readings.append(SignReading(text, math.remainder(bearing, 2 * math.pi), distance))
+            sources.append(sight.sign)
         return tuple(readings), tuple(sources)
 
-
-def misread(text: str, config: SignsConfig, random: np.random.Generator) -> str:
-    """One OCR reading of a text: sometimes a fragment, else single characters changed, lost or added (SPEC T3)."""
-    if random.random() < config.fragment_probability:
-        length = max(1, round(len(text) * random.uniform(_FRAGMENT_MIN, _FRAGMENT_MAX)))
-        begin = int(random.integers(0, len(text) - length + 1))
-        return text[begin : begin + length]
-    wrong = random.random(len(text)) < config.character_error_probability
-    if not wrong.any():
-        return text
-    return "".join(
-        _wrong_character(character, random) if is_wrong else character
-        for character, is_wrong in zip(text, wrong, strict=True)
-    )
-
-
-def _wrong_character(character: str, random: np.random.Generator) -> str:
-    kind = random.random()
-    if kind < _SUBSTITUTION_SHARE:
-        return _substitute(character, random)
-    if kind < _SUBSTITUTION_SHARE + _DELETION_SHARE:
-        return ""
-    return character + _any_character(random)
-
-
-def _substitute(character: str, random: np.random.Generator) -> str:
-    """A different character, more often than not the one that looks alike."""
-    alike = _CONFUSABLE.get(character.upper())
-    if alike and random.random() < _CONFUSABLE_SHARE:
-        return alike
-    other = _any_character(random)
-    while other == character.upper():
-        other = _any_character(random)
-    return other
-
-
-def _any_character(random: np.random.Generator) -> str:
-    return _ALPHABET[int(random.integers(len(_ALPHABET)))]
+    def _sight(self, sign: int, pose: Array, previous: Array | None, robots: Array | None) -> Sight:
+        config = self._config
+        x, y, facing_x, facing_y = self._signs[sign].tolist()
+        at_x, at_y, heading = pose.tolist()
+        dx, dy = x - at_x, y - at_y
+        distance = math.hypot(dx, dy)
+        incidence = math.asin(min(max((dy * facing_x - dx * facing_y) / distance, -1.0), 1.0))
+        blur_px = 0.0
+        if previous is not None:
+            from_x, from_y, from_heading = previous.tolist()
+            turn = math.remainder(heading - from_heading, 2 * math.pi)
+            swing = turn + (dx * (at_y - from_y) - dy * (at_x - from_x)) / distance**2
+            blur_px = abs(swing) / self._time_step_s * config.exposure_s * config.focal_length_px
+        is_hidden = self._visible[sign]
+        if config.robots_hide and robots is not None and len(robots) > 1:
+            is_hidden = np.zeros(len(is_hidden), np.bool_)
+            pitch_m = CHARACTER_PITCH * config.character_height_m
+            _hide(self._signs[sign], at_x, at_y, robots, self._robot_radius_m, pitch_m, is_hidden)
+        height_px = config.focal_length_px * config.character_height_m / distance
+        return Sight(sign, distance, math.atan2(dy, dx) - heading, height_px, incidence, blur_px, is_hidden)
 
 
 @njit(cache=True, error_model="numpy")
@@ -120,3 +113,19 @@ def _in_view(signs, x, y, heading, range_max, half_view, cos_incidence, candidat
             candidates[count] = i
             count += 1
     return count
+
+
+@njit(cache=True, error_model="numpy")
+def _hide(sign, x, y, robots, radius, pitch, is_hidden):
+    """Which characters of a sign, from the reader's left to right, are behind a robot; the reader hides none."""
+    count = is_hidden.shape[0]
+    for m in range(count):
+        along = (m + 0.5 - 0.5 * count) * pitch
+        dx, dy = sign[0] - along * sign[3] - x, sign[1] + along * sign[2] - y
+        distance2 = dx * dx + dy * dy
+        for k in range(robots.shape[0]):
+            ox, oy = robots[k, 0] - x, robots[k, 1] - y
+            share = (ox * dx + oy * dy) / distance2
+            if 0.0 < share < 1.0 and (ox - share * dx) ** 2 + (oy - share * dy) ** 2 < radius * radius:
+                is_hidden[m] = True
+                break

@@ -64,7 +64,7 @@ class World:
             WifiReceiver(config.radio, self._radio, robot, seed, offset_db)
             for robot, offset_db in enumerate(offsets_db)
         ]
-        self._cameras = [SignCamera(config.signs, self._home, robot, seed) for robot in range(robots)]
+        self._cameras = [SignCamera(config.signs, self._home, robot, seed, config.dynamics) for robot in range(robots)]
         self._sensed_poses = self._dynamics.poses
         self._step = 0
         self._note_poses()
@@ -110,7 +110,7 @@ class World:
         signs: list[tuple[SignReading, ...]] = [()] * len(poses)
         sighted: list[tuple[int, ...]] = [()] * len(poses)
         for robot in self._due(self._camera_period):
-            signs[robot], sighted[robot] = self._cameras[robot].read(poses[robot])
+            signs[robot], sighted[robot] = self._cameras[robot].read(poses[robot], self._sensed_poses[robot], poses)
         self._sensed_poses = poses
         self.sighted_signs = tuple(sighted)
         return tuple(

@@ -1,0 +1,41 @@
+"""`python -m twc_env ocr`: measure the table of OCR errors, and show it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def add_ocr_parser(commands) -> None:
+    """The `ocr` command."""
+    parser = commands.add_parser("ocr", help="measure how a real OCR misreads signs, or show the measured table")
+    actions = parser.add_subparsers(required=True, metavar="ACTION")
+
+    make = actions.add_parser(
+        "measure",
+        help="draw signs, read them with a real OCR, write the table of errors (about 10 minutes; extra `ocr`)",
+        description="Interrupted, it goes on where it was. The table that the package ships came from the defaults.",
+    )
+    make.add_argument("--out", type=Path, required=True, metavar="FILE", help="table to write, json")
+    make.add_argument("--seed", type=int, default=0, help="default: %(default)s")
+    make.add_argument("--signs", type=int, default=40, help="per grid point (default: %(default)s)")
+    make.add_argument("--cache", type=Path, default=Path("runs/ocr"), help="finished parts (default: %(default)s)")
+    make.set_defaults(run=_measure)
+
+    show = actions.add_parser("show", help="picture of drawn signs and of the error rates in the table (extra `ocr`)")
+    show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write, png")
+    show.set_defaults(run=_show)
+
+
+def _measure(options: argparse.Namespace) -> None:
+    from twc_env.reproduce.ocr_measure import measure
+
+    table = measure(options.out, options.seed, options.signs, options.cache)
+    print(f"{table['made']['signs_read']} signs read; wrote {options.out}, {options.out.stat().st_size / 1000:.0f} kB")
+
+
+def _show(options: argparse.Namespace) -> None:
+    from twc_env.reproduce.ocr_picture import draw_table
+
+    draw_table(options.out)
+    print(f"wrote {options.out}")

@@ -1,0 +1,400 @@
+"""Makes the table of OCR errors: signs are drawn as a camera sees them, a real OCR reads them, the errors are counted.
+
+Signs are drawn over a grid of capital height x incidence x blur; fonts, colours, light, reflections, sharpness and
+noise vary from sign to sign. Readings are aligned with the truth by edit distance, case aside. The texts are of other
+words than those of the maps, so that `reproduce ocr` can judge the table on signs it never saw.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections import Counter
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rapidfuzz.distance import Levenshtein
+
+from twc_env.random_streams import random_stream
+from twc_env.reproduce.runner import Runner
+from twc_env.slam.text_similarity import normalise
+from twc_env.world.misreading import TableReader, codes_of, shares
+from twc_env.world.ocr import read_signs, require
+from twc_env.world.ocr_table import FORMAT, GARBLED_RATE, MISS_LENGTH, table_of
+from twc_env.world.sign_picture import View, draw_plate
+
+Array = NDArray
+
+HEIGHT_PX = (4.5, 5.2, 6.0, 7.0, 8.5, 10.5, 14.0, 20.0, 36.0)
+INCIDENCE_DEG = (0.0, 35.0, 50.0, 63.0)
+BLUR_WIDTHS = (0.0, 0.12, 0.24, 0.36, 0.48, 0.65)
+"""In capital heights as the incidence narrows them."""
+LEVEL_RATE = (0.9, 0.65, 0.45, 0.3, 0.2, 0.12, 0.07, 0.03, 0.0)
+"""Character error rates between which lines are told apart, worst first."""
+SIGNS_PER_BIN = 40
+SMALL_PX = 12.0
+"""Below this capital height rates change fast: twice as many signs are read."""
+AGAIN_HEIGHT_PX = (6.5, 8.0, 10.0, 14.0)
+FRAGMENT_SHARE_MIN, FRAGMENT_CHARACTERS_MIN = 0.2, 2
+"""At least this much of a text has to be missing at its ends to call the reading a fragment."""
+_COMMON_SHARE_MIN = 0.004
+_PRIOR_LINES = 2.0
+"""Weight, in lines, of what all angles of a height and blur say together."""
+_DRAWN_PAIRS = 6
+"""Pairs of readings drawn from the table for each measured one."""
+WORDS = (
+    "RECEPTION", "CONFERENCE", "LOUNGE", "STORAGE", "TOILETS", "STAIRS", "ELEVATOR", "CASHIER", "OFFICE", "MEETING",
+    "BOARD", "CAFE", "LAUNDRY", "PARKING", "EMERGENCY", "DIRECTOR", "FINANCE", "PHYSICS", "CHEMISTRY", "BIOLOGY",
+    "MUSIC", "DRAWING", "THEATRE", "DANGER", "HIGH VOLTAGE", "PUSH", "PULL", "PRIVATE", "NO ENTRY", "WAITING AREA",
+    "RADIOLOGY", "DENTIST", "ACCOUNTS", "PURCHASING", "LEGAL", "HUMAN RESOURCES", "PLANT", "BOILER", "GARAGE", "DEPOT",
+    "GYM", "CHAPEL", "CLASS", "LECTURE", "COMPUTER", "JANITOR", "WARDROBE", "TICKETS", "INFORMATION", "BAGGAGE",
+    "BREWERY", "VEHICLES", "WELDING", "PAINT", "CHECKOUT", "DELIVERY", "MUSEUM", "KIOSK", "QUARANTINE", "AXLES",
+)  # fmt: skip
+
+
+def sign_text(random: np.random.Generator) -> str:
+    """A door plate, a notice, a shop or a bare room number, in words no map uses."""
+    words = [WORDS[int(i)] for i in random.permutation(len(WORDS))[:2]]
+    letter, number = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[int(random.integers(26))], int(random.integers(1, 400))
+    invented = "".join(chr(65 + int(i)) for i in random.integers(0, 26, int(random.integers(4, 9))))
+    kind = int(random.choice(6, p=(0.34, 0.2, 0.12, 0.12, 0.12, 0.1)))
+    return (
+        f"{letter}{number} {words[0]}",
+        words[0],
+        f"{words[0]} {words[1]}",
+        f"{letter}{number}",
+        invented,
+        f"{words[0]} {number // 12}-{number}",
+    )[kind]
+
+
+def measure(path: Path, seed: int, signs_per_bin: int, cache: Path) -> dict:
+    """Measure and write the table; gives its content. Parts that an earlier run finished are not run again."""
+    require()
+    bins = [
+        (h, a, b) for h in range(len(HEIGHT_PX)) for a in range(len(INCIDENCE_DEG)) for b in range(len(BLUR_WIDTHS))
+    ]
+    grid = (HEIGHT_PX, INCIDENCE_DEG, BLUR_WIDTHS)
+    runner = Runner("ocr-measure", cache, {"seed": seed, "signs": signs_per_bin, "grid": grid})
+    read = runner.each(bins, lambda b: _read_bin(b, seed, signs_per_bin), lambda b: "bin {}/{}/{}".format(*b))
+    triples = runner.each(
+        AGAIN_HEIGHT_PX, lambda h: _read_again(h, seed, 4 * signs_per_bin), lambda h: f"again at {h} px"
+    )
+    table = fit([[tuple(line) for line in lines] for lines in read])
+    table |= fit_correlation(table, [line for part in triples for line in part], seed)
+    lines = sum(len(part) for part in read) + 3 * sum(len(part) for part in triples)
+    table["made"] = {
+        "command": f"python -m twc_env ocr measure --seed {seed} --signs {signs_per_bin}",
+        "signs_read": lines,
+        "ocr": "PP-OCRv4 detection and recognition (mobile) as shipped in rapidocr-onnxruntime",
+        "versions": {
+            name: version(name) for name in ("rapidocr-onnxruntime", "onnxruntime", "opencv-python", "matplotlib")
+        } | {"python": platform.python_version()},
+    }  # fmt: skip
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(table, separators=(",", ":"), ensure_ascii=True) + "\n")
+    return table
+
+
+def _read_bin(which: tuple[int, int, int], seed: int, count: int) -> list[tuple[str, str]]:
+    """(truth, reading) of signs at one grid point."""
+    h, a, b = which
+    random = random_stream(seed, "ocr measure", (h * len(INCIDENCE_DEG) + a) * len(BLUR_WIDTHS) + b)
+    texts = [sign_text(random) for _ in range(2 * count if HEIGHT_PX[h] < SMALL_PX else count)]
+    angle = math.radians(INCIDENCE_DEG[a])
+    blur_px = BLUR_WIDTHS[b] * HEIGHT_PX[h] * math.cos(angle)
+    views = [View(HEIGHT_PX[h], float(random.choice((-1, 1))) * angle, blur_px) for _ in texts]
+    return list(zip(texts, read_signs(texts, [draw_plate(random) for _ in texts], views, random), strict=True))
+
+
+def _read_again(height_px: float, seed: int, count: int) -> list[tuple]:
+    """(truth, height, angle, reading, reading nearby, reading from elsewhere) of signs read three times."""
+    random = random_stream(seed, "ocr again", round(10 * height_px))
+    texts, plates = [sign_text(random) for _ in range(count)], [draw_plate(random) for _ in range(count)]
+    angles = random.uniform(-0.9, 0.9, count)
+    nearby = [View(height_px * random.uniform(0.9, 1.1), a + random.uniform(-0.12, 0.12)) for a in angles]
+    views = (
+        [View(height_px, a) for a in angles],
+        nearby,
+        [View(height_px, a) for a in random.uniform(-0.9, 0.9, count)],
+    )
+    readings = [read_signs(texts, plates, v, random) for v in views]
+    return list(zip(texts, [height_px] * count, angles.tolist(), *readings, strict=True))
+
+
+# --- counting ---
+
+
+class Aligned:
+    """One reading laid along its truth."""
+
+    def __init__(self, truth: str, reading: str):
+        self.truth, self.reading = truth.upper(), normalise(reading)
+        n = len(self.truth)
+        self.became: list[str | None] = list(self.truth)
+        """What each character was read as, None where it was lost."""
+        self.added: list[str] = [""] * n
+        for edit in Levenshtein.editops(self.truth, self.reading):
+            if edit.tag == "replace":
+                self.became[edit.src_pos] = self.reading[edit.dest_pos]
+            elif edit.tag == "delete":
+                self.became[edit.src_pos] = None
+            else:
+                self.added[max(edit.src_pos - 1, 0)] += self.reading[edit.dest_pos]
+        kept = [k for k in range(n) if self.became[k] is not None]
+        self.is_missed = not kept
+        begin, end = (kept[0], kept[-1] + 1) if kept else (0, 0)
+        lost = n - (end - begin)
+        self.is_fragment = not self.is_missed and lost >= max(FRAGMENT_CHARACTERS_MIN, FRAGMENT_SHARE_MIN * n)
+        self.keeps_begin = begin <= n - end
+        if not self.is_fragment:
+            begin, end = 0, 0 if self.is_missed else n
+        self.span = range(begin, end)
+        """The characters that belong to what was read."""
+        self.kept_share = len(self.span) / n
+        self.letters = [k for k in self.span if self.truth[k] != " "]
+        self.wrong = [k for k in self.letters if self.became[k] != self.truth[k] or self.added[k]]
+        self.spaces = [k for k in self.span if self.truth[k] == " "]
+        self.spaces_lost = [k for k in self.spaces if self.became[k] != " "]
+
+
+def fit(read: list[list[tuple[str, str]]]) -> dict:
+    """The table's content (all but correlations) from the (truth, reading) lines of each bin."""
+    shape = (len(HEIGHT_PX), len(INCIDENCE_DEG), len(BLUR_WIDTHS))
+    bins = [[Aligned(*line) for line in lines] for lines in read]
+    level, posteriors = _levels(bins, shape)
+    exponent = _length_exponent(bins)
+    space_loss = _rates(bins, shape, lambda a: (len(a.spaces_lost), len(a.spaces)), 10.0)
+    fragments = [a for lines in bins for a in lines if a.is_fragment]
+    table = {
+        "format": FORMAT,
+        "height_px": HEIGHT_PX,
+        "incidence_deg": INCIDENCE_DEG,
+        "blur_widths": BLUR_WIDTHS,
+        "lines_per_bin": [len(lines) for lines in read[:: shape[1] * shape[2]]],
+        "miss": _at_reference_length(_rates(bins, shape, lambda a: (a.is_missed, 1)), bins, exponent),
+        "miss_length_exponent": exponent,
+        "fragment": _rates(bins, shape, lambda a: (a.is_fragment, not a.is_missed)).tolist(),
+        "space_loss": space_loss.tolist(),
+        "space_proneness": _space_proneness(bins, space_loss),
+        "level_share": np.round(level, 4).reshape(*shape, -1).tolist(),
+        "level_rate": LEVEL_RATE,
+        "kept": np.round(np.quantile([a.kept_share for a in fragments] or [0.5], np.linspace(0, 1, 11)), 3).tolist(),
+        "kept_begin": round(float(np.mean([float(a.keeps_begin) for a in fragments] or [0.5])), 3),
+    }
+    return table | _letters([a for lines in bins for a in lines], posteriors)
+
+
+def _rates(bins: list[list[Aligned]], shape: tuple[int, ...], count, prior_cases: float = 2.0) -> Array:
+    """(H, A, B) shares, drawn a little towards the share of all angles where a bin has few cases."""
+    counts = np.array([np.sum([count(a) for a in lines], axis=0) for lines in bins], float).reshape(*shape, 2)
+    pooled = counts.sum(axis=1, keepdims=True)
+    prior = pooled[..., 0] / np.maximum(pooled[..., 1], 1.0)
+    rates = (counts[..., 0] + prior_cases * prior) / (counts[..., 1] + prior_cases)
+    return np.round(rates, 4)
+
+
+def _length_exponent(bins: list[list[Aligned]]) -> float:
+    """Long texts are found more easily: by which power of the length the odds of a miss fall, by least squares.
+
+    Compared are lines of bins in which some were missed and some read; their log-odds against the bin's are the slope
+    of a straight line through log length (one step of logistic regression, repeated until it stands).
+    """
+    some = [lines for lines in bins if 0.05 < np.mean([a.is_missed for a in lines]) < 0.95]
+    exponent = 0.0
+    for _ in range(20 if some else 0):
+        slope = weight = 0.0
+        for lines in some:
+            missed = np.array([a.is_missed for a in lines], float)
+            length = np.log([len(a.truth) / MISS_LENGTH for a in lines])
+            chance = _missed_at(_odds_of(missed.mean(), length, exponent), length, exponent)
+            spread = chance * (1.0 - chance)
+            offset = length - (spread * length).sum() / spread.sum()
+            slope += (offset * (missed - chance)).sum()
+            weight += (spread * offset**2).sum()
+        exponent -= slope / weight
+    return round(float(exponent), 3)
+
+
+def _missed_at(odds: float, log_length: Array, exponent: float) -> Array:
+    """(lines,) chance of a miss when it has these odds at the reference length."""
+    mine = odds * np.exp(-exponent * log_length)
+    return mine / (1.0 + mine)
+
+
+def _odds_of(rate: float, log_length: Array, exponent: float) -> float:
+    """Odds at the reference length that give lines of these lengths this rate together, by bisection."""
+    low, high = -15.0, 15.0
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        if _missed_at(math.exp(middle), log_length, exponent).mean() < rate:
+            low = middle
+        else:
+            high = middle
+    return math.exp(0.5 * (low + high))
+
+
+def _at_reference_length(rates: Array, bins: list[list[Aligned]], exponent: float) -> list:
+    """(H, A, B) miss rates of a text as long as `MISS_LENGTH` from those of the texts that were read."""
+    length = [np.log([len(a.truth) / MISS_LENGTH for a in lines]) for lines in bins]
+    odds = np.array([_odds_of(rate, x, exponent) for rate, x in zip(rates.ravel(), length, strict=True)])
+    return np.round(odds / (1.0 + odds), 4).reshape(rates.shape).tolist()
+
+
+def _space_proneness(bins: list[list[Aligned]], space_loss: Array) -> list[float]:
+    """How much more often than the average spaces get lost: between letters, and beside a digit."""
+    lost, expected = np.zeros(2), np.full(2, 1e-9)
+    for lines, rate in zip(bins, space_loss.ravel(), strict=True):
+        for a in lines:
+            for k in a.spaces:
+                kind = int(any(c.isdigit() for c in a.truth[k - 1 : k + 2]))
+                lost[kind] += k in a.spaces_lost
+                expected[kind] += rate
+    return np.round(lost / expected, 3).tolist()
+
+
+def _levels(bins: list[list[Aligned]], shape: tuple[int, ...]) -> tuple[Array, list[Array]]:
+    """Shares (bins, levels) of the error levels by expectation maximisation, and each line's posterior (levels,).
+
+    Within a level, the wrong characters of a line are binomial; fitted first over all angles, then per bin with that
+    prior.
+    """
+    rate = np.clip(LEVEL_RATE, 1e-3, 0.999)
+
+    def likelihood(lines: list[Aligned]) -> Array:
+        counts = np.array([(len(a.wrong), len(a.letters)) for a in lines], float).reshape(-1, 2, 1)
+        wrong, total = counts[:, 0], counts[:, 1]
+        return np.exp(wrong * np.log(rate) + (total - wrong) * np.log1p(-rate))
+
+    read = [[a for a in lines if not a.is_missed] for lines in bins]
+    pooled = {}
+    for h, b in np.ndindex(shape[0], shape[2]):
+        group = np.arange(len(bins)).reshape(shape)[h, :, b]
+        pooled[h, b] = _mixture(likelihood([a for k in group for a in read[k]]), np.full(len(rate), 1e-3))
+    shares, posteriors = [], []
+    for lines, (h, _, b) in zip(read, np.ndindex(shape), strict=True):
+        chance = likelihood(lines)
+        share = _mixture(chance, _PRIOR_LINES * pooled[h, b])
+        shares.append(share)
+        posteriors.append(chance * share / np.maximum((chance * share).sum(axis=1, keepdims=True), 1e-300))
+    return np.array(shares), posteriors
+
+
+def _mixture(chance: Array, prior: Array) -> Array:
+    """(levels,) shares that make lines with chances (lines, levels) likeliest, with a prior in lines."""
+    share = (prior + 1e-6) / (prior + 1e-6).sum()
+    for _ in range(200 if len(chance) else 0):
+        weight = chance * share
+        weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+        share = weight.sum(axis=0) + prior
+        share /= share.sum()
+    return share
+
+
+def _letters(lines: list[Aligned], posteriors: list[Array]) -> dict:
+    """Which characters go wrong and what they become."""
+    read = [a for a in lines if not a.is_missed]
+    posterior = np.concatenate(posteriors)  # (lines read, levels)
+    rate = posterior @ np.array(LEVEL_RATE)
+    expected: tuple[Counter[str], Counter[str]] = Counter(), Counter()
+    happened: tuple[Counter[str], Counter[str]] = Counter(), Counter()
+    confusions: tuple[dict, dict] = ({}, {})
+    added: Counter[str] = Counter()
+    edits = np.full((len(LEVEL_RATE), 3), 0.5)
+    for a, line_rate, line in zip(read, rate, posterior, strict=True):
+        garbled = int(line_rate >= GARBLED_RATE)
+        for k in a.letters:
+            expected[garbled][a.truth[k]] += line_rate
+        for k in a.wrong:
+            c, became = a.truth[k], a.became[k]
+            happened[garbled][c] += 1
+            edits[:, 0 if became not in (None, c) else 1 if became is None else 2] += line
+            if became is None:
+                continue
+            if became == c:
+                added[a.added[k][0]] += 1
+            else:
+                kind = confusions[garbled]
+                for row in (c, ""):
+                    kind.setdefault(row, Counter())[became] += 1
+    return {
+        "edit_share": np.round(edits / edits.sum(axis=1, keepdims=True), 4).tolist(),
+        "proneness": _proneness(happened[0], expected[0]),
+        "proneness_garbled": _proneness(happened[1], expected[1]),
+        "confusions": {c: _shares(n) for c, n in sorted(confusions[0].items())},
+        "confusions_garbled": {c: _shares(n) for c, n in sorted(confusions[1].items())},
+        "added": _shares(added),
+    }
+
+
+def _proneness(happened: Counter[str], expected: Counter[str]) -> dict[str, float]:
+    """How much more often each character goes wrong than the lines' levels say; rare ones are held near 1."""
+    total = sum(happened.values()) / max(sum(expected.values()), 1e-9)
+    return {c: round((happened[c] + 3.0) / (expected[c] * total + 3.0), 3) for c in sorted(expected)} | {"": 1.0}
+
+
+def _shares(counts: Counter[str]) -> dict[str, float]:
+    total = sum(counts.values())
+    return {c: round(n / total, 4) for c, n in counts.most_common(12) if n / total >= _COMMON_SHARE_MIN}
+
+
+# --- the same sign read twice ---
+
+
+def fit_correlation(table: dict, triples: list, seed: int) -> dict:
+    """How much of what goes wrong stays with the sign: shares for lines and letters, raised until drawn pairs agree.
+
+    `triples` are (truth, height, angle, reading, reading nearby, reading from elsewhere). Lines are judged by how far
+    one reading's being exact foretells the other's, letters by how often two wrong readings are the same.
+    """
+    near, far = ([(t[0], t[3], t[k]) for t in triples] for k in (4, 5))
+    measured = _agreement(near + far)
+    line = _raised(table, triples, seed, "line_share", measured["exact_correlation"])
+    letter = _raised(table | {"line_share": line}, triples, seed, "letter_share", measured["same_when_wrong"])
+    line = _raised(table | {"letter_share": letter}, triples, seed, "line_share", measured["exact_correlation"])
+    fitted = {"line_share": line, "letter_share": letter}
+    drawn = {"drawn": fitted, "drawn_independently": {"line_share": 0.0, "letter_share": 0.0}}
+    agreement = {"near": _agreement(near), "elsewhere": _agreement(far)} | {
+        name: _agreement(_drawn_pairs(table | shares, triples, seed)) for name, shares in drawn.items()
+    }
+    return fitted | {"read_again": agreement}
+
+
+def _raised(table: dict, triples: list, seed: int, key: str, target: float) -> float:
+    """The share at which drawn pairs agree as much as measured, between grid points by straight lines."""
+    figure = "exact_correlation" if key == "line_share" else "same_when_wrong"
+    grid = np.linspace(0.0, 0.98, 8)
+    found = [
+        _agreement(_drawn_pairs({"line_share": 0.0, "letter_share": 0.0} | table | {key: share}, triples, seed))[figure]
+        for share in grid
+    ]
+    return round(float(np.interp(target, np.maximum.accumulate(found), grid)), 3)
+
+
+def _agreement(pairs: list[tuple[str, str, str]]) -> dict[str, float]:
+    """Of (truth, first, second), spaces aside: correlation of being exact, and how often two wrong are the same."""
+    solid = [tuple(normalise(text).replace(" ", "") for text in pair) for pair in pairs]
+    exact = np.array([(a == truth, b == truth) for truth, a, b in solid], float)
+    wrong = [a == b for truth, a, b in solid if a and b and truth not in (a, b)]
+    correlation = float(np.corrcoef(exact.T)[0, 1]) if (exact.std(axis=0) > 0).all() else 0.0
+    return {
+        "exact_correlation": round(correlation, 3),
+        "same_when_wrong": round(float(np.mean(wrong)), 3) if wrong else 0.0,
+        "both_wrong": len(wrong),
+    }
+
+
+def _drawn_pairs(table: dict, triples: list, seed: int) -> list[tuple[str, str, str]]:
+    """Pairs of readings from the table, of the same signs at the same height and angle."""
+    ready, random = table_of(table), random_stream(seed, "ocr correlation")
+    reader, drawn = TableReader(ready), []
+    for text, height_px, angle, *_ in triples:
+        codes, hidden, share = codes_of(text), np.zeros(len(text), np.bool_), shares(ready, text)
+        for _ in range(_DRAWN_PAIRS):
+            kept, *own = random.standard_normal((3, len(share)))
+            two = (np.sqrt(share) * kept + np.sqrt(1.0 - share) * z for z in own)
+            drawn.append((text, *(reader.read(codes, hidden, height_px, angle, 0.0, z) for z in two)))
+    return drawn

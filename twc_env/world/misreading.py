@@ -1,0 +1,216 @@
+"""What OCR makes of a text: drawn from the measured table, or by the two plain numbers of SPEC T3."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.config import SignsConfig
+from twc_env.world.ocr_table import GARBLED_RATE, MISS_LENGTH, OcrTable
+
+Array = NDArray
+
+LINE_DRAWS = 3
+"""Numbers drawn per line; two more for each of its characters."""
+
+
+def draw_count(text: str) -> int:
+    """How many standard normal numbers one reading of a text takes."""
+    return LINE_DRAWS + 2 * len(text)
+
+
+def shares(table: OcrTable, text: str) -> Array:
+    """(draws,) which part of each drawn number's variance stays with the sign."""
+    return np.repeat([table.line_share, table.letter_share], [LINE_DRAWS, 2 * len(text)])
+
+
+def codes_of(text: str) -> Array:
+    """(characters,) uint32 code points."""
+    return np.frombuffer(text.encode("utf-32-le"), np.uint32)
+
+
+class TableReader:
+    """Draws readings from the measured table."""
+
+    def __init__(self, table: OcrTable):
+        t = table
+        self._grid = (t.height_px, t.incidence_rad, t.blur_widths, t.miss, t.fragment, t.space_loss, t.level_cdf)
+        self._lines = (t.level_rate, t.edit_cdf, t.kept, t.kept_begin, t.miss_length_exponent, t.space_proneness)
+        self._letters = (
+            t.characters, t.proneness, t.confusion_code, t.confusion_cdf, t.added_code, t.added_cdf,
+        )  # fmt: skip
+
+    def read(
+        self, codes: Array, is_hidden: Array, height_px: float, incidence_rad: float, blur_px: float, draws: Array
+    ) -> str:
+        """One reading of a text (n,) of which the characters `is_hidden` (n,) cannot be seen; "" when missed.
+
+        `draws` (3 + 2 n) are standard normal: whoever repeats some of them repeats the same mistakes.
+        """
+        out = np.empty(2 * len(codes) + 1, np.uint32)
+        count = _misread(
+            codes, is_hidden, height_px, abs(incidence_rad), blur_px / (height_px * math.cos(incidence_rad)), draws,
+            self._grid, self._lines, self._letters, out,
+        )  # fmt: skip
+        return out[:count].tobytes().decode("utf-32-le").strip()
+
+
+@njit(cache=True, error_model="numpy")
+def _place(axis, value):
+    """Index of the grid line below a value and the weight of the next, held at the ends."""
+    last = axis.shape[0] - 2
+    k = 0
+    while k < last and value >= axis[k + 1]:
+        k += 1
+    weight = (value - axis[k]) / (axis[k + 1] - axis[k])
+    return k, min(max(weight, 0.0), 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _uniform(z):
+    return 0.5 * math.erfc(-z / math.sqrt(2.0))
+
+
+@njit(cache=True, error_model="numpy")
+def _pick(cdf, u):
+    k = 0
+    while k < cdf.shape[0] - 1 and u >= cdf[k]:
+        k += 1
+    return k
+
+
+@njit(cache=True, error_model="numpy")
+def _misread(codes, is_hidden, height, incidence, blur, draws, grid, lines, letters, out):
+    heights, angles, blurs, miss_grid, fragment_grid, space_grid, level_grid = grid
+    level_rate, edit_cdf, kept_quantiles, kept_begin, length_exponent, space_proneness = lines
+    characters, proneness, confusion_code, confusion_cdf, added_code, added_cdf = letters
+    i, wi = _place(heights, height)
+    j, wj = _place(angles, incidence)
+    k, wk = _place(blurs, blur)
+    levels = level_rate.shape[0]
+    miss = fragment = space_loss = 0.0
+    cdf = np.zeros(levels)
+    for a in range(2):
+        for b in range(2):
+            for c in range(2):
+                w = (wi if a else 1.0 - wi) * (wj if b else 1.0 - wj) * (wk if c else 1.0 - wk)
+                if w == 0.0:
+                    continue
+                miss += w * miss_grid[i + a, j + b, k + c]
+                fragment += w * fragment_grid[i + a, j + b, k + c]
+                space_loss += w * space_grid[i + a, j + b, k + c]
+                for q in range(levels):
+                    cdf[q] += w * level_grid[i + a, j + b, k + c, q]
+    n = codes.shape[0]
+    visible = 0
+    for m in range(n):
+        if not is_hidden[m]:
+            visible += 1
+    if visible == 0:
+        return 0
+    odds = (MISS_LENGTH / visible) ** length_exponent
+    miss *= odds / (1.0 - miss + miss * odds)
+    # One number says how good the line is: the worst are missed, the next have the highest error level.
+    quality = _uniform(draws[0])
+    if quality < miss:
+        return 0
+    level = _pick(cdf, (quality - miss) / (1.0 - miss))
+    rate = level_rate[level]
+    garbled = 1 if rate >= GARBLED_RATE else 0
+
+    begin, end = 0, visible
+    if visible > 1 and _uniform(draws[1]) < fragment:
+        u = _uniform(draws[2])
+        keeps_begin = u < kept_begin
+        u = u / kept_begin if keeps_begin else (u - kept_begin) / (1.0 - kept_begin)
+        at = min(max(u, 0.0), 1.0) * (kept_quantiles.shape[0] - 1)
+        low = min(int(at), kept_quantiles.shape[0] - 2)
+        share = kept_quantiles[low] + (at - low) * (kept_quantiles[low + 1] - kept_quantiles[low])
+        kept = min(max(int(round(share * visible)), 1), visible)
+        begin, end = (0, kept) if keeps_begin else (visible - kept, visible)
+
+    count = 0
+    at_visible = -1
+    for m in range(n):
+        if is_hidden[m]:
+            continue
+        at_visible += 1
+        if at_visible < begin or at_visible >= end:
+            continue
+        code = codes[m]
+        u_error, u_what = _uniform(draws[3 + m]), _uniform(draws[3 + n + m])
+        if code == 32:
+            by_digit = (m > 0 and 48 <= codes[m - 1] <= 57) or (m < n - 1 and 48 <= codes[m + 1] <= 57)
+            if u_error >= space_loss * space_proneness[1 if by_digit else 0]:
+                out[count] = code
+                count += 1
+            continue
+        folded = code - 32 if 97 <= code <= 122 else code
+        row = np.searchsorted(characters, folded)
+        if row >= characters.shape[0] or characters[row] != folded:
+            row = characters.shape[0]
+        if u_error >= rate * proneness[garbled, row]:
+            out[count] = code
+            count += 1
+        elif u_what < edit_cdf[level, 0]:
+            out[count] = confusion_code[garbled, row, _pick(confusion_cdf[garbled, row], u_what / edit_cdf[level, 0])]
+            count += 1
+        elif u_what >= edit_cdf[level, 1]:
+            u = (u_what - edit_cdf[level, 1]) / max(1.0 - edit_cdf[level, 1], 1e-12)
+            out[count] = code
+            out[count + 1] = added_code[_pick(added_cdf, u)]
+            count += 2
+    return count
+
+
+# --- two plain numbers ---
+
+_CONFUSABLE = dict(zip("OISBAEZ" + "0158432", "0158432" + "OISBAEZ", strict=True))
+_CONFUSABLE_SHARE = 0.7
+"""Share of the substitutions that take the look-alike, where there is one."""
+_SUBSTITUTION_SHARE, _DELETION_SHARE = 0.70, 0.15
+"""Of all character errors; the rest are insertions."""
+_FRAGMENT_MIN, _FRAGMENT_MAX = 0.10, 0.45
+_ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"
+
+
+def misread(text: str, config: SignsConfig, random: np.random.Generator) -> str:
+    """One OCR reading of a text: sometimes a fragment, else single characters changed, lost or added (SPEC T3)."""
+    if random.random() < config.fragment_probability:
+        length = max(1, round(len(text) * random.uniform(_FRAGMENT_MIN, _FRAGMENT_MAX)))
+        begin = int(random.integers(0, len(text) - length + 1))
+        return text[begin : begin + length]
+    wrong = random.random(len(text)) < config.character_error_probability
+    if not wrong.any():
+        return text
+    return "".join(
+        _wrong_character(character, random) if is_wrong else character
+        for character, is_wrong in zip(text, wrong, strict=True)
+    )
+
+
+def _wrong_character(character: str, random: np.random.Generator) -> str:
+    kind = random.random()
+    if kind < _SUBSTITUTION_SHARE:
+        return _substitute(character, random)
+    if kind < _SUBSTITUTION_SHARE + _DELETION_SHARE:
+        return ""
+    return character + _any_character(random)
+
+
+def _substitute(character: str, random: np.random.Generator) -> str:
+    """A different character, more often than not the one that looks alike."""
+    alike = _CONFUSABLE.get(character.upper())
+    if alike and random.random() < _CONFUSABLE_SHARE:
+        return alike
+    other = _any_character(random)
+    while other == character.upper():
+        other = _any_character(random)
+    return other
+
+
+def _any_character(random: np.random.Generator) -> str:
+    return _ALPHABET[int(random.integers(len(_ALPHABET)))]
