@@ -19,6 +19,7 @@ def add_ocr_parser(commands) -> None:
     make.add_argument("--out", type=Path, required=True, metavar="FILE", help="table to write, json")
     make.add_argument("--seed", type=int, default=0, help="default: %(default)s")
     make.add_argument("--signs", type=int, default=40, help="per grid point (default: %(default)s)")
+    make.add_argument("--processes", type=int, default=2, help="at once (default: %(default)s)")
     make.add_argument("--cache", type=Path, default=Path("runs/ocr"), help="finished parts (default: %(default)s)")
     make.set_defaults(run=_measure)
 
@@ -30,7 +31,7 @@ def add_ocr_parser(commands) -> None:
 def _measure(options: argparse.Namespace) -> None:
     from twc_env.reproduce.ocr_measure import measure
 
-    table = measure(options.out, options.seed, options.signs, options.cache)
+    table = measure(options.out, options.seed, options.signs, options.cache, options.processes)
     print(f"{table['made']['signs_read']} signs read; wrote {options.out}, {options.out.stat().st_size / 1000:.0f} kB")
 
 

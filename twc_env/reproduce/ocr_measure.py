@@ -11,6 +11,7 @@ import json
 import math
 import platform
 from collections import Counter
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -71,18 +72,16 @@ def sign_text(random: np.random.Generator) -> str:
     )[kind]
 
 
-def measure(path: Path, seed: int, signs_per_bin: int, cache: Path) -> dict:
+def measure(path: Path, seed: int, signs_per_bin: int, cache: Path, processes: int = 1) -> dict:
     """Measure and write the table; gives its content. Parts that an earlier run finished are not run again."""
     require()
     bins = [
         (h, a, b) for h in range(len(HEIGHT_PX)) for a in range(len(INCIDENCE_DEG)) for b in range(len(BLUR_WIDTHS))
     ]
-    grid = (HEIGHT_PX, INCIDENCE_DEG, BLUR_WIDTHS)
-    runner = Runner("ocr-measure", cache, {"seed": seed, "signs": signs_per_bin, "grid": grid})
-    read = runner.each(bins, lambda b: _read_bin(b, seed, signs_per_bin), lambda b: "bin {}/{}/{}".format(*b))
-    triples = runner.each(
-        AGAIN_HEIGHT_PX, lambda h: _read_again(h, seed, 4 * signs_per_bin), lambda h: f"again at {h} px"
-    )
+    runner = Runner("ocr-measure", cache, {"seed": seed, "signs": signs_per_bin})
+    read_bin, read_again = (partial(f, seed=seed, count=signs_per_bin) for f in (_read_bin, _read_again))
+    read = runner.each(bins, read_bin, lambda b: "bin {}/{}/{}".format(*b), processes)
+    triples = runner.each(AGAIN_HEIGHT_PX, read_again, lambda h: f"again at {h} px", processes)
     table = fit([[tuple(line) for line in lines] for lines in read])
     table |= fit_correlation(table, [line for part in triples for line in part], seed)
     lines = sum(len(part) for part in read) + 3 * sum(len(part) for part in triples)
@@ -111,8 +110,9 @@ def _read_bin(which: tuple[int, int, int], seed: int, count: int) -> list[tuple[
 
 
 def _read_again(height_px: float, seed: int, count: int) -> list[tuple]:
-    """(truth, height, angle, reading, reading nearby, reading from elsewhere) of signs read three times."""
+    """(truth, height, angle, reading, reading nearby, reading from elsewhere) of signs read three times; four times `count` signs."""
     random = random_stream(seed, "ocr again", round(10 * height_px))
+    count *= 4
     texts, plates = [sign_text(random) for _ in range(count)], [draw_plate(random) for _ in range(count)]
     angles = random.uniform(-0.9, 0.9, count)
     nearby = [View(height_px * random.uniform(0.9, 1.1), a + random.uniform(-0.12, 0.12)) for a in angles]
@@ -241,7 +241,8 @@ def _at_reference_length(rates: Array, bins: list[list[Aligned]], exponent: floa
     """(H, A, B) miss rates of a text as long as `MISS_LENGTH` from those of the texts that were read."""
     length = [np.log([len(a.truth) / MISS_LENGTH for a in lines]) for lines in bins]
     odds = np.array([_odds_of(rate, x, exponent) for rate, x in zip(rates.ravel(), length, strict=True)])
-    return np.round(odds / (1.0 + odds), 4).reshape(rates.shape).tolist()
+    at_reference: list = np.round(odds / (1.0 + odds), 4).reshape(rates.shape).tolist()
+    return at_reference
 
 
 def _space_proneness(bins: list[list[Aligned]], space_loss: Array) -> list[float]:
