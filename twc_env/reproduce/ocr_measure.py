@@ -110,7 +110,7 @@ def _read_bin(which: tuple[int, int, int], seed: int, count: int) -> list[tuple[
 
 
 def _read_again(height_px: float, seed: int, count: int) -> list[tuple]:
-    """(truth, height, angle, reading, reading nearby, reading from elsewhere) of signs read three times; four times `count` signs."""
+    """(truth, height, angle, reading, reading nearby, reading from elsewhere) of 4 `count` signs read thrice."""
     random = random_stream(seed, "ocr again", round(10 * height_px))
     count *= 4
     texts, plates = [sign_text(random) for _ in range(count)], [draw_plate(random) for _ in range(count)]
@@ -254,7 +254,7 @@ def _space_proneness(bins: list[list[Aligned]], space_loss: Array) -> list[float
                 kind = int(any(c.isdigit() for c in a.truth[k - 1 : k + 2]))
                 lost[kind] += k in a.spaces_lost
                 expected[kind] += rate
-    return np.round(lost / expected, 3).tolist()
+    return [round(float(share), 3) for share in lost / expected]
 
 
 def _levels(bins: list[list[Aligned]], shape: tuple[int, ...]) -> tuple[Array, list[Array]]:
