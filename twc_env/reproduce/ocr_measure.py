@@ -241,8 +241,7 @@ def _at_reference_length(rates: Array, bins: list[list[Aligned]], exponent: floa
     """(H, A, B) miss rates of a text as long as `MISS_LENGTH` from those of the texts that were read."""
     length = [np.log([len(a.truth) / MISS_LENGTH for a in lines]) for lines in bins]
     odds = np.array([_odds_of(rate, x, exponent) for rate, x in zip(rates.ravel(), length, strict=True)])
-    at_reference: list = np.round(odds / (1.0 + odds), 4).reshape(rates.shape).tolist()
-    return at_reference
+    return [np.round(plane, 4).tolist() for plane in (odds / (1.0 + odds)).reshape(rates.shape)]
 
 
 def _space_proneness(bins: list[list[Aligned]], space_loss: Array) -> list[float]:
