@@ -7,16 +7,16 @@ from twc_env.config import digest
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "3ca9c35b4dc1",
-    "twc/ExploreTwin01-v0": "3ca9c35b4dc1",
-    "twc/ExploreTwin02-v0": "1d0bacee5388",
-    "twc/ExploreOffice-v0": "964da6a647ea",
-    "twc/ExploreFrontier-v0": "d15076b6793a",
-    "twc/ExploreFrontierAsync-v0": "d98ec31dae8e",
-    "twc/ExploreHard-v0": "83e8a536291b",
-    "twc/ExploreKnownStarts-v0": "173a92c19b76",
-    "twc/ExploreTruePoses-v0": "4172240f2d77",
-    "twc/ExploreNoMerging-v0": "8b4cb1146997",
+    "twc/Explore-v0": "54187669049f",
+    "twc/ExploreTwin01-v0": "54187669049f",
+    "twc/ExploreTwin02-v0": "a8f45ab0dbf0",
+    "twc/ExploreOffice-v0": "46ef6e927d86",
+    "twc/ExploreFrontier-v0": "87dcb947e8e5",
+    "twc/ExploreFrontierAsync-v0": "cd65c77224e4",
+    "twc/ExploreHard-v0": "97aae9dd4305",
+    "twc/ExploreKnownStarts-v0": "4c79b6889bcc",
+    "twc/ExploreTruePoses-v0": "c3473d865ec5",
+    "twc/ExploreNoMerging-v0": "d4946da32226",
 }
 
 
