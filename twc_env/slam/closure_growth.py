@@ -32,7 +32,8 @@ LONE_GATE = 9.348
 UNCHECKED_BELOW = 0.25
 """Least share of its own noise that a closure's residual keeps after the fit when others check it."""
 DOUBTS_MAX, DOUBT_ROUNDS_MAX, REVOKED_MAX = 12, 10, 3
-"""Unchecked closures that are doubted, rounds of believing without one, and how often a group may be taken back."""
+"""Up to so many unchecked closures are doubted (more of them are dead ends of a well tied path); rounds of believing
+without one of them; how often a group may be taken back."""
 ODDS_SURE, ODDS_LIKELY, ODDS_TOGETHER = 8.0, 1.5, 3.0
 """Log odds from which groups are believed by the dozen; the best one, when there are no such; several together, when
 none is likely alone."""
@@ -189,8 +190,10 @@ class ClosureGrowth:
         used = np.flatnonzero(self._used() & (self._size[self._group] == 1))
         if not len(used) or self._believed.all():
             return
-        unchecked = self._map.checked_share(used) < UNCHECKED_BELOW
-        for group in self._group[used[unchecked]][:DOUBTS_MAX].tolist():
+        unchecked = used[self._map.checked_share(used) < UNCHECKED_BELOW]
+        if len(unchecked) > DOUBTS_MAX:
+            return
+        for group in self._group[unchecked].tolist():
             held = self.poses, self._believed.copy(), self._revoked.copy(), self._member_in.copy()
             self._believed[group], self._revoked[group] = False, REVOKED_MAX
             self._settle()

@@ -24,7 +24,7 @@ TAIL = 5.0
 SCALE_GROUPS = 30
 """Closures that must have been believed before the covariances' common scale is half learnt."""
 SCALE_MIN, SCALE_MAX, GATE_SCALE_MIN = 0.05, 10.0, 0.5
-KEYS_MAX = 250
+KEYS_MAX = 500
 """Poses whose joint covariance is kept; those between lie on the odometry from the one before."""
 LEVERAGE_MIN = 0.2
 """Least share of its own noise that a closure's residual is taken to keep after the fit."""
