@@ -47,7 +47,7 @@ def test_ages_of_repeated_readings_survive(tmp_path):
         [frames[0].wifi for frames in run if frames[0].wifi]
         for run in (steps, read_frame_log(tmp_path / "frames.npz")[1])
     ]
-    assert any(scan.age_s.max() > 0 for scan in scans[0])
+    assert any(scan.age_s.max(initial=0.0) > 0 for scan in scans[0])
     assert all(np.array_equal(a.age_s, b.age_s) for a, b in zip(*scans, strict=True))
 
 

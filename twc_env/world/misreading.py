@@ -38,7 +38,10 @@ class TableReader:
     def __init__(self, table: OcrTable):
         t = table
         self._grid = (t.height_px, t.incidence_rad, t.blur_widths, t.miss, t.fragment, t.space_loss, t.level_cdf)
-        self._lines = (t.level_rate, t.edit_cdf, t.kept, t.kept_begin, t.miss_length_exponent, t.space_proneness)
+        self._lines = (
+            t.level_rate, t.edit_cdf, t.kept, t.kept_begin, t.miss_length_exponent, t.space_proneness,
+            float(MISS_LENGTH), float(GARBLED_RATE),
+        )  # fmt: skip
         self._letters = (
             t.characters, t.proneness, t.confusion_code, t.confusion_cdf, t.added_code, t.added_cdf,
         )  # fmt: skip
@@ -85,7 +88,9 @@ def _pick(cdf, u):
 @njit(cache=True, error_model="numpy")
 def _misread(codes, is_hidden, height, incidence, blur, draws, grid, lines, letters, out):
     heights, angles, blurs, miss_grid, fragment_grid, space_grid, level_grid = grid
-    level_rate, edit_cdf, kept_quantiles, kept_begin, length_exponent, space_proneness = lines
+    level_rate, edit_cdf, kept_quantiles, kept_begin, length_exponent, space_proneness, miss_length, garbled_rate = (
+        lines
+    )
     characters, proneness, confusion_code, confusion_cdf, added_code, added_cdf = letters
     i, wi = _place(heights, height)
     j, wj = _place(angles, incidence)
@@ -111,7 +116,7 @@ def _misread(codes, is_hidden, height, incidence, blur, draws, grid, lines, lett
             visible += 1
     if visible == 0:
         return 0
-    odds = (MISS_LENGTH / visible) ** length_exponent
+    odds = (miss_length / visible) ** length_exponent
     miss *= odds / (1.0 - miss + miss * odds)
     # One number says how good the line is: the worst are missed, the next have the highest error level.
     quality = _uniform(draws[0])
@@ -119,7 +124,7 @@ def _misread(codes, is_hidden, height, incidence, blur, draws, grid, lines, lett
         return 0
     level = _pick(cdf, (quality - miss) / (1.0 - miss))
     rate = level_rate[level]
-    garbled = 1 if rate >= GARBLED_RATE else 0
+    garbled = 1 if rate >= garbled_rate else 0
 
     begin, end = 0, visible
     if visible > 1 and _uniform(draws[1]) < fragment:
