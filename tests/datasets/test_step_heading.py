@@ -1,0 +1,50 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twc_env.datasets.step_heading import dead_reckoning, headings_rad, read_walks, steps
+from twc_env.errors import DataError
+
+
+def test_each_swing_is_a_step_and_harder_ones_are_longer():
+    time_s = np.arange(0, 10, 0.02)
+    for size in (2.0, 4.0):
+        swing = size * np.sin(2 * np.pi * 1.8 * time_s)
+        at, length = steps(time_s, np.column_stack([np.zeros_like(swing), np.zeros_like(swing), 9.81 + swing]))
+        assert len(at) == pytest.approx(18, abs=1)
+        assert np.median(np.diff(at)) == pytest.approx(1 / 1.8, abs=0.03)
+        assert length.mean() == pytest.approx(0.38 * (2 * size * 0.95) ** 0.25, rel=0.06)
+    assert len(steps(time_s, np.tile([0.0, 0.0, 9.81], (len(time_s), 1)))[0]) == 0
+
+
+def test_a_phone_that_lies_flat_points_where_it_is_turned_to():
+    turns = np.array([0.0, np.pi / 2, -np.pi / 4])
+    vectors = np.column_stack([np.zeros(3), np.zeros(3), np.sin(turns / 2)])
+    assert headings_rad(vectors) == pytest.approx(np.pi / 2 + turns)  # unturned, the upper edge points north
+
+
+def test_steps_and_headings_make_a_path():
+    at = np.arange(1.0, 9.0)
+    poses, turned = dead_reckoning(
+        at, np.ones(8), np.array([0.0, 4.4, 4.5, 9.0]), np.array([0, 0, 1, 1]) * np.pi / 2, at
+    )
+    assert poses[3, :2] == pytest.approx([4.0, 0.0]) and poses[-1, :2] == pytest.approx([4.0, 4.0])
+    assert turned.sum() == pytest.approx(np.pi / 2)
+
+
+@pytest.mark.skipif("TWC_DATA" not in os.environ, reason="phone traces: set TWC_DATA to the data folder")
+def test_dead_reckoning_of_real_walks_is_near_the_survey():
+    walks = read_walks(Path(os.environ["TWC_DATA"]) / "indoor20" / "site2_F6", traces_max=6)
+    reckoned, surveyed = (
+        sum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum() for path in paths)
+        for paths in ([w.reckoned for w in walks], [w.surveyed_m for w in walks])
+    )
+    assert reckoned == pytest.approx(surveyed, rel=0.25)
+    assert all(len(w.fingerprints) == len(w.reckoned) == len(w.surveyed_m) for w in walks)
+
+
+def test_a_folder_without_traces_is_told(tmp_path):
+    with pytest.raises(DataError, match="no trace"):
+        read_walks(tmp_path)

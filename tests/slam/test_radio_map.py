@@ -1,0 +1,39 @@
+import numpy as np
+import pytest
+
+from twc_env.messages import Fingerprint
+from twc_env.slam.radio_map import GaussianProcessMap, RadioMap
+
+BOXES = np.random.default_rng(0).uniform(0, 30, (25, 2))
+
+
+def heard_at(place, seed: int) -> Fingerprint:
+    level = -40 - 25 * np.log10(np.maximum(np.linalg.norm(BOXES - place, axis=1), 1.0))
+    level = level + 2.0 * np.random.default_rng(seed).normal(size=len(BOXES))
+    return Fingerprint(np.flatnonzero(level > -85).astype(np.int64), level[level > -85])
+
+
+def surveyed() -> RadioMap:
+    places = np.stack(np.meshgrid(np.arange(0, 31, 3.0), np.arange(0, 31, 3.0)), axis=-1).reshape(-1, 2)
+    return RadioMap(places, [heard_at(p, k) for k, p in enumerate(places)])
+
+
+def test_both_ways_find_new_places_and_the_gaussian_process_finds_them_better():
+    radio_map = surveyed()
+    process = GaussianProcessMap(radio_map)
+    random = np.random.default_rng(1)
+    places = random.uniform(3, 27, (30, 2))
+    scans = [heard_at(p, 1000 + k) for k, p in enumerate(places)]
+    nearest = np.mean([np.linalg.norm(radio_map.nearest(s) - p) for s, p in zip(scans, places, strict=True)])
+    gaussian = np.mean([np.linalg.norm(process.locate(s)[0] - p) for s, p in zip(scans, places, strict=True)])
+    assert gaussian < nearest < 3.0
+
+
+def test_silence_is_nowhere_in_particular():
+    radio_map = surveyed()
+    assert radio_map.nearest(Fingerprint(np.zeros(0, np.int64), np.zeros(0))) == pytest.approx([15.0, 15.0])
+
+
+def test_a_map_needs_a_position_for_each_fingerprint():
+    with pytest.raises(ValueError, match="one position"):
+        RadioMap(np.zeros((2, 2)), [heard_at((0, 0), 0)])

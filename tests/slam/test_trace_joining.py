@@ -1,0 +1,43 @@
+import numpy as np
+
+from twc_env.config import RadioSlamConfig
+from twc_env.geometry import align_rigidly, compose, transform_points
+from twc_env.messages import Fingerprint
+from twc_env.slam.trace_joining import Trace, join
+
+BOXES = np.random.default_rng(0).uniform(-10, 70, (120, 2))
+
+
+def walks(count: int = 25, seed: int = 0) -> tuple[list[Trace], list[np.ndarray]]:
+    """Straight walks over a hall of 60 x 60 m; headings off by 0.1 rad each."""
+    random = np.random.default_rng(seed)
+    traces, truths = [], []
+    for _ in range(count):
+        start, end = random.uniform(0, 60, (2, 2))
+        steps = max(6, int(np.linalg.norm(end - start) / 1.5))
+        places = start + np.linspace(0, 1, steps)[:, None] * (end - start)
+        level = -35 - 28 * np.log10(np.maximum(np.linalg.norm(places[:, None] - BOXES[None], axis=2), 1.0))
+        level += 2.0 * random.normal(size=level.shape)
+        macs = np.arange(len(BOXES), dtype=np.int64)
+        prints = [Fingerprint(macs[row > -80], row[row > -80]) for row in level]
+        turned = compose([0.0, 0.0, 0.1 * random.normal()], np.column_stack([places - start, np.zeros(steps)]))
+        traces.append(Trace(turned, prints))
+        truths.append(places)
+    return traces, truths
+
+
+def test_walks_are_joined_by_fingerprints_alone():
+    traces, truths = walks()
+    joined = join(traces, RadioSlamConfig())
+    assert joined.is_joined.all()
+    found, truth = np.concatenate(joined.positions_m), np.concatenate(truths)
+    away = transform_points(align_rigidly(found, truth), found) - truth
+    assert np.linalg.norm(away, axis=1).mean() < 2.5
+
+
+def test_a_walk_that_heard_nothing_known_stays_out():
+    traces, _ = walks(8)
+    stranger = Trace(traces[0].poses, [Fingerprint(f.macs + 1000, f.rssi_dbm) for f in traces[0].fingerprints])
+    joined = join([*traces, stranger], RadioSlamConfig())
+    assert joined.is_joined.tolist() == [True] * 8 + [False]
+    assert np.isnan(joined.positions_m[8]).all()

@@ -1,0 +1,141 @@
+"""Dead reckoning of a walker who holds a phone: steps from the accelerometer, headings from the rotation vector.
+
+A step is a peak of the smoothed acceleration; its length follows from how hard it was (Weinberg 2002: the fourth root
+of the vertical swing). The heading is where the phone's upper edge points, in the frame of its compass: it needs no
+start, but magnetic disturbance turns it, and phones may be held at an angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import find_peaks
+
+from twc_env.datasets.fingerprints import read_text
+from twc_env.errors import DataError
+from twc_env.messages import Fingerprint
+
+Array = NDArray
+
+SMOOTHING_S = 0.16
+STEP_PERIOD_MIN_S = 0.33
+SWING_MIN_M_S2 = 1.2
+"""A peak that stands out of its surroundings by less is no step."""
+WEINBERG_FACTOR = 0.38
+"""Step length [m] over the fourth root of the swing [m/s2], for a phone held in front; people differ by 10 %.
+Its mean was set on floor site1_B1 of indoor20."""
+FRESH_S = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WalkerTrace:
+    """One recording. Scans (n) with dead-reckoned places in the walker's own frame, and surveyed places for scoring."""
+
+    name: str
+    time_s: Array
+    """(n,) unix time of each scan."""
+    reckoned: Array
+    """(n, 3) pose: the walk starts at the origin, x points where the compass says east."""
+    turned_rad: Array
+    """(n - 1,) turn between scans, not wrapped."""
+    fingerprints: tuple[Fingerprint, ...]
+    surveyed_m: Array
+    """(n, 2) by interpolation between the waypoints that the walker marked."""
+
+
+def steps(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
+    """Times (s,) and lengths [m] (s,) of the steps in acceleration (k, 3) [m/s2] at times (k,) [s]."""
+    size = np.linalg.norm(acceleration, axis=1)
+    period_s = float(np.median(np.diff(time_s)))
+    smooth = uniform_filter1d(size, max(1, round(SMOOTHING_S / period_s)))
+    peaks, _ = find_peaks(smooth, distance=max(1, round(STEP_PERIOD_MIN_S / period_s)), prominence=SWING_MIN_M_S2)
+    if not len(peaks):
+        return np.zeros(0), np.zeros(0)
+    edges = np.concatenate([[0], (peaks[1:] + peaks[:-1]) // 2, [len(smooth)]])
+    swing = np.array([smooth[p] - smooth[a:b].min() for p, a, b in zip(peaks, edges, edges[1:], strict=False)])
+    return time_s[peaks], WEINBERG_FACTOR * swing**0.25
+
+
+def headings_rad(rotation_vector: Array) -> Array:
+    """(k,) direction of the phone's upper edge over the ground, east 0, from rotation vectors (k, 3)."""
+    x, y, z = np.asarray(rotation_vector, float).T
+    w = np.sqrt(np.maximum(0.0, 1.0 - x * x - y * y - z * z))
+    return np.arctan2(1.0 - 2.0 * (x * x + z * z), 2.0 * (x * y - z * w))
+
+
+def dead_reckoning(
+    step_time_s: Array, step_length_m: Array, time_s: Array, heading_rad: Array, at_s: Array
+) -> tuple[Array, Array]:
+    """Poses (n, 3) at times (n,), and turns between them (n - 1,) not wrapped.
+
+    Positions run evenly through each step. Headings (k,) belong to times (k,).
+    """
+    unwrapped = np.unwrap(heading_rad)
+    at_step = np.interp(step_time_s, time_s, unwrapped)
+    moved = step_length_m[:, None] * np.column_stack([np.cos(at_step), np.sin(at_step)])
+    path = np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)])
+    times = np.concatenate([[min(time_s[0], *step_time_s[:1])], step_time_s])
+    position = np.column_stack([np.interp(at_s, times, path[:, k]) for k in (0, 1)])
+    heading = np.interp(at_s, time_s, unwrapped)
+    return np.column_stack([position, (heading + np.pi) % (2 * np.pi) - np.pi]), np.diff(heading)
+
+
+def read_walks(folder: str | Path, age_max_s: float = FRESH_S, traces_max: int | None = None) -> list[WalkerTrace]:
+    """All traces of one floor of indoor20 that hold two scans or more. Addresses become numbers that the traces share.
+
+    Raises DataError for a folder without traces and for broken lines.
+    """
+    paths = sorted((Path(folder) / "traces").glob("*.txt*"))[:traces_max]
+    traces = [trace for path in paths if (trace := _read_walk(path, age_max_s)) is not None]
+    if not traces:
+        raise DataError(f"{folder} holds no trace with two scans; check the path")
+    return traces
+
+
+def _read_walk(path: Path, age_max_s: float) -> WalkerTrace | None:
+    rows: dict[str, list[list[str]]] = {
+        f"TYPE_{kind}": [] for kind in ("WAYPOINT", "WIFI", "ACCELEROMETER", "ROTATION_VECTOR")
+    }
+    for line in read_text(path).splitlines():
+        words = line.split("\t")
+        if len(words) > 2 and words[1] in rows:
+            rows[words[1]].append(words)
+    try:
+        waypoints, acceleration, rotation = (
+            np.array([[float(w[0]) / 1000, *map(float, w[2 : 2 + size])] for w in rows[f"TYPE_{kind}"]])
+            for kind, size in (("WAYPOINT", 2), ("ACCELEROMETER", 3), ("ROTATION_VECTOR", 3))
+        )
+        at_s, prints = _scans(rows["TYPE_WIFI"], age_max_s)
+    except (ValueError, IndexError) as error:
+        raise DataError(f"{path.name}: {error}; fetch the trace again") from error
+    if len(waypoints) < 2 or len(acceleration) < 10 or len(rotation) < 2:
+        return None
+    inside = (at_s >= waypoints[0, 0]) & (at_s <= waypoints[-1, 0])
+    at_s, prints = at_s[inside], [p for p, keep in zip(prints, inside, strict=True) if keep]
+    if len(at_s) < 2:
+        return None
+    step_time, step_length = steps(acceleration[:, 0], acceleration[:, 1:])
+    heading = headings_rad(rotation[:, 1:])
+    reckoned, turned = dead_reckoning(step_time, step_length, rotation[:, 0], heading, at_s)
+    surveyed = np.column_stack([np.interp(at_s, waypoints[:, 0], waypoints[:, k]) for k in (1, 2)])
+    return WalkerTrace(path.name.split(".")[0], at_s, reckoned, turned, tuple(prints), surveyed)
+
+
+def _scans(rows: list[list[str]], age_max_s: float) -> tuple[Array, list[Fingerprint]]:
+    """Times (n,) of the scans and what each really heard; of several readings of one address the strongest counts."""
+    scans: dict[str, dict[int, float]] = {}
+    for words in rows:
+        heard = scans.setdefault(words[0], {})
+        if float(words[0]) - float(words[6]) > 1000 * age_max_s:
+            continue
+        mac = int(words[3].replace(":", ""), 16) if ":" in words[3] else int(words[3], 16) & ((1 << 48) - 1)
+        heard[mac] = max(heard.get(mac, -200.0), float(words[4]))
+    prints = []
+    for heard in scans.values():
+        macs = np.array(sorted(heard), np.int64)
+        prints.append(Fingerprint(macs, np.array([heard[mac] for mac in macs.tolist()], float)))
+    return np.array([float(t) / 1000 for t in scans]), prints

@@ -1,0 +1,132 @@
+"""Real radio logs through radio SLAM: phone walks of two malls joined by WiFi alone, and a robot's floor with drift.
+
+Rows of a mall: every trace of a floor of indoor20 is a robot that knows neither where it starts nor where the others
+are; its odometry is steps and compass. `uw_floor`: the surveyed path of one robot, as odometry that reads scale and
+heading wrong (stated in `method`). Errors are those of all scans that are in the common frame, after one rigid
+alignment of the whole; the similarity model never sees a surveyed position. `odometry` of a mall aligns every walk by
+itself: it says how good dead reckoning is, and no method could know that much.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import RadioSlamConfig
+from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.datasets.step_heading import WalkerTrace, read_walks
+from twc_env.datasets.uw_floor import read_uw_floor
+from twc_env.geometry import align_rigidly, between, transform_points, wrap_angle
+from twc_env.messages import Fingerprint
+from twc_env.random_streams import random_stream
+from twc_env.reproduce.runner import Runner, data_folder
+from twc_env.slam import radio_slam, trace_joining
+
+Array = NDArray
+
+SUMMARY = "real phone walks joined by WiFi alone, and a robot's floor with drift"
+FLOORS = ("site1_B1", "site2_F6")
+WEIGHTINGS = ("paper", "ours")
+SCALE_STD, CURL_STD_RAD_M, HEADING_STD_RAD = 0.03, 0.01, 0.01
+"""Drift put on the surveyed path of uw_floor: scale and curl of the whole run, heading noise over one metre."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `python -m twc_env reproduce real-radio`."""
+    parser.add_argument("--floors", default=",".join((*FLOORS, "uw_floor")), help="default: %(default)s")
+    parser.add_argument("--seeds", type=int, default=5, help="drifts put on uw_floor (default: %(default)s)")
+    parser.add_argument("--traces", type=int, metavar="N", help="only the first N walks of a mall")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """{floor, method, traces_joined, error_mean_m, error_std_m}; traces_joined is "joined / all recorded"."""
+    folder = data_folder()
+    floors = [floor for floor in options.floors.split(",") if floor]
+    found = runner.each(floors, lambda floor: _floor(folder, floor, options.seeds, options.traces))
+    return [row for part in found for row in part]
+
+
+def _floor(folder: Path, floor: str, seeds: int, traces_max: int | None) -> list[dict]:
+    if floor == "uw_floor":
+        return _robot_floor(read_uw_floor(folder / "wifi" / "uw_floor" / "uw-floor.txt"), seeds)
+    place = folder / "indoor20" / floor
+    recorded = len(sorted((place / "traces").glob("*.txt*"))[:traces_max])
+    return _mall(floor, read_walks(place, traces_max=traces_max), recorded)
+
+
+def _mall(floor: str, walks: list[WalkerTrace], recorded: int) -> list[dict]:
+    own = [_apart_m([walk.reckoned[:, :2]], [walk.surveyed_m]) for walk in walks]
+    table = [_row(floor, "odometry, each walk aligned", f"0 / {recorded}", np.concatenate(own))]
+    traces = [trace_joining.Trace(walk.reckoned, walk.fingerprints) for walk in walks]
+    for weighting in WEIGHTINGS:
+        joined = trace_joining.join(traces, RadioSlamConfig(weighting=weighting))
+        chosen = np.flatnonzero(joined.is_joined)
+        away = _apart_m([joined.positions_m[k] for k in chosen], [walks[k].surveyed_m for k in chosen])
+        table.append(_row(floor, weighting, f"{len(chosen)} / {recorded}", away))
+    return table
+
+
+def _robot_floor(survey: RadioSurvey, seeds: int) -> list[dict]:
+    names = (*WEIGHTINGS, "odometry")
+    away: dict[str, list[Array]] = {name: [] for name in names}
+    for seed in range(seeds):
+        log = drifted(survey, seed)
+        results = {"odometry": log.odometry}
+        for weighting in WEIGHTINGS:
+            results[weighting] = radio_slam.solve(log, RadioSlamConfig(weighting=weighting)).poses
+        for name, poses in results.items():
+            away[name].append(_apart_m([poses[:, :2]], [survey.position_m]))
+    drift = f"scale {SCALE_STD:g}, curl {CURL_STD_RAD_M:g} rad/m, {seeds} drifts"
+    return [
+        _row("uw_floor", f"{name} ({drift})", "1 / 1", np.concatenate(away[name])) for name in ("odometry", *WEIGHTINGS)
+    ]
+
+
+def drifted(survey: RadioSurvey, seed: int) -> radio_slam.RadioLog:
+    """The surveyed path as drifting odometry, with its scans."""
+    step = np.diff(survey.position_m, axis=0)
+    moved = np.linalg.norm(step, axis=1) > 0.02
+    heading = np.zeros(len(survey.position_m))
+    last = 0.0
+    for k, is_moving in enumerate(moved):
+        last = float(np.arctan2(step[k, 1], step[k, 0])) if is_moving else last
+        heading[k] = last
+    heading[-1] = last
+    truth = np.column_stack([survey.position_m, heading])
+    random = random_stream(seed, "uw_floor drift")
+    motion = between(truth[:-1], truth[1:])
+    length = np.hypot(motion[:, 0], motion[:, 1])
+    motion[:, :2] *= 1.0 + SCALE_STD * random.standard_normal()
+    wrong = CURL_STD_RAD_M * random.standard_normal() * length
+    wrong += HEADING_STD_RAD * np.sqrt(length) * random.standard_normal(len(length))
+    turned = motion[:, 2] + wrong
+    motion[:, 2] = wrap_angle(turned)
+    return radio_slam.RadioLog(motion, turned, _fingerprints(survey))
+
+
+def _fingerprints(survey: RadioSurvey) -> list[Fingerprint]:
+    macs = np.arange(len(survey.addresses), dtype=np.int64)
+    heard = np.isfinite(survey.rssi_dbm)
+    return [
+        Fingerprint(macs[is_heard], row[is_heard].astype(float))
+        for row, is_heard in zip(survey.rssi_dbm, heard, strict=True)
+    ]
+
+
+def _apart_m(estimated: list[Array], true: list[Array]) -> Array:
+    """Distance of every position to the truth after one rigid alignment of all."""
+    together, truth = np.concatenate(estimated), np.concatenate(true)
+    return np.linalg.norm(transform_points(align_rigidly(together, truth), together) - truth, axis=1)
+
+
+def _row(floor: str, method: str, joined: str, away: Array) -> dict:
+    return {
+        "floor": floor,
+        "method": method,
+        "traces_joined": joined,
+        "error_mean_m": float(away.mean()),
+        "error_std_m": float(away.std()),
+    }

@@ -1,0 +1,96 @@
+"""Where a fingerprint was heard, by a map of fingerprints at known places: nearest neighbours, or a Gaussian process.
+
+A radio map is what radio SLAM leaves behind (SPEC R10): its optimised places with what was heard there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from twc_env.messages import Fingerprint
+from twc_env.slam.radio_similarity import FingerprintStore, features
+
+Array = NDArray
+
+CANDIDATE_M = 0.5
+"""Spacing of the places tried around those of the map."""
+CANDIDATES_PER_PLACE = 9
+
+
+class RadioMap:
+    """Fingerprints at places (n, 2)."""
+
+    def __init__(self, positions_m: Array, fingerprints: Sequence[Fingerprint], mode: str = "shifted"):
+        self.positions_m = np.array(positions_m, float)
+        if self.positions_m.shape != (len(fingerprints), 2) or not len(fingerprints):
+            raise ValueError(
+                f"a radio map needs one position (n, 2) per fingerprint, at least one; got {self.positions_m.shape} "
+                f"for {len(fingerprints)}"
+            )
+        self.fingerprints = tuple(fingerprints)
+        self._store = FingerprintStore(mode)
+        for fingerprint in fingerprints:
+            self._store.add(fingerprint)
+
+    def nearest(self, fingerprint: Fingerprint, neighbours: int = 4) -> Array:
+        """(2,) mean place of the most alike fingerprints, weighted by likeness; the middle of the map for silence."""
+        best, similarity = self._store.nearest(fingerprint, neighbours)
+        weight = similarity.astype(float) ** 2
+        if not weight.any():
+            return self.positions_m.mean(axis=0)
+        return weight @ self.positions_m[best] / weight.sum()
+
+
+class GaussianProcessMap:
+    """Strength of every transmitter as a Gaussian process over the floor, all with one kernel (Ferris 2006).
+
+    What is not heard counts as the faintest strength. The place is the mean of the likelihood over candidate places,
+    those of the map and around them.
+    """
+
+    def __init__(
+        self, radio_map: RadioMap, length_m: float = 6.0, signal_std_db: float = 8.0, noise_std_db: float = 4.0
+    ):
+        known = np.unique(np.concatenate([f.macs for f in radio_map.fingerprints]))
+        self._column = {mac: k for k, mac in enumerate(known.tolist())}
+        self._noise_db = noise_std_db
+        heard = np.array([self._row(f) for f in radio_map.fingerprints])
+        self._mean = heard.mean(axis=0)
+        places = radio_map.positions_m
+        covariance = signal_std_db**2 * _kernel(places, places, length_m) + noise_std_db**2 * np.eye(len(places))
+        factor = cho_factor(covariance, lower=True)
+        around = CANDIDATE_M * np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(CANDIDATES_PER_PLACE, 2)
+        self._candidates = (places[:, None] + around[None]).reshape(-1, 2)
+        cross = signal_std_db**2 * _kernel(self._candidates, places, length_m)
+        solved = cho_solve(factor, cross.T)
+        self._expected = cross @ cho_solve(factor, heard - self._mean) + self._mean  # (candidates, transmitters)
+        self._variance = np.maximum(signal_std_db**2 - np.einsum("cp,pc->c", cross, solved), 0.0)
+
+    def locate(self, fingerprint: Fingerprint) -> tuple[Array, Array]:
+        """Place (2,) and its covariance (2, 2)."""
+        total = self._variance + self._noise_db**2
+        squared = ((self._row(fingerprint) - self._expected) ** 2).sum(axis=1)
+        log_likelihood = -0.5 * squared / total - 0.5 * len(self._mean) * np.log(total)
+        weight = np.exp(log_likelihood - log_likelihood.max())
+        weight /= weight.sum()
+        place = weight @ self._candidates
+        away = self._candidates - place
+        return place, (weight[:, None] * away).T @ away
+
+    def _row(self, fingerprint: Fingerprint) -> Array:
+        row = np.zeros(len(self._column))
+        values = features(fingerprint.macs, fingerprint.rssi_dbm)
+        for mac, value in zip(fingerprint.macs.tolist(), values.tolist(), strict=True):
+            if mac in self._column:
+                row[self._column[mac]] = value
+        return row
+
+
+def _kernel(a: Array, b: Array, length_m: float) -> Array:
+    """(a, b) correlation of places, 1 at no distance."""
+    squared = ((a[:, None] - b[None]) ** 2).sum(axis=2)
+    return np.exp(-0.5 * squared / length_m**2)

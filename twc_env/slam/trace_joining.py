@@ -1,0 +1,259 @@
+"""Many short walks put into one frame by radio alone: nobody knows where any of them began.
+
+Each walk knows its own shape and, by compass, about where north is. A first layout puts every scan where the scans of
+other walks are that sound most alike: with headings known this is linear, so it needs no guess. Then each walk moves
+as one piece (place and heading) until alike fingerprints lie as far apart as the model says, robustly, and fields of
+signal strength tie the walks where they pass each other.
+
+The model that turns likeness into distance is learnt within walks, from their own dead reckoning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from twc_env.config import RadioSlamConfig
+from twc_env.geometry import compose
+from twc_env.messages import Fingerprint
+from twc_env.slam import radio_field
+from twc_env.slam.distance_factor import Distances
+from twc_env.slam.radio_similarity import all_similarities, feature_rows
+from twc_env.slam.radio_slam import averaged
+from twc_env.slam.similarity_model import SimilarityModel, train
+
+Array = NDArray
+
+APART_M = 10_000.0
+"""Path length put between two walks, so that nothing is averaged across."""
+SHARPNESS = 2.0
+"""Power to which strengths above the faintest are raised: what is loud tells more about a place than what is faint."""
+ALIKE_MIN, NEIGHBOUR_ALIKE_MIN = 0.85, 0.3
+"""Pairs at least this alike tell a distance; nearest neighbours of the first layout are at least so alike. Walks are so
+short that their model is cut off below."""
+NEIGHBOURS = 5
+"""Of each scan, this many of the most alike of other walks."""
+LAYOUT_ROUNDS, LAYOUT_SCALE_M, LAYOUT_FIRST_M, LAYOUT_SHRINK = 30, 8.0, 100.0, 0.8
+"""Residual at which a neighbour has lost half of its weight: from the first, shrinking, to the last."""
+COMPASS_STD_RAD = 0.25
+"""How far a walk's headings are off as a whole: the phone's angle in the hand, magnetic disturbance."""
+WINDOW_M = 60.0
+ROUNDS = 40
+STEP_M = 0.02
+BANDWIDTHS_M = (15.0, 15.0, 15.0, 15.0, 15.0)
+CAUCHY = 2.0
+DEPENDENT_PAIRS = 30.0
+"""Pairs of two walks share fading, device and model: this many count as one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """One walk: its scans (n) in a frame of its own whose axes are about those of the compass."""
+
+    poses: Array
+    """(n, 3) dead reckoning."""
+    fingerprints: Sequence[Fingerprint]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joined:
+    """Walks in one frame."""
+
+    poses: Array
+    """(walks, 3) where each walk's frame lies; NaN for those that nothing ties to the others."""
+    positions_m: tuple[Array, ...]
+    """Per walk (n, 2) positions of its scans."""
+    is_joined: Array
+    """(walks,) bool: those of the largest group that fingerprints hold together."""
+    model: SimilarityModel
+
+
+def join(traces: Sequence[Trace], config: RadioSlamConfig) -> Joined:
+    """One frame for all walks that are tied to each other; `config.weighting` as in `radio_slam`."""
+    return _Joiner(traces, config).run()
+
+
+class _Joiner:
+    def __init__(self, traces: Sequence[Trace], config: RadioSlamConfig):
+        self._traces, self._config = traces, config
+        self._is_ours = config.weighting == "ours"
+        self._walk = np.repeat(np.arange(len(traces)), [len(t.poses) for t in traces])
+        self._local = np.concatenate([t.poses for t in traces])
+        step = np.hypot(*np.diff(self._local[:, :2], axis=0, prepend=self._local[:1, :2]).T)
+        step[np.diff(self._walk, prepend=-1) != 0] = APART_M
+        self._travel_m = np.cumsum(step)
+        rows = feature_rows([f for t in traces for f in t.fingerprints], config.similarity)
+        smoothing_m = config.smoothing_wifi_m if self._is_ours else 0.0
+        if self._is_ours:
+            rows.data = rows.data**SHARPNESS
+        self._similarity = all_similarities(averaged(rows, self._travel_m, smoothing_m))
+        self._rows = rows
+        self._model = self._train()
+
+    def run(self) -> Joined:
+        closures = self._closures()
+        first, second = self._neighbours()
+        is_joined = self._largest_group(np.column_stack([first, second]) if self._is_ours else closures.pairs)
+        poses = self._first_layout(first, second)
+        poses = self._refine(poses, closures) if self._is_ours else self._fit(poses, closures, None)
+        poses[~is_joined] = np.nan
+        placed = compose(poses[self._walk], self._local)[:, :2]
+        ends = np.cumsum([len(t.poses) for t in self._traces])[:-1]
+        return Joined(poses, tuple(np.split(placed, ends)), is_joined, self._model)
+
+    # --- what fingerprints say
+
+    def _train(self) -> SimilarityModel:
+        i, j = np.triu_indices(len(self._walk), 1)
+        same = (self._walk[i] == self._walk[j]) & (self._travel_m[j] - self._travel_m[i] <= WINDOW_M)
+        i, j = i[same], j[same]
+        away = np.linalg.norm(self._local[i, :2] - self._local[j, :2], axis=1)
+        formula = "repaired" if self._is_ours else "paper"
+        return train(self._similarity[i, j], away, WINDOW_M, self._config.bin_width, formula)
+
+    def _closures(self) -> Distances:
+        least = ALIKE_MIN if self._is_ours else self._config.similarity_min
+        i, j = np.nonzero(np.triu(self._similarity > least, 1))
+        other = self._walk[i] != self._walk[j]
+        i, j = i[other], j[other]
+        mean, variance = self._model.distance(self._similarity[i, j])
+        if self._is_ours:
+            variance = variance * DEPENDENT_PAIRS
+        return Distances(np.column_stack([i, j]), mean, variance)
+
+    def _largest_group(self, pairs: Array) -> Array:
+        """(walks,) bool: those that pairs of scans (k, 2) connect to most others."""
+        ends = self._walk[pairs]
+        count = len(self._traces)
+        links = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+        _, group = connected_components(links, directed=False)
+        return group == np.bincount(group).argmax()
+
+    # --- layout
+
+    def _neighbours(self) -> tuple[Array, Array]:
+        """Pairs of scans of different walks: each scan with those that sound most alike."""
+        alike = np.where(self._walk[:, None] == self._walk[None], -1.0, self._similarity)
+        near = np.argsort(-alike, axis=1, kind="stable")[:, :NEIGHBOURS]
+        i, j = np.repeat(np.arange(len(alike)), near.shape[1]), near.ravel()
+        good = alike[i, j] > NEIGHBOUR_ALIKE_MIN
+        return i[good], j[good]
+
+    def _first_layout(self, i: Array, j: Array) -> Array:
+        """(walks, 3) with headings as the compass has them: robust linear least squares on places."""
+        a, b, count = self._walk[i], self._walk[j], len(self._traces)
+        apart = self._local[j, :2] - self._local[i, :2]
+        weight, place = np.ones(len(i)), np.zeros((count, 2))
+        for round_ in range(LAYOUT_ROUNDS):
+            laplacian = np.diag(np.bincount(a, weight, count) + np.bincount(b, weight, count) + 1e-6)
+            links = np.bincount(a * count + b, weight, count * count).reshape(count, count)
+            laplacian -= links + links.T
+            pull = np.column_stack(
+                [np.bincount(a, weight * d, count) - np.bincount(b, weight * d, count) for d in apart.T]
+            )
+            place = np.linalg.solve(laplacian, pull)
+            missed = np.linalg.norm(place[a] - place[b] - apart, axis=1)
+            scale_m = max(LAYOUT_SCALE_M, LAYOUT_FIRST_M * LAYOUT_SHRINK**round_)
+            weight = 1.0 / (1.0 + (missed / scale_m) ** 2)
+        return np.column_stack([place, np.zeros(count)])
+
+    # --- fitting
+
+    def _fit(self, poses: Array, closures: Distances, ties: radio_field.Ties | None) -> Array:
+        """Walks as rigid pieces: damped Gauss-Newton on distances, ties and the compass."""
+        poses = poses.copy()
+        damping, cost = 1e-3, self._cost(poses, closures, ties)
+        for _ in range(ROUNDS):
+            hessian, gradient = self._linearise(poses, closures, ties)
+            scale = np.diag(hessian).copy()
+            for _ in range(8):
+                step = np.linalg.solve(hessian + np.diag(damping * scale + 1e-9), -gradient).reshape(-1, 3)
+                moved = poses + step
+                moved_cost = self._cost(moved, closures, ties)
+                if moved_cost <= cost:
+                    break
+                damping *= 4
+            else:
+                return poses
+            damping = max(damping / 5, 1e-9)
+            poses, cost = moved, moved_cost
+            if np.abs(step[:, :2]).max() < STEP_M:
+                break
+        return poses
+
+    def _cost(self, poses: Array, closures: Distances, ties: radio_field.Ties | None) -> float:
+        placed = compose(poses[self._walk], self._local)
+        total = self._loss(closures.residuals(placed) ** 2).sum() + (poses[:, 2] ** 2).sum() / COMPASS_STD_RAD**2
+        if ties is not None:
+            total += self._loss(_tie_squared(ties, placed)).sum()
+        return float(total)
+
+    def _loss(self, squared: Array) -> Array:
+        return CAUCHY**2 * np.log1p(squared / CAUCHY**2) if self._is_ours else squared
+
+    def _weight(self, squared: Array) -> Array:
+        return 1.0 / (1.0 + squared / CAUCHY**2) if self._is_ours else np.ones(len(squared))
+
+    def _linearise(self, poses: Array, closures: Distances, ties: radio_field.Ties | None) -> tuple[Array, Array]:
+        count = len(poses)
+        placed = compose(poses[self._walk], self._local)
+        arm = placed[:, :2] - poses[self._walk, :2]
+        swing = np.column_stack([-arm[:, 1], arm[:, 0]])  # how a scan moves when its walk turns
+        residual = closures.residuals(placed)
+        parts = [(closures.pairs, closures.jacobian(placed)[:, None], residual[:, None], self._weight(residual**2))]
+        if ties is not None:
+            root = np.swapaxes(np.linalg.cholesky(ties.information + 1e-9 * np.eye(2)), 1, 2)
+            error = _tie_errors(ties, placed)
+            parts.append(
+                (ties.pairs, -root, (root @ error[..., None])[..., 0], self._weight(_tie_squared(ties, placed)))
+            )
+        hessian, gradient = np.zeros((count, count, 3, 3)), np.zeros((count, 3))
+        for pairs, by_first, error, weight in parts:
+            slopes = [
+                sign * np.concatenate([by_first, (by_first @ swing[pairs[:, end], :, None])], axis=2)
+                for end, sign in ((0, 1.0), (1, -1.0))
+            ]
+            ends = self._walk[pairs]
+            for a in range(2):
+                np.add.at(gradient, ends[:, a], np.einsum("k,kri,kr->ki", weight, slopes[a], error))
+                for b in range(2):
+                    blocks = np.einsum("k,kri,krj->kij", weight, slopes[a], slopes[b])
+                    key = ends[:, a] * count + ends[:, b]
+                    flat = np.stack(
+                        [np.bincount(key, blocks[:, r, c], count * count) for r in range(3) for c in range(3)], axis=1
+                    )
+                    hessian += flat.reshape(count, count, 3, 3)
+        index = np.arange(count)
+        hessian[index, index, 2, 2] += 1.0 / COMPASS_STD_RAD**2
+        gradient[:, 2] += poses[:, 2] / COMPASS_STD_RAD**2
+        return hessian.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count), gradient.ravel()
+
+    def _refine(self, poses: Array, closures: Distances) -> Array:
+        feature = averaged(self._rows, self._travel_m, 0.5 * self._config.smoothing_wifi_m).toarray()
+        for bandwidth_m in BANDWIDTHS_M:
+            worth = radio_field.learn_worth(
+                feature, self._local[:, :2] + self._far_apart(), self._travel_m, bandwidth_m
+            )
+            placed = compose(poses[self._walk], self._local)[:, :2]
+            ties = radio_field.ties(feature, placed, self._travel_m, bandwidth_m, APART_M / 2, worth, 1.5 * bandwidth_m)
+            if len(ties.pairs):
+                poses = self._fit(poses, closures, ties)
+        return poses
+
+    def _far_apart(self) -> Array:
+        return np.column_stack([APART_M * self._walk, np.zeros(len(self._walk))])
+
+
+def _tie_errors(ties: radio_field.Ties, placed: Array) -> Array:
+    """(k, 2) how much further the second place lies from the first than the field asks for."""
+    return placed[ties.pairs[:, 1], :2] - placed[ties.pairs[:, 0], :2] - ties.offset_m
+
+
+def _tie_squared(ties: radio_field.Ties, placed: Array) -> Array:
+    error = _tie_errors(ties, placed)
+    return np.einsum("ki,kij,kj->k", error, ties.information, error)
