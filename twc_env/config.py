@@ -339,6 +339,9 @@ class PlaceRecognitionConfig(_Checked):
 class VerificationConfig(_Checked):
     """Scan matching that accepts or refuses a loop candidate."""
 
+    method: str = _choice("point-to-line", "point-to-point")
+    """`point-to-line`: matching to lines of walls, which searches where the guess is not near enough;
+    `point-to-point`: ICP as TWC-SLAM prints it (Eq. 11-12), from the guess alone."""
     window_m: float = _number(0.6, 0.1, 10.0)
     window_rad: float = _number(0.15, 0.01, math.pi)
     cloud_reach_m: float = _number(3.0, 0.0, 20.0)

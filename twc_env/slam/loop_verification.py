@@ -14,6 +14,7 @@ from twc_env.geometry import beam_directions, between
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.global_matching import match_globally
 from twc_env.slam.odometry_filter import invert_symmetric
+from twc_env.slam.point_matching import PointMatch, match_points
 from twc_env.slam.scan_matching import LineField, Match
 
 Array = NDArray
@@ -120,14 +121,8 @@ class LoopVerifier:
         Gives a closure with status "accepted" or "rejected" (and the reason); the back end may still refuse it.
         """
         target, source = target_path[candidate.target[1]], source_path[candidate.source[1]]
-        self._draw_target(target, target_path)
-        points = self._points(source, source_path)
-        rule = self._config
-        match, overlap = self._refine(points, candidate.guess)
-        if overlap < rule.overlap_min or candidate.recogniser in ANYWHERE:  # the guess may not be near enough
-            searched, searched_overlap = self._refine(points, self._search(candidate, target, target_path, points))
-            if searched_overlap >= overlap:
-                match, overlap = searched, searched_overlap
+        rule, points = self._config, self._points(source, source_path, SPACING_M)
+        match, overlap = self._match(candidate, target, target_path, points)
         contradiction = _contradiction(
             target.ranges_m, source.ranges_m, beam_directions(len(target.ranges_m)), match.pose, self._range_max_m,
             SEEN_THROUGH_M,
@@ -142,6 +137,21 @@ class LoopVerifier:
         covariance = invert_symmetric(information) + MATCH_COVARIANCE_MIN
         status = "rejected" if reason else "accepted"
         return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
+
+    def _match(
+        self, candidate: LoopCandidate, target: Keyframe, target_path: Sequence[Keyframe], points: Array
+    ) -> tuple[Match | PointMatch, float]:
+        """Where the source's points (n, 2) fit the target, and the share of them that then lie on its walls."""
+        if self._config.method == "point-to-point":
+            paired = match_points(self._points(target, target_path), points, candidate.guess)
+            return paired, paired.inlier_ratio
+        self._draw_target(target, target_path)
+        match, overlap = self._refine(points, candidate.guess)
+        if overlap < self._config.overlap_min or candidate.recogniser in ANYWHERE:  # the guess may be too far off
+            searched, searched_overlap = self._refine(points, self._search(candidate, target, target_path, points))
+            if searched_overlap >= overlap:
+                return searched, searched_overlap
+        return match, overlap
 
     def compared(
         self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
@@ -175,14 +185,14 @@ class LoopVerifier:
         """A better guess: from around the candidate's own, or from anywhere near where that says nothing."""
         rule = self._config
         if candidate.recogniser in ANYWHERE:
-            found = match_globally(self._points(target, target_path), points, WIDE_WINDOW_M)
+            found = match_globally(self._points(target, target_path, SPACING_M), points, WIDE_WINDOW_M)
             return candidate.guess if found is None else found.pose
         window = rule.window_m, rule.window_rad
         return self._field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)[0]
 
-    def _points(self, keyframe: Keyframe, path: Sequence[Keyframe]) -> Array:
-        """(n, 2) what the keyframe and its nearest neighbours saw, in the keyframe's frame."""
-        near = _neighbours(keyframe, path, min(self._config.cloud_reach_m, SPACING_M))
+    def _points(self, keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float = math.inf) -> Array:
+        """(n, 2) what the keyframe and its neighbours within reach saw, in the keyframe's frame."""
+        near = _neighbours(keyframe, path, min(self._config.cloud_reach_m, reach_m))
         scans = np.array([k.ranges_m for k in near])
         points = np.empty((scans.size, 2))
         poses, directions = np.array([k.pose_odom for k in near]), beam_directions(scans.shape[1])
