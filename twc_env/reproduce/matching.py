@@ -1,11 +1,11 @@
 """One loop candidate, verified: how long scan matching takes and how often it finds the pose, with a guess and without.
 
-Pairs of scans in generated buildings, taken at most 1.5 m apart within sight of each other and turned at will, with
-1 cm of noise. A guess is off by up to 0.25 m and 0.12 rad along each axis, a `far` one by up to 1 m and 20 degrees;
+Pairs of scans in generated buildings, taken at most 1.5 m apart within sight of each other and turned at will, with 1
+cm of noise. A guess is off by up to 0.25 m and 0.12 rad along each axis, a `far` one by up to 1 m and 20 degrees;
 without one every heading and every shift within 3 m is searched by branch and bound. `verify` is all that a candidate
 goes through: the target's walls drawn, matching, overlap, free space, covariance. `point-to-point` is ICP as TWC-SLAM
-prints it. Times are of the processor, the median over pairs of the best of a few repetitions; the paper of the 600-point
-match prints 13.04 ms with a guess.
+prints it. Times are of the processor, the median over pairs of the best of a few repetitions; the paper of the
+600-point match prints 13.04 ms with a guess.
 """
 
 from __future__ import annotations

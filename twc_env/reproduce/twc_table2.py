@@ -1,10 +1,10 @@
 """Table II of TWC-SLAM: how far the maps of its two scenes are off, by place recogniser and back end.
 
-The walks of Table I are mapped by every recogniser with every back end of `offline_mapping`; `fused` also by the
-engine itself, keyframe by keyframe as in an episode (back end `live`); the paper's four methods also as it prints them
-(back end `literal`): point-to-point ICP from the recogniser's guess, and every match believed. The recognisers have the paper's settings: text
-at alpha 1.0, WiFi at beta = gamma = 1.0, twc at 0.8, lidar and fused at their defaults. `odometry` closes no loops: its
-rows show what the front end alone is worth, each robot in a frame of its own.
+The walks of Table I are mapped by every recogniser with every back end of `offline_mapping`; `fused` also by the engine
+itself, keyframe by keyframe as in an episode (back end `live`); the paper's four methods also as it prints them (back
+end `literal`): point-to-point ICP from the recogniser's guess, and every match believed. The recognisers have the
+paper's settings: text at alpha 1.0, WiFi at beta = gamma = 1.0, twc at 0.8, lidar and fused at their defaults.
+`odometry` closes no loops: its rows show what the front end alone is worth, each robot in a frame of its own.
 
 `epe_m` is the paper's figure: how far the end of each path lies from where it truly is as seen from its start, mean
 over robots. It is blind to maps folded in the middle; `ate_m` (all keyframes, each group of robots aligned once) and

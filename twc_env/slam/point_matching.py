@@ -1,7 +1,7 @@
 """Point-to-point ICP as TWC-SLAM prints it (Eq. 11-12): pair nearest points under a gate, turn and shift, repeat.
 
-The paper leaves open the gate, the number of repetitions and when to stop; here the gate shrinks from 1 m to 0.3 m. It is
-kept beside point-to-line matching so that both can be measured: pairing points of walls that two scans sample at
+The paper leaves open the gate, the number of repetitions and when to stop; here the gate shrinks from 1 m to 0.3 m. It
+is kept beside point-to-line matching so that both can be measured: pairing points of walls that two scans sample at
 different places pulls towards the guess, and what is paired along a corridor looks as if it fixed the corridor's axis.
 """
 
