@@ -136,7 +136,8 @@ def _tasks(
         return verifier.verify(LoopCandidate((0, 0), (1, 0), start, recogniser), *paths).pose_target_source
 
     def pair_points(start: Array) -> Array:
-        return match_points(*(scan_points(scan, range_max_m) for scan in scans), start).pose
+        target, source = (scan_points(scan, range_max_m) for scan in scans)
+        return match_points(target, source, start).pose
 
     return [
         ("match", LINE, "with", lambda: refine(guess)),
