@@ -7,16 +7,16 @@ from twc_env.config import digest
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "54187669049f",
-    "twc/ExploreTwin01-v0": "54187669049f",
-    "twc/ExploreTwin02-v0": "a8f45ab0dbf0",
-    "twc/ExploreOffice-v0": "46ef6e927d86",
-    "twc/ExploreFrontier-v0": "87dcb947e8e5",
-    "twc/ExploreFrontierAsync-v0": "cd65c77224e4",
-    "twc/ExploreHard-v0": "97aae9dd4305",
-    "twc/ExploreKnownStarts-v0": "4c79b6889bcc",
-    "twc/ExploreTruePoses-v0": "c3473d865ec5",
-    "twc/ExploreNoMerging-v0": "d4946da32226",
+    "twc/Explore-v0": "b584bc857f6f",
+    "twc/ExploreTwin01-v0": "b584bc857f6f",
+    "twc/ExploreTwin02-v0": "a9715a81602b",
+    "twc/ExploreOffice-v0": "0411778ddd15",
+    "twc/ExploreFrontier-v0": "99d1943a1919",
+    "twc/ExploreFrontierAsync-v0": "f35e2a4205ac",
+    "twc/ExploreHard-v0": "6d72942fee13",
+    "twc/ExploreKnownStarts-v0": "9aebe2e424a3",
+    "twc/ExploreTruePoses-v0": "6bdffdf551a8",
+    "twc/ExploreNoMerging-v0": "d046a76de277",
 }
 
 
