@@ -8,11 +8,21 @@ the robot in the map frame, as (x [m], y [m], heading [rad]).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TypeVar, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray
+
+_Record = TypeVar("_Record")
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
+def _record(kind: type[_Record]) -> type[_Record]:
+    """A record that type checkers take as frozen. It is made in every step: freezing it would triple its cost."""
+    return dataclass(slots=True, eq=False)(kind)
+
 
 UNSEEN_M = -0.001
 """Range of a beam that tells nothing, as behind a scanner that looks ahead only: free up to nowhere, and no wall."""
@@ -41,7 +51,7 @@ class SignReading:
     """Measured distance to the sign's centre."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@_record
 class SensorFrame:
     """All that one robot measures in one step. The engine knows nothing else of the world."""
 
@@ -184,7 +194,7 @@ class KnownSign:
     """(2,) in the map frame."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@_record
 class Belief:
     """What one robot knows: the merged map of its group and where it is in it. Holds estimates only."""
 

@@ -315,10 +315,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     def _tick(self, commands: Array) -> list[dict[str, float]]:
         """One time step: the reward terms of each robot."""
-        is_alive = self._failures.is_alive(self._steps)
-        if not is_alive.all():
+        if not self._failures.are_all_alive(self._steps):
+            is_alive = self._failures.is_alive(self._steps)
             self._world.anchor(np.flatnonzero(~is_alive))
-        self._world.step(commands * is_alive[:, None])
+            commands = commands * is_alive[:, None]
+        self._world.step(commands)
         self._steps += 1
         is_last = self._steps >= self.config.max_cycles
         sent_before = self.bytes_sent
@@ -345,9 +346,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._frames = frames
         self._frames_of_step.append(frames)
         self._contacts = self._failures.contacts(self._steps, self._link.contacts(self._world.poses_home[:, :2]))
-        is_alive = self._failures.is_alive(self._steps)
-        if is_alive.any():
-            self.engine.track([frame for frame in frames if is_alive[frame.robot]])
+        if self._failures.are_all_alive(self._steps):
+            self.engine.track(frames)
+        else:
+            is_alive = self._failures.is_alive(self._steps)
+            if is_alive.any():
+                self.engine.track([frame for frame in frames if is_alive[frame.robot]])
         self.engine.absorb(self._steps, self._contacts)
         self._record.append(
             self._world.poses,

@@ -102,12 +102,7 @@ class EpisodeRecord:
         if self.count == len(self._poses):
             self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
             self._contacts = np.concatenate([self._contacts, np.zeros_like(self._contacts)])
-        now = self._poses[self.count]
-        now[0] = true_poses
-        for robot, pose in enumerate(odom_poses):
-            now[1, robot] = pose
-        for robot, motion in enumerate(odometry):
-            now[2, robot] = motion
+        self._poses[self.count] = true_poses, odom_poses, odometry
         self._contacts[self.count] = contacts
         self.count += 1
 
@@ -195,10 +190,11 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells) -> Standing:
     floor_m2 = _floor_m2(cells)
     errors_m = np.zeros(record.true_poses.shape[1])
     maps = []
+    true = record.true_poses[-1, :, :2].tolist()
     for verdict in judge(engine, record, cells):
         for robot in verdict.view.viewers:
-            believed = compose(verdict.pose_building_map, engine.pose_map_robot(robot))
-            errors_m[robot] = math.dist(believed[:2], record.true_poses[-1, robot, :2])
+            believed = compose(verdict.pose_building_map, engine.pose_map_robot(robot)).tolist()
+            errors_m[robot] = math.dist(believed[:2], true[robot])
         share = verdict.correct_area_m2 / floor_m2
         maps.append(JudgedMap(verdict.view.viewers, len(verdict.robots), not verdict.wrong_pairs, share))
     return standing_of(maps, errors_m)

@@ -35,9 +35,10 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
     return out
 
 
-def mark(channel: Array, points_m: Array, pose: Array, cell_m: float) -> None:
-    """Set the cells of channel (cells, cells) under points (k, 2), as seen from a pose in the frame of the points."""
-    _mark(channel, points_m, pose[0], pose[1], pose[2], 1.0 / cell_m)
+def mark(crop: Array, channel: int, points_m: Array, count: int, pose: Array, cell_m: float) -> None:
+    """Set the cells of one channel under the first points of (k, 2), as seen from a pose in the frame of the points."""
+    x, y, heading = pose.tolist()
+    _mark(crop, channel, points_m, count, x, y, heading, 1.0 / cell_m)
 
 
 def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
@@ -52,15 +53,15 @@ def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
 
 
 @njit(cache=True, error_model="numpy")
-def _mark(channel, points, x, y, heading, inverse_m):
-    size = channel.shape[0]
+def _mark(crop, channel, points, count, x, y, heading, inverse_m):
+    size = crop.shape[1]
     half = size // 2
     c, s = math.cos(heading) * inverse_m, math.sin(heading) * inverse_m
-    for k in range(points.shape[0]):
+    for k in range(min(count, points.shape[0])):
         dx, dy = points[k, 0] - x, points[k, 1] - y
         row, column = math.floor(c * dy - s * dx) + half, math.floor(c * dx + s * dy) + half
         if 0 <= row < size and 0 <= column < size:
-            channel[row, column] = 255
+            crop[channel, row, column] = 255
 
 
 @njit(cache=True, error_model="numpy")

@@ -29,6 +29,7 @@ HALF_COUNT = 2.0
 PATH_SPACING_M = 0.2
 OVERVIEW_PERIOD_STEPS = 10
 ORIGIN = np.zeros(3)
+NO_MATES: dict[int, list[float]] = {}
 EXTRA_CHOICES = ("sign", "mate", "stay")
 """What the choice among frontiers offers besides frontiers, in this order."""
 
@@ -113,7 +114,7 @@ class ObservationBuilder:
         self._readings = np.zeros((config.observation.sign_slots, 4))
         """Of each: time, x and y in the odom frame, and in how many other places the text is known."""
         self._path_odom = np.zeros((max(1, round(config.observation.path_m / PATH_SPACING_M)), 2))
-        self._path_count = 0
+        self._path_count, self._path_end = 0, (math.inf, math.inf)
         self._overview: tuple[tuple[int, int], tuple[Array, Array, float]] | None = None
         self._indexed_signs: tuple[KnownSign, ...] = ()
         self._sign_places = np.zeros((0, 2))
@@ -137,7 +138,9 @@ class ObservationBuilder:
         self, frame: SensorFrame, belief: Belief, candidates: Candidates = NOTHING, mask: Array | None = None
     ) -> dict[str, Array] | Array:
         """The observation after one frame, which `notice` must have seen."""
-        mates = {mate: between(belief.pose_map_robot, pose).tolist() for mate, pose in belief.mates.items()}
+        mates = NO_MATES
+        if belief.mates:
+            mates = {mate: between(belief.pose_map_robot, pose).tolist() for mate, pose in belief.mates.items()}
         seen = _Seen(frame, belief, mates, candidates, mask)
         blocks = {name: make(seen) for name, make in self._makers}
         return _joined(blocks) if self._is_flat else blocks
@@ -164,14 +167,15 @@ class ObservationBuilder:
     def _map(self, seen: _Seen) -> Array:
         shape, belief, mates = self._config.observation, seen.belief, seen.mates
         crop = map_view.crop_around(belief.grid, belief.pose_map_robot, shape.map_cells, shape.map_cell_m)
-        path = self._path_odom[: min(self._path_count, len(self._path_odom))]
-        map_view.mark(crop[map_view.PATH], path, belief.pose_odom, shape.map_cell_m)
+        cell_m = shape.map_cell_m
+        map_view.mark(crop, map_view.PATH, self._path_odom, self._path_count, belief.pose_odom, cell_m)
         if mates:
             places = np.array([place[:2] for place in mates.values()])
-            map_view.mark(crop[map_view.MATES], places, ORIGIN, shape.map_cell_m)
+            map_view.mark(crop, map_view.MATES, places, len(places), ORIGIN, cell_m)
         if belief.signs:
             self._index_signs(belief.signs)
-            map_view.mark(crop[map_view.SIGNS], self._sign_places, belief.pose_map_robot, shape.map_cell_m)
+            places = self._sign_places
+            map_view.mark(crop, map_view.SIGNS, places, len(places), belief.pose_map_robot, cell_m)
         return crop
 
     def _radio(self, seen: _Seen) -> Array:
@@ -208,10 +212,9 @@ class ObservationBuilder:
         return out
 
     def _extend_path(self, pose_odom: Array) -> None:
-        x, y = float(pose_odom[0]), float(pose_odom[1])
-        last = self._path_odom[(self._path_count - 1) % len(self._path_odom)]
-        if self._path_count == 0 or math.hypot(x - last[0], y - last[1]) >= PATH_SPACING_M:
-            self._path_odom[self._path_count % len(self._path_odom)] = x, y
+        x, y, _ = pose_odom.tolist()
+        if math.hypot(x - self._path_end[0], y - self._path_end[1]) >= PATH_SPACING_M:
+            self._path_odom[self._path_count % len(self._path_odom)] = self._path_end = x, y
             self._path_count += 1
 
     def _recent_signs(self, seen: _Seen) -> Array:

@@ -111,7 +111,7 @@ def standing_of(maps: Sequence[JudgedMap], errors_m: Array) -> Standing:
     own[:, 2] = 1.0 - np.minimum(errors_m / ERROR_MAX_M, 1.0)
     for judged in maps:
         if judged.is_right:
-            own[list(judged.viewers), 0] = judged.share
-            own[list(judged.viewers), 1] = (judged.robot_count - 1) / max(count - 1, 1)
+            for viewer in judged.viewers:
+                own[viewer, 0], own[viewer, 1] = judged.share, (judged.robot_count - 1) / max(count - 1, 1)
     best = int(np.argmax(own[:, 0]))
     return Standing(np.array([own[best, 0], own[best, 1], own[:, 2].mean()]), own)

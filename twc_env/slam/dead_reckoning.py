@@ -95,12 +95,6 @@ class DeadReckoning:
 
     def belief(self, robot: int, with_signs: bool = True) -> Belief:
         """Where dead reckoning places the robot, on an empty map, with no mates and no signs."""
-        frame = self._frames[robot]
-        return Belief(
-            robot=robot,
-            step=frame.step if frame is not None else 0,
-            pose_map_robot=self.robots[robot].pose_odom,
-            grid=self._grid,
-            ranges_m=frame.ranges_m if frame is not None else np.zeros(0),
-            pose_odom=self.robots[robot].pose_odom,
-        )
+        frame, pose = self._frames[robot], self.robots[robot].pose_odom
+        step, ranges_m = (frame.step, frame.ranges_m) if frame is not None else (0, np.zeros(0))
+        return Belief(robot, step, pose, self._grid, ranges_m=ranges_m, pose_odom=pose)

@@ -16,11 +16,17 @@ class Failures:
 
     def __init__(self, config: FailureConfig, robots: int):
         self._config = config
-        self._is_last = np.arange(robots) >= robots - config.robots
+        self._everyone = np.ones(robots, np.bool_)
+        self._survivors = np.arange(robots) < robots - config.robots
+        self._everyone.flags.writeable = self._survivors.flags.writeable = False
+
+    def are_all_alive(self, step: int) -> bool:
+        """Whether nobody has stopped yet."""
+        return not self._config.robots or step < self._config.robots_step
 
     def is_alive(self, step: int) -> Array:
-        """(robots,) bool: whether each still moves, senses and talks."""
-        return ~self._is_last | (step < self._config.robots_step)
+        """(robots,) bool, read-only: whether each still moves, senses and talks."""
+        return self._everyone if self.are_all_alive(step) else self._survivors
 
     def contacts(self, step: int, contacts: Contacts) -> Contacts:
         """What is left of the contacts of a step: the dead neither speak nor hear, and in a cut nobody does."""
@@ -28,8 +34,8 @@ class Failures:
         if config.link_begin_step <= step < config.link_end_step:
             nobody = np.zeros_like(contacts.tried)
             return Contacts(nobody, nobody)
-        alive = self.is_alive(step)
-        if alive.all():
+        if self.are_all_alive(step):
             return contacts
+        alive = self.is_alive(step)
         talks = alive[None] & (alive[:, None] if len(contacts.tried) == len(alive) else True)
         return Contacts(contacts.tried & talks, contacts.heard & talks)
