@@ -346,19 +346,15 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._frames = frames
         self._frames_of_step.append(frames)
         self._contacts = self._failures.contacts(self._steps, self._link.contacts(self._world.poses_home[:, :2]))
+        engine = self.engine
         if self._failures.are_all_alive(self._steps):
-            self.engine.track(frames)
+            engine.track(frames)
         else:
             is_alive = self._failures.is_alive(self._steps)
             if is_alive.any():
-                self.engine.track([frame for frame in frames if is_alive[frame.robot]])
-        self.engine.absorb(self._steps, self._contacts)
-        self._record.append(
-            self._world.poses,
-            [robot.pose_odom for robot in self.engine.robots],
-            [frame.odometry for frame in frames],
-            self._world.contacts,
-        )
+                engine.track([frame for frame in frames if is_alive[frame.robot]])
+        engine.absorb(self._steps, self._contacts)
+        self._record.append(self._world.poses, engine.poses_odom, frames, self._world.contacts)
 
     def _notice(self) -> None:
         """What the robots believe now, and what their observations must remember of it."""

@@ -17,7 +17,7 @@ from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
 from twc_env.exploration.rewards import JudgedMap, Standing, standing_of
 from twc_env.geometry import between, compose, transform_points
-from twc_env.messages import GridMap
+from twc_env.messages import GridMap, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
 from twc_env.slam.occupancy_grid import OccupancyGrid
@@ -95,14 +95,15 @@ class EpisodeRecord:
         self._contacts = np.zeros((256, robots), bool)
         self.wrong_pairs: set[tuple[int, int]] = set()
 
-    def append(
-        self, true_poses: Array, odom_poses: Sequence[Array], odometry: Sequence[Array], contacts: Array
-    ) -> None:
-        """Note one step: truth, front-end poses, measured motion, and contacts, one row per robot."""
+    def append(self, true_poses: Array, odom_poses: Array, frames: Sequence[SensorFrame], contacts: Array) -> None:
+        """Note one step, one row per robot: true poses, front-end poses (robots, 3), frames, and contacts."""
         if self.count == len(self._poses):
             self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
             self._contacts = np.concatenate([self._contacts, np.zeros_like(self._contacts)])
-        self._poses[self.count] = true_poses, odom_poses, odometry
+        now = self._poses[self.count]
+        now[0], now[1] = true_poses, odom_poses
+        for robot, frame in enumerate(frames):
+            now[2, robot] = frame.odometry
         self._contacts[self.count] = contacts
         self.count += 1
 

@@ -89,6 +89,11 @@ class DeadReckoning:
         """The same as `track`."""
         self.track(frames)
 
+    @property
+    def poses_odom(self) -> Array:
+        """(robots, 3) dead reckoning of all robots."""
+        return np.array([robot.pose_odom for robot in self.robots])
+
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) dead reckoning of a robot, in the frame it started in."""
         return self.robots[robot].pose_odom

@@ -68,8 +68,10 @@ class CooperativeSlam:
         self._frames: list[SensorFrame | None] = [None] * robot_count
         self._poses_map_robot = [np.zeros(3)] * robot_count
         self._poses_map_odom = np.zeros((robot_count, 3))
-        self._held_map_odom: list[Array | None] = [None] * robot_count
-        """The objects that the rows of `_poses_map_odom` were copied from."""
+        self._located = [-1] * len(self.mappers)
+        """The state of each mapper, by its count of changes, that `_poses_map_odom` and `_ties` were taken from."""
+        self._ties: list[tuple[float, Array, dict[int, int]]] = [(0.0, np.zeros(3), {})] * robot_count
+        """Of each robot: path length since its last closure, what may have gone astray on it, and when it heard whom."""
         self._last_step = 0
         radio = config.slam.k_visibility
         self._radio = RadioStructure(radio, config.slam.resolution_m, robot_count) if radio.enabled else None
@@ -122,14 +124,21 @@ class CooperativeSlam:
         self._locate()
 
     def _locate(self) -> None:
-        for robot, held in enumerate(self._held_map_odom):
-            pose = self.mapper_of(robot).pose_map_odom(robot)
-            if pose is not held:
-                self._held_map_odom[robot] = self._poses_map_odom[robot] = pose
+        for number, mapper in enumerate(self.mappers):
+            if mapper.changes != self._located[number]:
+                self._located[number] = mapper.changes
+                for robot in range(len(self.robots)) if self._is_central else (number,):
+                    self._poses_map_odom[robot] = mapper.pose_map_odom(robot)
+                    since_m, std = mapper.since_closure(robot)
+                    std.flags.writeable = False  # beliefs show it to planners
+                    self._ties[robot] = since_m, std, self._contact_steps(mapper, robot)
         poses = np.empty_like(self._poses_map_odom)
         _compose_rows(self._poses_map_odom, self._front_ends.poses_odom, poses)
         poses.flags.writeable = False  # beliefs show it to planners
         self._poses_map_robot = list(poses)
+
+    def _contact_steps(self, mapper: TeamMapper, robot: int) -> dict[int, int]:
+        return {mate: mapper.last_step_of(mate) for mate in range(len(self.robots)) if mate != robot}
 
     def finish(self) -> None:
         """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""
@@ -142,6 +151,11 @@ class CooperativeSlam:
         """`track` and `absorb` at once."""
         self.track(frames)
         self.absorb(frames[0].step, contacts)
+
+    @property
+    def poses_odom(self) -> Array:
+        """(robots, 3) front-end estimates of all robots, each in its own odom frame."""
+        return self._front_ends.poses_odom
 
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) estimate of a robot in its group's map frame, as of the last `absorb`."""
@@ -160,31 +174,30 @@ class CooperativeSlam:
         """What this robot knows now; `with_signs=False` leaves out the team's list of signs, which takes a while."""
         mapper, frame = self.mapper_of(robot), self._frames[robot]
         group = mapper.group_index(robot)
-        since_closure_m, pose_std = mapper.since_closure(robot)
+        held = mapper.groups[group]
+        since_closure_m, pose_std, contact_steps = self._ties[robot]
         return Belief(
             robot=robot,
             step=frame.step if frame is not None else 0,
-            pose_map_robot=self.pose_map_robot(robot),
-            grid=mapper.grid_of(group),
-            mates={mate: self._pose_of_mate(mapper, mate) for mate in mapper.groups[group].robots if mate != robot},
+            pose_map_robot=self._poses_map_robot[robot],
+            grid=held.grid.snapshot(),
+            mates={mate: self._pose_of_mate(mapper, mate) for mate in held.robots if mate != robot},
             signs=mapper.signs_of(group) if with_signs else (),
             ranges_m=frame.ranges_m if frame is not None else np.zeros(0),
-            map_version=mapper.groups[group].version,
+            map_version=held.version,
             pose_odom=self.robots[robot].pose_odom,
             pose_std=pose_std,
             since_closure_m=since_closure_m,
-            contact_steps={mate: mapper.last_step_of(mate) for mate in range(len(self.robots)) if mate != robot},
-            radio_map=self._radio_map(mapper, group, robot),
+            contact_steps=dict(contact_steps),
+            radio_map=None if self._radio is None else self._radio_map(self._radio, mapper, group, robot),
         )
 
-    def _radio_map(self, mapper: TeamMapper, group: int, robot: int) -> GridMap | None:
+    def _radio_map(self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int) -> GridMap | None:
         """What the readings of all robots of the group say; with a mapper on each robot, of its own."""
-        if self._radio is None:
-            return None
         robots = mapper.groups[group].robots if self._is_central else (robot,)
         poses = np.array([mapper.pose_map_odom(r) for r in robots])
-        return self._radio.map_of(robots, poses, mapper.groups[group].version)
+        return radio.map_of(robots, poses, mapper.groups[group].version)
 
     def _pose_of_mate(self, mapper: TeamMapper, mate: int) -> Array:
         """(3,) where a mate is, as far as this mapper has heard: now, or at its last keyframe that came."""
-        return self.pose_map_robot(mate) if self._is_central else mapper.poses_of(mate)[-1]
+        return self._poses_map_robot[mate] if self._is_central else mapper.poses_of(mate)[-1]

@@ -55,6 +55,9 @@ class Exchange:
         """Scans of others that a mapper asked for and got."""
         self._told = np.full((mappers, mappers, robot_count), -1)
         """What a peer was last told of another's holdings: (teller, told, robots)."""
+        self._pairs_of: Contacts | None = None
+        self._pairs: list[tuple[int, int, bool]] = []
+        """Listener, sender and whether it is heard, of every pair in touch, of these contacts."""
         self.bytes_sent = dict.fromkeys(KINDS, 0)
         """Kind of message -> bytes put on the air so far; what had to be sent twice counts twice."""
 
@@ -75,8 +78,10 @@ class Exchange:
             for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
                 self._hand_over(delivery, robot, robot, len(self._paths[robot]))
         before = self._held.copy()
-        for listener, sender in np.argwhere(contacts.tried).tolist():
-            is_heard = bool(contacts.heard[listener, sender])
+        if contacts is not self._pairs_of:
+            self._pairs_of = contacts
+            self._pairs = [(i, k, bool(contacts.heard[i, k])) for i, k in np.argwhere(contacts.tried).tolist()]
+        for listener, sender, is_heard in self._pairs:
             if not self._is_central:
                 self._tell_holdings(listener, sender, is_heard)
             self._tell_keyframes(deliveries[listener], listener, sender, before, is_heard)

@@ -33,18 +33,31 @@ class Listening:
         self._last = np.zeros((listeners, robots), np.int64)
         self._silence = np.zeros((listeners, robots, 2), np.int64)
         """First and last step of the longest silence that ended."""
+        self._same: Array | None = None
+        self._same_until = 0
+        """What was heard in the latest step, and the last of the steps in which it was the same, not yet noted."""
 
     def note(self, step: int, heard: Array) -> None:
-        """What reached whom in a step; heard (listeners, robots) bool."""
+        """What reached whom in a step; heard (listeners, robots) bool, never written to afterwards."""
+        if heard is self._same and step == self._same_until + 1:
+            self._same_until = step
+            return
+        self._catch_up()
+        self._same, self._same_until = heard, step
         ended = heard & (step - self._last > self._silence[..., 1] - self._silence[..., 0])
         if ended.any():
             self._silence[ended, 0] = self._last[ended]
             self._silence[ended, 1] = step
         self._last[heard] = step
 
+    def _catch_up(self) -> None:
+        if self._same is not None:
+            self._last[self._same] = self._same_until
+
     def lines(self, listener: int, robots: Collection[int], step: int, time_step_s: float) -> list[str]:
         """Robots that this listener has not heard for long, or once did not."""
         found = []
+        self._catch_up()
         for robot in robots:
             last, (begin, end) = self._last[listener, robot], self._silence[listener, robot]
             if (step - last) * time_step_s > SILENT_S:

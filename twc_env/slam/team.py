@@ -111,6 +111,11 @@ class TeamMapper:
         return self._graph.closures
 
     @property
+    def changes(self) -> int:
+        """Grows whenever a keyframe arrives, a pose moves or a closure is believed or refused."""
+        return self._graph.changes
+
+    @property
     def merges_undone(self) -> int:
         """How many merges turned out to be wrong and were taken back."""
         return self._review.undone_count
@@ -151,10 +156,12 @@ class TeamMapper:
     def signs_of(self, group: int) -> tuple[KnownSign, ...]:
         """The texts read by a group, each once per place."""
         robots, version = self.groups[group].robots, self.groups[group].version
-        key = (sum(self._graph.signs_read[r] for r in robots), version)
-        if robots not in self._signs or self._signs[robots][0] != key:
-            self._signs[robots] = (key, self._graph.signs(robots))
-        return self._signs[robots][1]
+        read = self._graph.signs_read
+        key = (sum([read[r] for r in robots]), version)
+        held = self._signs.get(robots)
+        if held is None or held[0] != key:
+            held = self._signs[robots] = (key, self._graph.signs(robots))
+        return held[1]
 
     def graph(self) -> dict[str, Array | list[str]]:
         """The pose graph as arrays: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.geometry import compose, inverse
@@ -17,6 +18,47 @@ Array = NDArray
 
 ODOMETRY = -1
 SAME_SIGN_M = 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _places_of_signs(poses, readings, local, robots, text_count, same_m, texts, places):
+    """Text and place (in the map) of each known sign, robot by robot; all of one text stand together.
+
+    readings (n, 3): robot, node, text; local (n, 2): place in the frame of the node. Gives how many there are.
+    """
+    found_text, found = np.empty(readings.shape[0], np.int64), np.empty((readings.shape[0], 2))
+    latest, earlier = np.full(text_count, -1), np.empty(readings.shape[0], np.int64)
+    order, texts_found, count = np.empty(text_count, np.int64), 0, 0
+    for a in range(robots.shape[0]):
+        for k in range(readings.shape[0]):
+            if readings[k, 0] != robots[a]:
+                continue
+            x, y, heading = poses[readings[k, 1], 0], poses[readings[k, 1], 1], poses[readings[k, 1], 2]
+            c, s = math.cos(heading), math.sin(heading)
+            x, y = x + c * local[k, 0] - s * local[k, 1], y + s * local[k, 0] + c * local[k, 1]
+            text = readings[k, 2]
+            other = latest[text]
+            while other >= 0 and math.sqrt((found[other, 0] - x) ** 2 + (found[other, 1] - y) ** 2) >= same_m:
+                other = earlier[other]
+            if other >= 0:
+                continue
+            if latest[text] < 0:
+                order[texts_found] = text
+                texts_found += 1
+            found_text[count], found[count, 0], found[count, 1] = text, x, y
+            earlier[count] = latest[text]
+            latest[text] = count
+            count += 1
+    end = 0
+    for t in range(texts_found):
+        first = end
+        sign = latest[order[t]]
+        while sign >= 0:  # from the latest to the first, then turned round
+            texts[end], places[end] = order[t], found[sign]
+            end += 1
+            sign = earlier[sign]
+        places[first:end] = places[first:end][::-1].copy()
+    return count
 
 
 class Growing:
@@ -47,6 +89,8 @@ class TeamGraph:
 
     def __init__(self, robot_count: int, beam_count: int, keeps_refused: bool = False):
         self._keeps_refused = keeps_refused
+        self.changes = 0
+        """Grows whenever a keyframe arrives, a pose moves or a closure is believed or refused."""
         self.refusals = 0
         """How often a well measured closure was refused."""
         self._sound: set[int] = set()
@@ -68,6 +112,10 @@ class TeamGraph:
         """Each robot's last keyframe with a closure that is used."""
         self.signs_read = [0] * robot_count
         """Texts read by each robot."""
+        self._text_numbers: dict[str, int] = {}
+        """Each text that was ever read and its number, in order."""
+        self._readings, self._reading_places = Growing(3, dtype=np.int64), Growing(2)
+        """Robot, node and text of each reading; where it is in the frame of its keyframe."""
         self._edge_of_closure: dict[int, int] = {}
         self._map_odom: list[Array | None] = [np.zeros(3) for _ in range(robot_count)]
 
@@ -126,6 +174,7 @@ class TeamGraph:
     def add_keyframe(self, keyframe: Keyframe) -> int:
         """The node of a new keyframe, put where odometry leads from the robot's last one."""
         robot, nodes = keyframe.robot, self._nodes[keyframe.robot]
+        self.changes += 1
         node = self._poses.count
         self._poses.append(compose(self._poses.rows[nodes[-1]], keyframe.motion) if nodes else np.zeros(3))
         self._scans.append(keyframe.ranges_m)
@@ -140,6 +189,10 @@ class TeamGraph:
         self._travels[robot].append(keyframe.travel_m)
         self._add_strain(robot, keyframe.motion_covariance)
         self.signs_read[robot] += len(keyframe.signs)
+        for sign in keyframe.signs:
+            text = self._text_numbers.setdefault(sign.text, len(self._text_numbers))
+            self._readings.append((robot, node, text))
+            self._reading_places.append(sign.position_m)
         return node
 
     def _add_strain(self, robot: int, motion_covariance: Array) -> None:
@@ -155,6 +208,7 @@ class TeamGraph:
 
     def accept(self, closure: LoopClosure) -> None:
         """Use a noted closure as an edge."""
+        self.changes += 1
         closure.status, closure.reason = "accepted", ""
         for robot, index in (closure.candidate.target, closure.candidate.source):
             self._tied[robot] = max(self._tied[robot], index)
@@ -162,6 +216,7 @@ class TeamGraph:
 
     def refuse(self, closure: LoopClosure, reason: str) -> None:
         """A noted closure, well measured, contradicts the map: use it no more."""
+        self.changes += 1
         closure.status, closure.reason = "rejected", reason
         self._sound.add(closure.number)
         self.refusals += 1
@@ -205,6 +260,7 @@ class TeamGraph:
 
     def place(self, nodes: Sequence[int] | Array, poses: Array, robots: Sequence[int]) -> None:
         """Move nodes, all of these robots, to new poses."""
+        self.changes += 1
         self._poses.rows[nodes] = poses
         for robot in robots:
             self._map_odom[robot] = None
@@ -234,16 +290,14 @@ class TeamGraph:
 
     def signs(self, robots: Sequence[int]) -> tuple[KnownSign, ...]:
         """The texts read by some robots of one group, each once per place."""
-        places: dict[str, list[Array]] = {}
-        for robot in robots:
-            poses = self.poses_of(robot)
-            for keyframe in self.keyframes[robot]:
-                for sign in keyframe.signs:
-                    position = compose(poses[keyframe.index], [*sign.position_m, 0.0])[:2]
-                    known = places.setdefault(sign.text, [])
-                    if all(math.dist(position, other) >= SAME_SIGN_M for other in known):
-                        known.append(position)
-        return tuple(KnownSign(text, position) for text, known in places.items() for position in known)
+        texts, places = np.empty(self._readings.count, np.int64), np.empty((self._readings.count, 2))
+        count = _places_of_signs(
+            self._poses.rows, self._readings.rows, self._reading_places.rows, np.array(robots, np.int64),
+            len(self._text_numbers), SAME_SIGN_M, texts, places,
+        )  # fmt: skip
+        names = list(self._text_numbers)
+        places.flags.writeable = False  # beliefs show it to planners
+        return tuple([KnownSign(names[k], place) for k, place in zip(texts[:count].tolist(), places[:count], strict=True)])
 
     def as_arrays(self) -> dict[str, Array | list[str]]:
         """The graph of what is used: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""

@@ -21,10 +21,13 @@ class Link:
         self._always = np.ones((listeners, robots), bool)
         if config.topology == "peer":
             np.fill_diagonal(self._always, False)
+        self._all_in_touch = Contacts(self._always, self._always)
 
     def contacts(self, positions_m: Array) -> Contacts:
         """The contacts of one step at true positions (robots, 2) in the frame of the walls."""
         config = self._config
+        if config.topology != "peer" and config.loss_probability == 0.0:
+            return self._all_in_touch
         tried = self._in_range(positions_m) if config.topology == "peer" else self._always
         if config.loss_probability == 0.0:
             return Contacts(tried, tried)
