@@ -78,7 +78,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("team: pose graph", True, TeamMapper, "_optimise"),
         ("team: redrawing", True, GroupMaps, "redraw"),
         ("team: the rest", True, CooperativeSlam, "absorb"),
-        ("observation: map crop", False, map_view, "crop_around"),
+        ("observation: map crop", False, map_view, "view"),
         ("observation: the rest", False, ObservationBuilder, "build"),
         ("reward: map against the truth", False, evaluation, "standing"),
     ]

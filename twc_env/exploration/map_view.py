@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twc_env.messages import GridMap
+from twc_env.messages import Belief, GridMap
 
 Array = NDArray
 
@@ -27,18 +27,23 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
     A crop cell is a frontier when it is free and has an unknown neighbour in the crop.
     """
     out = np.zeros((CHANNELS, cells, cells), np.uint8)
-    if grid.log_odds.size == 0:
-        out[UNKNOWN] = 255
-        return out
     x, y = (pose_map_robot[:2] - grid.origin_m).tolist()
     _crop(grid.log_odds, x, y, float(pose_map_robot[2]), 1.0 / grid.resolution_m, cell_m, out)
     return out
 
 
-def mark(crop: Array, channel: int, points_m: Array, count: int, pose: Array, cell_m: float) -> None:
-    """Set the cells of one channel under the first points of (k, 2), as seen from a pose in the frame of the points."""
-    x, y, heading = pose.tolist()
-    _mark(crop, channel, points_m, count, x, y, heading, 1.0 / cell_m)
+def view(belief: Belief, cells: int, cell_m: float, path_odom: Array, path_count: int, mates: Array, signs: Array):
+    """`crop_around` of a belief with its last three channels filled too: (7, cells, cells) uint8.
+
+    path_odom (k, 2): a ring that holds the latest of `path_count` places in the odom frame; mates (m, >= 2) as this
+    robot sees them; signs (k, 2) in the map frame.
+    """
+    grid, out = belief.grid, np.empty((CHANNELS, cells, cells), np.uint8)
+    _crop_and_mark(
+        grid.log_odds, grid.origin_m, 1.0 / grid.resolution_m, belief.pose_map_robot, cell_m, path_odom, path_count,
+        belief.pose_odom, mates, signs, out,
+    )  # fmt: skip
+    return out
 
 
 def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
@@ -53,15 +58,16 @@ def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
 
 
 @njit(cache=True, error_model="numpy")
-def _mark(crop, channel, points, count, x, y, heading, inverse_m):
-    size = crop.shape[1]
+def _mark(channel, points, count, x, y, heading, inverse_m):
+    """Set the cells of channel (cells, cells) under the first points of (k, 2), seen from a pose in their frame."""
+    size = channel.shape[0]
     half = size // 2
     c, s = math.cos(heading) * inverse_m, math.sin(heading) * inverse_m
     for k in range(min(count, points.shape[0])):
         dx, dy = points[k, 0] - x, points[k, 1] - y
         row, column = math.floor(c * dy - s * dx) + half, math.floor(c * dx + s * dy) + half
         if 0 <= row < size and 0 <= column < size:
-            crop[channel, row, column] = 255
+            channel[row, column] = 255
 
 
 @njit(cache=True, error_model="numpy")
@@ -94,10 +100,30 @@ def _shrink(log_odds, out):
 
 
 @njit(cache=True, error_model="numpy")
+def _look_up(cells, height, width, x, y, dx, dy, levels):
+    """Write the levels of a row of samples from cell (x, y) on, in fixed point; 0 outside the grid."""
+    size = levels.shape[0]
+    k0, k1 = x >> FIXED_BITS, (x + dx * (size - 1)) >> FIXED_BITS
+    r0, r1 = y >> FIXED_BITS, (y + dy * (size - 1)) >> FIXED_BITS
+    if min(k0, k1) >= 0 and min(r0, r1) >= 0 and max(k0, k1) < width and max(r0, r1) < height:
+        for j in range(size):  # the whole row lies inside: no cell needs a check
+            levels[j] = cells[(y >> FIXED_BITS) * width + (x >> FIXED_BITS)]
+            x += dx
+            y += dy
+    else:
+        for j in range(size):
+            k, r = x >> FIXED_BITS, y >> FIXED_BITS
+            levels[j] = cells[r * width + k] if 0 <= r < height and 0 <= k < width else 0
+            x += dx
+            y += dy
+
+
+@njit(cache=True, error_model="numpy")
 def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     """Egocentric view, robot in the middle and looking along +column: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0).
 
-    Each cell takes two samples on one of its diagonals, by turns, so that a thin wall hardly slips through.
+    Each cell takes two samples on one of its diagonals, by turns, so that a thin wall hardly slips through. Looking up
+    stands apart from comparing, because only the latter gains from being done for many cells at once.
     """
     height, width = log_odds.shape
     size = out.shape[1]
@@ -108,34 +134,35 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     y0 = y * inverse_m + first * (s + c)
     cells = log_odds.reshape(-1)
     dx, dy = int(2 * c * FIXED_POINT), int(2 * s * FIXED_POINT)
-    for i in range(2 * size):
-        shift = (i + (i >> 1)) & 1
-        gx = int(math.floor((x0 - s * i + c * shift) * FIXED_POINT))
-        gy = int(math.floor((y0 + c * i + s * shift) * FIXED_POINT))
-        free, wall = out[0, i >> 1], out[1, i >> 1]
-        k0, k1 = gx >> FIXED_BITS, (gx + dx * (size - 1)) >> FIXED_BITS
-        r0, r1 = gy >> FIXED_BITS, (gy + dy * (size - 1)) >> FIXED_BITS
-        if min(k0, k1) >= 0 and min(r0, r1) >= 0 and max(k0, k1) < width and max(r0, r1) < height:
-            for j in range(size):  # the whole row lies inside: no cell needs a check
-                level = cells[((gy + j * dy) >> FIXED_BITS) * width + ((gx + j * dx) >> FIXED_BITS)]
-                free[j] |= np.uint8(level < 0)
-                wall[j] |= np.uint8(level > 0)
-        else:
-            for j in range(size):
-                k, r = (gx + j * dx) >> FIXED_BITS, (gy + j * dy) >> FIXED_BITS
-                if 0 <= r < height and 0 <= k < width:
-                    level = log_odds[r, k]
-                    free[j] |= np.uint8(level < 0)
-                    wall[j] |= np.uint8(level > 0)
+    levels = np.empty((2, size), np.int16)
     for i in range(size):
+        for half in range(2):
+            line, shift = 2 * i + half, (i + half) & 1
+            gx = int(math.floor((x0 - s * line + c * shift) * FIXED_POINT))
+            gy = int(math.floor((y0 + c * line + s * shift) * FIXED_POINT))
+            _look_up(cells, height, width, gx, gy, dx, dy, levels[half])
         free, wall, unknown = out[0, i], out[1, i], out[2, i]
         for j in range(size):
-            is_wall = wall[j]
-            free[j] = (free[j] & (1 - is_wall)) * 255
-            unknown[j] = 255 - (free[j] | is_wall * 255)
-            wall[j] = is_wall * 255
+            is_wall = (levels[0, j] > 0) | (levels[1, j] > 0)
+            is_free = ((levels[0, j] < 0) | (levels[1, j] < 0)) & (not is_wall)
+            wall[j], free[j] = np.uint8(is_wall) * np.uint8(255), np.uint8(is_free) * np.uint8(255)
+            unknown[j] = np.uint8(not (is_wall | is_free)) * np.uint8(255)
+    out[3] = 0
     for i in range(1, size - 1):
         above, here, below = out[2, i - 1], out[2, i], out[2, i + 1]
         free, frontier = out[0, i], out[3, i]
         for j in range(1, size - 1):
             frontier[j] = free[j] & (above[j] | below[j] | here[j - 1] | here[j + 1])
+
+
+@njit(cache=True, error_model="numpy")
+def _crop_and_mark(
+    log_odds, origin, inverse_grid_m, pose_map, cell_m, path, path_count, pose_odom, mates, signs, out
+):  # fmt: skip
+    """All channels: what lies around the robot, its path (k, 2), its mates (k, >= 2, as it sees them) and signs."""
+    _crop(log_odds, pose_map[0] - origin[0], pose_map[1] - origin[1], pose_map[2], inverse_grid_m, cell_m, out)
+    out[4:] = 0
+    inverse_m = 1.0 / cell_m
+    _mark(out[4], path, path_count, pose_odom[0], pose_odom[1], pose_odom[2], inverse_m)
+    _mark(out[5], mates, mates.shape[0], 0.0, 0.0, 0.0, inverse_m)
+    _mark(out[6], signs, signs.shape[0], pose_map[0], pose_map[1], pose_map[2], inverse_m)

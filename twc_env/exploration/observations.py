@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.exploration import map_view
-from twc_env.geometry import between
 from twc_env.messages import Belief, KnownSign, SensorFrame
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
 
@@ -28,8 +28,6 @@ HALF_AGE_S = 10.0
 HALF_COUNT = 2.0
 PATH_SPACING_M = 0.2
 OVERVIEW_PERIOD_STEPS = 10
-ORIGIN = np.zeros(3)
-NO_MATES: dict[int, list[float]] = {}
 EXTRA_CHOICES = ("sign", "mate", "stay")
 """What the choice among frontiers offers besides frontiers, in this order."""
 
@@ -81,8 +79,8 @@ class _Seen(NamedTuple):
 
     frame: SensorFrame
     belief: Belief
-    mates: dict[int, list[float]]
-    """Robot -> x, y, heading in this robot's frame."""
+    mates: Array
+    """(m, 3) x, y, heading of the mates in this robot's frame, in the order of `belief.mates`."""
     candidates: Candidates
     mask: Array | None
 
@@ -116,6 +114,10 @@ class ObservationBuilder:
         self._path_odom = np.zeros((max(1, round(config.observation.path_m / PATH_SPACING_M)), 2))
         self._path_count, self._path_end = 0, (math.inf, math.inf)
         self._overview: tuple[tuple[int, int], tuple[Array, Array, float]] | None = None
+        self._time_step_s = config.dynamics.time_step_s
+        self._contact_steps = np.full(max(self._robots - 1, 1), -1)
+        self._mate_rows = np.zeros(max(self._robots - 1, 1), np.int64)
+        """Scratch: when each mate was last heard of, and the row of each mate of the group."""
         self._indexed_signs: tuple[KnownSign, ...] = ()
         self._sign_places = np.zeros((0, 2))
         self._text_counts: Counter[str] = Counter()
@@ -138,10 +140,7 @@ class ObservationBuilder:
         self, frame: SensorFrame, belief: Belief, candidates: Candidates = NOTHING, mask: Array | None = None
     ) -> dict[str, Array] | Array:
         """The observation after one frame, which `notice` must have seen."""
-        mates = NO_MATES
-        if belief.mates:
-            mates = {mate: between(belief.pose_map_robot, pose).tolist() for mate, pose in belief.mates.items()}
-        seen = _Seen(frame, belief, mates, candidates, mask)
+        seen = _Seen(frame, belief, self._mates_seen(belief), candidates, mask)
         blocks = {name: make(seen) for name, make in self._makers}
         return _joined(blocks) if self._is_flat else blocks
 
@@ -165,18 +164,11 @@ class ObservationBuilder:
         return np.zeros(0, np.int8) if seen.mask is None else seen.mask.copy()
 
     def _map(self, seen: _Seen) -> Array:
-        shape, belief, mates = self._config.observation, seen.belief, seen.mates
-        crop = map_view.crop_around(belief.grid, belief.pose_map_robot, shape.map_cells, shape.map_cell_m)
-        cell_m = shape.map_cell_m
-        map_view.mark(crop, map_view.PATH, self._path_odom, self._path_count, belief.pose_odom, cell_m)
-        if mates:
-            places = np.array([place[:2] for place in mates.values()])
-            map_view.mark(crop, map_view.MATES, places, len(places), ORIGIN, cell_m)
-        if belief.signs:
-            self._index_signs(belief.signs)
-            places = self._sign_places
-            map_view.mark(crop, map_view.SIGNS, places, len(places), belief.pose_map_robot, cell_m)
-        return crop
+        shape, belief = self._config.observation, seen.belief
+        self._index_signs(belief.signs)
+        return map_view.view(
+            belief, shape.map_cells, shape.map_cell_m, self._path_odom, self._path_count, seen.mates, self._sign_places
+        )
 
     def _radio(self, seen: _Seen) -> Array:
         """Probably free, probably wall around the robot, from signal strength alone."""
@@ -189,8 +181,7 @@ class ObservationBuilder:
         """Places (k, 2) and how often each text is known, made anew only when the list changed."""
         if self._indexed_signs is not signs:
             self._indexed_signs = signs
-            self._sign_places = np.array([sign.position_m for sign in signs])
-            self._text_counts = Counter(sign.text for sign in signs)
+            self._sign_places, self._text_counts = _index_of(signs)
             self._count_elsewhere()
 
     def _count_elsewhere(self) -> None:
@@ -226,18 +217,29 @@ class ObservationBuilder:
         return rows
 
     def _team(self, seen: _Seen) -> Array:
-        frame, belief, mates = seen.frame, seen.belief, seen.mates
         rows = np.zeros((max(self._robots - 1, 1), 5), np.float32)
-        time_step_s = self._config.dynamics.time_step_s
-        for mate, step in belief.contact_steps.items():
-            row = rows[mate if mate < self._robot else mate - 1]
-            age_s = (frame.step - step) * time_step_s
-            row[4] = 1.0 if step < 0 else age_s / (age_s + HALF_AGE_S)
-        for mate, (x, y, heading) in mates.items():
-            away = math.hypot(x, y)
-            row = rows[mate if mate < self._robot else mate - 1]
-            row[:4] = 1.0, math.atan2(y, x) / math.pi, away / (away + HALF_WAY_M), heading / math.pi
+        for mate, step in seen.belief.contact_steps.items():
+            self._contact_steps[mate if mate < self._robot else mate - 1] = step
+        for k, mate in enumerate(seen.belief.mates):
+            self._mate_rows[k] = mate if mate < self._robot else mate - 1
+        heard = self._contact_steps[: len(seen.belief.contact_steps)]
+        _fill_team(seen.frame.step, self._time_step_s, heard, self._mate_rows, seen.mates, rows)
         return rows
+
+    def _mates_seen(self, belief: Belief) -> Array:
+        """(m, 3) poses of the mates in the robot's frame."""
+        mates = np.empty((len(belief.mates), 3))
+        for row, pose in zip(mates, belief.mates.values(), strict=True):
+            row[:] = pose
+        if len(mates):
+            _as_seen_from(belief.pose_map_robot, mates)
+        return mates
+
+
+@lru_cache(maxsize=4)
+def _index_of(signs: tuple[KnownSign, ...]) -> tuple[Array, Counter[str]]:
+    """Places (k, 2) and how often each text is known; robots of one group share the list of signs."""
+    return np.array([sign.position_m for sign in signs]).reshape(-1, 2), Counter([sign.text for sign in signs])
 
 
 class WifiSlots:
@@ -289,6 +291,30 @@ def _fill_signs(readings, count, now_s, memory_s, pose, rows):
         rows[k, 2] = away / (away + HALF_WAY_M)
         rows[k, 3] = min(age_s / max(memory_s, 1e-9), 1.0)
         rows[k, 4] = elsewhere / (elsewhere + HALF_COUNT)
+
+
+@njit(cache=True, error_model="numpy")
+def _as_seen_from(pose, others):
+    """`geometry.between` of a pose and each of the others, written over these."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(others.shape[0]):
+        dx, dy, turn = others[k, 0] - pose[0], others[k, 1] - pose[1], others[k, 2] - pose[2]
+        others[k, 0], others[k, 1] = c * dx + s * dy, c * dy - s * dx
+        others[k, 2] = (turn + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_team(now, time_step_s, contact_steps, mate_rows, mates, rows):
+    """The block `team`: the step in which each mate was last heard of; rows and poses of those of the same map."""
+    for row in range(contact_steps.shape[0]):
+        step = contact_steps[row]
+        age_s = (now - step) * time_step_s
+        rows[row, 4] = 1.0 if step < 0 else age_s / (age_s + HALF_AGE_S)
+    for k in range(mates.shape[0]):
+        row = rows[mate_rows[k]]
+        away = math.sqrt(mates[k, 0] * mates[k, 0] + mates[k, 1] * mates[k, 1])
+        row[0], row[1] = 1.0, math.atan2(mates[k, 1], mates[k, 0]) / math.pi
+        row[2], row[3] = away / (away + HALF_WAY_M), mates[k, 2] / math.pi
 
 
 @njit(cache=True, error_model="numpy")
