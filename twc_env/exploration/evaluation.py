@@ -363,9 +363,9 @@ def map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
     grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
     for robot in range(poses.shape[1]):
         mapper = engine.mapper_of(robot)
-        keyframes, steps = mapper.keyframes[robot], mapper.keyframe_steps(robot)
-        if keyframes:
-            grid.integrate(poses[steps, robot], np.array([k.ranges_m for k in keyframes]))
+        steps = mapper.keyframe_steps(robot)
+        if len(steps):
+            grid.integrate(poses[steps, robot], mapper.scans_of(robot))
     return grid.snapshot()
 
 
@@ -373,12 +373,26 @@ def _seen_share(grid: GridMap, cells: Cells) -> float:
     """Share of the explorable floor of which some scan said anything; grid drawn at the true poses."""
     if grid.log_odds.size == 0:
         return 0.0
-    rows, columns = np.nonzero(cells.free)
-    centres = cells.origin_m + (np.stack([columns, rows], axis=1) + 0.5) * cells.resolution_m
-    found = grid.cell_of(centres)
-    inside = np.all((found >= 0) & (found < grid.log_odds.shape), axis=1)
-    row, column = found[inside].T
-    return float(np.count_nonzero(grid.log_odds[row, column]) / max(len(rows), 1))
+    seen = _count_seen(
+        grid.log_odds, grid.origin_m, grid.resolution_m, cells.free, np.asarray(cells.origin_m), cells.resolution_m
+    )
+    return float(seen / max(np.count_nonzero(cells.free), 1))
+
+
+@njit(cache=True, error_model="numpy")
+def _count_seen(log_odds, origin, resolution_m, free, free_origin, free_resolution_m):
+    """Free cells of which the map says anything at their centres."""
+    rows, columns = log_odds.shape
+    count = 0
+    for i in range(free.shape[0]):
+        row = math.floor((free_origin[1] + (i + 0.5) * free_resolution_m - origin[1]) / resolution_m)
+        if not 0 <= row < rows:
+            continue
+        for j in range(free.shape[1]):
+            if free[i, j]:
+                column = math.floor((free_origin[0] + (j + 0.5) * free_resolution_m - origin[0]) / resolution_m)
+                count += 0 <= column < columns and log_odds[row, column] != 0
+    return count
 
 
 def _score_odometry(engine: Engine, reckoned: Array, true: Array, config: EnvConfig, cells: Cells) -> metrics.MapScore:
@@ -390,13 +404,16 @@ def _closures(engine: Engine, best: GroupVerdict, record: EpisodeRecord, alignme
     """The closures of the mapper behind the best map."""
     mapper = best.view.mapper
     viewer = best.view.viewers[0]
+    places: list[tuple[Array, Array]] = []
+    """Of each robot the true poses of its keyframes, and where they are believed to be in the building (k, 2)."""
+    for robot in range(record.true_poses.shape[1]):
+        shown = (mapper, alignment[viewer]) if robot in best.robots else (engine.mapper_of(robot), alignment[robot])
+        believed = transform_points(shown[1], shown[0].poses_of(robot)[:, :2])
+        places.append((record.true_poses[mapper.keyframe_steps(robot), robot], believed))
 
     def place(key: tuple[int, int]) -> tuple[Array, Array]:
-        """True pose of a keyframe, and where it is believed to be in the building (2,)."""
         robot, index = key
-        shown = (mapper, alignment[viewer]) if robot in best.robots else (engine.mapper_of(robot), alignment[robot])
-        true = record.true_poses[mapper.keyframe_steps(robot)[index], robot]
-        return true, transform_points(shown[1], shown[0].poses_of(robot)[index : index + 1, :2])[0]
+        return places[robot][0][index], places[robot][1][index]
 
     rows = []
     for closure in mapper.closures:

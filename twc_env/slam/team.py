@@ -137,6 +137,10 @@ class TeamMapper:
         """(keyframes,) the step at which each was taken."""
         return self._graph.steps_of(robot)
 
+    def scans_of(self, robot: int) -> Array:
+        """(keyframes, beams) the scan of each [m]."""
+        return self._graph.scans_of(robot)
+
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
         return self._graph.pose_map_odom(robot)

@@ -133,6 +133,10 @@ class TeamGraph:
         """(keyframes, 3) of one robot."""
         return self._poses.rows[self._node_rows[robot].rows]
 
+    def scans_of(self, robot: int) -> Array:
+        """(keyframes, beams) of one robot [m]."""
+        return self._scans.rows[self._node_rows[robot].rows]
+
     def steps_of(self, robot: int) -> Array:
         """(keyframes,) the step at which each was taken."""
         return self._steps[robot].rows
@@ -161,7 +165,9 @@ class TeamGraph:
         if not self.keyframes[robot]:
             return 0.0, np.zeros(3)
         travels, strains, tied = self._travels[robot].rows, self._strains[robot].rows, self._tied[robot]
-        return float(travels[-1] - travels[tied]), np.sqrt(np.maximum(strains[-1] - strains[tied], 0.0))
+        x, y, heading = (strains[-1] - strains[tied]).tolist()  # three numbers: root by root, without array functions
+        std = math.sqrt(max(x, 0.0)), math.sqrt(max(y, 0.0)), math.sqrt(max(heading, 0.0))
+        return float(travels[-1] - travels[tied]), np.array(std)
 
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
@@ -297,7 +303,9 @@ class TeamGraph:
         )  # fmt: skip
         names = list(self._text_numbers)
         places.flags.writeable = False  # beliefs show it to planners
-        return tuple([KnownSign(names[k], place) for k, place in zip(texts[:count].tolist(), places[:count], strict=True)])
+        return tuple(
+            [KnownSign(names[k], place) for k, place in zip(texts[:count].tolist(), places[:count], strict=True)]
+        )
 
     def as_arrays(self) -> dict[str, Array | list[str]]:
         """The graph of what is used: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
