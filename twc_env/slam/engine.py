@@ -71,7 +71,7 @@ class CooperativeSlam:
         self._located = [-1] * len(self.mappers)
         """The state of each mapper, by its count of changes, that `_poses_map_odom` and `_ties` were taken from."""
         self._ties: list[tuple[float, Array, dict[int, int]]] = [(0.0, np.zeros(3), {})] * robot_count
-        """Of each robot: path length since its last closure, what may have gone astray on it, and when it heard whom."""
+        """Of each robot: path length since its last closure, what may have gone astray on it, when it heard whom."""
         self._last_step = 0
         radio = config.slam.k_visibility
         self._radio = RadioStructure(radio, config.slam.resolution_m, robot_count) if radio.enabled else None
