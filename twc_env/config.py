@@ -412,6 +412,10 @@ class RadioSlamConfig(_Checked):
     cell_m: float = _number(6.0, 0.1, 100.0)
     """Of all closures between two stretches this long the strongest is kept."""
     closures_per_place: int = _number(3, 1, 1000)
+    trail_places_max: int = _number(400, 50, 100_000)
+    """Places that `radio_trail`, which runs scan by scan, keeps at most."""
+    trail_period_m: float = _number(30.0, 1.0, 10_000.0)
+    """Path length between two of its optimisations."""
     robust_scale: float = _number(2.0, 0.1, 1000.0)
     """Cauchy: at this many standard deviations a closure has lost half of its weight."""
     position_std_per_m: float = _number(0.03, 0.0, 1.0)

@@ -30,10 +30,10 @@ def true_path(laps: int = 3) -> np.ndarray:
 
 
 def made_log(
-    curl: float = 0.006, seed: int = 0, first_mac: int = 1, noise_db: float = 2.0
+    curl: float = 0.006, seed: int = 0, first_mac: int = 1, noise_db: float = 2.0, laps: int = 3
 ) -> tuple[RadioLog, np.ndarray]:
     random = np.random.default_rng(seed)
-    truth = true_path()
+    truth = true_path(laps)
     places = random.uniform((-15, -15), (55, 40), (TRANSMITTERS, 2))
     away = np.linalg.norm(truth[:, None, :2] - places[None], axis=2)
     level = -35 - 30 * np.log10(np.maximum(away, 1.0)) + noise_db * random.normal(size=away.shape)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,7 @@ from twc_env.reproduce.radio_walks import RadioWalk
 from twc_env.reproduce.runner import Runner, parse_seeds
 from twc_env.slam import radio_lidar, radio_slam
 from twc_env.slam.distance_factor import Distances
+from twc_env.slam.particle_filter import ParticleFilterSettings, map_frames
 from twc_env.slam.robot import FrontEnds
 from twc_env.world.odometry import Odometry
 
@@ -38,6 +40,8 @@ SUMMARY = "radio SLAM in twins of its three environments: WiFi, LTE, WiFi with l
 LIDAR = LidarConfig(beam_count=360, range_max_m=20.0)
 FALSE_DISTANCE_M, FALSE_VARIANCE_M2 = 3.0, 4.0
 """What a false closure claims: about what true ones do."""
+PARTICLE_STRIDE, PARTICLE_CELL_M = 6, 0.2
+"""The particle filter takes every sixth beam, into cells of this size: twenty maps of a whole campus are held."""
 SURVEY_PRINTED_S = 8619.2
 """Time a laser survey of small loops took (Fig. 5)."""
 
@@ -73,7 +77,10 @@ PLACES = {
     ),
     "semi-indoor": Place(
         "radio-ntu", "radio-semi-indoor", 1072.6, 2583.9, 51.98, 1.7,
-        {"odometry": (51.98, None), "wifi": (4.48, 2.98), "lte": (12.22, 10.95), "wifi+lidar": (0.84, None)},
+        {
+            "odometry": (51.98, None), "wifi": (4.48, 2.98), "lte": (12.22, 10.95), "wifi+lidar": (0.84, None),
+            "gmapping": (4.31, None),
+        },
         has_lidar=True,
     ),
     "outdoor": Place(
@@ -88,6 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", default="12", help="a count or a range like 0-9 (default: %(default)s)")
     parser.add_argument("--places", default=",".join(PLACES), help="default: %(default)s")
     parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
+    parser.add_argument("--processes", type=int, default=2, help="walks measured at once (default: %(default)s)")
     parser.add_argument("--share", type=float, default=1.0, help="of the printed length (for a quick look)")
     parser.add_argument("--sweep", action="store_true", help="instead: error against access points, drift and distance")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="draw the models and the trajectories (Fig. 3, 4)")
@@ -101,9 +109,8 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         return _sweep_rows(seeds, runner, options.share)
     methods = _chosen(options.methods, METHODS)
     parts = [(name, _shortened(place, options.share), seed) for name, place in places.items() for seed in seeds]
-    found = runner.each(
-        parts, lambda part: measure(part[1], part[2], methods), lambda part: f"{part[0]} seed {part[2]}"
-    )
+    work = functools.partial(_measured, methods=methods)
+    found = runner.each(parts, work, lambda part: f"{part[0]} seed {part[2]}", processes=options.processes)
     table = []
     for name, place in places.items():
         mine = [result for part, result in zip(parts, found, strict=True) if part[0] == name]
@@ -120,6 +127,10 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 # --- one walk ---------------------------------------------------------------------------------------------------------
 
 
+def _measured(part: tuple[str, Place, int], methods: list[str]) -> dict[str, dict[str, float]]:
+    return measure(part[1], part[2], methods)
+
+
 def measure(place: Place, seed: int, methods: list[str]) -> dict[str, dict[str, float]]:
     """Method -> errors of one walk."""
     needed = {METHODS[method][0] for method in methods} - {""}
@@ -127,7 +138,7 @@ def measure(place: Place, seed: int, methods: list[str]) -> dict[str, dict[str, 
     results = {}
     for method in methods:
         kind, run = METHODS[method]
-        if method == "wifi+lidar" and not place.has_lidar:
+        if method in WITH_LIDAR and not place.has_lidar:
             continue
         results[method] = run(place, recorded[kind or "wifi"], seed)
     return results
@@ -168,13 +179,19 @@ def solved(walk: RadioWalk, config: RadioSlamConfig, false_closures: Distances |
     return result, compose(walk.true_poses[0], result.poses)
 
 
+@functools.lru_cache(maxsize=2)
+def _clean(walk: RadioWalk, weighting: str) -> tuple[int, Array]:
+    """How many closures there are, and the poses (n, 3)."""
+    result, poses = solved(walk, RadioSlamConfig(weighting=weighting))
+    return len(result.closures), poses
+
+
 def _radio(weighting: str, false_share: float = 0.0) -> Callable[[Place, RadioWalk, int], dict[str, float]]:
     def run(place: Place, walk: RadioWalk, seed: int) -> dict[str, float]:
-        config = RadioSlamConfig(weighting=weighting)
-        result, poses = solved(walk, config)
+        closures, poses = _clean(walk, weighting)
         if false_share:
-            count = round(len(result.closures) * false_share / (1 - false_share))
-            _, poses = solved(walk, config, _false_closures(walk, count, seed))
+            count = round(closures * false_share / (1 - false_share))
+            _, poses = solved(walk, RadioSlamConfig(weighting=weighting), _false_closures(walk, count, seed))
         return _errors(walk, poses)
 
     return run
@@ -201,6 +218,21 @@ def _with_lidar(place: Place, walk: RadioWalk, seed: int) -> dict[str, float]:
         "std_m": float(away.std()),
         "ate_m": absolute_trajectory_error_m(poses, truth),
     }
+
+
+def _gmapping(place: Place, walk: RadioWalk, seed: int) -> dict[str, float]:
+    """The particle filter on the walk's odometry and a laser scan wherever the radio was heard too."""
+    plan = load_map(place.twin)
+    ranges = radio_walks.scan_lidar(plan, LIDAR, walk.true_poses, seed)[:, ::PARTICLE_STRIDE]
+    frames = [
+        SensorFrame(0, k, k * radio_walks.SCAN_PERIOD_S, motion, 0.0, ranges[k])
+        for k, motion in enumerate(np.concatenate([np.zeros((1, 3)), walk.motions]))
+    ]
+    reach_m = float(np.hypot(*(plan.bounds_m[2:] - plan.bounds_m[:2]))) + LIDAR.range_max_m
+    rule = ParticleFilterSettings(size_m=2 * reach_m, cell_m=PARTICLE_CELL_M)
+    settings = dataclasses.replace(rule, correlation=rule.correlation / PARTICLE_STRIDE)
+    path, _ = map_frames(frames, settings, LIDAR.range_max_m, seed)
+    return _errors(walk, compose(walk.true_poses[0], path))
 
 
 def _lidar_result(place: Place, walk: RadioWalk, seed: int) -> radio_lidar.RadioLidarResult:
@@ -247,8 +279,10 @@ METHODS: dict[str, tuple[str, Callable[[Place, RadioWalk, int], dict[str, float]
     "lte": ("lte", _radio("ours")),
     "lte paper": ("lte", _radio("paper")),
     "wifi+lidar": ("wifi", _with_lidar),
+    "gmapping": ("", _gmapping),
 }
 """Name -> which radio it hears ("" for none), and how it is run."""
+WITH_LIDAR = ("wifi+lidar", "gmapping")
 
 
 # --- rows -------------------------------------------------------------------------------------------------------------

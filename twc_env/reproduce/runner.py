@@ -41,6 +41,7 @@ TABLES: dict[str, str] = {
     "sfw-ble": "sfw_ble",
     "sfw-houseexpo": "sfw_houseexpo",
     "radio-table1": "radio_table1",
+    "radio-scale": "radio_scale",
     "real-radio": "real_radio",
 }
 """Name on the command line -> module of this package."""

@@ -42,8 +42,34 @@ class Motions:
         return np.hypot(self.motion[:, 0], self.motion[:, 1])
 
 
-def calibrated(motions: Motions, poses: Array) -> Motions:
-    """The odometry with the scale, curl and turn factor taken out that poses show against its beginning."""
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Errors that stay the same all along a path."""
+
+    scale: float = 1.0
+    curl_rad_m: float = 0.0
+    turn: float = 0.0
+    """Share of each turn that is missing."""
+
+    def applied(self, motions: Motions) -> Motions:
+        """The motions without these errors."""
+        more_turn = self.curl_rad_m * motions.length_m + self.turn * motions.turned_rad
+        motion = motions.motion.copy()
+        motion[:, :2] *= self.scale
+        motion[:, 2] = wrap_angle(motion[:, 2] + more_turn)
+        return Motions(motion, motions.turned_rad + more_turn)
+
+    def then(self, other: Calibration) -> Calibration:
+        """Both, this one first."""
+        return Calibration(
+            self.scale * other.scale,
+            self.curl_rad_m * (1.0 + other.turn) + other.curl_rad_m * self.scale,
+            self.turn + other.turn + self.turn * other.turn,
+        )
+
+
+def calibration(motions: Motions, poses: Array) -> Calibration:
+    """The scale, curl and turn factor that poses show against the beginning of odometry."""
     corrected = between(poses[:-1], poses[1:])
     length, fitted = motions.length_m, len(corrected)
     scale = np.hypot(corrected[:, 0], corrected[:, 1]).sum() / max(length[:fitted].sum(), 1e-9)
@@ -53,8 +79,9 @@ def calibrated(motions: Motions, poses: Array) -> Motions:
     weight = 1.0 / (NOISE_RAD**2 * (causes[:, :1] + 0.1))
     normal = (causes * weight).T @ causes + np.diag([CURL_STD_RAD_M**-2, TURN_STD**-2])
     curl, turn = np.linalg.solve(normal, (causes * weight).T @ missing)
-    more_turn = curl * length + turn * motions.turned_rad
-    motion = motions.motion.copy()
-    motion[:, :2] *= scale
-    motion[:, 2] = wrap_angle(motion[:, 2] + more_turn)
-    return Motions(motion, motions.turned_rad + more_turn)
+    return Calibration(float(scale), float(curl), float(turn))
+
+
+def calibrated(motions: Motions, poses: Array) -> Motions:
+    """The odometry with the constant errors taken out that poses show against its beginning."""
+    return calibration(motions, poses).applied(motions)

@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.geometry import wrap_angle
+
 Array = NDArray
 
 REACH = 2.5
@@ -42,6 +44,20 @@ class Ties:
     """(k, 2) in the map frame."""
     information: Array
     """(k, 2, 2) in the map frame."""
+
+    def relative(self, poses: Array) -> tuple[Array, Array]:
+        """As relative poses (k, 3) that say nothing of the heading, with information (k, 3, 3)."""
+        first, second = poses[self.pairs[:, 0]], poses[self.pairs[:, 1]]
+        c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
+        turn = wrap_angle(second[:, 2] - first[:, 2])
+        dx, dy = self.offset_m.T
+        relative = np.column_stack([c * dx + s * dy, -s * dx + c * dy, turn])
+        # The residual is seen from the second pose's frame (g2o), so the information is turned into that.
+        c, s = np.cos(second[:, 2]), np.sin(second[:, 2])
+        rotation = np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
+        information = np.zeros((len(turn), 3, 3))
+        information[:, :2, :2] = rotation @ self.information @ np.swapaxes(rotation, 1, 2)
+        return relative, information
 
 
 def ties(

@@ -64,7 +64,7 @@ class RadioLog:
     @property
     def odometry(self) -> Array:
         """(n, 3) dead reckoning from (0, 0, 0)."""
-        return _reckoned(self.motions)
+        return reckoned_poses(self.motions)
 
     @property
     def travel_m(self) -> Array:
@@ -123,8 +123,8 @@ class _Solver:
         turned_abs = np.concatenate([[0.0], np.cumsum(np.abs(log.turned_rad))])[self._places]
         motion = between(self._odometry[:-1], self._odometry[1:])
         self._motions = Motions(motion, np.diff(turned))
-        self._own_information = self._information = self._motion_information(
-            np.diff(self._travel_m), np.diff(turned_abs)
+        self._own_information = self._information = motion_information(
+            config, np.diff(self._travel_m), np.diff(turned_abs)
         )
         self._cell_m = max(config.cell_m, 2 * spacing_m)
         self._cues = [cue for name in cues if (cue := self._prepare(name)) is not None]
@@ -195,22 +195,13 @@ class _Solver:
         if false_closures is not None:
             near = np.abs(self._places[None] - false_closures.pairs.reshape(-1, 1)).argmin(axis=1).reshape(-1, 2)
             parts.append(Distances(np.sort(near, axis=1), false_closures.distance_m, false_closures.variance_m2))
-        together = _joined(parts)
-        together = together[together.pairs[:, 0] != together.pairs[:, 1]]
+        found = together(parts)
+        found = found[found.pairs[:, 0] != found.pairs[:, 1]]
         if is_ours:
-            together = together[radio_closures.with_support(together.pairs[:, 0], together.pairs[:, 1], self._travel_m)]
-        return together
+            found = found[radio_closures.with_support(found.pairs[:, 0], found.pairs[:, 1], self._travel_m)]
+        return found
 
     # --- fitting
-
-    def _motion_information(self, length_m: Array, turned_rad: Array) -> Array:
-        config = self._config
-        position = config.position_std_per_m**2 * length_m + POSITION_STD_MIN_M**2
-        heading = config.heading_std_per_m**2 * length_m + config.heading_std_per_rad**2 * turned_rad
-        information = np.zeros((len(length_m), 3, 3))
-        information[:, 0, 0] = information[:, 1, 1] = 1.0 / position
-        information[:, 2, 2] = 1.0 / (heading + HEADING_STD_MIN_RAD**2)
-        return information
 
     def _grow(self, closures: Distances) -> tuple[Array, Motions]:
         """Fit the path from its beginning on, further and further; its odometry is calibrated on the way."""
@@ -221,7 +212,7 @@ class _Solver:
         while rounds_left:
             is_whole = end_m >= total_m
             count = len(self._travel_m) if is_whole else max(int(np.searchsorted(self._travel_m, end_m)), 2)
-            rest = _reckoned(motions.motion[len(poses) - 1 : count - 1])
+            rest = reckoned_poses(motions.motion[len(poses) - 1 : count - 1])
             poses = np.concatenate([poses[:-1], compose(poses[-1], rest)])
             within = closures[last < count]
             if len(within) >= radio_field.NEIGHBOURS_MIN:
@@ -244,7 +235,7 @@ class _Solver:
         bandwidths = BANDWIDTHS_M[cue.name]
         bandwidth_m = max(bandwidths[min(round_, len(bandwidths) - 1)], 1.5 * self._cell_m / 2)
         if bandwidth_m not in cue.worth:
-            reckoned = _reckoned(motions.motion)
+            reckoned = reckoned_poses(motions.motion)
             cue.worth[bandwidth_m] = radio_field.learn_worth(cue.feature, reckoned[:, :2], self._travel_m, bandwidth_m)
         return radio_field.ties(
             cue.feature, poses[:, :2], self._travel_m, bandwidth_m, self._config.apart_m, cue.worth[bandwidth_m],
@@ -262,7 +253,7 @@ class _Solver:
         information = [self._information[: count - 1]]
         for tie in ties:
             edges.append(tie.pairs)
-            relative, its_information = _in_first_frame(tie, poses)
+            relative, its_information = tie.relative(poses)
             measured.append(relative)
             information.append(its_information)
         equations = RadioEquations(
@@ -285,6 +276,16 @@ class _Solver:
 
 
 NO_DISTANCES = Distances(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0))
+
+
+def motion_information(config: RadioSlamConfig, length_m: Array, turned_rad: Array) -> Array:
+    """(k, 3, 3) of odometry over path lengths (k,) and turns (k,), these all counted positive."""
+    position = config.position_std_per_m**2 * length_m + POSITION_STD_MIN_M**2
+    heading = config.heading_std_per_m**2 * length_m + config.heading_std_per_rad**2 * turned_rad
+    information = np.zeros((len(length_m), 3, 3))
+    information[:, 0, 0] = information[:, 1, 1] = 1.0 / position
+    information[:, 2, 2] = 1.0 / (heading + HEADING_STD_MIN_RAD**2)
+    return information
 
 
 def averaged(rows: csr_array, travel_m: Array, reach_m: float) -> csr_array:
@@ -317,7 +318,7 @@ def spread(path: Array, travel_m: Array, places: Array, place_poses: Array) -> A
     return compose(inverse(poses[0]), poses)
 
 
-def _reckoned(motions: Array) -> Array:
+def reckoned_poses(motions: Array) -> Array:
     """(n, 3) poses from (0, 0, 0) along motions (n - 1, 3)."""
     heading = np.concatenate([[0.0], np.cumsum(motions[:, 2])])
     c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
@@ -336,22 +337,8 @@ def _spaced(travel_m: Array, spacing_m: float) -> Array:
     return np.array(chosen)
 
 
-def _in_first_frame(tie: radio_field.Ties, poses: Array) -> tuple[Array, Array]:
-    """Ties as relative poses (k, 3) that say nothing of the heading, with information (k, 3, 3)."""
-    first, second = poses[tie.pairs[:, 0]], poses[tie.pairs[:, 1]]
-    c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
-    turn = wrap_angle(second[:, 2] - first[:, 2])
-    dx, dy = tie.offset_m.T
-    relative = np.column_stack([c * dx + s * dy, -s * dx + c * dy, turn])
-    # The residual is seen from the second pose's frame (g2o), so the information is turned into that.
-    c, s = np.cos(second[:, 2]), np.sin(second[:, 2])
-    rotation = np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
-    information = np.zeros((len(turn), 3, 3))
-    information[:, :2, :2] = rotation @ tie.information @ np.swapaxes(rotation, 1, 2)
-    return relative, information
-
-
-def _joined(parts: Sequence[Distances]) -> Distances:
+def together(parts: Sequence[Distances]) -> Distances:
+    """Distances one after the other."""
     if not parts:
         return NO_DISTANCES
     return Distances(

@@ -1,0 +1,210 @@
+"""Radio SLAM scan by scan in bounded memory: for runs of any length through a building of a given size.
+
+Places of the graph lie `spacing_m` apart along the path until there are `trail_places_max` of them. From then on every
+new place takes the room of an old one: the one that has another so near that it tells least. The motions around it
+become one, so odometry stays exact; what it heard is dropped. Every `trail_period_m` the fields of signal strength
+(`radio_field`) tie places to other visits near by and the graph is optimised from where it stood: what a step costs
+depends on the building, not on the way that lies behind.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from twc_env.config import RadioSlamConfig
+from twc_env.geometry import between, compose
+from twc_env.messages import Fingerprint
+from twc_env.slam import radio_closures, radio_field
+from twc_env.slam.distance_factor import Distances, RadioEquations
+from twc_env.slam.odometry_calibration import Calibration, Motions, calibration
+from twc_env.slam.radio_similarity import all_similarities, features, split_cues
+from twc_env.slam.radio_slam import NO_DISTANCES, motion_information, reckoned_poses, together
+from twc_env.slam.similarity_model import SimilarityModel, train_on_path
+
+Array = NDArray
+
+BANDWIDTHS_M = {"wifi": (8.0, 5.0), "lte": (40.0, 25.0)}
+"""Of the fields, from coarse to fine, each time the graph is optimised."""
+ROUNDS = 2
+MOVED_PER_BANDWIDTH = 1.5
+ITERATIONS = 8
+RECENT_M = 60.0
+"""Places of the latest stretch this long are never forgotten."""
+HELD_STD = (1.0, 1.0, 0.2)
+"""How firmly places stay where they are when others are forgotten [m, m, rad]."""
+NOISE = 2.0
+"""Odometry is taken to be this many times as noisy as configured: its constant errors are not known yet."""
+
+
+class _Heard:
+    """What was heard of one kind of radio: features (places, transmitters), in rows that are taken again."""
+
+    def __init__(self, cue: str, rows: int, mode: str):
+        self.cue, self._mode = cue, mode
+        self._column: dict[int, int] = {}
+        self._table = np.zeros((rows, 64), np.float32)
+        self.model: SimilarityModel | None = None
+        self.worth: dict[float, float] = {}
+        """Of a squared difference of strengths, by bandwidth."""
+
+    def write(self, row: int, scans: list[Fingerprint]) -> None:
+        """Mean of the features over scans; what one did not hear counts as 0 in it."""
+        for scan in scans:
+            for mac in scan.macs.tolist():
+                self._column.setdefault(mac, len(self._column))
+        while len(self._column) > self._table.shape[1]:
+            self._table = np.concatenate([self._table, np.zeros_like(self._table)], axis=1)
+        self._table[row] = 0.0
+        for scan in scans:
+            columns = [self._column[mac] for mac in scan.macs.tolist()]
+            self._table[row, columns] += features(scan.macs, scan.rssi_dbm, self._mode) / len(scans)
+
+    def of(self, rows: Array) -> Array:
+        """(rows, transmitters)."""
+        return self._table[rows, : max(len(self._column), 1)]
+
+
+class RadioTrail:
+    """The trajectory of one robot by odometry and radio, scan by scan; it starts at (0, 0, 0)."""
+
+    def __init__(self, config: RadioSlamConfig):
+        self._config, size = config, config.trail_places_max + 1
+        self._poses, self._steps = np.zeros((0, 3)), np.zeros((0, 6))
+        """Of each place; and from the one before it: motion (3), turn with and without its sign, path length."""
+        self._rows, self._free = np.zeros(0, np.int64), list(range(size))[::-1]
+        self._heard = [_Heard(cue, size, config.similarity) for cue in BANDWIDTHS_M]
+        self._step: Array = np.zeros(6)
+        """Since the last place."""
+        self._scans: list[list[Fingerprint]] = [[] for _ in self._heard]
+        self._calibration = Calibration()
+        self._unsolved_m = 0.0
+        self._is_full = False
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    @property
+    def pose(self) -> Array:
+        """(3,) where the robot is now."""
+        return compose(self._poses[-1], self._step[:3]) if len(self) else np.zeros(3)
+
+    @property
+    def place_poses(self) -> Array:
+        """(places, 3) of the graph."""
+        return self._poses
+
+    def add(self, motion: Array, turned_rad: float, fingerprint: Fingerprint) -> Array:
+        """Take in the motion (3,) since the last scan and what is heard after it; gives the pose (3,)."""
+        right = self._calibration.applied(Motions(np.array([motion], float), np.array([turned_rad])))
+        turned_rad, length_m = float(right.turned_rad[0]), float(right.length_m[0])
+        self._step = _joined(self._step, np.array([*right.motion[0], turned_rad, abs(turned_rad), length_m]))
+        self._unsolved_m += length_m
+        parts = split_cues(fingerprint)
+        for scans, heard in zip(self._scans, self._heard, strict=True):
+            scans.append(parts[heard.cue])
+        if not len(self) or self._step[5] >= self._config.spacing_m:
+            self._remember()
+            if self._unsolved_m >= self._config.trail_period_m:
+                self._unsolved_m = 0.0
+                self._optimise()
+        return self.pose
+
+    def _remember(self) -> None:
+        row = self._free.pop()
+        for scans, heard in zip(self._scans, self._heard, strict=True):
+            heard.write(row, scans)
+            scans.clear()
+        self._poses = np.concatenate([self._poses, self.pose[None]])
+        self._steps = np.concatenate([self._steps, self._step[None]])
+        self._rows = np.append(self._rows, row)
+        self._step = np.zeros(6)
+        if len(self) > self._config.trail_places_max:
+            self._is_full = True
+            self._forget()
+
+    def _forget(self) -> None:
+        """Of the two nearest places give up the later; the latest stretch stays."""
+        travel = np.cumsum(self._steps[:, 5])
+        old = max(int(np.searchsorted(travel, travel[-1] - RECENT_M)), 3)
+        places = self._poses[:old, :2]
+        away = np.linalg.norm(places[:, None] - places[None], axis=2)
+        away[np.tri(old, dtype=bool)] = np.inf
+        away[np.arange(old - 1), np.arange(1, old)] = np.inf
+        k = int(np.argmin(away)) % old
+        self._steps[k + 1] = _joined(self._steps[k], self._steps[k + 1])
+        self._free.append(int(self._rows[k]))
+        kept = np.arange(len(self)) != k
+        self._poses, self._steps, self._rows = self._poses[kept], self._steps[kept], self._rows[kept]
+
+    def _optimise(self) -> None:
+        travel, poses = np.cumsum(self._steps[:, 5]), self._poses
+        for round_ in range(ROUNDS):
+            closures = together([self._closures(heard, poses, travel) for heard in self._heard if round_ == 0])
+            found = [self._ties(heard, round_, poses, travel) for heard in self._heard]
+            poses = self._fit(poses, [ties for ties in found if len(ties[0])], closures)
+            if not self._is_full:
+                self._calibrate(poses)
+        self._poses = poses
+
+    def _calibrate(self, poses: Array) -> None:
+        """Take the constant errors out of the steps that are kept, and of all that follow."""
+        motions = Motions(self._steps[1:, :3], self._steps[1:, 3])
+        found = calibration(motions, poses)
+        right = found.applied(motions)
+        self._steps[1:, :3], self._steps[1:, 3] = right.motion, right.turned_rad
+        self._calibration = self._calibration.then(found)
+
+    def _closures(self, heard: _Heard, poses: Array, travel: Array) -> Distances:
+        """Distances between places that sound alike, as of the batch."""
+        rule, feature = self._config, heard.of(self._rows)
+        similarity = all_similarities(csr_array(feature))
+        if heard.model is None or not self._is_full:
+            window_m = rule.window_wifi_m if heard.cue == "wifi" else rule.window_lte_m
+            reckoned = reckoned_poses(self._steps[1:, :3])
+            heard.model = train_on_path(
+                similarity, travel, reckoned[:, :2], rule.similarity_min, window_m, rule.bin_width
+            )
+        if not len(heard.model.centre):
+            return NO_DISTANCES
+        found = radio_closures.closures(
+            similarity, travel, heard.model, rule.similarity_min, rule.apart_m, rule.cell_m, rule.closures_per_place
+        )
+        return found[radio_closures.with_support(found.pairs[:, 0], found.pairs[:, 1], travel)]
+
+    def _ties(self, heard: _Heard, round_: int, poses: Array, travel: Array) -> tuple[Array, Array, Array]:
+        feature, bandwidth_m = heard.of(self._rows), BANDWIDTHS_M[heard.cue][round_]
+        if not self._is_full or bandwidth_m not in heard.worth:
+            heard.worth[bandwidth_m] = radio_field.learn_worth(feature, poses[:, :2], travel, bandwidth_m)
+        ties = radio_field.ties(
+            feature, poses[:, :2], travel, bandwidth_m, self._config.apart_m, heard.worth[bandwidth_m],
+            MOVED_PER_BANDWIDTH * bandwidth_m,
+        )  # fmt: skip
+        return ties.pairs, *ties.relative(poses)
+
+    def _held(self) -> tuple[Array, Array, Array]:
+        """Once places are forgotten: all that they said keeps the others about where they are, seen from the first."""
+        count = len(self) - 1 if self._is_full else 0
+        pairs = np.column_stack([np.zeros(count, np.int64), np.arange(1, count + 1)])
+        information = np.tile(np.diag(1.0 / np.array(HELD_STD) ** 2), (count, 1, 1))
+        return pairs, between(self._poses[:1], self._poses[1 : count + 1]), information
+
+    def _fit(self, poses: Array, ties: list, closures: Distances) -> Array:
+        count, config = len(poses), self._config
+        chain = np.column_stack([np.arange(count - 1), np.arange(1, count)])
+        odometry = motion_information(config, self._steps[1:, 5], self._steps[1:, 4]) / NOISE**2
+        parts = zip((chain, self._steps[1:, :3], odometry), self._held(), *ties, strict=True)
+        equations = RadioEquations(*(np.concatenate(part) for part in parts), closures, count)
+
+        def weigh(squared: Array) -> Array:
+            weight = 1.0 / (1.0 + squared / config.robust_scale**2)
+            weight[: count - 1] = 1.0
+            return weight
+
+        return equations.minimise(poses, weigh, ITERATIONS)
+
+
+def _joined(first: Array, second: Array) -> Array:
+    """Two steps (6,) as one."""
+    return np.concatenate([compose(first[:3], second[:3]), first[3:] + second[3:]])
