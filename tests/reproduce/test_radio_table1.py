@@ -12,7 +12,7 @@ KEYS = ["environment", "method", "error_mean_m", "error_std_m", "ate_m", "paper_
 
 def test_the_command_writes_its_rows(tmp_path, capsys):
     path = tmp_path / "rows.json"
-    arguments = ["--seeds", "1", "--places", "semi-indoor", "--share", "0.4", "--methods", "odometry,wifi", "--processes", "1"]
+    arguments = ["--seeds=1", "--places=semi-indoor", "--share=0.4", "--methods=odometry,wifi", "--processes=1"]
     main(["reproduce", "radio-table1", *arguments, "--json", str(path), "--cache", str(tmp_path / "cache")])
     rows = json.loads(path.read_text())
     assert [list(row) for row in rows] == [KEYS] * 2
