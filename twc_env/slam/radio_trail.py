@@ -195,7 +195,8 @@ class RadioTrail:
         chain = np.column_stack([np.arange(count - 1), np.arange(1, count)])
         odometry = motion_information(config, self._steps[1:, 5], self._steps[1:, 4]) / NOISE**2
         parts = zip((chain, self._steps[1:, :3], odometry), self._held(), *ties, strict=True)
-        equations = RadioEquations(*(np.concatenate(part) for part in parts), closures, count)
+        edges, measured, information = (np.concatenate(part) for part in parts)
+        equations = RadioEquations(edges, measured, information, closures, count)
 
         def weigh(squared: Array) -> Array:
             weight = 1.0 / (1.0 + squared / config.robust_scale**2)
