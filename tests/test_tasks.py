@@ -7,16 +7,16 @@ from twc_env.config import digest
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "b584bc857f6f",
-    "twc/ExploreTwin01-v0": "b584bc857f6f",
-    "twc/ExploreTwin02-v0": "a9715a81602b",
-    "twc/ExploreOffice-v0": "0411778ddd15",
-    "twc/ExploreFrontier-v0": "99d1943a1919",
-    "twc/ExploreFrontierAsync-v0": "f35e2a4205ac",
-    "twc/ExploreHard-v0": "6d72942fee13",
-    "twc/ExploreKnownStarts-v0": "9aebe2e424a3",
-    "twc/ExploreTruePoses-v0": "6bdffdf551a8",
-    "twc/ExploreNoMerging-v0": "d046a76de277",
+    "twc/Explore-v0": "61c6a7e0ec52",
+    "twc/ExploreTwin01-v0": "61c6a7e0ec52",
+    "twc/ExploreTwin02-v0": "3f38b5d58629",
+    "twc/ExploreOffice-v0": "65d37b22b111",
+    "twc/ExploreFrontier-v0": "d6e1b9db9849",
+    "twc/ExploreFrontierAsync-v0": "17174c7f1a6e",
+    "twc/ExploreHard-v0": "5f5bd4dba70a",
+    "twc/ExploreKnownStarts-v0": "e58f75eb5e5e",
+    "twc/ExploreTruePoses-v0": "4a28768cac84",
+    "twc/ExploreNoMerging-v0": "9137ad879daf",
 }
 
 
