@@ -70,11 +70,24 @@ def _parser() -> argparse.ArgumentParser:
 
     long = commands.add_parser(
         "soak",
-        help="play for very long in changing buildings and watch memory",
+        help="play for very long in changing buildings and watch memory; misuse it; check what it shows",
         description="Robots wander by reflex through episodes of 500 steps, each in another building of the training "
-        "split. Prints what memory did after a warm-up; an exception ends it with the seed of its episode.",
+        "split. Prints what memory did after a warm-up; an exception ends it with the seed of its episode. With "
+        "--actions or --observations, that is done instead.",
     )
     long.add_argument("--steps", type=int, default=1_000_000, help="time steps in all (default: %(default)s)")
+    long.add_argument(
+        "--actions",
+        type=int,
+        metavar="COUNT",
+        help="throw so many broken actions; each must be refused and leave no mark",
+    )
+    long.add_argument(
+        "--observations",
+        type=int,
+        metavar="STEPS",
+        help="random steps of each kind of action, all blocks on: in their spaces, never constant, no shared memory",
+    )
     long.add_argument("--seed", type=int, default=0, help="of the first episode (default: %(default)s)")
     long.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
     long.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one flat object")
@@ -96,14 +109,23 @@ def _parser() -> argparse.ArgumentParser:
 
     replay = commands.add_parser(
         "replay",
-        help="run the SLAM engine on recorded sensor frames, or make a page that plays a run",
+        help="run the SLAM engine on recorded sensor frames, or make a page or Rerun recording of a run",
         description="The engine sees the frames of a log (frames.npz of a run folder) and nothing else. "
         "Prints what it found; the same log gives the same numbers every time. With --html, nothing is run: the run "
-        "folder's trace.npz and report.json become one page with a time slider, to be opened in any browser.",
+        "folder's trace.npz and report.json become one page with a time slider, to be opened in any browser; with "
+        "--rerun a recording for the Rerun viewer (`rerun RUN/replay.rrd`).",
     )
     replay.add_argument("log", type=Path, help="a run folder, or a frame log (frames.npz)")
     replay.add_argument(
         "--html", type=Path, nargs="?", const=Path(), metavar="FILE", help="write the page (default: RUN/replay.html)"
+    )
+    replay.add_argument(
+        "--rerun",
+        type=Path,
+        nargs="?",
+        const=Path(),
+        metavar="FILE",
+        help="write a recording for the Rerun viewer (default: RUN/replay.rrd; pip install 'twc_env[rerun]')",
     )
     replay.add_argument("--truth", type=Path, metavar="FILE", help="truth.npz: also print the team's trajectory error")
     replay.add_argument(
@@ -164,6 +186,9 @@ def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
 
 
 def _soak(options: argparse.Namespace) -> None:
+    if options.actions is not None or options.observations is not None:
+        _misuse(options)
+        return
     from twc_env.config import EnvConfig, override
     from twc_env.soak import soak
 
@@ -173,6 +198,44 @@ def _soak(options: argparse.Namespace) -> None:
     for key, value in figures.items():
         print(f"{key:<28} {value:,.1f}" if isinstance(value, float) else f"{key:<28} {value}")
     _write_json(options.json, figures)
+
+
+def _misuse(options: argparse.Namespace) -> None:
+    """Broken actions and a long look at observations. Raises TwcError with what was found."""
+    from twc_env.action_fuzz import fuzz_actions
+    from twc_env.observation_check import check_observations
+
+    figures: dict[str, object] = {}
+    faults: list[str] = []
+    if options.actions is not None:
+        _at_least_one("--actions", options.actions)
+        thrown = fuzz_actions(options.actions, options.seed, _count)
+        print(
+            f"{thrown.count} broken actions: {thrown.refused} refused, {thrown.accepted} sound after all, "
+            f"{len(thrown.escaped)} raised something else; {thrown.steps_compared} steps equal to those of a team "
+            "that was spared them" + (f", but for {thrown.changed}" if thrown.changed else "")
+        )
+        faults += thrown.escaped[:5] + [f"refused actions of kind {kind} left a mark" for kind in thrown.changed]
+        figures["actions"] = {name: getattr(thrown, name) for name in thrown.__slots__}
+    if options.observations is not None:
+        _at_least_one("--observations", options.observations)
+        seen = check_observations(options.observations, options.seed, _count)
+        print(f"{seen.steps} random steps, {seen.blocks} blocks looked at, {len(seen.faults)} faults")
+        faults += seen.faults
+        figures["observations"] = {name: getattr(seen, name) for name in seen.__slots__}
+    _write_json(options.json, figures)
+    if faults:
+        raise TwcError("; ".join(faults))
+
+
+def _at_least_one(name: str, value: int) -> None:
+    if value < 1:
+        raise ConfigError(f"{name} must be 1 or more; got {value}")
+
+
+def _count(done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)
 
 
 def _record(options: argparse.Namespace) -> None:
@@ -206,11 +269,16 @@ def _progress(done: int, total: int) -> None:
 
 
 def _replay(options: argparse.Namespace) -> None:
+    run = options.log if options.log.is_dir() else options.log.parent
     if options.html is not None:
         from twc_env.replay_page import write_page
 
-        run = options.log if options.log.is_dir() else options.log.parent
         print(write_page(run, run / "replay.html" if options.html == Path() else options.html))
+    if options.rerun is not None:
+        from twc_env.rerun_export import write_rerun
+
+        print(write_rerun(run, run / "replay.rrd" if options.rerun == Path() else options.rerun))
+    if options.html is not None or options.rerun is not None:
         return
     _replay_frames(options, options.log / "frames.npz" if options.log.is_dir() else options.log)
 

@@ -31,7 +31,7 @@ def write_page(run: Path, path: Path) -> Path:
 
     Raises DataError when one of them is missing or broken, or the page cannot be written.
     """
-    trace, report = _read_trace(run / "trace.npz"), _read_report(run / "report.json")
+    trace, report = read_trace(run / "trace.npz"), read_report(run / "report.json")
     data = page_data(trace, report)
     template = files("twc_env").joinpath("replay_page.html").read_text(encoding="utf-8")
     title = escape(f"{report.get('agent', 'team')} on {report['map']}, seed {report['seed']}")
@@ -97,7 +97,8 @@ def _base64(content: bytes) -> str:
     return base64.b64encode(content).decode("ascii")
 
 
-def _read_trace(path: Path) -> dict[str, Array]:
+def read_trace(path: Path) -> dict[str, Array]:
+    """The arrays of a trace.npz. Raises DataError when it is missing, broken or of another format."""
     try:
         with path.open("rb") as file, np.load(file) as data:
             trace = {key: data[key] for key in data.files}
@@ -112,7 +113,8 @@ def _read_trace(path: Path) -> dict[str, Array]:
     return trace
 
 
-def _read_report(path: Path) -> dict[str, Any]:
+def read_report(path: Path) -> dict[str, Any]:
+    """A report.json. Raises DataError when it is missing or broken."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

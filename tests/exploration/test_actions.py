@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 import twc_env
 from twc_env.config import DynamicsConfig
 from twc_env.errors import ActionError
-from twc_env.exploration.actions import decode_velocity, velocity_space
+from twc_env.exploration.actions import check_agents, decode_velocity, velocity_space
 
 AGENTS = ["robot_0", "robot_1"]
 LIMITS = DynamicsConfig(speed_max_m_s=1.2, turn_rate_max_rad_s=2.0)
@@ -65,7 +65,7 @@ def test_the_first_bad_action_of_several_is_named():
 
 def test_a_missing_agent_is_named_with_all_that_are_needed():
     with pytest.raises(ActionError) as caught:
-        decode_velocity({"robot_0": FINE, "robot_7": FINE}, AGENTS, LIMITS)
+        check_agents({"robot_0": FINE, "robot_7": FINE}, AGENTS)
     text = str(caught.value)
     assert "no action for 'robot_1'" in text
     assert str(AGENTS) in text

@@ -41,7 +41,7 @@ def display(monkeypatch):
     """The name of a virtual screen of 1280 x 1024, on a free display number."""
     if shutil.which("Xvfb") is None:
         pytest.skip("needs Xvfb (Debian package xvfb)")
-    command = ["Xvfb", "-displayfd", "1", "-screen", "0", "1280x1024x24", "-nolisten", "tcp"]
+    command = ["Xvfb", "-displayfd", "1", "-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-noreset"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
         try:
             name = f":{server.stdout.readline().strip()}"
@@ -117,6 +117,48 @@ def test_a_window_follows_the_size_of_another_building(pygame):
         sizes.add(pygame.display.get_surface().get_size())
     env.close()
     assert len(sizes) == 2
+
+
+def test_keys_switch_layers_of_the_window(pygame):
+    env = team(render_mode="human")
+    env.reset(seed=0)
+
+    def shown(keys: str):
+        for key in keys:
+            pygame.event.post(pygame.event.Event(pygame.KEYDOWN, unicode=key, key=ord(key)))
+        step(env)
+        return pygame.surfarray.array3d(pygame.display.get_surface()).astype(int)
+
+    everything = shown("")
+    without_truth = shown("t")
+    assert np.abs(everything - without_truth).max() > 0
+    assert np.ptp(shown("mcp")[..., 0]) == 0  # nothing is left but the ground
+    one = shown("tmcp1")
+    assert (one == (213, 94, 0)).all(axis=2).any()  # robot 1 truly is somewhere
+    viewer = env._viewer
+    assert (viewer._layers.robot, viewer._layers.truth) == (0, True)
+    shown("0x")
+    assert viewer._layers.robot is None
+    signal = shown("s")
+    assert np.abs(signal - everything).max() > 0
+    env.close()
+
+
+def test_space_holds_the_episode_until_it_is_pressed_again(pygame, monkeypatch):
+    env = team(render_mode="human")
+    env.reset(seed=0)
+    waits, press = [], lambda: pygame.event.post(pygame.event.Event(pygame.KEYDOWN, unicode=" ", key=32))
+
+    def wait(milliseconds):
+        waits.append(milliseconds)
+        if len(waits) == 3:
+            press()
+
+    monkeypatch.setattr(pygame.time, "wait", wait)
+    press()
+    step(env)
+    assert len(waits) == 3
+    env.close()
 
 
 def test_showing_changes_nothing_in_the_episode(pygame, same):

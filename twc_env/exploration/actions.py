@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -22,6 +23,30 @@ def velocity_space() -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
+def check_agents(actions: Any, agents: Sequence[str]) -> None:
+    """Raises ActionError unless there is one action for each agent, and none for anybody else."""
+    if not isinstance(actions, Mapping):
+        raise ActionError(
+            f"step() needs a dict with one action for each of {list(agents)}; got {type(actions).__name__} {actions!r}"
+        )
+    for agent in agents:
+        if agent not in actions:
+            raise ActionError(f"no action for {agent!r}: step() needs one for each of {list(agents)}")
+    if len(actions) != len(agents):
+        unknown = next(name for name in actions if name not in agents)
+        raise ActionError(
+            f"action for {unknown!r}, which is not in the episode: leave it out; there are {list(agents)}"
+        )
+
+
+def action_array(action: Any) -> Array:
+    """An action as an array, an empty one where it is nothing of that kind."""
+    try:
+        return np.asarray(action)
+    except Exception:  # an object of the user's may raise anything
+        return np.zeros(0)
+
+
 def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config: DynamicsConfig) -> Array:
     """Commands (robots, 2) [m/s, rad/s] from one action per agent.
 
@@ -29,7 +54,7 @@ def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config:
     """
     try:
         commands = np.array([actions[agent] for agent in agents])
-    except (KeyError, TypeError, ValueError):
+    except Exception:  # an object of the user's may raise anything; it is named below
         commands = _one_by_one(actions, agents)
     if commands.shape != (len(agents), 2) or commands.dtype.kind not in "fiu":
         commands = _one_by_one(actions, agents)
@@ -48,17 +73,12 @@ def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
     """The same with a message for the first action that does not fit."""
     commands = np.empty((len(agents), 2))
     for row, agent in enumerate(agents):
-        if agent not in actions:
-            raise ActionError(f"no action for {agent!r}: step() needs one for each of {list(agents)}")
-        try:
-            action = np.asarray(actions[agent])
-            if action.shape != (2,) or action.dtype.kind not in "fiu":
-                raise ValueError
-            commands[row] = action
-        except (TypeError, ValueError):
+        action = action_array(actions[agent])
+        if action.shape != (2,) or action.dtype.kind not in "fiu":
             raise ActionError(
                 f"action of {agent!r} must be 2 numbers (forward speed, turn rate) in [-1, 1]; got {actions[agent]!r}"
-            ) from None
+            )
+        commands[row] = action
     return commands
 
 

@@ -190,17 +190,20 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def step(self, actions: Mapping[str, Any]):
         """Act, sense, run SLAM, judge: one time step, or as many as the action lasts.
 
-        Raises ActionError for a missing, malformed, non-finite or out-of-range action; nothing has happened then.
+        Raises ActionError for a missing, malformed, non-finite or out-of-range action, or one for an agent that is not
+        in the episode; nothing has happened then.
         """
         if not self.agents:
             raise TwcError("step() was called after the episode's end: call reset() first")
         agents, began = self.agents, self._steps
+        action_blocks.check_agents(actions, agents)
+        commands = None
+        if self._pilot is not None:
+            self._pilot.assign(actions, agents, self._beliefs)
+        else:
+            commands = action_blocks.decode_velocity(actions, agents, self.config.dynamics)
         self._frames_of_step = []
-        values = (
-            self._fly(actions)
-            if self._pilot is not None
-            else self._tick(action_blocks.decode_velocity(actions, agents, self.config.dynamics))
-        )
+        values = self._fly() if commands is None else self._tick(commands)
         is_last = self._steps >= self.config.max_cycles
         observations, infos = self._observe(), self._infos(agents, self._steps - began)
         for info, terms in zip(infos.values(), values, strict=True):
@@ -329,11 +332,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._notice()
         return self._judge(is_last, self.bytes_sent - sent_before)
 
-    def _fly(self, actions: Mapping[str, Any]) -> list[dict[str, float]]:
+    def _fly(self) -> list[dict[str, float]]:
         """Time steps until the next decision: the sums of the reward terms of each robot."""
         pilot = self._pilot
         assert pilot is not None
-        pilot.assign(actions, self.agents, self._beliefs)
         sums: list[dict[str, float]] = []
         while True:
             values = self._tick(pilot.commands(self._beliefs))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import ActionConfig, EnvConfig
 from twc_env.errors import ActionError
+from twc_env.exploration.actions import action_array
 from twc_env.exploration.observations import EXTRA_CHOICES
 from twc_env.geometry import transform_points
 from twc_env.messages import Belief
@@ -97,7 +98,7 @@ class Pilot:
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
         """Give robots that decide their new goals.
 
-        Raises ActionError for a missing or malformed action; then nothing is changed. A frontier, sign or mate that
+        Raises ActionError for a malformed action; then nothing is changed. A frontier, sign or mate that
         the mask rules out counts as `stay`.
         """
         is_waypoint = self._action.kind == "waypoint"
@@ -105,8 +106,6 @@ class Pilot:
         size = 2 if is_waypoint else self._action.frontier_slots + len(EXTRA_CHOICES)
         parsed = []
         for agent in agents:
-            if agent not in actions:
-                raise ActionError(f"no action for {agent!r}: step() needs one for each of {list(agents)}")
             parsed.append(parse(actions[agent], agent, size))
         self._deadline = self._ticks + max(1, math.ceil(self._action.decision_max_s * self._seconds - 1e-9))
         for robot, (value, belief) in enumerate(zip(parsed, beliefs, strict=True)):
@@ -170,10 +169,7 @@ def terrain_of(known: dict[tuple, Terrain], belief: Belief, radius_m: float) -> 
 
 
 def _waypoint(action, agent: str, size: int) -> Array:
-    try:
-        goal = np.asarray(action)
-    except (TypeError, ValueError):
-        goal = np.zeros(0)
+    goal = action_array(action)
     # NaN fails the comparison too.
     if goal.shape != (size,) or goal.dtype.kind not in "fiu" or not np.all(np.abs(goal) <= 1.0 + 1e-6):
         raise ActionError(
@@ -183,7 +179,7 @@ def _waypoint(action, agent: str, size: int) -> Array:
 
 
 def _choice(action, agent: str, size: int) -> int:
-    array = np.asarray(action)
+    array = action_array(action)
     if array.size != 1 or array.dtype.kind not in "iu" or not 0 <= int(array.reshape(-1)[0]) < size:
         raise ActionError(f"action of {agent!r} must be a whole number from 0 to {size - 1}; got {action!r}")
     return int(array.reshape(-1)[0])

@@ -88,7 +88,7 @@ class Scene:
     true_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(robots, 3)."""
     estimated_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """(robots, 3)."""
+    """(robots, 3); NaN where a robot is in none of these maps."""
     groups: tuple[tuple[int, ...], ...] = ()
     """Robots of each group; a group's floor is tinted like its first robot. Empty: one map, no tint."""
     trails_m: tuple[Array, ...] = ()
@@ -201,7 +201,7 @@ def scene_of(
     """The present moment of an episode, every group's map laid on the building as well as one rigid motion can."""
     cells = floorplan.cells()
     true = record.true_poses
-    estimated = np.zeros((true.shape[1], 3))
+    estimated = np.full((true.shape[1], 3), np.nan)
     for verdict in verdicts:
         for robot in verdict.view.viewers:
             estimated[robot] = compose(verdict.pose_building_map, engine.pose_map_robot(robot))
@@ -280,6 +280,8 @@ def _paint_robots(image: Array, view: tuple, scene: Scene) -> None:
         if len(trail) > 1:
             _draw_path(image, _to_pixels(trail, view), max(0.9, 0.28 * radius), _colour(robot), 0.15)
     for robot, pose in enumerate(np.asarray(scene.estimated_poses, float).reshape(-1, 3)):
+        if np.isnan(pose[0]):
+            continue
         (u, v), ahead = _to_pixels(pose[None, :2], view)[0], 1.9 * radius
         tip_u, tip_v = u + ahead * math.cos(pose[2]), v - ahead * math.sin(pose[2])
         _draw_ring(image, u, v, 1.25 * radius, 0.8, _colour(robot))

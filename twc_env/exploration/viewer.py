@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import RadioConfig
 from twc_env.exploration.evaluation import GroupVerdict, verdicts_of
+from twc_env.exploration.layers import HELP, Layers, layered
 from twc_env.exploration.rendering import ClosureLine, SignalLayer, render, scene_of
 from twc_env.exploration.window import Window
 from twc_env.geometry import transform_points
@@ -27,8 +28,8 @@ class Viewer:
 
     def __init__(self, mode: str, frames_per_s: float, with_signal: bool):
         """Raises ConfigError where "human" cannot be shown for want of pygame."""
-        self._window = Window("twc_env", frames_per_s) if mode == "human" else None
-        self._with_signal = with_signal
+        self._window = Window(f"twc_env    {HELP}", frames_per_s) if mode == "human" else None
+        self._layers = Layers(signal=with_signal)
         self._signal: tuple[Floorplan, SignalLayer] | None = None
         self._seen = SeenClosures()
         self._shown_step = -1
@@ -42,9 +43,17 @@ class Viewer:
         if self._window is None:
             return self._picture(env)
         step = env.record.count
-        if self._window.answer() and step != self._shown_step:
-            self._window.show(self._picture(env))
-            self._shown_step = step
+        while self._window.answer():
+            layers = self._layers
+            for key in self._window.take_keys():
+                layers = layers.after(key)
+            if step != self._shown_step or layers != self._layers:
+                self._layers, self._shown_step = layers, step
+                self._window.show(self._picture(env))
+            elif self._window.is_paused:
+                self._window.wait()
+            if not self._window.is_paused:
+                break
         return None
 
     def follow(self, env: ExplorationEnv) -> None:
@@ -60,8 +69,11 @@ class Viewer:
     def _picture(self, env: ExplorationEnv) -> Array:
         verdicts = verdicts_of(env.engine, env.record, env.floorplan.cells())
         lines = self._seen.lines(verdicts, env.record.count, env.config.dynamics.time_step_s)
-        signal = self._signal_of(env.floorplan, env.config.radio) if self._with_signal else None
-        return render(scene_of(env.floorplan, env.engine, env.record, verdicts, lines, signal))
+        layers = self._layers
+        signal = self._signal_of(env.floorplan, env.config.radio) if layers.signal else None
+        if layers.robot is not None:
+            verdicts = [v for v in verdicts if layers.robot in v.view.viewers] or verdicts
+        return render(layered(scene_of(env.floorplan, env.engine, env.record, verdicts, lines, signal), layers))
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
         if self._signal is None or self._signal[0] is not plan:

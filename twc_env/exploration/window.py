@@ -29,7 +29,10 @@ class Window:
         self._title, self._frames_per_s = title, frames_per_s
         self._screen: Any = None
         self._clock: Any = None
+        self._keys: list[str] = []
         self.is_shut = False
+        self.is_paused = False
+        """The user pressed space: whoever draws should wait until it is pressed again."""
 
     def show(self, picture: Array) -> None:
         """Put a picture (height, width, 3) uint8 on the screen once the last one was there for 1 / rate seconds.
@@ -52,9 +55,26 @@ class Window:
         if self._screen is not None:
             import pygame
 
-            if any(event.type == pygame.QUIT for event in pygame.event.get()):
-                self.close()
+            for event in pygame.event.get():
+                if event.type == pygame.QUIT:
+                    self.close()
+                    break
+                if event.type == pygame.KEYDOWN and event.unicode == " ":
+                    self.is_paused = not self.is_paused
+                elif event.type == pygame.KEYDOWN:
+                    self._keys.append(event.unicode)
         return not self.is_shut
+
+    def take_keys(self) -> list[str]:
+        """The keys pressed since the last call, as characters, in their order."""
+        keys, self._keys = self._keys, []
+        return keys
+
+    def wait(self) -> None:
+        """Let a twentieth of a second pass."""
+        import pygame
+
+        pygame.time.wait(50)
 
     def close(self) -> None:
         """Shut the window for good; a window that is not open stays so."""
@@ -62,7 +82,7 @@ class Window:
         if self._screen is not None:
             import pygame
 
-            self._screen = None
+            self._screen, self.is_paused = None, False
             pygame.display.quit()
 
     def _open(self, width: int, height: int) -> None:

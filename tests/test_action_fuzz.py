@@ -1,0 +1,61 @@
+import json
+
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env import action_fuzz
+from twc_env.__main__ import main
+from twc_env.action_fuzz import fuzz_actions
+from twc_env.errors import ActionError
+from twc_env.exploration import actions as action_blocks
+from twc_env.exploration.environment import ExplorationEnv
+
+
+def test_broken_actions_of_every_kind_are_refused_and_leave_no_mark():
+    report = fuzz_actions(900, seed=1)
+    assert report.is_sound, (report.escaped, report.changed)
+    assert report.count == 900 == report.refused + report.accepted
+    assert report.refused > 850
+    assert report.steps_compared >= 3
+
+
+def test_an_action_for_an_agent_that_is_not_there_is_named():
+    env = twc_env.parallel_env(robots=2, max_cycles=5)
+    env.reset(seed=0)
+    good = {agent: np.zeros(2) for agent in env.agents}
+    with pytest.raises(ActionError, match="'robot_7'"):
+        env.step({**good, "robot_7": np.zeros(2)})
+    before = env.frames_of_step
+    with pytest.raises(ActionError, match="dict"):
+        env.step(None)
+    assert env.frames_of_step is before
+
+
+def test_the_fuzzer_sees_other_exceptions(monkeypatch):
+    monkeypatch.setattr(action_blocks, "check_agents", lambda actions, agents: None)
+    assert fuzz_actions(300, seed=1).escaped
+
+
+def test_the_fuzzer_sees_a_mark_that_a_refusal_left(monkeypatch):
+    honest = ExplorationEnv.step
+
+    def careless(self, actions):
+        try:
+            return honest(self, actions)
+        except ActionError:
+            self._world.step(np.zeros((2, 2)))
+            raise
+
+    monkeypatch.setattr(ExplorationEnv, "step", careless)
+    monkeypatch.setattr(action_fuzz, "KINDS", ("velocity",))
+    assert fuzz_actions(200, seed=1).changed == ["velocity"]
+
+
+def test_the_command_prints_what_came_of_it(tmp_path, capsys):
+    path = tmp_path / "fuzz.json"
+    assert main(["soak", "--actions", "60", "--json", str(path)]) == 0
+    assert "60 broken actions" in capsys.readouterr().out
+    assert json.loads(path.read_text())["actions"]["escaped"] == []
+    assert main(["soak", "--actions", "0"]) == 2
+    assert "--actions" in capsys.readouterr().err

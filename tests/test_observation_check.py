@@ -1,0 +1,38 @@
+import numpy as np
+
+from twc_env import observation_check
+from twc_env.__main__ import main
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.observation_check import ACTIONS, check_observations
+
+
+def test_every_block_stays_in_its_space_changes_and_shares_no_memory(monkeypatch):
+    monkeypatch.setattr(observation_check, "ACTIONS", (ACTIONS[0], ACTIONS[4]))
+    report = check_observations(150)
+    assert report.faults == []
+    assert report.steps == 2 * 150
+    assert report.blocks > 10 * report.steps
+
+
+def test_a_block_that_leaves_its_space_stands_still_or_is_shared_is_named(monkeypatch):
+    honest = ExplorationEnv.step
+
+    def careless(self, actions):
+        observations, *rest = honest(self, actions)
+        for observation in observations.values():
+            observation["pose"] = np.full(8, np.nan, np.float32)
+            observation["wifi"] = observations["robot_0"]["wifi"]
+            observation["signs"] = np.zeros_like(observation["signs"])
+        return observations, *rest
+
+    monkeypatch.setattr(ExplorationEnv, "step", careless)
+    monkeypatch.setattr(observation_check, "ACTIONS", ACTIONS[:1])
+    faults = " ".join(check_observations(10).faults)
+    for words in ("pose left its space", "wifi shares memory", "signs never changed"):
+        assert words in faults
+
+
+def test_the_command_ends_with_an_error_where_a_promise_is_broken(monkeypatch, capsys):
+    monkeypatch.setattr(observation_check, "ACTIONS", ACTIONS[:1])
+    assert main(["soak", "--observations", "1"]) == 2
+    assert "never changed" in capsys.readouterr().err
