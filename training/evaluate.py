@@ -75,12 +75,12 @@ def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True)
 
     Raises DataError when the model or the settings of its run cannot be read.
     """
-    from training.ppo import MaskedPolicy
+    from training.ppo import ChoicePolicy
 
     torch.set_num_threads(1)
     task = task_of(read_settings(model_path.parent))
     try:
-        model = PPO.load(model_path, device="cpu", custom_objects={"policy_class": MaskedPolicy})
+        model = PPO.load(model_path, device="cpu", custom_objects={"policy_class": ChoicePolicy})
     except (OSError, ValueError, KeyError) as error:
         raise DataError(f"cannot read the model {model_path}: {error}") from error
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}

@@ -17,6 +17,7 @@ SMALL_VIEW = {
     "action.timing": "asynchronous",
     "observation.lidar": False,
     "observation.map": False,
+    "observation.overview": False,
     "observation.wifi": False,
     "reward.period_steps": 20,
 }

@@ -170,3 +170,33 @@ def test_a_choice_that_the_mask_rules_out_is_never_taken(run):
         observation["action_mask"][0, only] = 1
         for deterministic in (True, False):
             assert model.predict(observation, deterministic=deterministic)[0].tolist() == [only]
+
+
+@needs_torch
+def test_another_kind_of_action_or_observation_is_refused(tmp_path, capsys):
+    for setting in ("action.kind=velocity", "observation.kind=flat"):
+        assert main(["ppo", "--steps", "8", "--out", str(tmp_path / "run"), "--set", setting]) == 2
+        assert "action.kind=frontier" in capsys.readouterr().err
+
+
+@needs_torch
+def test_the_policy_scores_each_choice_by_its_own_figures_and_never_takes_a_masked_one(run):
+    import numpy as np
+    import torch
+    from stable_baselines3 import PPO
+
+    policy = PPO.load(run / "model.zip", device="cpu").policy
+    seen = {k: np.zeros((1, *s.shape), s.dtype) for k, s in policy.observation_space.items()}
+    random = np.random.default_rng(0)
+    seen["frontiers"] = random.uniform(-1, 1, seen["frontiers"].shape).astype(np.float32)
+    seen["action_mask"][0, [0, 2, 5, -1]] = 1
+
+    def chances(seen):
+        tensors, _ = policy.obs_to_tensor(seen)
+        return policy.get_distribution(tensors).distribution.probs[0].detach()
+
+    first = chances(seen)
+    assert first[[0, 2, 5, -1]].sum() == pytest.approx(1.0)
+    swapped = {**seen, "frontiers": seen["frontiers"].copy()}
+    swapped["frontiers"][0, [0, 5]] = seen["frontiers"][0, [5, 0]]
+    assert torch.allclose(chances(swapped)[[5, 0]], first[[0, 5]], atol=1e-6)
