@@ -54,8 +54,8 @@ class GroupMaps:
         self._scan_here[node] = not self._on_request or keyframe.robot == self._home
         self._drawn[node] = self._graph.poses[node]
         group = self.group_of[keyframe.robot]
-        if self._may_draw(group)[node]:
-            self._draw(group, np.array([node]))
+        if self._scan_here[node] or self._draws_all(group):
+            self.groups[group].grid.integrate(self._graph.poses[node:], self._graph.scans[node:])
         elif self._is_seen(group):
             self.wanted[keyframe.robot, keyframe.index] = None
 
@@ -64,7 +64,7 @@ class GroupMaps:
         for key in scans:
             self.wanted.pop(key, None)
             node, group = self._graph.node(key), self.group_of[key[0]]
-            is_drawn = self._may_draw(group)[node]
+            is_drawn = self._scan_here[node] or self._draws_all(group)
             self._scan_here[node] = True
             if not is_drawn:
                 self._draw(group, np.array([node]))
@@ -127,7 +127,7 @@ class GroupMaps:
         nodes = self._graph.nodes_of(self.groups[group].robots)
         self.groups[group].grid.clear()
         self._drawn[nodes] = self._graph.poses[nodes]
-        self._draw(group, nodes[self._may_draw(group)[nodes]])
+        self._draw(group, nodes if self._draws_all(group) else nodes[self._scan_here[nodes]])
         self.groups[group].version += 1
 
     def _draw(self, group: int, nodes: Array) -> None:
@@ -136,12 +136,9 @@ class GroupMaps:
     def _new_grid(self) -> OccupancyGrid:
         return OccupancyGrid(self._resolution_m, self._lidar.range_max_m, self._lidar.beam_count)
 
-    def _may_draw(self, group: int) -> Array:
-        """(nodes,) bool: scans that are here; a robot that is alone in its map draws all its own where they are."""
-        count = len(self._graph.poses)
-        if self._home is None and len(self.groups[group].robots) == 1:
-            return np.ones(count, bool)
-        return self._scan_here[:count]
+    def _draws_all(self, group: int) -> bool:
+        """Whether all scans may be drawn: a robot that is alone in its map draws its own where they are."""
+        return self._home is None and len(self.groups[group].robots) == 1
 
     def _is_seen(self, group: int) -> bool:
         """Whether some robot sees the map that this mapper draws of a group of several."""

@@ -17,6 +17,47 @@ STD_MODES = {"population": 0, "sample": 1, "paper": 2}
 EMPTY = Fingerprint(np.zeros(0, np.int64), np.zeros(0))
 
 
+class ScanWindow:
+    """The latest scans of one receiver, side by side in arrays, of which fingerprints are made."""
+
+    def __init__(self, scans_max: int):
+        self._macs, self._rssi_dbm, self._ages_s = _rows(scans_max, 32)
+        self._counts, self._times_s = np.zeros(scans_max, np.int64), np.full(scans_max, -math.inf)
+        self._added = 0
+
+    def add(self, time_s: float, scan: WifiScan) -> None:
+        """Keep a scan; the oldest gives way."""
+        count, row = len(scan.macs), self._added % len(self._counts)
+        if count > self._macs.shape[1]:
+            self._widen(count)
+        self._macs[row, :count], self._rssi_dbm[row, :count] = scan.macs, scan.rssi_dbm
+        self._ages_s[row, :count] = 0.0 if scan.age_s is None else scan.age_s
+        self._counts[row], self._times_s[row] = count, time_s
+        self._added += 1
+
+    def fingerprint(
+        self, after_s: float, detection_min: float, std_mode: str = "population", age_max_s: float = math.inf
+    ) -> Fingerprint:
+        """See `fingerprint`, of the kept scans that are younger than a time."""
+        macs, levels = np.empty(self._macs.size, np.int64), np.empty(self._macs.size)
+        count = _clipped_means(
+            self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added, after_s, age_max_s,
+            detection_min, STD_MODES[std_mode], macs, levels,
+        )  # fmt: skip
+        return Fingerprint(macs[:count].copy(), levels[:count].copy()) if count else EMPTY
+
+    def _widen(self, count: int) -> None:
+        scans, width = self._macs.shape
+        wider = _rows(scans, 2 * count)
+        for new, old in zip(wider, (self._macs, self._rssi_dbm, self._ages_s), strict=True):
+            new[:, :width] = old
+        self._macs, self._rssi_dbm, self._ages_s = wider
+
+
+def _rows(scans: int, width: int) -> tuple[Array, Array, Array]:
+    return np.zeros((scans, width), np.int64), np.zeros((scans, width)), np.zeros((scans, width))
+
+
 def fingerprint(
     scans: Sequence[WifiScan], detection_min: float, std_mode: str = "population", age_max_s: float = math.inf
 ) -> Fingerprint:
@@ -26,49 +67,46 @@ def fingerprint(
     "population" (1/n), "sample" (1/(n-1)) or "paper" (no division at all: then nothing is ever rejected). Readings
     that their scan repeats from more than `age_max_s` ago belong to another place and are left out.
     """
-    if not scans:
-        return EMPTY
-    scans = [_fresh(scan, age_max_s) for scan in scans]
-    macs = np.concatenate([scan.macs for scan in scans])
-    levels = np.concatenate([scan.rssi_dbm for scan in scans])
-    ends = np.cumsum([len(scan.macs) for scan in scans])
-    out_macs, out_levels = np.empty(len(macs), np.int64), np.empty(len(macs))
-    count_min = detection_min * len(scans) - 1e-9
-    count = _clipped_means(macs, levels, ends, count_min, STD_MODES[std_mode], out_macs, out_levels)
-    return Fingerprint(out_macs[:count].copy(), out_levels[:count].copy())
-
-
-def _fresh(scan: WifiScan, age_max_s: float) -> WifiScan:
-    """The scan without what it only remembers from longer ago."""
-    if scan.age_s is None or not (scan.age_s > age_max_s).any():
-        return scan
-    young = scan.age_s <= age_max_s
-    return WifiScan(scan.macs[young], scan.rssi_dbm[young], scan.age_s[young])
+    window = ScanWindow(max(len(scans), 1))
+    for scan in scans:
+        window.add(0.0, scan)
+    return window.fingerprint(-1.0, detection_min, std_mode, age_max_s)
 
 
 @njit(cache=True, error_model="numpy")
-def _clipped_means(macs, levels, ends, count_min, std_mode, out_macs, out_levels):
+def _clipped_means(
+    macs, levels, ages, counts, times, added, after, age_max, detection_min, std_mode, out_macs, out_levels
+):  # fmt: skip
     """For each transmitter with enough readings the mean of those within one spread; gives how many there are.
 
-    The scans stand one behind the other, each ascending; they are read side by side, lowest transmitter first.
+    The rows are a ring in which the next scan would be number `added`; each ascends. Those later than `after` are read
+    side by side, lowest transmitter first and oldest scan first.
     """
-    scans = ends.shape[0]
-    at = np.zeros(scans, np.int64)
-    at[1:] = ends[:-1]
-    heard = np.empty(scans)
+    size = counts.shape[0]
+    rows, at, heard = np.empty(size, np.int64), np.zeros(size, np.int64), np.empty(size)
+    scans = 0
+    for k in range(max(added - size, 0), added):
+        if times[k % size] > after:
+            rows[scans] = k % size
+            scans += 1
+    count_min = detection_min * scans - 1e-9
     found = 0
     while True:
         mac = np.int64(0)
         is_done = True
         for k in range(scans):
-            if at[k] < ends[k] and (is_done or macs[at[k]] < mac):
-                mac, is_done = macs[at[k]], False
+            row = rows[k]
+            while at[k] < counts[row] and ages[row, at[k]] > age_max:
+                at[k] += 1
+            if at[k] < counts[row] and (is_done or macs[row, at[k]] < mac):
+                mac, is_done = macs[row, at[k]], False
         if is_done:
             return found
         n, total = 0, 0.0
         for k in range(scans):
-            if at[k] < ends[k] and macs[at[k]] == mac:
-                heard[n] = levels[at[k]]
+            row = rows[k]
+            if at[k] < counts[row] and macs[row, at[k]] == mac:
+                heard[n] = levels[row, at[k]]
                 total += heard[n]
                 n += 1
                 at[k] += 1

@@ -6,7 +6,6 @@ What every step costs is computed for all robots at once, over common arrays; wh
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,10 +14,10 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import between
-from twc_env.messages import Keyframe, SensorFrame, SignObservation, WifiScan
+from twc_env.messages import Keyframe, SensorFrame, SignObservation
 from twc_env.slam.mate_detection import MateMarker, StillDiscs
 from twc_env.slam.odometry_filter import make_filters, motion_covariance
-from twc_env.slam.radio_fingerprint import fingerprint
+from twc_env.slam.radio_fingerprint import ScanWindow
 from twc_env.slam.scan_matching import LineField, LineFields, Matches
 
 Array = NDArray
@@ -105,7 +104,7 @@ class FrontEnds:
             pose, robot = self.poses_odom[k], self.robots[k]
             robot.pose_odom = pose
             if frame.wifi is not None:
-                robot.scans.append((frame.time_s, frame.wifi))
+                robot.radio.add(frame.time_s, frame.wifi)
             if frame.signs:
                 robot.read_signs(frame, pose)
             if is_new[k]:
@@ -129,8 +128,7 @@ class RobotFrontEnd:
         self._centre_m = np.zeros(2)
         self._recentre_m = max(0.5 * config.slam.local_map.size_m - config.lidar.range_max_m - 1.0, 1.0)
         rule = config.slam.keyframe
-        self.scans: deque[tuple[float, WifiScan]] = deque(maxlen=rule.fingerprint_scans_max)
-        """The latest radio scans with their times [s]."""
+        self.radio = ScanWindow(rule.fingerprint_scans_max)
         self.still = StillDiscs()
         self._keyframes: list[Keyframe] = []
         self._readings: list[tuple[str, float, float, float]] = []
@@ -160,7 +158,6 @@ class RobotFrontEnd:
             motion = between(last.pose_odom, pose_odom)
             variance = self._motion_variance(steps, travel_m - last.travel_m)
             covariance = motion_covariance(variance, last.pose_odom[2], 0.5 * matched, MOTION_STD_MIN)
-        recent = [scan for time_s, scan in self.scans if time_s > frame.time_s - rule.fingerprint_window_s]
         keyframe = Keyframe(
             robot=self.robot,
             index=len(self._keyframes),
@@ -172,7 +169,10 @@ class RobotFrontEnd:
             travel_m=travel_m,
             ranges_m=scan,
             signs=self._signs_seen_from(pose_odom),
-            fingerprint=fingerprint(recent, rule.fingerprint_detection_min, rule.std_mode, rule.fingerprint_age_max_s),
+            fingerprint=self.radio.fingerprint(
+                frame.time_s - rule.fingerprint_window_s, rule.fingerprint_detection_min, rule.std_mode,
+                rule.fingerprint_age_max_s,
+            ),
         )
         self._keyframes.append(keyframe)
         self._extend_local_map(keyframe)

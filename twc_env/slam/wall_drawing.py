@@ -23,7 +23,7 @@ STRAIGHT_M = 0.02
 
 
 @njit(cache=True, error_model="numpy")
-def _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn):
+def _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn, squares):
     """Tell the cells around the wall piece a-b [m from the field's corner] of its line, where it is the nearest."""
     height, width = walls.shape[0], walls.shape[1]
     ex, ey = bx - ax, by - ay
@@ -36,81 +36,93 @@ def _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn):
     column, row = int(mx * inverse_m), int(my * inverse_m)
     cell = 1.0 / inverse_m
     if 0 <= row < height and 0 <= column < width and walls[row, column, 3] < cell:
-        is_parallel = abs(walls[row, column, 0] * nx + walls[row, column, 1] * ny) > 0.97
-        gap = abs(walls[row, column, 0] * mx + walls[row, column, 1] * my - walls[row, column, 2])
-        if is_parallel and gap < SAME_WALL_M:
+        wall = walls[row, column]
+        if abs(wall[0] * nx + wall[1] * ny) > 0.97 and abs(wall[0] * mx + wall[1] * my - wall[2]) < SAME_WALL_M:
             return
-    first_column = max(0, int((min(ax, bx) - REACH_M) * inverse_m))
-    last_column = min(width - 1, int((max(ax, bx) + REACH_M) * inverse_m))
-    first_row = max(0, int((min(ay, by) - REACH_M) * inverse_m))
-    last_row = min(height - 1, int((max(ay, by) + REACH_M) * inverse_m))
-    drawn[0], drawn[1] = min(drawn[0], first_column), min(drawn[1], first_row)
-    drawn[2], drawn[3] = max(drawn[2], last_column + 1), max(drawn[3], last_row + 1)
-    for r in range(first_row, last_row + 1):
+    left = max(0, int((min(ax, bx) - REACH_M) * inverse_m))
+    right = min(width - 1, int((max(ax, bx) + REACH_M) * inverse_m)) + 1
+    bottom = max(0, int((min(ay, by) - REACH_M) * inverse_m))
+    top = min(height - 1, int((max(ay, by) + REACH_M) * inverse_m)) + 1
+    if left >= right or bottom >= top:
+        return
+    drawn[0], drawn[1] = min(drawn[0], left), min(drawn[1], bottom)
+    drawn[2], drawn[3] = max(drawn[2], right), max(drawn[3], top)
+    dx = (left + 0.5) * cell - ax
+    for r in range(bottom, top):
         dy = (r + 0.5) * cell - ay
-        for c in range(first_column, last_column + 1):
-            dx = (c + 0.5) * cell - ax
-            along = dx * ex + dy * ey
-            across = dy * ex - dx * ey
-            beyond = max(0.0, max(-along, along - length))
-            squared = across * across + beyond * beyond
-            held = walls[r, c, 3]
-            if squared < held * held:
-                walls[r, c, 0] = nx
-                walls[r, c, 1] = ny
-                walls[r, c, 2] = offset
-                walls[r, c, 3] = math.sqrt(squared)
+        along, across = np.float32(dx * ex + dy * ey), np.float32(dy * ex - dx * ey)
+        along_step, across_step, end = np.float32(cell * ex), np.float32(-cell * ey), np.float32(length)
+        for j in range(right - left):  # many cells at once, as all of this is float32
+            k = np.float32(np.int32(j))
+            a, b = along + k * along_step, across + k * across_step
+            beyond = max(np.float32(0.0), max(-a, a - end))
+            squares[j] = b * b + beyond * beyond
+        cells = walls[r]
+        for j in range(right - left):
+            held = cells[left + j, 3]
+            if squares[j] < held * held:
+                wall = cells[left + j]
+                wall[0], wall[1], wall[2], wall[3] = nx, ny, offset, math.sqrt(squares[j])
 
 
 @njit(cache=True, error_model="numpy")
-def _add_piece(walls, inverse_m, ends, first, last, drawn):
+def _add_piece(walls, inverse_m, ends, first, last, drawn, squares):
     """Draw the piece of wall along the end points first..last: the straight line of least squares through them."""
     ax, ay, bx, by = ends[first, 0], ends[first, 1], ends[last, 0], ends[last, 1]
-    mx = my = 0.0
+    sx = sy = xx = xy = yy = 0.0
     for i in range(first, last + 1):
-        mx += ends[i, 0]
-        my += ends[i, 1]
-    mx /= last - first + 1
-    my /= last - first + 1
-    xx = xy = yy = 0.0
-    for i in range(first, last + 1):
-        dx, dy = ends[i, 0] - mx, ends[i, 1] - my
+        dx, dy = ends[i, 0] - ax, ends[i, 1] - ay
+        sx += dx
+        sy += dy
         xx += dx * dx
         xy += dx * dy
         yy += dy * dy
-    # The direction of the larger eigenvalue; its half-angle form has no case of its own for either axis.
-    half = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    nx, ny = -math.sin(half), math.cos(half)
-    _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, nx * mx + ny * my, drawn)
+    mx, my = sx / (last - first + 1), sy / (last - first + 1)
+    xx -= sx * mx
+    xy -= sx * my
+    yy -= sy * my
+    # The normal of the larger eigenvalue's direction, whose doubled angle has tangent 2 xy / (xx - yy).
+    gap = xx - yy
+    root = math.sqrt(gap * gap + 4.0 * xy * xy)
+    nx, ny = 0.0, 1.0
+    if root > 0.0 and gap >= 0.0:
+        ny = math.sqrt(0.5 + 0.5 * gap / root)
+        nx = -xy / (root * ny)
+    elif root > 0.0:
+        nx = -math.copysign(math.sqrt(0.5 - 0.5 * gap / root), xy)
+        ny = -xy / (root * nx)
+    _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, nx * (ax + mx) + ny * (ay + my), drawn, squares)
 
 
 @njit(cache=True, error_model="numpy")
 def _is_straight(ends, first, last):
     """Whether the end points between first and last lie near the chord from one to the other."""
-    ex, ey = ends[last, 0] - ends[first, 0], ends[last, 1] - ends[first, 1]
-    limit = STRAIGHT_M * math.sqrt(ex * ex + ey * ey)
+    ax, ay = ends[first, 0], ends[first, 1]
+    ex, ey = ends[last, 0] - ax, ends[last, 1] - ay
+    limit = STRAIGHT_M * STRAIGHT_M * (ex * ex + ey * ey)
     for i in range(first + 1, last):
-        if abs((ends[i, 1] - ends[first, 1]) * ex - (ends[i, 0] - ends[first, 0]) * ey) > limit:
+        across = (ends[i, 1] - ay) * ex - (ends[i, 0] - ax) * ey
+        if across * across > limit:
             return False
     return True
 
 
 @njit(cache=True, error_model="numpy")
-def _add_run(walls, inverse_m, ends, count, drawn):
+def _add_run(walls, inverse_m, ends, count, drawn, squares):
     """Draw one surface: end points that follow each other without a jump, cut into straight pieces."""
     first = 0
     for i in range(1, count):
         if not _is_straight(ends, first, i):
-            _add_piece(walls, inverse_m, ends, first, i - 1, drawn)
+            _add_piece(walls, inverse_m, ends, first, i - 1, drawn, squares)
             first = i - 1
         dx, dy = ends[i, 0] - ends[first, 0], ends[i, 1] - ends[first, 1]
         if i == count - 1 or dx * dx + dy * dy >= PIECE_M * PIECE_M:
-            _add_piece(walls, inverse_m, ends, first, i, drawn)
+            _add_piece(walls, inverse_m, ends, first, i, drawn, squares)
             first = i
 
 
 @njit(cache=True, error_model="numpy")
-def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn):
+def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn, squares):
     beams = ranges.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] - origin[0], pose[1] - origin[1]
@@ -119,17 +131,17 @@ def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, end
         i = k if k >= 0 else beams - 1
         r = ranges[i]
         if r >= range_max or r < 0.0:
-            _add_run(walls, inverse_m, ends, count, drawn)
+            _add_run(walls, inverse_m, ends, count, drawn, squares)
             count = 0
             continue
         dx, dy = directions[i, 0], directions[i, 1]
         qx, qy = x + r * (c * dx - s * dy), y + r * (s * dx + c * dy)
         if count and (qx - ends[count - 1, 0]) ** 2 + (qy - ends[count - 1, 1]) ** 2 >= JUMP_MAX_M**2:
-            _add_run(walls, inverse_m, ends, count, drawn)
+            _add_run(walls, inverse_m, ends, count, drawn, squares)
             count = 0
         ends[count, 0], ends[count, 1] = qx, qy
         count += 1
-    _add_run(walls, inverse_m, ends, count, drawn)
+    _add_run(walls, inverse_m, ends, count, drawn, squares)
 
 
 @njit(cache=True, error_model="numpy")
@@ -140,5 +152,6 @@ def draw_scans(walls, origin, inverse_m, poses, directions, scans, range_max, dr
     drawn (4,): left, bottom, right and top end of the cells drawn so far, widened here.
     """
     ends = np.empty((scans.shape[1] + 1, 2))
+    squares = np.empty(int((2 * JUMP_MAX_M + 2 * REACH_M) * inverse_m) + 3, np.float32)
     for k in range(poses.shape[0]):
-        _add_scan(walls, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn)
+        _add_scan(walls, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn, squares)
