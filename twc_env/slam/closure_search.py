@@ -65,22 +65,17 @@ class ClosureSearch:
         if reach_m <= 0 or keyframe.travel_m - self._searched_m[keyframe.robot] < PROXIMITY_PERIOD_M:
             return None
         self._searched_m[keyframe.robot] = keyframe.travel_m
-        here = self._graph.poses_of(keyframe.robot)[-1]
-        best, best_m, best_pose = None, reach_m, here
+        here = self._graph.poses[self._graph.node((keyframe.robot, keyframe.index))]
+        best, best_m = None, reach_m
         for robot in self._maps.groups[self._maps.group_of[keyframe.robot]].robots:
-            poses = self._graph.poses_of(robot)
-            if robot == keyframe.robot:
-                travels = self._graph.travels_of(robot)
-                poses = poses[: int(np.searchsorted(travels, keyframe.travel_m - self._rule.revisit_travel_m))]
-            if len(poses) == 0:
-                continue
-            away = np.linalg.norm(poses[:, :2] - here[:2], axis=1)
-            nearest = int(np.argmin(away))
-            if away[nearest] < best_m:
-                best, best_m, best_pose = (robot, nearest), away[nearest], poses[nearest]
+            latest_m = keyframe.travel_m - self._rule.revisit_travel_m if robot == keyframe.robot else np.inf
+            nearest, away_m = self._graph.nearest(robot, here, latest_m)
+            if away_m < best_m:
+                best, best_m = (robot, nearest), away_m
         if best is None:
             return None
-        return LoopCandidate(best, (keyframe.robot, keyframe.index), between(best_pose, here), "proximity")
+        guess = between(self._graph.poses[self._graph.node(best)], here)
+        return LoopCandidate(best, (keyframe.robot, keyframe.index), guess, "proximity")
 
     def note_tie(self, closure: LoopClosure) -> None:
         """A closure was accepted: its robots need no other for a while."""

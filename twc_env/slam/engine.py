@@ -68,10 +68,10 @@ class CooperativeSlam:
         self._frames: list[SensorFrame | None] = [None] * robot_count
         self._poses_map_robot = [np.zeros(3)] * robot_count
         self._poses_map_odom = np.zeros((robot_count, 3))
-        self._located = [-1] * len(self.mappers)
-        """The state of each mapper, by its count of changes, that `_poses_map_odom` and `_ties` were taken from."""
-        self._ties: list[tuple[float, Array, dict[int, int]]] = [(0.0, np.zeros(3), {})] * robot_count
-        """Of each robot: path length since its last closure, what may have gone astray on it, when it heard whom."""
+        self._located = [-1] * robot_count
+        """The state of each robot in its mapper, by the count of changes, that the next two were taken from."""
+        self._ties: list[tuple[float, Array]] = [(0.0, np.zeros(3))] * robot_count
+        """Of each robot: path length since its last closure, and what may have gone astray on it."""
         self._last_step = 0
         radio = config.slam.k_visibility
         self._radio = RadioStructure(radio, config.slam.resolution_m, robot_count) if radio.enabled else None
@@ -124,21 +124,18 @@ class CooperativeSlam:
         self._locate()
 
     def _locate(self) -> None:
-        for number, mapper in enumerate(self.mappers):
-            if mapper.changes != self._located[number]:
-                self._located[number] = mapper.changes
-                for robot in range(len(self.robots)) if self._is_central else (number,):
-                    self._poses_map_odom[robot] = mapper.pose_map_odom(robot)
-                    since_m, std = mapper.since_closure(robot)
-                    std.flags.writeable = False  # beliefs show it to planners
-                    self._ties[robot] = since_m, std, self._contact_steps(mapper, robot)
+        for robot, known in enumerate(self._located):
+            mapper = self.mappers[0 if self._is_central else robot]
+            changes = mapper.changes[robot]
+            if changes != known:
+                self._located[robot] = changes
+                self._poses_map_odom[robot] = mapper.pose_map_odom(robot)
+                self._ties[robot] = mapper.since_closure(robot)
+                self._ties[robot][1].flags.writeable = False  # beliefs show it to planners
         poses = np.empty_like(self._poses_map_odom)
         _compose_rows(self._poses_map_odom, self._front_ends.poses_odom, poses)
         poses.flags.writeable = False  # beliefs show it to planners
         self._poses_map_robot = list(poses)
-
-    def _contact_steps(self, mapper: TeamMapper, robot: int) -> dict[int, int]:
-        return {mate: mapper.last_step_of(mate) for mate in range(len(self.robots)) if mate != robot}
 
     def finish(self) -> None:
         """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""
@@ -175,7 +172,7 @@ class CooperativeSlam:
         mapper, frame = self.mapper_of(robot), self._frames[robot]
         group = mapper.group_index(robot)
         held = mapper.groups[group]
-        since_closure_m, pose_std, contact_steps = self._ties[robot]
+        since_closure_m, pose_std = self._ties[robot]
         return Belief(
             robot=robot,
             step=frame.step if frame is not None else 0,
@@ -188,7 +185,7 @@ class CooperativeSlam:
             pose_odom=self.robots[robot].pose_odom,
             pose_std=pose_std,
             since_closure_m=since_closure_m,
-            contact_steps=dict(contact_steps),
+            contact_steps={mate: step for mate, step in enumerate(mapper.last_steps) if mate != robot},
             radio_map=None if self._radio is None else self._radio_map(self._radio, mapper, group, robot),
         )
 

@@ -55,7 +55,7 @@ class GroupMaps:
         self._drawn[node] = self._graph.poses[node]
         group = self.group_of[keyframe.robot]
         if self._scan_here[node] or self._draws_all(group):
-            self.groups[group].grid.integrate(self._graph.poses[node:], self._graph.scans[node:])
+            self.groups[group].grid.integrate(self._graph.poses[node : node + 1], self._graph.scans[node : node + 1])
         elif self._is_seen(group):
             self.wanted[keyframe.robot, keyframe.index] = None
 

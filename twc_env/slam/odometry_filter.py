@@ -166,6 +166,18 @@ def invert_symmetric(matrix: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
+def squared_error(error, covariance):
+    """e^T C^-1 e of an error (3,) with its symmetric covariance (3, 3)."""
+    inverse = np.empty((3, 3))
+    _invert3(covariance, inverse)
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += error[i] * inverse[i, j] * error[j]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
 def _predict_all(states, covariances, robots, odometry, turn_rates, dts, config):
     for a in range(robots.shape[0]):
         k = robots[a]

@@ -176,11 +176,11 @@ class TextWifiRecogniser:
             return []
         macs, distance_db, shared = self._fingerprints.compare(numbers, fingerprint)
         passed = []
-        for k, mac, distance, count in zip(numbers, macs.tolist(), distance_db.tolist(), shared.tolist(), strict=True):
-            if mac >= rule.mac_similarity_min - 1e-9:
-                rssi, is_alike = _rssi_cue(distance, count, rule, (self._places[k][0].fingerprint, fingerprint))
-                if is_alike:
-                    passed.append((k, mac, rssi))
+        for row in np.flatnonzero(macs >= rule.mac_similarity_min - 1e-9).tolist():
+            k, distance, count = numbers[row], float(distance_db[row]), int(shared[row])
+            rssi, is_alike = _rssi_cue(distance, count, rule, (self._places[k][0].fingerprint, fingerprint))
+            if is_alike:
+                passed.append((k, float(macs[row]), rssi))
         return passed
 
     def _remember(self, text: str, keyframe: Keyframe, sign: SignObservation) -> None:

@@ -170,7 +170,9 @@ class RobotFrontEnd:
             ranges_m=scan,
             signs=self._signs_seen_from(pose_odom),
             fingerprint=self.radio.fingerprint(
-                frame.time_s - rule.fingerprint_window_s, rule.fingerprint_detection_min, rule.std_mode,
+                frame.time_s - rule.fingerprint_window_s,
+                rule.fingerprint_detection_min,
+                rule.std_mode,
                 rule.fingerprint_age_max_s,
             ),
         )

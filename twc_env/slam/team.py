@@ -15,6 +15,7 @@ from twc_env.slam.closure_search import ClosureSearch
 from twc_env.slam.group_maps import Group, GroupMaps
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import MergeReview
+from twc_env.slam.odometry_filter import squared_error
 from twc_env.slam.team_graph import TeamGraph
 
 Array = NDArray
@@ -111,9 +112,14 @@ class TeamMapper:
         return self._graph.closures
 
     @property
-    def changes(self) -> int:
-        """Grows whenever a keyframe arrives, a pose moves or a closure is believed or refused."""
+    def changes(self) -> list[int]:
+        """Of each robot: grows whenever its keyframe arrives, its poses move or its closure is believed or refused."""
         return self._graph.changes
+
+    @property
+    def last_steps(self) -> list[int]:
+        """The step of the newest keyframe that arrived from each robot; -1 when none has."""
+        return self._graph.last_steps
 
     @property
     def merges_undone(self) -> int:
@@ -148,10 +154,6 @@ class TeamMapper:
     def since_closure(self, robot: int) -> tuple[float, Array]:
         """Path length since the robot's last closure [m], and (3,) how far it may have strayed [m, m, rad]."""
         return self._graph.since_closure(robot)
-
-    def last_step_of(self, robot: int) -> int:
-        """The step of the newest keyframe that arrived from a robot; -1 when none has."""
-        return self.keyframes[robot][-1].step if self.keyframes[robot] else -1
 
     def grid_of(self, group: int) -> GridMap:
         """The merged map of a group, as it is now."""
@@ -203,7 +205,7 @@ class TeamMapper:
             return
         self._graph.accept(closure)
         self._search.note_tie(closure)
-        is_urgent = bool(error @ np.linalg.solve(closure.covariance, error) > URGENT_SQUARED_ERROR)
+        is_urgent = squared_error(error, closure.covariance) > URGENT_SQUARED_ERROR
         self._soil(self._groups_of(closure)[0], is_urgent)
 
     def _soil(self, group: int, is_urgent: bool) -> None:

@@ -61,6 +61,18 @@ def _places_of_signs(poses, readings, local, robots, text_count, same_m, texts, 
     return count
 
 
+@njit(cache=True, error_model="numpy")
+def _nearest(poses, nodes, travels, travel_max, x, y):
+    best, best_squared = -1, np.inf
+    for k in range(nodes.shape[0]):
+        if travels[k] >= travel_max:
+            break
+        dx, dy = poses[nodes[k], 0] - x, poses[nodes[k], 1] - y
+        if dx * dx + dy * dy < best_squared:
+            best, best_squared = k, dx * dx + dy * dy
+    return best, math.sqrt(best_squared)
+
+
 class Growing:
     """Rows of numbers that grow one at a time without copying each time."""
 
@@ -89,8 +101,10 @@ class TeamGraph:
 
     def __init__(self, robot_count: int, beam_count: int, keeps_refused: bool = False):
         self._keeps_refused = keeps_refused
-        self.changes = 0
-        """Grows whenever a keyframe arrives, a pose moves or a closure is believed or refused."""
+        self.changes = [0] * robot_count
+        """Of each robot: grows whenever its keyframe arrives, its poses move or its closure is believed or refused."""
+        self.last_steps = [-1] * robot_count
+        """The step of the newest keyframe of each robot; -1 before the first."""
         self.refusals = 0
         """How often a well measured closure was refused."""
         self._sound: set[int] = set()
@@ -180,7 +194,8 @@ class TeamGraph:
     def add_keyframe(self, keyframe: Keyframe) -> int:
         """The node of a new keyframe, put where odometry leads from the robot's last one."""
         robot, nodes = keyframe.robot, self._nodes[keyframe.robot]
-        self.changes += 1
+        self.changes[robot] += 1
+        self.last_steps[robot] = keyframe.step
         node = self._poses.count
         self._poses.append(compose(self._poses.rows[nodes[-1]], keyframe.motion) if nodes else np.zeros(3))
         self._scans.append(keyframe.ranges_m)
@@ -202,10 +217,10 @@ class TeamGraph:
         return node
 
     def _add_strain(self, robot: int, motion_covariance: Array) -> None:
-        gathered = self._strains[robot].rows
-        across = 0.5 * (motion_covariance[0, 0] + motion_covariance[1, 1])
-        row = np.array([across, across, motion_covariance[2, 2]])
-        self._strains[robot].append(gathered[-1] + row if len(gathered) else row)
+        (xx, _, _), (_, yy, _), (_, _, heading) = motion_covariance.tolist()
+        before = self._strains[robot].rows[-1].tolist() if self._strains[robot].count else (0.0, 0.0, 0.0)
+        across = 0.5 * (xx + yy)
+        self._strains[robot].append((before[0] + across, before[1] + across, before[2] + heading))
 
     def add_closure(self, closure: LoopClosure) -> None:
         """Note a verified closure."""
@@ -214,21 +229,21 @@ class TeamGraph:
 
     def accept(self, closure: LoopClosure) -> None:
         """Use a noted closure as an edge."""
-        self.changes += 1
         closure.status, closure.reason = "accepted", ""
         for robot, index in (closure.candidate.target, closure.candidate.source):
+            self.changes[robot] += 1
             self._tied[robot] = max(self._tied[robot], index)
         self._tie(closure, True)
 
     def refuse(self, closure: LoopClosure, reason: str) -> None:
         """A noted closure, well measured, contradicts the map: use it no more."""
-        self.changes += 1
         closure.status, closure.reason = "rejected", reason
         self._sound.add(closure.number)
         self.refusals += 1
         if self._keeps_refused or closure.number in self._edge_of_closure:
             self._tie(closure, False)
         for robot, index in (closure.candidate.target, closure.candidate.source):
+            self.changes[robot] += 1
             if self._tied[robot] == index:
                 self._tied[robot] = self._last_tied(robot)
 
@@ -264,11 +279,20 @@ class TeamGraph:
         self._closure_of_edge.append(closure)
         self._is_used.append(used)
 
+    def nearest(self, robot: int, pose: Array, travel_max_m: float = math.inf) -> tuple[int, float]:
+        """The robot's keyframe nearest to a pose among those up to a path length, and how far away it is [m].
+
+        (-1, inf) where there is none.
+        """
+        return _nearest(
+            self._poses.rows, self._node_rows[robot].rows, self._travels[robot].rows, travel_max_m, pose[0], pose[1]
+        )
+
     def place(self, nodes: Sequence[int] | Array, poses: Array, robots: Sequence[int]) -> None:
         """Move nodes, all of these robots, to new poses."""
-        self.changes += 1
         self._poses.rows[nodes] = poses
         for robot in robots:
+            self.changes[robot] += 1
             self._map_odom[robot] = None
 
     def part(self, robots: Sequence[int]) -> tuple[Array, Array, Graph, Array]:
