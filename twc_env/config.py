@@ -391,6 +391,8 @@ class MergingConfig(_Checked):
 class RadioSlamConfig(_Checked):
     """SLAM from radio fingerprints: see `twc_env.slam.radio_slam`."""
 
+    online: bool = False
+    """Radio ties keyframes in the pose graph of an episode (`slam.radio_ties`); without laser among the cues always."""
     weighting: str = _choice("ours", "paper")
     """`paper` is the literal print: every similar pair counts in full, distances come from Eq. 3 as printed."""
     similarity: str = _choice("shifted", "raw", "linear")
@@ -442,6 +444,17 @@ class KVisibilityConfig(_Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CuesConfig(_Checked):
+    """What the engine may place robots by; see `twc_env.slam.cues`. Any combination will do."""
+
+    text: bool = True
+    wifi: bool = True
+    lte: bool = True
+    lidar: bool = True
+    """Without it no scan is matched; scans are still drawn, and turn signs to the walls they hang on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SlamConfig(_Checked):
     """The whole engine; it also reads the scanner's own data sheet (`lidar`)."""
 
@@ -453,6 +466,7 @@ class SlamConfig(_Checked):
     is then believed as it is: no scan is matched, no closure sought."""
     resolution_m: float = _number(0.1, 0.02, 0.5)
     """Cell size of the merged map."""
+    cues: CuesConfig = field(default_factory=CuesConfig)
     odometry_filter: OdometryFilterConfig = field(default_factory=OdometryFilterConfig)
     local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)

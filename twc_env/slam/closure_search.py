@@ -10,7 +10,7 @@ from twc_env.config import EnvConfig
 from twc_env.geometry import between
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.group_maps import GroupMaps
-from twc_env.slam.loop_verification import LoopVerifier
+from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
 from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
 from twc_env.slam.team_graph import TeamGraph
 
@@ -32,7 +32,10 @@ class ClosureSearch:
         self._graph, self._maps = graph, maps
         self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
         self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "proximity")}
-        self._verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar.range_max_m)
+        self._verifier: LoopVerifier | SignVerifier = SignVerifier()
+        if config.slam.cues.lidar:
+            noise, range_max_m = config.slam.odometry_filter, config.lidar.range_max_m
+            self._verifier = LoopVerifier(config.slam.verification, noise, range_max_m)
         self._waiting: dict[str, deque[LoopCandidate]] = {name: deque() for name in self._filters}
         self._without_scans: list[LoopCandidate] = []
         self._searched_m = [0.0] * robot_count

@@ -10,8 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twc_env.config import EnvConfig
+from twc_env.config import CuesConfig, EnvConfig
 from twc_env.messages import Belief, Contacts, GridMap, Keyframe, SensorFrame
+from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
 from twc_env.slam.radio_structure import RadioStructure
 from twc_env.slam.robot import FrontEnds
@@ -53,6 +54,8 @@ class CooperativeSlam:
     """
 
     def __init__(self, config: EnvConfig, robot_count: int):
+        self._cues, self._has_all_cues = config.slam.cues, config.slam.cues == CuesConfig()
+        config = cues.needed(config)
         self._front_ends = FrontEnds(config, robot_count)
         self.robots = self._front_ends.robots
         self._is_central = config.link.topology == "central"
@@ -103,6 +106,8 @@ class CooperativeSlam:
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Run the front end of each frame's robot; the keyframes that came of it, in order, ready to be sent."""
+        if not self._has_all_cues:
+            frames = [cues.heard(frame, self._cues) for frame in frames]
         for frame in frames:
             self._frames[frame.robot] = frame
         keyframes = self._front_ends.update(frames)

@@ -199,6 +199,22 @@ class LoopVerifier:
         return points[: _join(poses, scans, directions, self._range_max_m, points)]
 
 
+class SignVerifier:
+    """Takes a shared sign at its word: for robots without laser, which have nothing to check it by."""
+
+    def verify(
+        self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
+    ) -> LoopClosure:
+        """The candidate's own guess as a measurement."""
+        return LoopClosure(candidate, candidate.guess, np.diag(np.square(SIGN_STD)), 0.0, "accepted")
+
+    def compared(
+        self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
+    ) -> list[tuple[int, int]]:
+        """No scans."""
+        return []
+
+
 def _neighbours(keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float) -> list[Keyframe]:
     """The keyframe first, then others of its robot within reach_m of path, about SPACING_M apart."""
     chosen = [keyframe]

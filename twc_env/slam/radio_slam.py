@@ -40,11 +40,12 @@ FIELD_SMOOTHING = 0.6
 """Fields are fitted to fingerprints averaged over this share of the length that similarities are taken over."""
 MOVED_PER_BANDWIDTH = 1.5
 WORTH_ITERATIONS = 10
-NOISE_LEVELS = (1.0, 2.0, 4.0, 10.0)
-"""How noisy the odometry is, nobody knows: each is tried, and the one whose result the fingerprints fit best stays."""
-ORDER_TIE, ORDER_MIN = 0.003, 0.1
-"""Rank correlations this near to the best count as equal, and the least noise is then assumed; fingerprints that fit
-worse than the second tell nothing."""
+NOISE_LEVELS = ((1.0, 1.0), (1.0, 3.0), (2.0, 6.0), (4.0, 4.0), (10.0, 10.0))
+"""How many times as noisy as configured odometry's positions and headings are, nobody knows: each pair is tried, and
+the one whose result the fingerprints fit best stays."""
+ORDER_TIE, ORDER_MIN = 0.01, 0.1
+"""Rank correlations this near to the best count as equal, and the least noise is then assumed: a loose path follows the
+fingerprints' own noise and orders them best. Fingerprints that fit worse than the second tell nothing."""
 JUDGES_MAX = 50_000
 """Pairs of places that judge the result."""
 POSITION_STD_MIN_M, HEADING_STD_MIN_RAD = 0.02, 0.005
@@ -136,16 +137,17 @@ class _Solver:
         if self._config.weighting == "paper":
             poses = self._fit(self._odometry, self._motions, closures, robust=False, iterations=PAPER_ITERATIONS)
             return self._result(poses, closures, fell_back=False)
-        tries = [self._solved(closures, noise) for noise in NOISE_LEVELS]
+        tries = [self._solved(closures, *noise) for noise in NOISE_LEVELS]
         orders = np.array([self._order(poses) for poses in tries])
         best = int(np.argmax(orders >= orders.max() - ORDER_TIE))
         if orders[best] <= max(self._order(self._odometry), ORDER_MIN):
             return self._result(self._odometry, closures, fell_back=True)
         return self._result(tries[best], closures, fell_back=False)
 
-    def _solved(self, closures: Distances, noise: float) -> Array:
+    def _solved(self, closures: Distances, noise: float, heading_noise: float) -> Array:
         """The whole way, with odometry this many times as noisy as configured."""
-        self._information = self._own_information / noise**2
+        std = np.array([noise, noise, heading_noise])
+        self._information = self._own_information / (std[:, None] * std)
         return self._refine(*self._grow(closures))
 
     def _order(self, poses: Array) -> float:

@@ -59,6 +59,7 @@ class FrontEnds:
         self._fields = LineFields(count, local.size_m, local.resolution_m, config.lidar.range_max_m, beams)
         self._match_variance_m2 = noise.match_std_m**2 * noise.match_correlation
         self._matches = Matches(count)
+        self._has_lidar = config.slam.cues.lidar
         self._ranges_m, self._odometry = np.zeros((count, beams)), np.zeros((count, 3))
         self._turn_rates_rad_s, self._times_s, self._dts_s = np.zeros(count), np.zeros(count), np.zeros(count)
         self._travels_m, self._steps = np.zeros(count), np.zeros(count, np.int64)
@@ -92,6 +93,8 @@ class FrontEnds:
 
     def _match(self, robots: Array) -> None:
         """Lay the scans on the local maps and correct the filters."""
+        if not self._has_lidar:
+            return
         states, matches = self._filters.states, self._matches
         self._fields.match(robots, self._marker.marked_m, states, self._local, self._match_variance_m2, matches)
         self._filters.update(robots, matches.poses, matches.information, matches.is_matched)

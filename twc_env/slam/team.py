@@ -16,6 +16,7 @@ from twc_env.slam.group_maps import Group, GroupMaps
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import MergeReview
 from twc_env.slam.odometry_filter import squared_error
+from twc_env.slam.radio_ties import RadioTies
 from twc_env.slam.team_graph import TeamGraph
 
 Array = NDArray
@@ -46,6 +47,8 @@ class TeamMapper:
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
         self._judge = MergeJudge(config.slam.merging, self._graph)
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
+        radio = config.slam.radio_slam
+        self._radio = RadioTies(radio, robot_count) if radio.online else None
         self._refused_heard: dict[tuple[int, ...], int] = {}
         """How many closures of a group were refused when all of them were last weighed anew."""
         self._dirty: dict[int, bool] = {}
@@ -64,6 +67,8 @@ class TeamMapper:
             self._maps.add(keyframe, self._graph.add_keyframe(keyframe))
             if self._seeks_closures:
                 self._search.propose(keyframe)
+            if self._radio is not None and self._radio.add(keyframe):
+                self._soil(self.group_index(keyframe.robot), True)
         if self._given_starts is not None:
             self._merge_given(self._given_starts)
         self._step = step
@@ -298,5 +303,9 @@ class TeamMapper:
         if is_thorough:
             self._refused_heard[robots] = refused
         self._graph.mark(edges, result.accepted, {r.edge: r.reason for r in result.rejections})
-        self._graph.place(nodes, result.poses, robots)
+        poses = result.poses
+        if self._radio is not None:
+            local = self._graph.places_among(robots, nodes)
+            poses = self._radio.fit(robots, graph.of(result.accepted), poses, local, fixed)
+        self._graph.place(nodes, poses, robots)
         self._maps.redraw_if_moved(group)

@@ -309,6 +309,14 @@ class TeamGraph:
         )
         return np.flatnonzero(inside), edges, graph, self._is_used.rows[edges]
 
+    def places_among(self, robots: Sequence[int], nodes: Array) -> dict[tuple[int, int], int]:
+        """Where among ascending nodes (n,) each keyframe (robot, index) of some robots is."""
+        return {
+            (robot, index): place
+            for robot in robots
+            for index, place in enumerate(np.searchsorted(nodes, self._node_rows[robot].rows).tolist())
+        }
+
     def mark(self, edges: Array, is_used: Array, reasons: dict[int, str]) -> None:
         """Note which edges (e,) are used now; `reasons` by position in `edges` say why closures are not."""
         for k in np.flatnonzero(self._closure_of_edge.rows[edges] != ODOMETRY):

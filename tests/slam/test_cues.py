@@ -1,0 +1,108 @@
+"""Every combination of cues runs an episode: one recorded drive through the engine, with what the cues leave of it."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import wander_by_scan
+from twc_env.config import CuesConfig, from_dict
+from twc_env.geometry import between, compose
+from twc_env.maps import load_map
+from twc_env.messages import Keyframe, SensorFrame, WifiScan
+from twc_env.slam.cues import heard, needed
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.radio_similarity import CELL_ID_MIN
+from twc_env.world.world import World
+
+NAMES = ("text", "wifi", "lte", "lidar")
+SUBSETS = [subset for size in range(5) for subset in itertools.combinations(NAMES, size)]
+CONFIG = from_dict(
+    {
+        "robots": 1,
+        "dynamics": {"time_step_s": 0.25},
+        "lidar": {"beam_count": 90},
+        "odometry": {"platform": "skid-steer"},
+        "radio": {"cells": {"count": 60}},
+    }
+)
+
+
+def with_cues(subset) -> CooperativeSlam:
+    cues = CuesConfig(**{name: name in subset for name in NAMES})
+    return CooperativeSlam(replace(CONFIG, slam=replace(CONFIG.slam, cues=cues)), 1)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Frames, true poses (steps, 3) and odometry's, all seen from the first."""
+    world = World(CONFIG, load_map("twin-02"))
+    world.reset(0)
+    frames, truth, odometry = [], [], [np.zeros(3)]
+    for step in range(500):
+        frames += world.sense()
+        truth.append(world.poses[0].copy())
+        if step:
+            odometry.append(compose(odometry[-1], frames[-1].odometry))
+        world.step(wander_by_scan(frames[-1].ranges_m, step)[None])
+    return frames, between(truth[0], np.array(truth)), np.array(odometry)
+
+
+def error_m(subset, drive) -> tuple[float, float]:
+    """Mean error of the keyframes, and that of odometry at the same steps."""
+    frames, truth, odometry = drive
+    engine = with_cues(subset)
+    for frame in frames:
+        engine.update([frame])
+    engine.finish()
+    steps, poses = engine.team.keyframe_steps(0), engine.team.poses_of(0)
+    away = [np.linalg.norm((path - truth[steps])[:, :2], axis=1).mean() for path in (poses, odometry[steps])]
+    return float(away[0]), float(away[1])
+
+
+@pytest.fixture(scope="module")
+def blind(drive):
+    return error_m((), drive)[0]
+
+
+@pytest.mark.parametrize("subset", SUBSETS, ids="+".join)
+def test_no_combination_of_cues_is_worse_than_odometry(subset, drive, blind):
+    error, odometry = error_m(subset, drive)
+    assert odometry > 1.0
+    assert error <= min(odometry, blind) + 0.02
+    if "lidar" in subset:
+        assert error < 0.05
+    elif "text" in subset:
+        assert error < 0.9 * odometry
+    elif "wifi" in subset:
+        assert error < 0.98 * blind, "ties between places heard twice draw the path in"
+
+
+def test_a_cue_that_is_switched_off_is_not_heard():
+    macs = np.array([1, 2, CELL_ID_MIN + 1])
+    frame = SensorFrame(0, 0, 0.0, np.zeros(3), 0.0, np.ones(4), WifiScan(macs, np.array([-50.0, -60.0, -90.0])))
+    assert heard(frame, CuesConfig(wifi=False)).wifi.macs.tolist() == [CELL_ID_MIN + 1]
+    assert heard(frame, CuesConfig(lte=False)).wifi.macs.tolist() == [1, 2]
+
+
+def test_the_recogniser_follows_from_the_cues_that_are_left():
+    def recogniser(**off):
+        return needed(replace(CONFIG, slam=replace(CONFIG.slam, cues=CuesConfig(**off)))).slam.place_recognition
+
+    assert recogniser().recogniser == "twc"
+    assert recogniser(text=False).recogniser == "wifi"
+    assert recogniser(wifi=False).recogniser == "text"
+    assert recogniser(text=False, wifi=False).recogniser == "lidar"
+    assert recogniser(lidar=False).proximity_m == 0.0
+
+
+def test_a_robot_that_hears_nothing_has_no_ties(drive):
+    frames, _, _ = drive
+    engine = with_cues(("wifi",))
+    for frame in frames[:200]:
+        engine.update([replace(frame, wifi=None)])
+    keyframes: list[Keyframe] = engine.team.keyframes[0]
+    assert len(keyframes) > 10
+    poses = np.array([k.pose_odom for k in keyframes])
+    assert engine.team.poses_of(0) == pytest.approx(poses, abs=1e-9)

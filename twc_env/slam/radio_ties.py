@@ -1,0 +1,95 @@
+"""Radio in the pose graph of an episode: keyframes of one map tied by the fields of signal strength around them.
+
+Some keyframes of every robot, `spacing_m` apart along its path, are places. Whenever a map is optimised, each of its
+places is compared with the field that the places of other visits near by span, its own robot's and others'
+(`radio_field`), and tied to the nearest of them. Ties are made anew from where the keyframes stand each time, so the
+graph does not fill with them, and one that contradicts the present estimate has little weight: radio corrects what
+drifts slowly and leaves alone what it cannot explain.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import PoseGraphConfig, RadioSlamConfig
+from twc_env.messages import Keyframe
+from twc_env.slam.pose_graph import Graph, squared_errors
+from twc_env.slam.pose_graph import optimise as graph_fit
+from twc_env.slam.radio_field import learn_worth, ties
+from twc_env.slam.radio_similarity import feature_rows, split_cues
+
+Array = NDArray
+
+BANDWIDTH_M = {"wifi": 5.0, "lte": 30.0}
+MOVED_PER_BANDWIDTH = 1.5
+FIT = PoseGraphConfig(robust="dcs")
+PLACES_PER_TURN = 5
+"""So many new places make a map worth optimising."""
+FAR_M = 1e5
+"""Path length put between two robots: whatever one visits is another visit."""
+
+
+class RadioTies:
+    """What was heard at the places of all robots, and the ties that follow from it."""
+
+    def __init__(self, config: RadioSlamConfig, robot_count: int):
+        self._config = config
+        self._places: list[list[Keyframe]] = [[] for _ in range(robot_count)]
+        self._untied = [0] * robot_count
+
+    def add(self, keyframe: Keyframe) -> bool:
+        """Remember what was heard at a keyframe; whether its map should be optimised now."""
+        robot, places = keyframe.robot, self._places[keyframe.robot]
+        if not len(keyframe.fingerprint.macs):
+            return False
+        if places and keyframe.travel_m - places[-1].travel_m < self._config.spacing_m:
+            return False
+        places.append(keyframe)
+        self._untied[robot] += 1
+        return self._untied[robot] >= PLACES_PER_TURN
+
+    def fit(
+        self, robots: tuple[int, ...], graph: Graph, poses: Array, local: dict[tuple[int, int], int], fixed: int
+    ) -> Array:
+        """Poses (n, 3) of a map of some robots by what its graph says, all of which is believed, and by radio.
+
+        `local` says which of the poses a robot's keyframe is; pose `fixed` is held.
+        """
+        places = [place for robot in robots for place in self._places[robot]]
+        for robot in robots:
+            self._untied[robot] = 0
+        if not places:
+            return poses
+        nodes = np.array([local[place.robot, place.index] for place in places])
+        for cue in BANDWIDTH_M:
+            found = self._ties(cue, places, poses[nodes])
+            if found is not None:
+                graph = self._extended(graph, nodes[found[0]], *found[1:], poses)
+        return graph_fit(poses, *graph.parts, FIT, fixed)
+
+    def _extended(self, graph: Graph, edges: Array, measured: Array, information: Array, poses: Array) -> Graph:
+        """With ties, each of which weighs the less the further it lies from the present estimate."""
+        squared = squared_errors(poses, edges, measured, information)
+        information = information / (1.0 + squared / self._config.robust_scale**2)[:, None, None]
+        return Graph(
+            np.concatenate([graph.edges, edges]),
+            np.concatenate([graph.measured, measured]),
+            np.concatenate([graph.information, information]),
+            np.concatenate([graph.is_closure, np.zeros(len(edges), bool)]),
+        )
+
+    def _ties(self, cue: str, places: list[Keyframe], poses: Array) -> tuple[Array, Array, Array] | None:
+        """Pairs (k, 2) of places, relative poses (k, 3) and information (k, 3, 3); None where nothing is told."""
+        rows = feature_rows([split_cues(place.fingerprint)[cue] for place in places], self._config.similarity)
+        if rows.nnz == 0:
+            return None
+        feature, bandwidth_m = rows.toarray(), BANDWIDTH_M[cue]
+        robot = np.array([place.robot for place in places])
+        travel = np.array([place.travel_m for place in places]) + FAR_M * robot
+        reckoned = np.array([place.pose_odom[:2] for place in places]) + FAR_M * robot[:, None]
+        worth = learn_worth(feature, reckoned, travel, bandwidth_m)
+        found = ties(
+            feature, poses[:, :2], travel, bandwidth_m, self._config.apart_m, worth, MOVED_PER_BANDWIDTH * bandwidth_m
+        )
+        return (found.pairs, *found.relative(poses)) if len(found.pairs) else None
