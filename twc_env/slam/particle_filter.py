@@ -216,6 +216,8 @@ class ParticleFilter:
         self._ends = np.zeros((count, cells, cells, 2), np.float32)
         self._poses = np.tile([0.5 * settings.size_m, 0.5 * settings.size_m, 0.0], (count, 1))
         self._log_weights = np.zeros(count)
+        self._low_m, self._high_m = np.full(2, np.inf), np.full(2, -np.inf)
+        """Bounds (y, x) of where particles have been."""
         self._past: list[Array] = []
         self._parents: list[Array] = []
         self.resamplings = 0
@@ -237,6 +239,8 @@ class ParticleFilter:
             self._range_max_m, beam_directions(len(frame.ranges_m)), rule.hit_std_m / rule.cell_m, rule.correlation,
             not self._past,
         )  # fmt: skip
+        now = self._poses[:, 1::-1]
+        self._low_m, self._high_m = np.minimum(self._low_m, now.min(axis=0)), np.maximum(self._high_m, now.max(axis=0))
         self._past.append(self._poses.copy())
         self._parents.append(parents)
 
@@ -248,12 +252,22 @@ class ParticleFilter:
         if 1.0 / (weights**2).sum() >= 0.5 * count:
             return np.arange(count)
         places = (np.arange(count) + self._rng.random()) / count
-        parents = np.minimum(np.searchsorted(np.cumsum(weights), places), count - 1)
-        for array in (self._poses, self._hits, self._visits, self._ends):
-            array[:] = array[parents]
+        parents = _kept_in_place(np.minimum(np.searchsorted(np.cumsum(weights), places), count - 1))
+        self._poses = self._poses[parents]
+        drawn = self._drawn()
+        for new in np.flatnonzero(parents != np.arange(count)):
+            for maps in (self._hits, self._visits, self._ends):
+                maps[new][drawn] = maps[parents[new]][drawn]
         self._log_weights[:] = 0.0
         self.resamplings += 1
         return parents
+
+    def _drawn(self) -> tuple[slice, slice]:
+        """Rows and columns of the maps outside of which no particle has drawn yet."""
+        cell_m, cells = self._settings.cell_m, self._hits.shape[1]
+        low = np.maximum((self._low_m - self._range_max_m) / cell_m - 1, 0).astype(int)
+        high = np.minimum((self._high_m + self._range_max_m) / cell_m + 2, cells).astype(int)
+        return slice(low[0], high[0]), slice(low[1], high[1])
 
     def path(self) -> Array:
         """(frames, 3) of the heaviest particle, from where it started."""
@@ -272,6 +286,17 @@ class ParticleFilter:
         is_wall = (hits > 0) & (hits >= OCCUPIED_SHARE * visits)
         log_odds = np.where(is_wall, 20, np.where(visits > 0, -20, 0)).astype(np.int16)
         return GridMap(log_odds, np.full(2, -0.5 * rule.size_m), rule.cell_m)
+
+
+def _kept_in_place(parents: Array) -> Array:
+    """The same parents (n,) in an order in which as many as can be keep their own place."""
+    count = len(parents)
+    left = np.bincount(parents, minlength=count)
+    survives = left > 0
+    out = np.where(survives, np.arange(count), -1)
+    left[survives] -= 1
+    out[~survives] = np.repeat(np.arange(count), left)
+    return out
 
 
 def map_frames(
