@@ -7,16 +7,16 @@ from twc_env.config import digest
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "61c6a7e0ec52",
-    "twc/ExploreTwin01-v0": "61c6a7e0ec52",
-    "twc/ExploreTwin02-v0": "3f38b5d58629",
-    "twc/ExploreOffice-v0": "65d37b22b111",
-    "twc/ExploreFrontier-v0": "d6e1b9db9849",
-    "twc/ExploreFrontierAsync-v0": "17174c7f1a6e",
-    "twc/ExploreHard-v0": "5f5bd4dba70a",
-    "twc/ExploreKnownStarts-v0": "e58f75eb5e5e",
-    "twc/ExploreTruePoses-v0": "4a28768cac84",
-    "twc/ExploreNoMerging-v0": "9137ad879daf",
+    "twc/Explore-v0": "ad15208365af",
+    "twc/ExploreTwin01-v0": "ad15208365af",
+    "twc/ExploreTwin02-v0": "32c3722b76fc",
+    "twc/ExploreOffice-v0": "1bf050e0a39d",
+    "twc/ExploreFrontier-v0": "b37b014f8729",
+    "twc/ExploreFrontierAsync-v0": "5d7589bd379c",
+    "twc/ExploreHard-v0": "9b6a239d3e75",
+    "twc/ExploreKnownStarts-v0": "82016b2b68c3",
+    "twc/ExploreTruePoses-v0": "d4d8ffb2f335",
+    "twc/ExploreNoMerging-v0": "ac3c48a7e876",
 }
 
 
