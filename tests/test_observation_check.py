@@ -8,9 +8,9 @@ from twc_env.observation_check import ACTIONS, check_observations
 
 def test_every_block_stays_in_its_space_changes_and_shares_no_memory(monkeypatch):
     monkeypatch.setattr(observation_check, "ACTIONS", (ACTIONS[0], ACTIONS[4]))
-    report = check_observations(150)
+    report = check_observations(300)
     assert report.faults == []
-    assert report.steps == 2 * 150
+    assert report.steps == 300
     assert report.blocks > 10 * report.steps
 
 

@@ -86,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         "--observations",
         type=int,
         metavar="STEPS",
-        help="random steps of each kind of action, all blocks on: in their spaces, never constant, no shared memory",
+        help="random steps of all kinds of action, all blocks on: in their spaces, never constant, no shared memory",
     )
     long.add_argument("--seed", type=int, default=0, help="of the first episode (default: %(default)s)")
     long.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")

@@ -1,4 +1,4 @@
-"""The snippets of docs/tools.md run as they stand."""
+"""The snippets of the README that show the environment in other tools run as they stand."""
 
 import importlib.util
 import os
@@ -12,8 +12,9 @@ import pytest
 import twc_env
 
 ROOT = Path(__file__).parents[1]
-TEXT = (ROOT / "docs/tools.md").read_text()
-SNIPPETS = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?```python\n(.*?)```", TEXT, flags=re.DOTALL | re.MULTILINE))
+TEXT = (ROOT / "README.md").read_text()
+TEXT = TEXT[TEXT.index("## In other tools") : TEXT.index("## Where to go next")]
+SNIPPETS = dict(re.findall(r"^### ([^\n]+)\n(?:(?!^### ).)*?```python\n(.*?)```", TEXT, flags=re.DOTALL | re.MULTILINE))
 NEEDS = {"stable-baselines3": "stable_baselines3", "TorchRL": "torchrl", "RLlib": "ray", "Seeing it": "PIL"}
 
 
