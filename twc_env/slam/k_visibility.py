@@ -43,6 +43,8 @@ _COOLING_SWEEPS, _ROUNDS, _SWEEPS = 30, 6, 50
 _STANDOFF_SHARE, _APART_ODDS = 0.12, -2.0
 """Pieces whose distance from the path differs more from the standoff are no walls that the walker followed."""
 _SIDE_ODDS_MAX = 3.0
+_TURNED_COUNT = 4.0
+"""What is known of the side across the path weighs as much as so many pieces."""
 _STANDOFF_SPREAD_MAX_M = 0.05
 """With a larger spread the path does not keep its distance: walls that no ray has crossed are then left unknown."""
 _VOTE_M = 0.5
@@ -110,18 +112,19 @@ def map_structure(
         fits = [fit_signal(bins, r, router_m[r]) for r in range(count)]
     typical = [typical_signal(bins, r, place) for r, place in enumerate(router_m)]
     standoff = STANDOFF_M if standoff_m is None else standoff_m
+    tries = []
     for _ in range(1 if standoff_m is not None else 3):
         candidates = wall_candidates(bins.position_m, standoff)
-        tries = []
         for start, barred in [(fits, side) for side in _TRIES] + [(typical, side) for side in _TRIES[:2]]:
             solver = _Solver(bins, router_m, start, candidates, standoff, seed)
             solver.solve(barred)
             tries.append(solver)
         solver = min(tries, key=lambda solver: solver.energy)
-        seen = solver.standoff_m()
+        standoff, seen = solver.assumed_standoff_m, solver.standoff_m()
         if standoff_m is not None or seen is None or abs(seen - standoff) < 0.01:
             break
         standoff = seen
+    standoff = solver.assumed_standoff_m
     probability = solver.probability
     walls, wall_probability = solver.count_walls(np.asarray(position_m, float))
     keeps_distance = solver.standoff_spread_m() <= _STANDOFF_SPREAD_MAX_M
@@ -153,6 +156,7 @@ class _Solver:
         standoff_m: float, seed: int,
     ):  # fmt: skip
         self.candidates, self._seed, self._bins = candidates, seed, bins
+        self.assumed_standoff_m = standoff_m
         self._routers = router_m
         routers, places = len(router_m), len(bins.position_m)
         self._router_of = np.tile(np.arange(routers), places)
@@ -344,10 +348,14 @@ class _Solver:
 
     def _learn_sides(self) -> None:
         """How often a piece on the left, and on the right, is a wall, told by those that rays cross."""
-        told = np.diff(self._first) >= 2
+        told = (np.diff(self._first) >= 2) & self._is_beside
+        mine = [told & (self.candidates.side == side) for side in (0, 1)]
+        on = [float(self._is_wall[m].sum()) for m in mine]
+        count = [float(m.sum()) for m in mine]
         for side in (0, 1):
-            mine = told & self._is_beside & (self.candidates.side == side)
-            share = (self._is_wall[mine].sum() + 1.0) / (mine.sum() + 4.0)
+            # A walker along walls has one on one side: what rays say of the other side counts, turned around.
+            turned = 1.0 - (on[1 - side] + 1.0) / (count[1 - side] + 2.0)
+            share = (on[side] + _TURNED_COUNT * turned) / (count[side] + _TURNED_COUNT)
             self._side_odds[side] = np.clip(np.log(share / (1 - share)), -_SIDE_ODDS_MAX, _SIDE_ODDS_MAX)
 
 
