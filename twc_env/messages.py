@@ -221,3 +221,5 @@ class Belief:
     radio_map: GridMap | None = None
     """What signal strength says of the group's map frame: probably free < 0, probably wall > 0. None: not asked for
     (`slam.k_visibility`), or nothing heard yet."""
+    transmitter_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(k, 2) where the transmitters behind that map are believed to stand."""

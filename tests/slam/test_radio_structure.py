@@ -23,7 +23,7 @@ def test_clear_rays_become_free_and_rays_through_a_wall_doubtful():
         for distance in (0.5, 4.0):
             place = np.array([distance * np.cos(angle), distance * np.sin(angle), 0.0])
             radio.add(frame(level(distance, distance > 2.0 and place[0] > 0)), place)
-    grid = radio.map_of((0,), np.zeros((1, 3)), 0)
+    grid = radio.picture_of((0,), np.zeros((1, 3)), 0).grid
 
     def at(x, y):
         return grid.log_odds[tuple(grid.cell_of(np.array([x, y])))]
@@ -32,14 +32,23 @@ def test_clear_rays_become_free_and_rays_through_a_wall_doubtful():
     assert at(2.0, 0.3) > at(-2.0, 0.3)
 
 
+def test_a_transmitter_is_placed_where_its_readings_fall_off_from():
+    radio = RadioStructure(CONFIG, 0.1, 1)
+    for x in np.linspace(-3.0, 3.0, 40):
+        for y in (-1.0, 1.5):
+            radio.add(frame(level(np.hypot(x - 0.7, y), 0)), np.array([x, y, 0.0]))
+    (place,) = radio.picture_of((0,), np.zeros((1, 3)), 0).transmitter_m
+    assert np.linalg.norm(place - [0.7, 0.0]) < 0.3
+
+
 def test_the_map_moves_with_the_frame_and_is_kept_until_something_new_is_heard():
     radio = RadioStructure(CONFIG, 0.1, 1)
     for x in np.linspace(0.4, 5.0, 30):
         radio.add(frame(level(x, 0)), np.array([x, 0.0, 0.0]))
-    first = radio.map_of((0,), np.zeros((1, 3)), 0)
-    assert radio.map_of((0,), np.zeros((1, 3)), 0) is first
-    moved = radio.map_of((0,), np.array([[100.0, 0.0, 0.0]]), 1)
-    assert np.allclose(moved.origin_m - first.origin_m, [100.0, 0.0], atol=0.11)
+    first = radio.picture_of((0,), np.zeros((1, 3)), 0)
+    assert radio.picture_of((0,), np.zeros((1, 3)), 0) is first
+    moved = radio.picture_of((0,), np.array([[100.0, 0.0, 0.0]]), 1)
+    assert np.allclose(moved.grid.origin_m - first.grid.origin_m, [100.0, 0.0], atol=0.11)
 
 
 def test_observations_hold_the_radio_map_only_when_asked_for():

@@ -14,12 +14,14 @@ from twc_env.config import CuesConfig, EnvConfig
 from twc_env.messages import Belief, Contacts, GridMap, Keyframe, SensorFrame
 from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
-from twc_env.slam.radio_structure import RadioStructure
+from twc_env.slam.radio_structure import RadioPicture, RadioStructure
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
 
 Array = NDArray
+_NO_PLACES = np.zeros((0, 2))
+_NO_PLACES.flags.writeable = False
 
 
 @njit(cache=True, error_model="numpy")
@@ -178,6 +180,7 @@ class CooperativeSlam:
         group = mapper.group_index(robot)
         held = mapper.groups[group]
         since_closure_m, pose_std = self._ties[robot]
+        radio = None if self._radio is None else self._radio_picture(self._radio, mapper, group, robot)
         return Belief(
             robot=robot,
             step=frame.step if frame is not None else 0,
@@ -191,14 +194,17 @@ class CooperativeSlam:
             pose_std=pose_std,
             since_closure_m=since_closure_m,
             contact_steps={mate: step for mate, step in enumerate(mapper.last_steps) if mate != robot},
-            radio_map=None if self._radio is None else self._radio_map(self._radio, mapper, group, robot),
+            radio_map=None if radio is None else radio.grid,
+            transmitter_m=_NO_PLACES if radio is None else radio.transmitter_m,
         )
 
-    def _radio_map(self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int) -> GridMap | None:
+    def _radio_picture(
+        self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int
+    ) -> RadioPicture | None:
         """What the readings of all robots of the group say; with a mapper on each robot, of its own."""
         robots = mapper.groups[group].robots if self._is_central else (robot,)
         poses = np.array([mapper.pose_map_odom(r) for r in robots])
-        return radio.map_of(robots, poses, mapper.groups[group].version)
+        return radio.picture_of(robots, poses, mapper.groups[group].version)
 
     def _pose_of_mate(self, mapper: TeamMapper, mate: int) -> Array:
         """(3,) where a mate is, as far as this mapper has heard: now, or at its last keyframe that came."""

@@ -26,6 +26,23 @@ _WALL_DENSITY = 0.04
 _RAY_WEIGHT = 0.25
 """Neighbouring rays say nearly the same."""
 _MARGIN_M = 2.0
+_PLACED_FROM = 40
+"""A transmitter is placed by so many of its strongest readings, which few walls stand before."""
+_POWER_STD_DB = 3.0
+"""How well a transmitter's power is known before."""
+_SEARCH_STEPS_M = (0.6, 0.15)
+_SEARCH_REACH = 4
+"""Places tried on either side of the best so far, at each step width."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadioPicture:
+    """What the readings of some robots say, in one frame."""
+
+    grid: GridMap
+    """Probably free < 0, probably wall > 0."""
+    transmitter_m: Array
+    """(k, 2) where transmitters that were passed nearly are believed to stand, by rising address."""
 
 
 @dataclass(slots=True, eq=False)
@@ -43,7 +60,7 @@ class RadioStructure:
     def __init__(self, config: KVisibilityConfig, resolution_m: float, robots: int):
         self._config, self._resolution_m = config, resolution_m
         self._readings = [_Readings([], [], []) for _ in range(robots)]
-        self._maps: dict[tuple[int, ...], tuple[tuple, GridMap]] = {}
+        self._maps: dict[tuple[int, ...], tuple[tuple, RadioPicture]] = {}
 
     def add(self, frame: SensorFrame, pose_odom: Array) -> None:
         """Remember a frame's WiFi scan, if it holds one."""
@@ -54,7 +71,7 @@ class RadioStructure:
         own.macs.append(frame.wifi.macs)
         own.rssi_dbm.append(frame.wifi.rssi_dbm)
 
-    def map_of(self, robots: tuple[int, ...], poses_map_odom: Array, version: int) -> GridMap | None:
+    def picture_of(self, robots: tuple[int, ...], poses_map_odom: Array, version: int) -> RadioPicture | None:
         """What the readings of these robots say, in a map frame; poses (robots, 3) lay their odom frames in it.
 
         Worked out anew every `period_scans` readings or when the map jumped. None before anything is heard.
@@ -64,12 +81,13 @@ class RadioStructure:
         held = self._maps.get(robots)
         if held is not None and held[0] == key:
             return held[1]
-        grid = self._drawn(robots, poses_map_odom) if count else None
-        if grid is not None:
-            self._maps[robots] = (key, grid)
-        return grid
+        if not count:
+            return None
+        picture = self._drawn(robots, poses_map_odom)
+        self._maps[robots] = (key, picture)
+        return picture
 
-    def _drawn(self, robots: tuple[int, ...], poses_map_odom: Array) -> GridMap | None:
+    def _drawn(self, robots: tuple[int, ...], poses_map_odom: Array) -> RadioPicture:
         places, macs, levels = [], [], []
         for robot, pose in zip(robots, poses_map_odom, strict=True):
             own = self._readings[robot]
@@ -91,7 +109,7 @@ class RadioStructure:
             level[told], *self._signal(),
         )  # fmt: skip
         log_odds.flags.writeable = False
-        return GridMap(log_odds, origin, self._resolution_m)
+        return RadioPicture(GridMap(log_odds, origin, self._resolution_m), routers)
 
     def _signal(self) -> tuple[float, float, float, float]:
         config = self._config
@@ -102,12 +120,30 @@ class RadioStructure:
         known, inverse = np.unique(mac, return_inverse=True)
         strongest = np.full(len(known), -np.inf)
         np.maximum.at(strongest, inverse, level)
-        is_near = level >= strongest[inverse] - 3.0
-        count = np.bincount(inverse[is_near], minlength=len(known))
-        centre = np.column_stack([np.bincount(inverse[is_near], place[is_near, k], len(known)) for k in (0, 1)])
         is_located = strongest >= self._config.located_from_dbm
         number = np.where(is_located, np.cumsum(is_located) - 1, -1)
-        return (centre / count[:, None])[is_located].reshape(-1, 2), number[inverse]
+        order = np.lexsort((-level, inverse))
+        first = np.searchsorted(inverse[order], np.flatnonzero(is_located))
+        last = np.searchsorted(inverse[order], np.flatnonzero(is_located), side="right")
+        own = [order[a : min(b, a + _PLACED_FROM)] for a, b in zip(first, last, strict=True)]
+        routers = [self._placed(place[rows], level[rows]) for rows in own]
+        return np.array(routers).reshape(-1, 2), number[inverse]
+
+    def _placed(self, place: Array, level: Array) -> Array:
+        """(2,) from where readings (k,) at places (k, 2) that no wall weakens would fall off as these do."""
+        config = self._config
+        best = place[level >= level.max() - 3.0].mean(axis=0)
+        offsets = np.arange(-_SEARCH_REACH, _SEARCH_REACH + 1.0)
+        lattice = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+        for step_m in _SEARCH_STEPS_M:
+            tried = best + step_m * lattice  # (81, 2)
+            distance = np.maximum(np.linalg.norm(tried[:, None] - place, axis=2), 0.5)
+            error = level - config.power_at_1m_dbm + 10.0 * config.path_loss_exponent * np.log10(distance)
+            spread = (_POWER_STD_DB / config.noise_std_db) ** 2
+            power = error.sum(axis=1) * spread / (1.0 + spread * len(level))
+            misfit = (np.minimum(np.abs(error - power[:, None]), 3.0 * config.noise_std_db) ** 2).sum(axis=1)
+            best = tried[np.argmin(misfit + power**2 / spread)]
+        return best
 
 
 @njit(cache=True, error_model="numpy")
