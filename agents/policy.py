@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from agents.nearest_frontier import NearestFrontier
 from agents.radio_frontier import RadioFrontier
+from agents.radio_walk import RadioWalk
 from agents.random_walk import RandomWalk
+from agents.wall_follower import WallFollower
 from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError
 from twc_env.messages import Belief
@@ -32,7 +34,9 @@ class Policy(Protocol):
 _POLICIES: dict[str, type[Policy]] = {
     "nearest-frontier": NearestFrontier,
     "radio-frontier": RadioFrontier,
+    "radio-walk": RadioWalk,
     "random": RandomWalk,
+    "wall-follower": WallFollower,
 }
 
 

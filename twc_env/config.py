@@ -439,6 +439,8 @@ class KVisibilityConfig(_Checked):
     noise_std_db: float = _number(4.0, 0.1, 20.0)
     located_from_dbm: float = _number(-48.0, -120.0, 30.0)
     """A transmitter heard at least this strongly was passed nearly enough to know where it stands."""
+    are_transmitters_known: bool = False
+    """The engine is told where all transmitters stand, as inverse k-visibility assumes: an oracle, for comparison."""
     period_scans: int = _number(10, 1, 10_000)
     """The map is worked out anew after so many scans."""
 

@@ -172,6 +172,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._engine = make_engine(self.config, count)
         if self.config.slam.oracle != "none":
             self._engine.give_starts(self._world.poses_home.copy())
+        if self.config.slam.k_visibility.are_transmitters_known:
+            self._engine.give_transmitters(*self._world.transmitters_home, self._world.poses_home.copy())
         self._link = Link(self.config.link, count, self.floorplan.home.wall_index, random_stream(self._seed, "link"))
         self._builders = [ObservationBuilder(self.config, robot) for robot in range(count)]
         self._pilot = Pilot(self.config) if self._lasts else None

@@ -86,6 +86,14 @@ class CooperativeSlam:
         for mapper in self.mappers:
             mapper.give_starts(poses)
 
+    def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
+        """Tell where transmitters (k,) stand (k, 2), and where in that frame the robots started (robots, 3): an oracle.
+
+        See `slam.k_visibility.are_transmitters_known`.
+        """
+        if self._radio is not None:
+            self._radio.give_transmitters(macs, position_m, start_poses)
+
     @property
     def team(self) -> TeamMapper:
         """The one mapper of all robots; where each has its own, that of robot 0."""

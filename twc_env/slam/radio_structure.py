@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import KVisibilityConfig
-from twc_env.geometry import compose
+from twc_env.geometry import compose, inverse, transform_points
 from twc_env.messages import GridMap, SensorFrame
 
 Array = NDArray
@@ -61,6 +61,12 @@ class RadioStructure:
         self._config, self._resolution_m = config, resolution_m
         self._readings = [_Readings([], [], []) for _ in range(robots)]
         self._maps: dict[tuple[int, ...], tuple[tuple, RadioPicture]] = {}
+        self._given: tuple[Array, Array, Array] | None = None
+
+    def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
+        """Where transmitters stand, and in the same frame each robot's start: nothing is located any more."""
+        order = np.argsort(macs)
+        self._given = np.asarray(macs)[order], np.asarray(position_m, float)[order], np.asarray(start_poses, float)
 
     def add(self, frame: SensorFrame, pose_odom: Array) -> None:
         """Remember a frame's WiFi scan, if it holds one."""
@@ -97,7 +103,13 @@ class RadioStructure:
                 macs.append(np.concatenate(own.macs))
                 levels.append(np.concatenate(own.rssi_dbm))
         place, mac, level = np.concatenate(places), np.concatenate(macs), np.concatenate(levels)
-        routers, which = self._routers(place, mac, level)
+        if self._given is None:
+            routers, which = self._routers(place, mac, level)
+        else:
+            known, position_m, starts = self._given
+            routers = transform_points(compose(poses_map_odom[0], inverse(starts[robots[0]])), position_m)
+            which = np.clip(np.searchsorted(known, mac), 0, len(known) - 1)
+            which = np.where(known[which] == mac, which, -1)
         low = np.floor((np.concatenate([place, routers]).min(axis=0) - _MARGIN_M) / self._resolution_m)
         high = np.ceil((np.concatenate([place, routers]).max(axis=0) + _MARGIN_M) / self._resolution_m)
         columns, rows = (high - low).astype(int).tolist()

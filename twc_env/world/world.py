@@ -81,6 +81,14 @@ class World:
         return self._dynamics.poses
 
     @property
+    def transmitters_home(self) -> tuple[Array, Array]:
+        """Addresses (k,) of the building's access points, and where they stand (k, 2) as the building was drawn."""
+        points = self._home.access_points
+        is_ours = self._radio.access_point_of < len(points)
+        places = np.array([p.position_m for p in points], float).reshape(-1, 2)
+        return self._radio.macs[is_ours], places[self._radio.access_point_of[is_ours]]
+
+    @property
     def contacts(self) -> Array:
         """(n,) whether each robot touches something."""
         return self._dynamics.contacts

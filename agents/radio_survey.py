@@ -1,0 +1,152 @@
+"""Does choosing where to walk pay? The map from radio against path length, for the active walk and along the walls.
+
+Both robots start at the same place of the same building with the same noise, know the routers alone, and are scored on
+`Belief.radio_map` alone. The score is the IoU of free floor in which floor that is left unknown counts as missed, so
+that nothing is won by abstaining; IoU as published and coverage stand beside it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import twc_env
+from agents.policy import make_policy
+from twc_env.config import EnvConfig, digest, override
+from twc_env.geometry import transform_points
+from twc_env.messages import GridMap
+
+Array = NDArray
+
+AGENTS = ("wall-follower", "radio-walk")
+STEP_M = 1.0
+"""The map is scored every so far along the path."""
+RADIO = {
+    "radio.preset": "sfw",
+    "slam.k_visibility.enabled": True,
+    "slam.k_visibility.power_at_1m_dbm": -29.0,
+    "slam.k_visibility.path_loss_exponent": 1.25,
+    "slam.k_visibility.wall_loss_db": 8.0,
+    "slam.k_visibility.noise_std_db": 4.0,
+    "slam.k_visibility.are_transmitters_known": True,
+    "slam.k_visibility.period_scans": 5,
+}
+"""The radio of the k-visibility twins, and an engine that knows its signal and where the routers stand."""
+
+
+@dataclass(frozen=True, slots=True)
+class Walked:
+    """One walk, scored along the way."""
+
+    path_m: list[float]
+    iou: list[float]
+    """Free floor; unknown floor counts as missed."""
+    iou_published: list[float]
+    """Free floor among known cells (SPEC K18)."""
+    coverage: list[float]
+    is_finished: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Both walks of one building and seed."""
+
+    name: str
+    seed: int
+    along_walls: Walked
+    active: Walked
+
+    @property
+    def path_share(self) -> float:
+        """Path that the active walk needs for the IoU of the whole walk along the walls, as a share of that walk's."""
+        goal, whole_m = self.along_walls.iou[-1], self.along_walls.path_m[-1]
+        reached = [m for m, iou in zip(self.active.path_m, self.active.iou, strict=True) if iou >= goal]
+        return reached[0] / whole_m if reached else math.inf
+
+    def at_share(self, share: float) -> tuple[float, float]:
+        """IoU of both walks after this share of the walk along the walls."""
+        limit = share * self.along_walls.path_m[-1]
+        return tuple(  # type: ignore[return-value]
+            max([iou for m, iou in zip(w.path_m, w.iou, strict=True) if m <= limit], default=0.0)
+            for w in (self.along_walls, self.active)
+        )
+
+
+def compare(names: list[str], seeds: list[int], steps: int, folder: Path, tell=lambda text: None) -> list[Comparison]:
+    """Every building with every seed; finished walks are read back."""
+    found = []
+    for name in names:
+        for seed in seeds:
+            walks = []
+            for agent in AGENTS:
+                tell(f"{name} seed {seed} {agent}")
+                walks.append(_once(name, agent, seed, steps, folder))
+            found.append(Comparison(name, seed, *walks))
+    return found
+
+
+def median_share(found: list[Comparison]) -> tuple[float, float, float]:
+    """Median of the path shares, and its 95 % bootstrap interval over buildings and seeds."""
+    shares = np.array([c.path_share for c in found])
+    draws = np.random.default_rng(0).integers(0, len(shares), (2000, len(shares)))
+    medians = np.sort(np.median(shares[draws], axis=1))
+    return float(np.median(shares)), float(medians[50]), float(medians[-51])
+
+
+def survey(config: EnvConfig, agent: str, seed: int) -> Walked:
+    """Let an agent walk, and score its map from radio every `STEP_M`."""
+    env = twc_env.parallel_env(config=config)
+    policy = make_policy(agent, config)
+    env.reset(seed=seed)
+    policy.reset(seed, env.possible_agents)
+    held: list[tuple[float, GridMap]] = []
+    path_m, last, is_finished = 0.0, None, False
+    while env.agents and not is_finished:
+        beliefs = {name: env.belief(name) for name in env.agents}
+        (belief,) = beliefs.values()
+        if last is not None:
+            path_m += math.dist(last, belief.pose_odom[:2])
+        last = belief.pose_odom[:2].copy()
+        actions, is_finished = policy.act(beliefs), policy.finished(beliefs)
+        if belief.radio_map is not None and (is_finished or path_m >= len(held) * STEP_M):
+            held.append((path_m, belief.radio_map))
+        env.step(actions)
+    start = env.result().true_poses[0, 0]
+    env.close()
+    plan = twc_env.load_map(config.map)
+    scores = [score(grid, start, plan) for _, grid in held]
+    return Walked([m for m, _ in held], *(list(column) for column in zip(*scores, strict=True)), is_finished)
+
+
+def score(radio: GridMap, pose_building_map: Array, plan) -> tuple[float, float, float]:
+    """IoU of free floor with unknown as missed, IoU among known cells, and the share of cells known."""
+    cells = plan.cells(radio.resolution_m)
+    is_scored = cells.free | cells.wall
+    rows, columns = np.nonzero(is_scored)
+    centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
+    x, y, angle = pose_building_map
+    c, s = math.cos(angle), math.sin(angle)
+    inverse = np.array([-c * x - s * y, s * x - c * y, -angle])
+    at = radio.cell_of(transform_points(inverse, centres))
+    inside = np.all((at >= 0) & (at < radio.log_odds.shape), axis=1)
+    level = np.where(inside, radio.log_odds[tuple(np.where(inside[:, None], at, 0).T)], 0)
+    free, known, truly = level < 0, level != 0, cells.free[rows, columns]
+    right = float((free & truly).sum())
+    return right / (free | truly).sum(), right / max((known & (free | truly)).sum(), 1), float(known.mean())
+
+
+def _once(name: str, agent: str, seed: int, steps: int, folder: Path) -> Walked:
+    config = override(EnvConfig(), {"map": name, "robots": 1, "max_cycles": steps, **RADIO})
+    path = folder / f"{name.replace('/', '-').replace(':', '-')}-{agent}-{seed}-{digest(config)}.json"
+    if path.is_file():
+        return Walked(**json.loads(path.read_text()))
+    walked = survey(config, agent, seed)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    values = {key: getattr(walked, key) for key in Walked.__slots__}
+    path.write_text(json.dumps(values))
+    return walked
