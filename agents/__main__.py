@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from agents import benchmark, picture, radio_prior
+from agents import benchmark, picture, radio_prior, radio_survey
 from agents.explore import Progress, explore, table_of, write_json, write_run
 from agents.policy import make_policy, policy_names
 from twc_env import ConfigError, EnvConfig, TwcError, load_map, map_names
@@ -120,6 +120,30 @@ def _radio_prior(options: argparse.Namespace) -> int:
     return 0
 
 
+def _radio_survey(options: argparse.Namespace) -> int:
+    seeds = benchmark.parse_seeds(options.seeds)
+    found = radio_survey.compare(
+        options.maps, seeds, options.steps, options.out, lambda text: print(text, file=sys.stderr)
+    )
+    for c in found:
+        for agent, walked in zip(radio_survey.AGENTS, (c.along_walls, c.active), strict=True):
+            print(
+                f"{c.name} seed {c.seed} {agent:13s} {walked.path_m[-1]:6.1f} m  free IoU {walked.iou[-1]:.3f}, "
+                f"among known cells {walked.iou_published[-1]:.3f} at coverage {walked.coverage[-1]:.3f}"
+            )
+    for share in (0.25, 0.5, 0.6, 0.75, 1.0):
+        both = [c.at_share(share) for c in found]
+        along, active = (sum(column) / len(column) for column in zip(*both, strict=True))
+        print(f"after {share:4.0%} of the walk along the walls: free IoU {along:.3f} along walls, {active:.3f} active")
+    for part in (0.5, 0.75, 0.9, 1.0):
+        middle, low, high = radio_survey.median_share(found, part)
+        print(
+            f"path of the active walk for {part:4.0%} of that walk's last IoU: {middle:.2f} of what the walk along the "
+            f"walls needs for it (median, 95 % interval {low:.2f} to {high:.2f}; inf: never reached)"
+        )
+    return 0
+
+
 def _config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
     """Defaults, then the file, then the options, then --set."""
     config = load(options.config) if options.config else EnvConfig()
@@ -164,6 +188,12 @@ def _parser() -> argparse.ArgumentParser:
     prior.add_argument("--steps", type=_natural, default=3000, help="steps at most (default: %(default)s)")
     prior.add_argument("--out", type=Path, default=Path("runs/radio-prior"), help="finished episodes (%(default)s)")
     prior.set_defaults(run=_radio_prior)
+    walk = _command(commands, "radio-survey", "the map from radio by path length: active walk against walls", "")
+    walk.add_argument("--maps", nargs="+", default=[f"sfw-e{n}" for n in range(1, 7)], help="names or files")
+    walk.add_argument("--seeds", default="0-2", help="numbers and ranges (default: %(default)s)")
+    walk.add_argument("--steps", type=_natural, default=700, help="steps at most (default: %(default)s)")
+    walk.add_argument("--out", type=Path, default=Path("runs/radio-survey"), help="finished walks (%(default)s)")
+    walk.set_defaults(run=_radio_survey)
     for command in (one, many):
         command.add_argument("--agent", default="nearest-frontier", help=f"one of {', '.join(policy_names())}")
         command.add_argument("--robots", type=_natural, help="number of robots (default: 3)")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,12 +62,14 @@ class Comparison:
     along_walls: Walked
     active: Walked
 
-    @property
-    def path_share(self) -> float:
-        """Path that the active walk needs for the IoU of the whole walk along the walls, as a share of that walk's."""
-        goal, whole_m = self.along_walls.iou[-1], self.along_walls.path_m[-1]
-        reached = [m for m, iou in zip(self.active.path_m, self.active.iou, strict=True) if iou >= goal]
-        return reached[0] / whole_m if reached else math.inf
+    def path_share(self, part: float = 1.0) -> float:
+        """Path that the active walk needs for this part of the last IoU along the walls, by what is needed there."""
+        goal = part * self.along_walls.iou[-1]
+        along_m, active_m = (
+            next((m for m, iou in zip(w.path_m, w.iou, strict=True) if iou >= goal), math.inf)
+            for w in (self.along_walls, self.active)
+        )
+        return active_m / max(along_m, STEP_M)
 
     def at_share(self, share: float) -> tuple[float, float]:
         """IoU of both walks after this share of the walk along the walls."""
@@ -77,7 +80,9 @@ class Comparison:
         )
 
 
-def compare(names: list[str], seeds: list[int], steps: int, folder: Path, tell=lambda text: None) -> list[Comparison]:
+def compare(
+    names: list[str], seeds: Sequence[int], steps: int, folder: Path, tell=lambda text: None
+) -> list[Comparison]:
     """Every building with every seed; finished walks are read back."""
     found = []
     for name in names:
@@ -90,9 +95,9 @@ def compare(names: list[str], seeds: list[int], steps: int, folder: Path, tell=l
     return found
 
 
-def median_share(found: list[Comparison]) -> tuple[float, float, float]:
+def median_share(found: list[Comparison], part: float = 1.0) -> tuple[float, float, float]:
     """Median of the path shares, and its 95 % bootstrap interval over buildings and seeds."""
-    shares = np.array([c.path_share for c in found])
+    shares = np.array([c.path_share(part) for c in found])
     draws = np.random.default_rng(0).integers(0, len(shares), (2000, len(shares)))
     medians = np.sort(np.median(shares[draws], axis=1))
     return float(np.median(shares)), float(medians[50]), float(medians[-51])
@@ -119,8 +124,8 @@ def survey(config: EnvConfig, agent: str, seed: int) -> Walked:
     start = env.result().true_poses[0, 0]
     env.close()
     plan = twc_env.load_map(config.map)
-    scores = [score(grid, start, plan) for _, grid in held]
-    return Walked([m for m, _ in held], *(list(column) for column in zip(*scores, strict=True)), is_finished)
+    iou, published, coverage = zip(*(score(grid, start, plan) for _, grid in held), strict=True)
+    return Walked([m for m, _ in held], list(iou), list(published), list(coverage), is_finished)
 
 
 def score(radio: GridMap, pose_building_map: Array, plan) -> tuple[float, float, float]:

@@ -21,6 +21,8 @@ CHECK_S = 0.5
 REPLAN_S = 4.0
 ARRIVAL_M = 0.35
 MATE_ARRIVAL_M = 1.2
+CORNER_SHARE = 0.65
+"""Paths end in a square around the goal whose corners count as arrived."""
 STUCK_S, STUCK_M = 3.0, 0.3
 """A robot that got no further than this in this time is stuck."""
 ESCAPE_S = 1.2
@@ -48,11 +50,11 @@ class Driver:
         self._anchor = (0.0, 0.0, 0)
         self._escape_ticks = 0
 
-    def start(self, goal_m: Array, belief: Belief, kind: str = "place") -> None:
+    def start(self, goal_m: Array, belief: Belief, kind: str = "place", arrival_m: float = ARRIVAL_M) -> None:
         """Head for goal_m (2,) in the map frame; kind is "place", "frontier" (over once mapped) or "mate"."""
         self._goal_m = np.asarray(goal_m, float).copy()
         self._is_frontier = kind == "frontier"
-        self._arrival_m = MATE_ARRIVAL_M if kind == "mate" else ARRIVAL_M
+        self._arrival_m = MATE_ARRIVAL_M if kind == "mate" else arrival_m
         self._map_id, self._pose = _map_id(belief), belief.pose_map_robot
         self._ticks, self._escape_ticks = 0, 0
         self._anchor = (float(self._pose[0]), float(self._pose[1]), 0)
@@ -131,7 +133,7 @@ class Driver:
         for squeeze in (1.0, SQUEEZE):
             terrain: Terrain = terrain_of(belief, squeeze)
             labels = np.zeros_like(terrain.labels)
-            labels[terrain.patch(self._goal_m, self._arrival_m)] = 1
+            labels[terrain.patch(self._goal_m, CORNER_SHARE * self._arrival_m)] = 1
             plan = self._finder.cheapest(terrain, self._pose[:2], labels, np.zeros(2), discs)
             if plan is not None:
                 self._follower.start(plan.path_m)

@@ -52,6 +52,9 @@ class DeadReckoning:
         self._grid = self.team.grid_of(0)
         self._frames: list[SensorFrame | None] = [None] * robot_count
 
+    def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
+        """Nothing is made of transmitters here."""
+
     def give_starts(self, poses: Array) -> None:
         """Nothing is merged here."""
 

@@ -10,9 +10,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+<<<<<<< HEAD
 from twc_env.config import CuesConfig, EnvConfig
 from twc_env.messages import Belief, Contacts, GridMap, Keyframe, SensorFrame
 from twc_env.slam import cues
+=======
+from twc_env.config import EnvConfig
+from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
+>>>>>>> b9e0297 (The active radio walk against the walk along walls, by path length; goals approached across a corner count as reached)
 from twc_env.slam.exchange import Exchange
 from twc_env.slam.radio_structure import RadioPicture, RadioStructure
 from twc_env.slam.robot import FrontEnds

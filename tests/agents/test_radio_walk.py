@@ -1,0 +1,90 @@
+import math
+
+import numpy as np
+import pytest
+
+from agents import radio_survey
+from agents.radio_survey import Comparison, Walked
+from agents.radio_walk import RayGain, part_of_path
+from agents.wall_follower import STANDOFF_M, WallFollower, nearest_wall
+from twc_env.config import EnvConfig
+from twc_env.messages import Belief, GridMap
+from twc_env.planning import Terrain
+
+
+def grid(levels):
+    return GridMap(levels, np.zeros(2), 0.1)
+
+
+def room():
+    seen = np.full((40, 60), -10, np.int16)
+    seen[[0, -1]] = seen[:, [0, -1]] = 10
+    return seen
+
+
+def test_the_wall_to_follow_is_the_nearest_on_the_right_or_ahead():
+    ranges = np.full(8, 3.0)
+    ranges[2], ranges[6] = 0.3, 0.5  # nearer on the left than on the right
+    bearing, distance = nearest_wall(ranges)
+    assert bearing == pytest.approx(-math.pi / 2)
+    assert distance == 0.5
+    assert nearest_wall(None) == (0.0, math.inf)
+
+
+def test_a_follower_beside_its_wall_drives_straight_and_turns_away_when_too_near():
+    turns = []
+    for distance in (STANDOFF_M, 0.22):
+        ranges = np.full(180, 4.0)
+        ranges[135] = distance
+        agent = WallFollower(EnvConfig())
+        agent.reset(0, ["robot_0"])
+        belief = Belief(0, 0, np.zeros(3), grid(room()), ranges_m=ranges)
+        turns.append(agent.act({"robot_0": belief})["robot_0"][1])
+    assert abs(turns[0]) < 0.1 < turns[1]
+
+
+def test_rays_gain_what_is_doubtful_and_nothing_twice_and_nothing_across_many_walls():
+    seen, router = room(), np.array([[0.5, 2.0]])
+    radio = grid(np.zeros((40, 60), np.int16))
+    terrain = Terrain(grid(seen), 0.2)
+    far, near = np.array([[5.0, 2.0]]), np.array([[1.0, 2.0]])
+    gain = RayGain(radio, grid(seen), router, terrain, [])
+    assert gain.of_path(far) > gain.of_path(near) > 0
+    assert RayGain(radio, grid(seen), router, terrain, list(far)).of_path(near) == 0.0
+    sure = grid(np.full((40, 60), -30, np.int16))
+    assert RayGain(sure, grid(seen), router, terrain, []).of_path(far) == 0.0
+    walled = seen.copy()
+    walled[:, [15, 20, 25, 30]] = 10
+    assert RayGain(radio, grid(walled), router, terrain, []).of_path(far) == 0.0
+
+
+def test_a_path_is_cut_at_a_length_and_keeps_its_end():
+    points = part_of_path(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), 1.5)
+    assert points[-1] == pytest.approx([1.0, 0.5])
+    assert np.hypot(*np.diff(points, axis=0).T).max() < 0.21
+
+
+def test_walks_are_compared_by_the_path_that_an_iou_takes():
+    along = Walked([0.0, 1.0, 2.0, 4.0], [0.0, 0.2, 0.4, 0.8], [1.0] * 4, [0.5] * 4, True)
+    active = Walked([0.0, 1.0, 2.0, 3.0], [0.0, 0.4, 0.6, 0.7], [1.0] * 4, [0.5] * 4, False)
+    pair = Comparison("m", 0, along, active)
+    assert pair.path_share(0.5) == 0.5
+    assert pair.path_share(1.0) == math.inf
+    assert pair.at_share(0.5) == (0.4, 0.6)
+    assert radio_survey.median_share([pair], 0.5) == (0.5, 0.5, 0.5)
+
+
+def test_unknown_floor_counts_as_missed_where_walks_are_scored():
+    import twc_env
+
+    plan = twc_env.load_map("sfw-e1")
+    cells = plan.cells(0.1)
+    told = grid(np.where(cells.free, -5, 0).astype(np.int16))
+    told = GridMap(told.log_odds, cells.origin_m, 0.1)
+    iou, published, coverage = radio_survey.score(told, np.zeros(3), plan)
+    assert iou == published == 1.0
+    assert coverage < 1.0
+    half = told.log_odds.copy()
+    half[: len(half) // 2] = 0
+    missed, published, _ = radio_survey.score(GridMap(half, cells.origin_m, 0.1), np.zeros(3), plan)
+    assert missed < 0.6 < published
