@@ -10,14 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-<<<<<<< HEAD
 from twc_env.config import CuesConfig, EnvConfig
-from twc_env.messages import Belief, Contacts, GridMap, Keyframe, SensorFrame
-from twc_env.slam import cues
-=======
-from twc_env.config import EnvConfig
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
->>>>>>> b9e0297 (The active radio walk against the walk along walls, by path length; goals approached across a corner count as reached)
+from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
 from twc_env.slam.radio_structure import RadioPicture, RadioStructure
 from twc_env.slam.robot import FrontEnds
@@ -211,9 +206,7 @@ class CooperativeSlam:
             transmitter_m=_NO_PLACES if radio is None else radio.transmitter_m,
         )
 
-    def _radio_picture(
-        self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int
-    ) -> RadioPicture | None:
+    def _radio_picture(self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int) -> RadioPicture | None:
         """What the readings of all robots of the group say; with a mapper on each robot, of its own."""
         robots = mapper.groups[group].robots if self._is_central else (robot,)
         poses = np.array([mapper.pose_map_odom(r) for r in robots])
