@@ -7,16 +7,16 @@ from twc_env.config import digest
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "ad15208365af",
-    "twc/ExploreTwin01-v0": "ad15208365af",
-    "twc/ExploreTwin02-v0": "32c3722b76fc",
-    "twc/ExploreOffice-v0": "1bf050e0a39d",
-    "twc/ExploreFrontier-v0": "b37b014f8729",
-    "twc/ExploreFrontierAsync-v0": "5d7589bd379c",
-    "twc/ExploreHard-v0": "9b6a239d3e75",
-    "twc/ExploreKnownStarts-v0": "82016b2b68c3",
-    "twc/ExploreTruePoses-v0": "d4d8ffb2f335",
-    "twc/ExploreNoMerging-v0": "ac3c48a7e876",
+    "twc/Explore-v0": "97ef11a3fe4c",
+    "twc/ExploreTwin01-v0": "97ef11a3fe4c",
+    "twc/ExploreTwin02-v0": "1f133f9c97c2",
+    "twc/ExploreOffice-v0": "c1fb49629599",
+    "twc/ExploreFrontier-v0": "6573e0e2cca4",
+    "twc/ExploreFrontierAsync-v0": "5269a348ed1d",
+    "twc/ExploreHard-v0": "d7acb6d7f647",
+    "twc/ExploreKnownStarts-v0": "0611c87bc422",
+    "twc/ExploreTruePoses-v0": "a1a89d8abc16",
+    "twc/ExploreNoMerging-v0": "76d9275a8e32",
 }
 
 
