@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -53,9 +54,7 @@ def judge(config: EnvConfig, walks: list[Walk]) -> dict:
         [scans.score(views[i], views[j]) for i, j in zip(pairs.first, pairs.second, strict=True)]
     )
     fused = fused_with_memory(config, walks)
-    scores["fused"] = np.array(
-        [fused.score(views[i], views[j]) for i, j in zip(pairs.first, pairs.second, strict=True)]
-    )
+    scores["fused"] = _fused_scores(fused, pairs, views)
     verified = _Verified(config, walks, views, fused)
     confirmed = {method: verified.accept(pairs, GUESS_OF[method]) for method in METHODS}
     sure = {method: np.where(confirmed[method], scores[method], -math.inf) for method in METHODS}
@@ -107,20 +106,26 @@ def _curve(score: Array, is_same: Array) -> list[float]:
     return [float(precision[recall >= level - 1e-9].max(initial=0.0)) for level in RECALL_LEVELS]
 
 
-def judge_radio(config: EnvConfig, walks: list[Walk], mode: str) -> list[dict]:
-    """Figures of the methods that use radio and thresholds, named by the mode."""
+def judge_some(config: EnvConfig, walks: list[Walk], name: str, methods: Sequence[str] = ("wifi", "twc")) -> list[dict]:
+    """Figures of some methods before scan matching; `name` stands behind that of each."""
     sightings = [(robot, sighting) for robot, w in enumerate(walks) for sighting in w.sightings]
     pairs, views = _sighting_pairs(sightings), [sighting.keyframe for _, sighting in sightings]
     cues, scores = _threshold_scores(config, pairs, views)
+    if "fused" in methods:
+        scores["fused"] = _fused_scores(fused_with_memory(config, walks), pairs, views)
     return [
-        {"method": f"{method} {mode}", "alpha": alpha, "beta": beta, "gamma": gamma}
+        {"method": f"{method} {name}", "alpha": alpha, "beta": beta, "gamma": gamma}
         | _figure(method, _accept(method, alpha, beta, gamma, scores, cues, config), alpha, scores, pairs)
         | _of(None, "places")
         | _of(None, "verified")
         | dict.fromkeys(("average_precision_verified", "recall_at_full_precision_verified"), math.nan)
         for method, alpha, beta, gamma in settings()
-        if method in ("wifi", "twc")
+        if method in methods
     ]
+
+
+def _fused_scores(fused: FusedRecogniser, pairs: Pairs, views: list[Keyframe]) -> Array:
+    return np.array([fused.score(views[i], views[j]) for i, j in zip(pairs.first, pairs.second, strict=True)])
 
 
 def fused_with_memory(config: EnvConfig, walks: list[Walk]) -> FusedRecogniser:

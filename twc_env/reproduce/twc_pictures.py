@@ -15,7 +15,7 @@ from twc_env.geometry import compose
 from twc_env.maps import load_map
 from twc_env.reproduce.offline_mapping import Matched, OfflineMap, point_cloud, wall_thickness_m
 from twc_env.reproduce.routes import Walk
-from twc_env.reproduce.twc_table1 import SCENES
+from twc_env.reproduce.twc_scenes import SCENES
 
 Array = NDArray
 

@@ -26,6 +26,8 @@ Array = NDArray
 
 FRAGMENT_PROBABILITY, CHARACTER_ERROR_PROBABILITY = 0.07, 0.03
 """How often OCR gives a fragment, and how often it gets a character wrong (SPEC T3)."""
+INDEPENDENT_READINGS_MAX = 2
+"""More readings that agree prove no more: the mistakes of one reader with one sign stay the same."""
 WRONG_CHARACTERS = 6.0
 """A wrong character is one of about this many (most are look-alikes)."""
 LANGUAGE_CHARACTERS = 12.0
@@ -34,8 +36,9 @@ SAME_PASS_M, SAME_PASS_TRAVEL_M = 0.5, 4.0
 """Readings this near to each other, within this path, are of one sign, whatever they say."""
 SAME_SIGN_M, SAME_SIGN_SIMILARITY = 2.0, 0.6
 """Later, the path may have drifted by this much, but then the texts must be alike."""
-OPPOSITE_RAD, MISPLACED_M = 2.2, 1.0
-"""Readings on walls that face away from each other are of two signs, unless so near that one facing must be wrong."""
+OPPOSITE_RAD, MISPLACED_M, SAME_TEXT_SIMILARITY = 2.2, 1.0, 0.8
+"""Readings on walls that face away from each other are of two signs, unless they are so near and so alike that one
+facing must be wrong."""
 FACING_RAD = 0.8
 """Readings that face further apart than this are of one sign only if their texts are alike: walls blur at corners."""
 READINGS_MAX, VIEWS_MAX = 15, 6
@@ -96,7 +99,7 @@ def log_text_likelihood(reading: str, others: Sequence[str], reading_count: int,
     """
     if not others:
         return np.zeros(0)
-    count = np.minimum(np.asarray(other_counts, float), reading_count)
+    count = np.minimum(np.minimum(np.asarray(other_counts, float), reading_count), INDEPENDENT_READINGS_MAX)
     wrong = 2 * CHARACTER_ERROR_PROBABILITY / count
     fragment = 2 * FRAGMENT_PROBABILITY / count**2
     length = np.array([len(other) for other in others], float)
@@ -225,11 +228,11 @@ class SignPlace:
         else:
             self._vote()
 
-    def reads_like(self, text: str, is_near: bool) -> bool:
+    def reads_like(self, text: str, is_near: bool, similarity_min: float = SAME_SIGN_SIMILARITY) -> bool:
         """Whether a reading is like any that was kept; nearby, a fragment of the consensus is enough."""
         if is_near and (text in self.consensus or self.consensus in text):
             return True
-        return bool(cdist([text], self.texts, scorer=Levenshtein.normalized_similarity).max() >= SAME_SIGN_SIMILARITY)
+        return bool(cdist([text], self.texts, scorer=Levenshtein.normalized_similarity).max() >= similarity_min)
 
     def _vote(self) -> None:
         """The reading that explains all readings best, as fragments of it or by few wrong characters."""
@@ -263,7 +266,7 @@ class PlaceMemory:
         return min(known, key=lambda entry: math.dist(entry[0], sign.position_m), default=(None, None))[1]
 
     def _take_in(self, keyframe: Keyframe, sign: SignObservation) -> SignPlace:
-        text = normalise(sign.text)
+        text = normalise(sign.text).replace(" ", "")  # the space between two words is what OCR loses most
         position = compose(keyframe.pose_odom, [*sign.position_m, 0.0])[:2]
         facing = math.remainder(sign.facing_rad + float(keyframe.pose_odom[2]), 2 * math.pi)
         place = self._find(text, keyframe, position, facing)
@@ -282,7 +285,7 @@ class PlaceMemory:
                 continue
             turn = abs(math.remainder(facing - place.facing_odom, 2 * math.pi))
             is_pass = away < SAME_PASS_M and keyframe.travel_m - place.travel_m < SAME_PASS_TRAVEL_M
-            if turn > OPPOSITE_RAD and away > MISPLACED_M:
+            if turn > OPPOSITE_RAD and (away > MISPLACED_M or not place.reads_like(text, False, SAME_TEXT_SIMILARITY)):
                 continue
             if place.reads_like(text, away < SAME_PASS_M) or (is_pass and not turn > FACING_RAD):
                 best, best_m = place, away
