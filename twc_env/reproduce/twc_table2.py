@@ -213,8 +213,8 @@ def _why(table: Sequence[dict]) -> list[str]:
     for row in table:
         if row["backend"] == LITERAL and row["closure_precision"] is not None:
             lines.append(
-                f"{row['scene']} {row['method']} as printed: {100 * row['closure_precision']:.0f} % of its closures are "
-                f"right; EPE {row['epe_m']:.2f} m, ATE {row['ate_m']:.2f} m"
+                f"{row['scene']} {row['method']} as printed: {100 * row['closure_precision']:.0f} % of its closures "
+                f"are right; EPE {row['epe_m']:.2f} m, ATE {row['ate_m']:.2f} m"
             )
     if lines:
         lines.append(
