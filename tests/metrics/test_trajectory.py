@@ -55,6 +55,20 @@ def test_alignment_recovers_the_motion_of_the_team(estimated, motion):
     assert geometry.transform_points(found, estimated[:, :2]) == pytest.approx(moved, abs=1e-6)
 
 
+def test_a_map_of_a_robot_that_has_hardly_moved_lies_by_its_heading():
+    motion = np.array([7.0, -2.0, 1.2])
+    true = np.array([[0.0, 0.0, 0.3], [0.02, 0.0, 0.3]])
+    estimated = geometry.compose(geometry.inverse(motion), true) + [[0.0, 0.0, 0.0], [0.0, 0.03, 0.0]]
+    assert abs(trajectory.align_team(estimated, true)[2] - motion[2]) > 0.5
+    assert trajectory.lay_map(estimated, true) == pytest.approx(motion, abs=0.03)
+
+
+def test_over_a_long_way_a_map_lies_as_the_positions_say():
+    true = wandering_path(3, 400)
+    estimated = true + np.random.default_rng(0).normal(0.0, 0.05, true.shape)
+    assert trajectory.lay_map(estimated, true) == pytest.approx(trajectory.align_team(estimated, true), abs=0.01)
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")

@@ -139,7 +139,7 @@ def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
         return GroupVerdict(view, robots, grid, np.zeros(3), (), 0.0)
     estimated = np.concatenate([team.poses_of(r) for r in robots])
     true = np.concatenate([record.true_poses[team.keyframe_steps(r), r] for r in robots])
-    pose = metrics.align_team(estimated, true)
+    pose = metrics.lay_map(estimated, true)
     wrong: tuple[tuple[int, int], ...] = ()
     if len(robots) > 1:
         frames = metrics.implied_frames(estimated, true, np.repeat(np.arange(len(robots)), counts))
@@ -397,7 +397,7 @@ def _count_seen(log_odds, origin, resolution_m, free, free_origin, free_resoluti
 
 def _score_odometry(engine: Engine, reckoned: Array, true: Array, config: EnvConfig, cells: Cells) -> metrics.MapScore:
     """The map that dead reckoning alone would give, its true relative starts given away, after one alignment."""
-    return _score(map_at(engine, reckoned, config), metrics.align_team(reckoned, true), cells)
+    return _score(map_at(engine, reckoned, config), metrics.lay_map(reckoned, true), cells)
 
 
 def _closures(engine: Engine, best: GroupVerdict, record: EpisodeRecord, alignment: Array) -> list[dict]:

@@ -7,6 +7,7 @@ from twc_env.metrics.trajectory import (
     absolute_trajectory_error_m,
     align_team,
     end_point_error_m,
+    lay_map,
     path_length_m,
     stuck_share,
 )
@@ -20,6 +21,7 @@ __all__ = [
     "correct_area_m2",
     "end_point_error_m",
     "implied_frames",
+    "lay_map",
     "path_length_m",
     "score_closures",
     "score_map",

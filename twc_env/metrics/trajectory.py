@@ -13,6 +13,9 @@ from twc_env.geometry import between, transform_points
 
 Array = NDArray
 
+HEADING_LEVER_M = 1.0
+"""In `lay_map` an error of heading counts like one of position this far ahead."""
+
 
 def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
     """The pose (3,) that moves estimated positions onto true ones with least squared error.
@@ -21,13 +24,26 @@ def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
     for the team as a whole. Raises DataError for unequal shapes or no positions.
     """
     pose = np.empty(3)
-    _align(*_position_pairs(estimated, true), pose)
+    _align(*_position_pairs(estimated, true), np.zeros(0), 0.0, pose)
+    return pose
+
+
+def lay_map(estimated: ArrayLike, true: ArrayLike) -> Array:
+    """The pose (3,) that lays a map on the building, from estimated and true poses (..., 3) of the robots that drew it.
+
+    As `align_team`, but headings count too, like points a metre ahead: a robot that has hardly moved says by its
+    heading, not by its few centimetres of way, how its map lies. After some metres both give the same.
+    """
+    estimated, true = np.asarray(estimated, float), np.asarray(true, float)
+    turns = (true[..., 2] - estimated[..., 2]).ravel()
+    pose = np.empty(3)
+    _align(*_position_pairs(estimated, true), turns, HEADING_LEVER_M, pose)
     return pose
 
 
 @njit(cache=True, error_model="numpy")
-def _align(a, b, pose):
-    """`geometry.align_rigidly` of points (n, 2), for callers in a hurry."""
+def _align(a, b, turns, lever, pose):
+    """`geometry.align_rigidly` of points (n, 2), for callers in a hurry; with turns (n,) of headings, if any."""
     count = a.shape[0]
     ax = ay = bx = by = 0.0
     for i in range(count):
@@ -41,6 +57,9 @@ def _align(a, b, pose):
         px, py, qx, qy = a[i, 0] - ax, a[i, 1] - ay, b[i, 0] - bx, b[i, 1] - by
         along += px * qx + py * qy
         across += px * qy - py * qx
+    for i in range(turns.shape[0]):
+        along += lever * lever * math.cos(turns[i])
+        across += lever * lever * math.sin(turns[i])
     pose[2] = math.atan2(across, along)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     pose[0], pose[1] = bx - c * ax + s * ay, by - s * ax - c * ay
