@@ -35,13 +35,13 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
 def view(belief: Belief, cells: int, cell_m: float, path_odom: Array, path_count: int, mates: Array, signs: Array):
     """`crop_around` of a belief with its last three channels filled too: (7, cells, cells) uint8.
 
-    path_odom (k, 2): a ring that holds the latest of `path_count` places in the odom frame; mates (m, >= 2) as this
-    robot sees them; signs (k, 2) in the map frame.
+    path_odom (k, 2): a ring that holds the latest of `path_count` places in the odom frame; mates: a row for each of
+    `belief.mates` (m, >= 2) as this robot sees it; signs (k, 2) in the map frame.
     """
     grid, out = belief.grid, np.empty((CHANNELS, cells, cells), np.uint8)
     _crop_and_mark(
         grid.log_odds, grid.origin_m, 1.0 / grid.resolution_m, belief.pose_map_robot, cell_m, path_odom, path_count,
-        belief.pose_odom, mates, signs, out,
+        belief.pose_odom, mates, len(belief.mates), signs, out,
     )  # fmt: skip
     return out
 
@@ -157,12 +157,13 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
 
 @njit(cache=True, error_model="numpy")
 def _crop_and_mark(
-    log_odds, origin, inverse_grid_m, pose_map, cell_m, path, path_count, pose_odom, mates, signs, out
+    log_odds, origin, inverse_grid_m, pose_map, cell_m, path, path_count, pose_odom, mates, mate_count,
+    signs, out,
 ):  # fmt: skip
     """All channels: what lies around the robot, its path (k, 2), its mates (k, >= 2, as it sees them) and signs."""
     _crop(log_odds, pose_map[0] - origin[0], pose_map[1] - origin[1], pose_map[2], inverse_grid_m, cell_m, out)
     out[4:] = 0
     inverse_m = 1.0 / cell_m
     _mark(out[4], path, path_count, pose_odom[0], pose_odom[1], pose_odom[2], inverse_m)
-    _mark(out[5], mates, mates.shape[0], 0.0, 0.0, 0.0, inverse_m)
+    _mark(out[5], mates, mate_count, 0.0, 0.0, 0.0, inverse_m)
     _mark(out[6], signs, signs.shape[0], pose_map[0], pose_map[1], pose_map[2], inverse_m)

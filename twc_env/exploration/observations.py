@@ -79,8 +79,6 @@ class _Seen(NamedTuple):
 
     frame: SensorFrame
     belief: Belief
-    mates: Array
-    """(m, 3) x, y, heading of the mates in this robot's frame, in the order of `belief.mates`."""
     candidates: Candidates
     mask: Array | None
 
@@ -92,18 +90,14 @@ class ObservationBuilder:
         self._config = config
         self._robot, self._robots = robot, config.robots
         made = {
-            "lidar": self._lidar,
             "map": self._map,
             "overview": self._whole_map,
-            "pose": self._pose,
-            "wifi": self._wifi,
-            "signs": self._recent_signs,
-            "team": self._team,
             "frontiers": self._frontiers,
             "radio": self._radio,
             "action_mask": self._mask,
         }
-        self._makers = [(name, made[name]) for name in block_spaces(config)]
+        self._makers = [(name, made.get(name)) for name in block_spaces(config)]
+        """Blocks in order; what makes them, but for the small ones, which are all made at once."""
         self._is_flat = config.observation.kind != "dict"
         self._beams, self._per_metre = config.lidar.beam_count, 1.0 / config.lidar.range_max_m
         self._slots_of_wifi = WifiSlots(config.observation.wifi_slots)
@@ -114,10 +108,11 @@ class ObservationBuilder:
         self._path_odom = np.zeros((max(1, round(config.observation.path_m / PATH_SPACING_M)), 2))
         self._path_count, self._path_end = 0, (math.inf, math.inf)
         self._overview: tuple[tuple[int, int], tuple[Array, Array, float]] | None = None
-        self._time_step_s = config.dynamics.time_step_s
-        self._contact_steps = np.full(max(self._robots - 1, 1), -1)
-        self._mate_rows = np.zeros(max(self._robots - 1, 1), np.int64)
-        """Scratch: when each mate was last heard of, and the row of each mate of the group."""
+        self._time_step_s, self._memory_s = config.dynamics.time_step_s, config.observation.sign_memory_s
+        mates = max(self._robots - 1, 1)
+        self._contact_steps, self._mate_rows = np.full(mates, -1), np.zeros(mates, np.int64)
+        self._mates = np.zeros((mates, 3))
+        """Scratch: when each mate was last heard of; row and pose, in this robot's frame, of each mate of the group."""
         self._indexed_signs: tuple[KnownSign, ...] = ()
         self._sign_places = np.zeros((0, 2))
         self._text_counts: Counter[str] = Counter()
@@ -140,22 +135,30 @@ class ObservationBuilder:
         self, frame: SensorFrame, belief: Belief, candidates: Candidates = NOTHING, mask: Array | None = None
     ) -> dict[str, Array] | Array:
         """The observation after one frame, which `notice` must have seen."""
-        seen = _Seen(frame, belief, self._mates_seen(belief), candidates, mask)
-        blocks = {name: make(seen) for name, make in self._makers}
+        if belief.signs is not self._indexed_signs:
+            self._index_signs(belief.signs)
+        small = self._small_blocks(frame, belief)
+        seen = _Seen(frame, belief, candidates, mask)
+        blocks = {name: small[name] if make is None else make(seen) for name, make in self._makers}
         return _joined(blocks) if self._is_flat else blocks
 
-    def _lidar(self, seen: _Seen) -> Array:
-        shares = np.empty(self._beams, np.float32)
-        _shares(seen.frame.ranges_m, self._per_metre, shares)
-        return shares
-
-    def _pose(self, seen: _Seen) -> Array:
-        belief, out = seen.belief, np.empty(len(POSE_LIMITS), np.float32)
-        _fill_pose(belief.pose_map_robot, belief.pose_std, belief.since_closure_m, POSE_LIMITS, out)
-        return out
-
-    def _wifi(self, seen: _Seen) -> Array:
-        return self._slots_of_wifi.levels.copy()
+    def _small_blocks(self, frame: SensorFrame, belief: Belief) -> dict[str, Array]:
+        """Those that one compiled call fills; it also turns the mates' poses into this robot's frame."""
+        lidar, pose = np.empty(self._beams, np.float32), np.empty(len(POSE_LIMITS), np.float32)
+        signs = np.zeros((len(self._readings), 5), np.float32)
+        team = np.zeros((len(self._mates), 5), np.float32)
+        robot, steps, rows = self._robot, self._contact_steps, self._mate_rows
+        for mate, step in belief.contact_steps.items():
+            steps[mate if mate < robot else mate - 1] = step
+        for k, (mate, pose_map_mate) in enumerate(belief.mates.items()):
+            rows[k] = mate if mate < robot else mate - 1
+            self._mates[k] = pose_map_mate
+        _fill_small(
+            frame.ranges_m, self._per_metre, lidar, belief.pose_map_robot, belief.pose_std, belief.since_closure_m,
+            POSE_LIMITS, pose, self._readings, len(self._texts), frame.time_s, self._memory_s, belief.pose_odom, signs,
+            frame.step, self._time_step_s, steps, len(belief.contact_steps), rows, self._mates, len(belief.mates), team,
+        )  # fmt: skip
+        return {"lidar": lidar, "pose": pose, "wifi": self._slots_of_wifi.levels.copy(), "signs": signs, "team": team}
 
     def _frontiers(self, seen: _Seen) -> Array:
         return features_of(seen.candidates, seen.belief.pose_map_robot, self._config.action.frontier_slots)
@@ -165,10 +168,10 @@ class ObservationBuilder:
 
     def _map(self, seen: _Seen) -> Array:
         shape, belief = self._config.observation, seen.belief
-        self._index_signs(belief.signs)
         return map_view.view(
-            belief, shape.map_cells, shape.map_cell_m, self._path_odom, self._path_count, seen.mates, self._sign_places
-        )
+            belief, shape.map_cells, shape.map_cell_m, self._path_odom, self._path_count, self._mates,
+            self._sign_places,
+        )  # fmt: skip
 
     def _radio(self, seen: _Seen) -> Array:
         """Probably free, probably wall around the robot, from signal strength alone."""
@@ -178,11 +181,10 @@ class ObservationBuilder:
         return map_view.crop_around(belief.radio_map, belief.pose_map_robot, shape.map_cells, shape.map_cell_m)[:2]
 
     def _index_signs(self, signs: tuple[KnownSign, ...]) -> None:
-        """Places (k, 2) and how often each text is known, made anew only when the list changed."""
-        if self._indexed_signs is not signs:
-            self._indexed_signs = signs
-            self._sign_places, self._text_counts = _index_of(signs)
-            self._count_elsewhere()
+        """Places (k, 2) and how often each text is known."""
+        self._indexed_signs = signs
+        self._sign_places, self._text_counts = _index_of(signs)
+        self._count_elsewhere()
 
     def _count_elsewhere(self) -> None:
         for row, text in enumerate(self._texts):
@@ -207,33 +209,6 @@ class ObservationBuilder:
         if math.hypot(x - self._path_end[0], y - self._path_end[1]) >= PATH_SPACING_M:
             self._path_odom[self._path_count % len(self._path_odom)] = self._path_end = x, y
             self._path_count += 1
-
-    def _recent_signs(self, seen: _Seen) -> Array:
-        rows = np.zeros((len(self._readings), 5), np.float32)
-        if self._texts:
-            self._index_signs(seen.belief.signs)
-            memory_s = self._config.observation.sign_memory_s
-            _fill_signs(self._readings, len(self._texts), seen.frame.time_s, memory_s, seen.belief.pose_odom, rows)
-        return rows
-
-    def _team(self, seen: _Seen) -> Array:
-        rows = np.zeros((max(self._robots - 1, 1), 5), np.float32)
-        for mate, step in seen.belief.contact_steps.items():
-            self._contact_steps[mate if mate < self._robot else mate - 1] = step
-        for k, mate in enumerate(seen.belief.mates):
-            self._mate_rows[k] = mate if mate < self._robot else mate - 1
-        heard = self._contact_steps[: len(seen.belief.contact_steps)]
-        _fill_team(seen.frame.step, self._time_step_s, heard, self._mate_rows, seen.mates, rows)
-        return rows
-
-    def _mates_seen(self, belief: Belief) -> Array:
-        """(m, 3) poses of the mates in the robot's frame."""
-        mates = np.empty((len(belief.mates), 3))
-        for row, pose in zip(mates, belief.mates.values(), strict=True):
-            row[:] = pose
-        if len(mates):
-            _as_seen_from(belief.pose_map_robot, mates)
-        return mates
 
 
 @lru_cache(maxsize=4)
@@ -294,27 +269,40 @@ def _fill_signs(readings, count, now_s, memory_s, pose, rows):
 
 
 @njit(cache=True, error_model="numpy")
-def _as_seen_from(pose, others):
-    """`geometry.between` of a pose and each of the others, written over these."""
+def _as_seen_from(pose, others, count):
+    """`geometry.between` of a pose and each of the first of the others, written over these."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    for k in range(others.shape[0]):
+    for k in range(count):
         dx, dy, turn = others[k, 0] - pose[0], others[k, 1] - pose[1], others[k, 2] - pose[2]
         others[k, 0], others[k, 1] = c * dx + s * dy, c * dy - s * dx
         others[k, 2] = (turn + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @njit(cache=True, error_model="numpy")
-def _fill_team(now, time_step_s, contact_steps, mate_rows, mates, rows):
+def _fill_team(now, time_step_s, contact_steps, contact_count, mate_rows, mates, mate_count, rows):
     """The block `team`: the step in which each mate was last heard of; rows and poses of those of the same map."""
-    for row in range(contact_steps.shape[0]):
+    for row in range(contact_count):
         step = contact_steps[row]
         age_s = (now - step) * time_step_s
         rows[row, 4] = 1.0 if step < 0 else age_s / (age_s + HALF_AGE_S)
-    for k in range(mates.shape[0]):
+    for k in range(mate_count):
         row = rows[mate_rows[k]]
         away = math.sqrt(mates[k, 0] * mates[k, 0] + mates[k, 1] * mates[k, 1])
         row[0], row[1] = 1.0, math.atan2(mates[k, 1], mates[k, 0]) / math.pi
         row[2], row[3] = away / (away + HALF_WAY_M), mates[k, 2] / math.pi
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_small(
+    ranges, per_metre, lidar, pose_map, pose_std, since_m, limits, pose, readings, reading_count, now_s, memory_s,
+    pose_odom, signs, step, time_step_s, contact_steps, contact_count, mate_rows, mates, mate_count, team,
+):  # fmt: skip
+    """The blocks `lidar`, `pose`, `signs` and `team`; mates (m, 3) come in the map frame and leave in the robot's."""
+    _shares(ranges, per_metre, lidar)
+    _fill_pose(pose_map, pose_std, since_m, limits, pose)
+    _fill_signs(readings, reading_count, now_s, memory_s, pose_odom, signs)
+    _as_seen_from(pose_map, mates, mate_count)
+    _fill_team(step, time_step_s, contact_steps, contact_count, mate_rows, mates, mate_count, team)
 
 
 @njit(cache=True, error_model="numpy")
