@@ -6,7 +6,16 @@ import pytest
 import twc_env
 from twc_env import metrics
 from twc_env.config import RewardConfig
-from twc_env.exploration.rewards import POTENTIALS, JudgedMap, Standing, Transition, standing_of, terms, weigh
+from twc_env.exploration.rewards import (
+    POTENTIALS,
+    JudgedMap,
+    Standing,
+    Transition,
+    standing_of,
+    terms,
+    weigh,
+    weights_of,
+)
 from twc_env.slam import map_merging
 
 STEPS = 300
@@ -103,7 +112,7 @@ def test_terms_judge_one_transition():
     own = {"coverage": 0.5, "merge": 0.5, "localisation": 0.5}
     assert terms(transition, 1, "individual") == own | {"collision": 1.0, "time": 0.005, "bytes": 0.25}
     weights = RewardConfig(coverage=2.0, merge=1.0, collision=-1.0, bytes=-4.0)
-    assert weigh(terms(transition, 1, "individual"), weights) == 1.0 + 0.5 - 1.0 - 1.0
+    assert weigh(terms(transition, 1, "individual"), weights_of(weights)) == 1.0 + 0.5 - 1.0 - 1.0
 
 
 def test_the_rightly_merged_group_that_mapped_most_counts():

@@ -146,6 +146,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self.observation_spaces = dict.fromkeys(self.possible_agents, shared_observation)
         self.action_spaces = dict.fromkeys(self.possible_agents, shared_action)
         self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (6 * count,), np.float32)
+        self._weights = rewards.weights_of(self.config.reward)
         self._failures = Failures(self.config.failure, count)
         self._engine: Engine | None = None
         self._frames_of_step: list[tuple[SensorFrame, ...]] = []
@@ -217,7 +218,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             self.agents = []
         return (
             observations,
-            {agent: rewards.weigh(v, self.config.reward) for agent, v in zip(agents, values, strict=True)},
+            {agent: rewards.weigh(v, self._weights) for agent, v in zip(agents, values, strict=True)},
             dict.fromkeys(agents, False),
             dict.fromkeys(agents, is_last),
             infos,

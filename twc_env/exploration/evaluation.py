@@ -145,8 +145,9 @@ def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
         frames = metrics.implied_frames(estimated, true, np.repeat(np.arange(len(robots)), counts))
         pairs = metrics.wrong_pairs(frames, estimated[:, :2].mean(axis=0))
         wrong = tuple((robots[i], robots[j]) for i, j in pairs)
+    known = team.known_part_of(view.group)
     area = metrics.correct_area_m2(
-        grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m
+        known.log_odds, known.origin_m, known.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m
     )
     return GroupVerdict(view, robots, grid, pose, wrong, area)
 

@@ -28,6 +28,7 @@ from twc_env.config import RewardConfig
 Array = NDArray
 
 POTENTIALS = ("coverage", "merge", "localisation")
+TERMS = (*POTENTIALS, "collision", "time", "bytes")
 NO_GAINS = (0.0, 0.0, 0.0)
 ERROR_MAX_M = 1.0
 BYTES_MAX = 10_000.0
@@ -92,12 +93,16 @@ def terms(transition: Transition, robot: int, sharing: str) -> dict[str, float]:
     }
 
 
-def weigh(values: dict[str, float], weights: RewardConfig) -> float:
-    """The reward: each term times the weight of its name."""
+def weights_of(config: RewardConfig) -> tuple[tuple[str, float], ...]:
+    """The terms that count and their weights, in the order of the terms."""
+    return tuple((name, getattr(config, name)) for name in TERMS if getattr(config, name))
+
+
+def weigh(values: dict[str, float], weights: Sequence[tuple[str, float]]) -> float:
+    """The reward: each term that counts times its weight."""
     reward = 0.0
-    for name, value in values.items():
-        if value:  # most terms are 0 in most steps
-            reward += getattr(weights, name) * value
+    for name, weight in weights:
+        reward += weight * values[name]
     return reward
 
 

@@ -190,20 +190,20 @@ class CooperativeSlam:
         since_closure_m, pose_std = self._ties[robot]
         radio = None if self._radio is None else self._radio_picture(self._radio, mapper, group, robot)
         return Belief(
-            robot=robot,
-            step=frame.step if frame is not None else 0,
-            pose_map_robot=self._poses_map_robot[robot],
-            grid=held.grid.snapshot(),
-            mates={mate: self._pose_of_mate(mapper, mate) for mate in held.robots if mate != robot},
-            signs=mapper.signs_of(group) if with_signs else (),
-            ranges_m=frame.ranges_m if frame is not None else np.zeros(0),
-            map_version=held.version,
-            pose_odom=self.robots[robot].pose_odom,
-            pose_std=pose_std,
-            since_closure_m=since_closure_m,
-            contact_steps={mate: step for mate, step in enumerate(mapper.last_steps) if mate != robot},
-            radio_map=None if radio is None else radio.grid,
-            transmitter_m=_NO_PLACES if radio is None else radio.transmitter_m,
+            robot,
+            frame.step if frame is not None else 0,
+            self._poses_map_robot[robot],
+            held.grid.snapshot(),
+            {mate: self._pose_of_mate(mapper, mate) for mate in held.robots if mate != robot},
+            mapper.signs_of(group) if with_signs else (),
+            frame.ranges_m if frame is not None else np.zeros(0),
+            held.version,
+            self.robots[robot].pose_odom,
+            pose_std,
+            since_closure_m,
+            {mate: step for mate, step in enumerate(mapper.last_steps) if mate != robot},
+            None if radio is None else radio.grid,
+            _NO_PLACES if radio is None else radio.transmitter_m,
         )
 
     def _radio_picture(self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int) -> RadioPicture | None:

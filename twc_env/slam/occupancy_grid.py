@@ -139,6 +139,8 @@ class OccupancyGrid:
         self.origin_m = np.zeros(2)
         self._bounds_m = (math.inf, math.inf, -math.inf, -math.inf)
         """Left, bottom, right and top end."""
+        self._reached_m = self._bounds_m
+        """The same of what scans can have touched."""
         self._snapshot: GridMap | None = None
 
     def integrate(self, poses: Array, scans: Array) -> None:
@@ -150,6 +152,8 @@ class OccupancyGrid:
         if low_x < left or low_y < bottom or high_x > right or high_y > top:
             self._grow(np.array([low_x, low_y]), np.array([high_x, high_y]))
             left, bottom, _, _ = self._bounds_m
+        was = self._reached_m
+        self._reached_m = min(was[0], low_x), min(was[1], low_y), max(was[2], high_x), max(was[3], high_y)
         _integrate_many(
             self.log_odds, left, bottom, 1.0 / self.resolution_m, poses, beam_directions(scans.shape[1]), scans,
             self.range_max_m, self._crossings, self._counts,
@@ -163,6 +167,20 @@ class OccupancyGrid:
                 view.flags.writeable = False
             self._snapshot = GridMap(*views, self.resolution_m)
         return self._snapshot
+
+    def known_part(self) -> GridMap:
+        """A copy of the box of cells outside which nothing is known."""
+        left, bottom, right, top = self._reached_m
+        if left > right:
+            return self.snapshot()
+        x, y = self.origin_m.tolist()
+        rows, columns = self.log_odds.shape
+        first_column, first_row = int((left - x) / self.resolution_m), int((bottom - y) / self.resolution_m)
+        end_column, end_row = int((right - x) / self.resolution_m) + 2, int((top - y) / self.resolution_m) + 2
+        first_column, first_row = max(first_column - 1, 0), max(first_row - 1, 0)
+        cells = self.log_odds[first_row : min(end_row, rows), first_column : min(end_column, columns)].copy()
+        corner = np.array([x + first_column * self.resolution_m, y + first_row * self.resolution_m])
+        return GridMap(cells, corner, self.resolution_m)
 
     def _grow(self, low_m: Array, high_m: Array) -> None:
         """Make the grid hold the box low_m..high_m too, with some room to spare."""

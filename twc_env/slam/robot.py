@@ -66,6 +66,7 @@ class FrontEnds:
         self._keyframe_poses = np.full((count, 3), np.nan)
         """Where each robot's last keyframe was taken; NaN before the first."""
         self._is_new = np.zeros(count, bool)
+        self._everyone = np.arange(count)
         self.robots = [RobotFrontEnd(r, config, self._fields.fields[r]) for r in range(count)]
         """What each robot remembers for itself."""
         self.poses_odom = np.zeros((count, 3))
@@ -73,7 +74,7 @@ class FrontEnds:
 
     def update(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Take in at most one frame per robot; gives a keyframe of each robot that has come to a new place."""
-        robots = np.array([frame.robot for frame in frames])
+        robots = self._everyone if len(frames) == len(self.robots) else np.array([frame.robot for frame in frames])
         for frame in frames:
             k = frame.robot
             self._ranges_m[k] = frame.ranges_m

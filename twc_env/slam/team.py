@@ -164,6 +164,10 @@ class TeamMapper:
         """The merged map of a group, as it is now."""
         return self.groups[group].grid.snapshot()
 
+    def known_part_of(self, group: int) -> GridMap:
+        """A copy of the part of a group's map in which anything is known."""
+        return self.groups[group].grid.known_part()
+
     def signs_of(self, group: int) -> tuple[KnownSign, ...]:
         """The texts read by a group, each once per place."""
         robots, version = self.groups[group].robots, self.groups[group].version
