@@ -46,6 +46,13 @@ def inverse(pose_a_b: ArrayLike) -> Array:
 
 def between(pose_m_a: ArrayLike, pose_m_b: ArrayLike) -> Array:
     """The pose of b in a, from both in m; (..., 3) each, broadcast."""
+    a, b = np.asarray(pose_m_a, float), np.asarray(pose_m_b, float)
+    if a.ndim == 1 and b.ndim == 1:  # `inverse` and `compose` of one pose at once
+        (ax, ay, at), (bx, by, bt) = a.tolist(), b.tolist()
+        c, s = math.cos(at), math.sin(at)
+        x, y, t = -c * ax - s * ay, s * ax - c * ay, _wrap(-at)
+        c, s = math.cos(t), math.sin(t)
+        return np.array([x + c * bx - s * by, y + s * bx + c * by, _wrap(t + bt)])
     return compose(inverse(pose_m_a), pose_m_b)
 
 

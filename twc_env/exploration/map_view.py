@@ -100,22 +100,35 @@ def _shrink(log_odds, out):
 
 
 @njit(cache=True, error_model="numpy")
+def _stays_inside(x, y, dx, dy, count, height, width):
+    """Whether a row of samples from cell (x, y) on, in fixed point, lies inside the grid."""
+    k0, k1 = x >> FIXED_BITS, (x + dx * (count - 1)) >> FIXED_BITS
+    r0, r1 = y >> FIXED_BITS, (y + dy * (count - 1)) >> FIXED_BITS
+    return min(k0, k1) >= 0 and min(r0, r1) >= 0 and max(k0, k1) < width and max(r0, r1) < height
+
+
+@njit(cache=True, error_model="numpy")
+def _look_up_two(cells, width, xa, ya, xb, yb, dx, dy, a, b):
+    """Write the levels of two rows of samples that lie inside the grid; unsigned numbers index without a check."""
+    bits, width = np.uint64(FIXED_BITS), np.uint64(width)
+    xa, ya, xb, yb, dx, dy = np.uint64(xa), np.uint64(ya), np.uint64(xb), np.uint64(yb), np.uint64(dx), np.uint64(dy)
+    for j in range(a.shape[0]):
+        a[j] = cells[(ya >> bits) * width + (xa >> bits)]
+        b[j] = cells[(yb >> bits) * width + (xb >> bits)]
+        xa += dx
+        ya += dy
+        xb += dx
+        yb += dy
+
+
+@njit(cache=True, error_model="numpy")
 def _look_up(cells, height, width, x, y, dx, dy, levels):
-    """Write the levels of a row of samples from cell (x, y) on, in fixed point; 0 outside the grid."""
-    size = levels.shape[0]
-    k0, k1 = x >> FIXED_BITS, (x + dx * (size - 1)) >> FIXED_BITS
-    r0, r1 = y >> FIXED_BITS, (y + dy * (size - 1)) >> FIXED_BITS
-    if min(k0, k1) >= 0 and min(r0, r1) >= 0 and max(k0, k1) < width and max(r0, r1) < height:
-        for j in range(size):  # the whole row lies inside: no cell needs a check
-            levels[j] = cells[(y >> FIXED_BITS) * width + (x >> FIXED_BITS)]
-            x += dx
-            y += dy
-    else:
-        for j in range(size):
-            k, r = x >> FIXED_BITS, y >> FIXED_BITS
-            levels[j] = cells[r * width + k] if 0 <= r < height and 0 <= k < width else 0
-            x += dx
-            y += dy
+    """Write the levels of a row of samples; 0 outside the grid."""
+    for j in range(levels.shape[0]):
+        k, r = x >> FIXED_BITS, y >> FIXED_BITS
+        levels[j] = cells[r * width + k] if 0 <= r < height and 0 <= k < width else 0
+        x += dx
+        y += dy
 
 
 @njit(cache=True, error_model="numpy")
@@ -136,11 +149,18 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     dx, dy = int(2 * c * FIXED_POINT), int(2 * s * FIXED_POINT)
     levels = np.empty((2, size), np.int16)
     for i in range(size):
-        for half in range(2):
-            line, shift = 2 * i + half, (i + half) & 1
-            gx = int(math.floor((x0 - s * line + c * shift) * FIXED_POINT))
-            gy = int(math.floor((y0 + c * line + s * shift) * FIXED_POINT))
-            _look_up(cells, height, width, gx, gy, dx, dy, levels[half])
+        line, shift = 2 * i, i & 1
+        xa = int(math.floor((x0 - s * line + c * shift) * FIXED_POINT))
+        ya = int(math.floor((y0 + c * line + s * shift) * FIXED_POINT))
+        line, shift = line + 1, 1 - shift
+        xb = int(math.floor((x0 - s * line + c * shift) * FIXED_POINT))
+        yb = int(math.floor((y0 + c * line + s * shift) * FIXED_POINT))
+        is_inside = _stays_inside(xa, ya, dx, dy, size, height, width)
+        if is_inside and _stays_inside(xb, yb, dx, dy, size, height, width):
+            _look_up_two(cells, width, xa, ya, xb, yb, dx, dy, levels[0], levels[1])
+        else:
+            _look_up(cells, height, width, xa, ya, dx, dy, levels[0])
+            _look_up(cells, height, width, xb, yb, dx, dy, levels[1])
         free, wall, unknown = out[0, i], out[1, i], out[2, i]
         for j in range(size):
             is_wall = (levels[0, j] > 0) | (levels[1, j] > 0)

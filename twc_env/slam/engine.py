@@ -73,8 +73,8 @@ class CooperativeSlam:
         self._frames: list[SensorFrame | None] = [None] * robot_count
         self._poses_map_robot = [np.zeros(3)] * robot_count
         self._poses_map_odom = np.zeros((robot_count, 3))
-        self._located = [-1] * robot_count
-        """The state of each robot in its mapper, by the count of changes, that the next two were taken from."""
+        self._located = [[-1] * robot_count for _ in self.mappers]
+        """The state of each mapper, by its counts of changes, that `_poses_map_odom` and `_ties` were taken from."""
         self._ties: list[tuple[float, Array]] = [(0.0, np.zeros(3))] * robot_count
         """Of each robot: path length since its last closure, and what may have gone astray on it."""
         self._last_step = 0
@@ -139,18 +139,23 @@ class CooperativeSlam:
         self._locate()
 
     def _locate(self) -> None:
-        for robot, known in enumerate(self._located):
-            mapper = self.mappers[0 if self._is_central else robot]
-            changes = mapper.changes[robot]
-            if changes != known:
-                self._located[robot] = changes
-                self._poses_map_odom[robot] = mapper.pose_map_odom(robot)
-                self._ties[robot] = mapper.since_closure(robot)
-                self._ties[robot][1].flags.writeable = False  # beliefs show it to planners
+        for number, mapper in enumerate(self.mappers):
+            if mapper.changes != self._located[number]:
+                for robot in range(len(self.robots)) if self._is_central else (number,):
+                    if mapper.changes[robot] != self._located[number][robot]:
+                        self._relocate(robot, mapper)
+                self._located[number] = mapper.changes.copy()
         poses = np.empty_like(self._poses_map_odom)
         _compose_rows(self._poses_map_odom, self._front_ends.poses_odom, poses)
         poses.flags.writeable = False  # beliefs show it to planners
         self._poses_map_robot = list(poses)
+
+    def _relocate(self, robot: int, mapper: TeamMapper) -> None:
+        """What its mapper says of a robot has changed."""
+        self._poses_map_odom[robot] = mapper.pose_map_odom(robot)
+        since_m, std = mapper.since_closure(robot)
+        std.flags.writeable = False  # beliefs show it to planners
+        self._ties[robot] = since_m, std
 
     def finish(self) -> None:
         """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""

@@ -172,7 +172,7 @@ class TeamMapper:
         """The texts read by a group, each once per place."""
         robots, version = self.groups[group].robots, self.groups[group].version
         read = self._graph.signs_read
-        key = (sum([read[r] for r in robots]), version)
+        key = (sum([read[r] for r in robots]), version) if len(robots) > 1 else (read[robots[0]], version)
         held = self._signs.get(robots)
         if held is None or held[0] != key:
             held = self._signs[robots] = (key, self._graph.signs(robots))
