@@ -39,6 +39,8 @@ PLACE_STEP_M = 6.0
 METHODS = ("text", "wifi", "twc", "lidar", "fused")
 GUESS_OF = {"text": "sign", "twc": "sign", "fused": "memory", "wifi": "none", "lidar": "none"}
 """Where each method's guess of the pose between the robots comes from: the sign as seen, as remembered, nowhere."""
+LOOSEST = {"text": 0.5 - 1e-9, "wifi": 0.5 - 1e-9, "twc": 0.5 - 1e-9, "lidar": 0.5, "fused": 0.0}
+"""Scan matching is asked about pairs from this score on (of `twc` that of the texts); it confirms no others."""
 RECALL_LEVELS = np.linspace(0.025, 1.0, 40)
 """Curves give the best precision of any threshold with at least this recall."""
 
@@ -56,7 +58,10 @@ def judge(config: EnvConfig, walks: list[Walk]) -> dict:
     fused = fused_with_memory(config, walks)
     scores["fused"] = _fused_scores(fused, pairs, views)
     verified = _Verified(config, walks, views, fused)
-    confirmed = {method: verified.accept(pairs, GUESS_OF[method]) for method in METHODS}
+    confirmed = {
+        method: verified.accept(pairs, GUESS_OF[method], scores["text" if method == "twc" else method] >= loosest)
+        for method, loosest in LOOSEST.items()
+    }
     sure = {method: np.where(confirmed[method], scores[method], -math.inf) for method in METHODS}
     figures = []
     for method, alpha, beta, gamma in settings():
@@ -206,14 +211,15 @@ class _Verified:
         self._verifier = LoopVerifier(slam.verification, slam.odometry_filter, config.lidar.range_max_m)
         self._paths = [w.keyframes for w in walks]
         self._views, self._fused = views, fused
-        self._known: dict[str, Array] = {}
+        self._known: dict[str, dict[int, bool]] = {}
 
-    def accept(self, pairs: Pairs, guess: str) -> Array:
-        """(pairs,) bool: those that are confirmed from a kind of guess; each pair is matched once per kind."""
-        if guess not in self._known:
-            ends = zip(pairs.first.tolist(), pairs.second.tolist(), strict=True)
-            self._known[guess] = np.array([self._match(self._views[i], self._views[j], guess) for i, j in ends], bool)
-        return self._known[guess]
+    def accept(self, pairs: Pairs, guess: str, asked: Array) -> Array:
+        """(pairs,) bool: those asked for that are confirmed from a kind of guess; each is matched once per kind."""
+        known = self._known.setdefault(guess, {})
+        for k in np.flatnonzero(asked).tolist():
+            if k not in known:
+                known[k] = self._match(self._views[pairs.first[k]], self._views[pairs.second[k]], guess)
+        return np.array([bool(asked[k]) and known[k] for k in range(len(pairs))], bool)
 
     def _match(self, target: Keyframe, source: Keyframe, kind: str) -> bool:
         a, b = target.signs[0], source.signs[0]

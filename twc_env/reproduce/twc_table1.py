@@ -5,7 +5,8 @@ sightings of different robots, and the same pairs are right: one physical sign, 
 pairs of one sign from further apart count neither way). `recall_absolute` is of all right pairs; `recall_conditional`
 is of those the text threshold alone lets through, which is how the print's combined recall can exceed that of text.
 `precision_best_match` counts one match per sighting and other robot, `precision_places` is of WiFi alone at places
-along the way as the paper sampled it. `_verified` figures are of what scan matching then confirms: text, twc and fused
+along the way as the paper sampled it. `_verified` figures are of what scan matching then confirms among
+the pairs that a loose setting of the method lets through: text, twc and fused
 give it the pose that the shared sign implies, WiFi and laser none. With `--json` the precision-recall curves of all
 methods, before and after verification, are written beside it. Methods named like `twc numbered` walk past signs like
 those that the print implies (`twc_scenes`), with tau fitted on #01. `--alternatives` adds the rows of twc and WiFi for
