@@ -307,21 +307,35 @@ def _fill_small(
 
 @njit(cache=True, error_model="numpy")
 def _place(macs, rssi_dbm, scan, slot_macs, last_scan, levels):
-    """The strongest transmitters take, or keep, the slots; macs ascend. Those longest out of the strongest give way."""
-    slots = slot_macs.shape[0]
-    order = np.argsort(-rssi_dbm, kind="mergesort")[:slots]
-    is_new = np.ones(order.shape[0], np.bool_)
-    for k in range(order.shape[0]):
+    """The strongest transmitters take, or keep, the slots. Those longest out of the strongest give way."""
+    slots, heard = slot_macs.shape[0], rssi_dbm.shape[0]
+    strongest = np.empty(slots, np.int64)
+    count = 0
+    for k in range(heard):  # inserted in falling order; of equals, the first stays ahead
+        at = count
+        while at > 0 and rssi_dbm[strongest[at - 1]] < rssi_dbm[k]:
+            at -= 1
+        if at < slots:
+            count = min(count + 1, slots)
+            for i in range(count - 1, at, -1):
+                strongest[i] = strongest[i - 1]
+            strongest[at] = k
+    is_new = np.ones(slots, np.bool_)
+    for k in range(count):
         for slot in range(slots):
-            if slot_macs[slot] == macs[order[k]]:
+            if slot_macs[slot] == macs[strongest[k]]:
                 is_new[k] = False
                 last_scan[slot] = scan
-    for k in range(order.shape[0]):
+    for k in range(count):
         if is_new[k]:
-            oldest = np.argmin(last_scan)
-            slot_macs[oldest], last_scan[oldest] = macs[order[k]], scan
+            oldest = 0
+            for slot in range(1, slots):
+                if last_scan[slot] < last_scan[oldest]:
+                    oldest = slot
+            slot_macs[oldest], last_scan[oldest] = macs[strongest[k]], scan
     for slot in range(slots):
-        place = np.searchsorted(macs, slot_macs[slot])
         levels[slot] = 0.0
-        if place < macs.shape[0] and macs[place] == slot_macs[slot]:
-            levels[slot] = min(max((rssi_dbm[place] - RSSI_ZERO_DBM) / RSSI_SPAN_DB, 0.0), 1.0)
+        for k in range(heard):
+            if macs[k] == slot_macs[slot]:
+                levels[slot] = min(max((rssi_dbm[k] - RSSI_ZERO_DBM) / RSSI_SPAN_DB, 0.0), 1.0)
+                break

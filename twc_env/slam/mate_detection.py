@@ -49,7 +49,8 @@ def _mark(ranges, range_max, radius, directions, out, discs):
     beams = ranges.shape[0]
     step = 2 * math.pi / beams
     found = 0
-    out[:] = ranges
+    for i in range(beams):
+        out[i] = ranges[i]
     start = -1
     for i in range(beams):  # begin behind a jump, so that no disc is cut in two
         if abs(ranges[i] - ranges[i - 1]) > STEP_MAX_M:

@@ -110,7 +110,7 @@ def _is_straight(ends, first, last):
 @njit(cache=True, error_model="numpy")
 def _add_run(walls, inverse_m, ends, count, drawn, squares):
     """Draw one surface: end points that follow each other without a jump, cut into straight pieces."""
-    first = 0
+    first = 0 * count  # a plain 0 is a type of its own, for which the callees would be compiled again
     for i in range(1, count):
         if not _is_straight(ends, first, i):
             _add_piece(walls, inverse_m, ends, first, i - 1, drawn, squares)
@@ -126,19 +126,19 @@ def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, end
     beams = ranges.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] - origin[0], pose[1] - origin[1]
-    count = 0
+    count = np.int64(0)
     for k in range(-1, beams):
         i = k if k >= 0 else beams - 1
         r = ranges[i]
         if r >= range_max or r < 0.0:
             _add_run(walls, inverse_m, ends, count, drawn, squares)
-            count = 0
+            count = np.int64(0)
             continue
         dx, dy = directions[i, 0], directions[i, 1]
         qx, qy = x + r * (c * dx - s * dy), y + r * (s * dx + c * dy)
         if count and (qx - ends[count - 1, 0]) ** 2 + (qy - ends[count - 1, 1]) ** 2 >= JUMP_MAX_M**2:
             _add_run(walls, inverse_m, ends, count, drawn, squares)
-            count = 0
+            count = np.int64(0)
         ends[count, 0], ends[count, 1] = qx, qy
         count += 1
     _add_run(walls, inverse_m, ends, count, drawn, squares)
