@@ -176,9 +176,11 @@ def _count_free(log_odds, row0, column0, step, truth_free, free_below):
     """True free cells whose centre falls into a free cell of the map; steps in fixed point."""
     rows, columns = log_odds.shape
     width = truth_free.shape[1]
-    cells = log_odds.reshape(-1)
+    cells, levels = log_odds.reshape(-1), np.empty(width, log_odds.dtype)
+    bits, stride, below = np.uint64(FIXED_BITS), np.uint64(columns), levels.dtype.type(free_below)
     c, s = step[0], step[1]
     dk, dr = int(np.rint(c * FIXED_POINT)), int(np.rint(s * FIXED_POINT))
+    right, up = np.uint64(dk), np.uint64(dr)
     count = 0
     for i in range(truth_free.shape[0]):
         r = int(np.floor((row0 + c * i) * FIXED_POINT))
@@ -186,10 +188,18 @@ def _count_free(log_odds, row0, column0, step, truth_free, free_below):
         first_r, last_r = _inside(r, dr, rows << FIXED_BITS, width)
         first_k, last_k = _inside(k, dk, columns << FIXED_BITS, width)
         first, last = max(first_r, first_k), min(last_r, last_k)
-        free = truth_free[i]
-        for j in range(first, last):  # all of them lie in the map: no cell needs a check
-            cell = ((r + j * dr) >> FIXED_BITS) * columns + ((k + j * dk) >> FIXED_BITS)
-            count += free[j] & (cells[cell] < free_below)
+        if first >= last:
+            continue
+        row, column = np.uint64(r + first * dr), np.uint64(k + first * dk)
+        for j in range(last - first):  # all of them lie in the map: unsigned numbers index without a check
+            levels[j] = cells[(row >> bits) * stride + (column >> bits)]
+            row += up
+            column += right
+        free = truth_free[i, first:last]
+        met = np.int32(0)
+        for j in range(last - first):  # apart from the look-ups, because many cells are compared at once
+            met += np.int32(free[j] & (levels[j] < below))
+        count += met
     return count
 
 
