@@ -412,27 +412,24 @@ def _closures(engine: Engine, best: GroupVerdict, record: EpisodeRecord, alignme
         believed = transform_points(shown[1], shown[0].poses_of(robot)[:, :2])
         places.append((record.true_poses[mapper.keyframe_steps(robot), robot], believed))
 
-    def place(key: tuple[int, int]) -> tuple[Array, Array]:
-        robot, index = key
-        return places[robot][0][index], places[robot][1][index]
-
+    if not mapper.closures:
+        return []
+    ends = [(closure.candidate.target, closure.candidate.source) for closure in mapper.closures]
+    true = np.array([[places[robot][0][index] for robot, index in pair] for pair in ends])  # (closures, 2, 3)
+    measured = np.array([closure.pose_target_source for closure in mapper.closures])
+    is_correct = metrics.closures_are_correct(measured, between(true[:, 0], true[:, 1])).tolist()
     rows = []
-    for closure in mapper.closures:
-        (true_target, target_m), (true_source, source_m) = (
-            place(closure.candidate.target),
-            place(closure.candidate.source),
-        )
-        correct = metrics.closure_is_correct(closure.pose_target_source, between(true_target, true_source))
+    for closure, (target, source), correct in zip(mapper.closures, ends, is_correct, strict=True):
         rows.append(
             {
                 "kind": closure.candidate.recogniser,
                 "status": closure.status,
                 "reason": closure.reason,
                 "correct": correct,
-                "target": closure.candidate.target,
-                "source": closure.candidate.source,
-                "target_m": target_m,
-                "source_m": source_m,
+                "target": target,
+                "source": source,
+                "target_m": places[target[0]][1][target[1]],
+                "source_m": places[source[0]][1][source[1]],
             }
         )
     return rows

@@ -1,6 +1,6 @@
 """Numbers that say how good an episode was: plain arrays in, numbers out."""
 
-from twc_env.metrics.closures import ClosureScore, closure_is_correct, score_closures
+from twc_env.metrics.closures import ClosureScore, closure_is_correct, closures_are_correct, score_closures
 from twc_env.metrics.mapping import MapScore, correct_area_m2, score_map, wall_thickness_m
 from twc_env.metrics.merging import implied_frames, wrong_pairs
 from twc_env.metrics.trajectory import (
@@ -18,6 +18,7 @@ __all__ = [
     "absolute_trajectory_error_m",
     "align_team",
     "closure_is_correct",
+    "closures_are_correct",
     "correct_area_m2",
     "end_point_error_m",
     "implied_frames",

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from twc_env.geometry import between
 
@@ -32,8 +32,16 @@ def closure_is_correct(
     measured: ArrayLike, true: ArrayLike, distance_max_m: float = DISTANCE_MAX_M, angle_max_rad: float = ANGLE_MAX_RAD
 ) -> bool:
     """Whether a measured pose (3,) of one keyframe in another's frame is near the true one (ends included)."""
+    one = np.asarray(measured)[None], np.asarray(true)[None]
+    return bool(closures_are_correct(*one, distance_max_m, angle_max_rad)[0])
+
+
+def closures_are_correct(
+    measured: ArrayLike, true: ArrayLike, distance_max_m: float = DISTANCE_MAX_M, angle_max_rad: float = ANGLE_MAX_RAD
+) -> NDArray[np.bool_]:
+    """(n,) the same of many at once; poses (n, 3)."""
     error = between(true, measured)
-    return bool(np.hypot(error[0], error[1]) <= distance_max_m and abs(error[2]) <= angle_max_rad)
+    return (np.hypot(error[..., 0], error[..., 1]) <= distance_max_m) & (np.abs(error[..., 2]) <= angle_max_rad)
 
 
 def score_closures(is_correct: ArrayLike, is_accepted: ArrayLike) -> ClosureScore:

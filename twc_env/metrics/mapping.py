@@ -196,10 +196,8 @@ def _count_free(log_odds, row0, column0, step, truth_free, free_below):
             row += up
             column += right
         free = truth_free[i, first:last]
-        met = np.int32(0)
         for j in range(last - first):  # apart from the look-ups, because many cells are compared at once
-            met += np.int32(free[j] & (levels[j] < below))
-        count += met
+            count += free[j] & (levels[j] < below)
     return count
 
 
