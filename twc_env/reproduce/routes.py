@@ -173,14 +173,16 @@ class _Passes:
         return sorted(near, key=lambda s: (s.keyframe.index, s.sign))
 
 
-def steer(pose: Array, way_m: Array, at: int, config: EnvConfig) -> tuple[tuple[float, float] | None, int]:
+def steer(
+    pose: Array, way_m: Array, at: int, config: EnvConfig, ahead_m: float = AIM_AHEAD_M
+) -> tuple[tuple[float, float] | None, int]:
     """Speed and turn rate towards a point a little ahead on the way; None at its end. `at` is how far one has come."""
     reach = way_m[at : at + 12]
     at += int(np.argmin(((reach - pose[:2]) ** 2).sum(axis=1)))
     if at >= len(way_m) - 2:
         return None, at
     ahead = at
-    while ahead < len(way_m) - 1 and np.hypot(*(way_m[ahead] - way_m[at])) < AIM_AHEAD_M:
+    while ahead < len(way_m) - 1 and np.hypot(*(way_m[ahead] - way_m[at])) < ahead_m:
         ahead += 1
         if ahead - at > 8:
             break

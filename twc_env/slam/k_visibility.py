@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
+from scipy.sparse import coo_array
 
 from twc_env.slam.k_visibility_grid import WallGrid, cell_probabilities
 from twc_env.slam.k_visibility_signal import (
@@ -62,6 +63,10 @@ overrule it."""
 _CORRELATION_M = 0.3
 """Binned readings within this length count as one: the same shadowing."""
 _NOISE_MIN_DB = 1.2
+_BINS, _BIN_RANGE_M = 1000, (0.1, 0.3)
+"""A long path is cut into so many bins, of a length in this range: readings nearer than that tell the same."""
+_CROSSINGS_FULL, _SWEEPS_SHARE_MIN = 150_000, 0.2
+"""With more crossings of rays and pieces than this, sweeps are fewer in proportion, down to this share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +107,8 @@ def map_structure(
     Routers (routers, 2) that are not given are located first. `standoff_m` None: estimated from the walls found.
     A corner of some cell of the grid comes to lie at origin_m (2,).
     """
-    bins = bin_along_path(position_m, rssi_dbm)
+    travel_m = float(np.linalg.norm(np.diff(np.asarray(position_m, float), axis=0), axis=1).sum())
+    bins = bin_along_path(position_m, rssi_dbm, float(np.clip(travel_m / _BINS, *_BIN_RANGE_M)))
     count = bins.rssi_dbm.shape[1]
     if router_m is None:
         located = [locate_router(bins, r) for r in range(count)]
@@ -169,6 +175,7 @@ class _Solver:
         )
         self._shape = (places, routers)
         self._first, self._members = _crossings(candidates.ends_m, router_m[self._router_of], far, self._heard)
+        self._sweeps_share = float(np.clip(_CROSSINGS_FULL / max(len(self._members), 1), _SWEEPS_SHARE_MIN, 1.0))
         self.power_dbm = np.array([fit.power_at_1m_dbm for fit in fits])
         self.exponent = np.array([fit.exponent for fit in fits])
         losses = [fit.wall_loss_db for fit in fits if fit.wall_loss_db > 0]
@@ -200,17 +207,18 @@ class _Solver:
         for round_, temperature in enumerate(_COOLING):
             if round_ == len(_COOLING) - _OPEN_ROUNDS:
                 self._barred = self._barred - np.where(is_barred, _BARRED_ODDS, 0.0)
-            self._sample(temperature, _COOLING_SWEEPS, round_, None)
+            self._sample(temperature, round(self._sweeps_share * _COOLING_SWEEPS), round_, None)
             if round_ >= _FIXED_ROUNDS:
                 self._refit(with_stretches=round_ > _FIXED_ROUNDS + 1)
             self._learn_sides()
         on_count = np.zeros(len(self._is_wall))
         self.energy = 0.0
+        sweeps = round(self._sweeps_share * _SWEEPS)
         for round_ in range(_ROUNDS):
-            self._sample(1.0, _SWEEPS, 100 + round_, on_count)
+            self._sample(1.0, sweeps, 100 + round_, on_count)
             self.energy += self._energy()
             self._refit(with_stretches=True)
-        self.probability = on_count / (_ROUNDS * _SWEEPS)
+        self.probability = on_count / (_ROUNDS * sweeps)
 
     def standoff_m(self) -> float | None:
         """Median distance from the path of the walls found between two tracks; None when there are few."""
@@ -295,12 +303,12 @@ class _Solver:
         on = np.repeat(self._is_wall, np.diff(self._first))
         piece = np.repeat(self.candidates.stretch, np.diff(self._first))[on]
         width = self._stretches if with_stretches else 1
-        design = np.zeros((len(self._level), 2 * routers + width))
         rays = np.arange(len(self._level))
-        design[rays, self._router_of] = 1.0
-        design[rays, routers + self._router_of] = -self._decades
         column = 2 * routers + piece * int(with_stretches)
-        np.add.at(design, (self._members[on], column), -1.0)
+        values = np.concatenate([np.ones(len(rays)), -self._decades, np.full(len(column), -1.0)])
+        at_row = np.concatenate([rays, rays, self._members[on]])
+        at_column = np.concatenate([self._router_of, routers + self._router_of, column])
+        design = coo_array((values, (at_row, at_column)), shape=(len(rays), 2 * routers + width)).tocsr()
         loss = self._stretch_loss[self.candidates.stretch]
         error = self._errors(loss)
         robust = 5.0 / (4.0 + error**2 / (self.variance_db2 * self._noise_share))
@@ -310,7 +318,7 @@ class _Solver:
         precision = np.concatenate(
             [np.full(routers, 1e-6), np.full(routers, 1 / 0.4**2), np.full(width, 1 / spread**2)]
         )
-        normal = design.T @ (weight[:, None] * design) + np.diag(precision)
+        normal = (design.T @ (design * weight[:, None])).toarray() + np.diag(precision)
         solution = np.linalg.solve(normal, design.T @ (weight * self._level) + precision * mean)
         self.power_dbm, self.exponent = solution[:routers], np.maximum(solution[routers : 2 * routers], 0.0)
         losses = np.maximum(solution[2 * routers :], _LOSS_MIN_SHARE * self.mean_loss_db)
