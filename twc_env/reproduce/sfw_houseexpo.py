@@ -119,10 +119,9 @@ def remarks(table: list[dict]) -> list[str]:
     far = [row for row in own if row["coverage"] < 0.8]
     bad = [row for row in own if row["iou_free"] < 0.97]
     return [
-        f"{len(own)} plans; coverage below 0.8 in {len(far)} ({_names(far)}): floor behind more walls than the router is "
-        "heard through, or that no wall found closes in",
-        f"free IoU below 0.97 in {len(bad)} ({_names(bad)}): walls placed wrongly or floor beyond the outline taken for "
-        "free",
+        f"{len(own)} plans; coverage below 0.8 in {len(far)} ({_names(far)}): floor behind more walls than the "
+        "router is heard through, or where the walker does not keep its distance",
+        f"free IoU below 0.97 in {len(bad)} ({_names(bad)}): walls that no two readings tell apart, or not found",
     ]
 
 
