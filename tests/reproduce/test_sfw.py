@@ -6,7 +6,9 @@ import pytest
 from twc_env.maps import load_map
 from twc_env.reproduce import sfw_table1
 from twc_env.reproduce.runner import Runner
+from twc_env.reproduce.sfw_flats import flat
 from twc_env.reproduce.sfw_registration import register
+from twc_env.reproduce.sfw_slam import slam_walk
 from twc_env.reproduce.sfw_walks import STANDOFF_M, length_m, wall_following_route
 
 
@@ -25,7 +27,8 @@ def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(
     monkeypatch.setitem(sfw_table1.POINTS, 1, 600)
     options = argparse.Namespace(seeds="1", experiments="1", routers="known", out=tmp_path)
     rows = sfw_table1.rows(options, Runner("sfw-table1", tmp_path, {}))
-    assert [row["method"] for row in rows] == ["paper", "ours"]
+    assert [row["method"] for row in rows] == ["paper", "ours", "ours, SLAM"]
+    assert rows[2]["iou_free"] > 0.9
     assert list(rows[0]) == [
         "experiment", "routers", "points", "method", "k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier",
         "paper_k_accuracy", "paper_iou", "seeds", "sd",
@@ -33,6 +36,7 @@ def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(
     assert rows[1]["k_accuracy"] > 0.95 > rows[0]["k_accuracy"]
     assert rows[1]["iou_free"] > 0.97
     assert rows[1]["coverage"] > 0.8
+    assert sfw_table1.update_time_ms() < 0.1
 
 
 def test_a_picture_is_laid_back_on_a_path_drawn_to_another_scale():
@@ -45,3 +49,19 @@ def test_a_picture_is_laid_back_on_a_path_drawn_to_another_scale():
     fit = register((path - [20.0, 10.0]) / 0.8, free)
     assert fit.scale == pytest.approx(0.8, abs=0.03)
     assert np.linalg.norm(fit.apply((path - [20.0, 10.0]) / 0.8) - path, axis=1).mean() < 6.0
+
+
+def test_flats_are_drawn_by_seed_and_all_their_rooms_can_be_walked():
+    for seed in range(4):
+        plan = flat(seed, routers=2)
+        assert np.array_equal(plan.walls_m, flat(seed, routers=2).walls_m)
+        walls = np.linalg.norm(plan.walls_m[:, 0] - plan.walls_m[:, 1], axis=1).sum()
+        assert length_m(wall_following_route(plan)) > 0.75 * walls
+
+
+def test_the_engine_drives_the_route_and_believes_it_was_there():
+    plan = load_map("sfw-e1")
+    way = wall_following_route(plan)
+    true, believed = slam_walk(plan, way, 200, seed=0)
+    assert np.linalg.norm(true[:, None] - way, axis=2).min(axis=1).max() < 0.1
+    assert 0.001 < np.linalg.norm(true - believed, axis=1).mean() < 0.1

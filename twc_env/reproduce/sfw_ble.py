@@ -26,7 +26,8 @@ Array = NDArray
 SUMMARY = "walls crossed in a real flat with six BLE transmitters"
 _WALL_FACES = 2
 _WINDOW = 7
-_RUNS = ("calibration",)
+_RUNS = ("calibration", "calib3", "calib4")
+"""The first is reported; priors of the signal model were chosen on the two others."""
 _TRUE_SIGNAL = (-50.7, 0.77, 6.0)
 """Power [dBm], exponent and wall loss [dB] fitted with the walls known (`reproduce radio-model`)."""
 
@@ -37,19 +38,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
-    """One row per k_max and method, over all drives and transmitters."""
+    """One row per drive, k_max and method, over all transmitters."""
     folder = data_folder() / "wifi" / "ble_lidar"
     runs = runner.each(_RUNS, lambda run: measure(run, folder, options.out))
     table = []
-    for k_max in (1, 2, 3):
-        true = np.minimum(np.concatenate([run["true"] for run in runs]), k_max)
-        majority = float(np.bincount(true).max() / len(true))
-        for method in ("k-means", "ours", "known signal"):
-            guess = np.concatenate([run[f"{method} {k_max}"] for run in runs])
-            table.append(
-                {"k_max": k_max, "method": method, "k_accuracy": float(np.mean(guess == true)), "majority": majority}
-            )
+    for name, run in zip(_RUNS, runs, strict=True):
+        for k_max in (1, 2, 3):
+            true = np.minimum(run["true"], k_max)
+            majority = float(np.bincount(true).max() / len(true))
+            for method in ("k-means", "ours", "known signal"):
+                accuracy = float(np.mean(np.array(run[f"{method} {k_max}"]) == true))
+                table.append(
+                    {"run": name, "k_max": k_max, "method": method, "k_accuracy": accuracy, "majority": majority}
+                )
     return table
+
+
+def remarks(table: list[dict]) -> list[str]:
+    """Why so few are right, in words."""
+    return [
+        "the first wall takes 10 dB on average and the second 4 dB more, a reading strays by 6 dB: even with the true "
+        "power, exponent and loss known, two walls are hardly told from one"
+    ]
 
 
 def measure(run: str, folder: Path, out: Path | None) -> dict:

@@ -31,7 +31,9 @@ _WALL_LOSS_MIN_DB = 7.0
 """Walls that take less cannot be told from shadowing: several of them are counted as one."""
 _WALL_LOSS_STARTS_DB = (5.0, 8.0, 12.0, 18.0)
 _STAY_M = 1.5
-"""Mean path length over which k stays what it is."""
+"""Mean path length over which k stays what it is, for a walker along walls."""
+_ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M = (0.8, 0.3), 5.0
+"""Of transmitters of one make in a furnished flat, where echoes fill the rooms and a robot crosses them freely."""
 _JUMP_DECAY = 0.15
 """How much rarer each further wall in one jump of k is."""
 _CORRELATION_M = 0.3
@@ -93,7 +95,8 @@ def smooth_along_path(log_evidence: Array, travel_m: Array) -> Array:
     """(bins, k + 1) probability of each number of walls, from each bin's own log evidence and how rarely k changes."""
     probability = np.empty(log_evidence.shape)
     steps = np.diff(travel_m, prepend=travel_m[0])
-    _forward_backward(np.ascontiguousarray(log_evidence, float), steps, np.empty(log_evidence.shape), probability)
+    evidence = np.ascontiguousarray(log_evidence, float)
+    _forward_backward(evidence, steps, _STAY_M, np.empty(log_evidence.shape), probability)
     return probability
 
 
@@ -225,12 +228,14 @@ def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
     decades, level, steps = (np.concatenate([part[i] for part in parts]) for i in (1, 2, 3))
     best: tuple[float, Array, Array] | None = None
     for start in _WALL_LOSS_STARTS_DB:
-        power = float(np.quantile(level + _EXPONENT_PRIOR[0] * decades, 0.9))
-        parameters, probability = np.array([power, _EXPONENT_PRIOR[0], start, 4.0]), np.empty((len(level), k_max + 1))
+        exponent = _ALIKE_EXPONENT_PRIOR[0]
+        power = float(np.quantile(level + exponent * decades, 0.9))
+        parameters, probability = np.array([power, exponent, start, 4.0]), np.empty((len(level), k_max + 1))
         temper = min(1.0, max(bins.step_m, 1e-3) / _CORRELATION_M)
         score = _expectation_maximisation(
-            decades, level, steps, np.ones(len(level)), temper, 40, True, parameters, probability
-        )
+            decades, level, steps, np.ones(len(level)), temper, 40, True, _ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M,
+            parameters, probability,
+        )  # fmt: skip
         score -= 0.5 * ((parameters[2] - _WALL_LOSS_PRIOR_DB[0]) / _WALL_LOSS_PRIOR_DB[1]) ** 2
         if best is None or score > best[0]:
             best = score, parameters, probability
@@ -290,7 +295,8 @@ def _fit(
     parameters = np.array([power, _EXPONENT_PRIOR[0], start_db if k_max else 0.0, 4.0])
     probability = np.empty((len(rows), states))
     log_likelihood = _expectation_maximisation(
-        decades, level, steps, np.ones(len(rows)), temper, iterations, k_max > 0, parameters, probability,
+        decades, level, steps, np.ones(len(rows)), temper, iterations, k_max > 0, _EXPONENT_PRIOR, _STAY_M,
+        parameters, probability,
     )  # fmt: skip
     everywhere = probability[np.clip(np.searchsorted(rows, np.arange(len(bins.position_m))), 0, len(rows) - 1)]
     prior = -0.5 * ((parameters[1] - _EXPONENT_PRIOR[0]) / _EXPONENT_PRIOR[1]) ** 2
@@ -300,7 +306,9 @@ def _fit(
 
 
 @njit(cache=True, error_model="numpy")
-def _expectation_maximisation(decades, level, steps, weight, temper, iterations, has_walls, parameters, probability):
+def _expectation_maximisation(
+    decades, level, steps, weight, temper, iterations, has_walls, exponent_prior, stay, parameters, probability
+):
     """Baum-Welch with a regression as its M step; parameters (4,) power, exponent, wall loss, noise, in and out."""
     count, states = probability.shape
     log_emit = np.empty((count, states))
@@ -312,7 +320,7 @@ def _expectation_maximisation(decades, level, steps, weight, temper, iterations,
             for k in range(states):
                 e = (level[i] - power + exponent * decades[i] + loss * k) / noise
                 log_emit[i, k] = temper * (-2.5 * np.log(1.0 + e * e / 4.0) - np.log(noise))
-        total = _forward_backward(log_emit, steps, forward, probability)
+        total = _forward_backward(log_emit, steps, stay, forward, probability)
         # Normal equations of (power, exponent, loss) with Gaussian priors, in units of the noise.
         a = np.zeros((3, 3))
         b = np.zeros(3)
@@ -332,8 +340,8 @@ def _expectation_maximisation(decades, level, steps, weight, temper, iterations,
                 b[2] += w * x2 * level[i]
         a[1, 0], a[2, 0], a[2, 1] = a[0, 1], a[0, 2], a[1, 2]
         a[0, 0] += 1e-6
-        a[1, 1] += 1.0 / _EXPONENT_PRIOR[1] ** 2
-        b[1] += _EXPONENT_PRIOR[0] / _EXPONENT_PRIOR[1] ** 2
+        a[1, 1] += 1.0 / exponent_prior[1] ** 2
+        b[1] += exponent_prior[0] / exponent_prior[1] ** 2
         a[2, 2] += 1.0 / _WALL_LOSS_PRIOR_DB[1] ** 2
         b[2] += _WALL_LOSS_PRIOR_DB[0] / _WALL_LOSS_PRIOR_DB[1] ** 2
         solution = np.linalg.solve(a, b)
@@ -351,7 +359,7 @@ def _expectation_maximisation(decades, level, steps, weight, temper, iterations,
 
 
 @njit(cache=True, error_model="numpy")
-def _forward_backward(log_emit, steps, forward, probability):
+def _forward_backward(log_emit, steps, stay, forward, probability):
     """Posterior of each state (count, states); gives the log-likelihood. The first bin prefers no state."""
     count, states = log_emit.shape
     transition = np.empty((states, states))
@@ -361,7 +369,7 @@ def _forward_backward(log_emit, steps, forward, probability):
     for i in range(count):
         top = log_emit[i].max()
         scale = 0.0
-        _transitions(steps[i], transition)
+        _transitions(steps[i], stay, transition)
         for k in range(states):
             if i == 0:
                 came = 1.0 / states
@@ -384,7 +392,7 @@ def _forward_backward(log_emit, steps, forward, probability):
         if i == 0:
             break
         top = log_emit[i].max()
-        _transitions(steps[i], transition)
+        _transitions(steps[i], stay, transition)
         for k in range(states):
             emit[k] = np.exp(log_emit[i, k] - top) * backward[k]
         norm = 0.0
@@ -400,10 +408,10 @@ def _forward_backward(log_emit, steps, forward, probability):
 
 
 @njit(cache=True, error_model="numpy")
-def _transitions(step, transition):
+def _transitions(step, stay, transition):
     """How k changes over one step of the path: rarely, and by one wall more often than by two."""
     states = transition.shape[0]
-    leave = 1.0 - np.exp(-max(step, 1e-6) / _STAY_M)
+    leave = 1.0 - np.exp(-max(step, 1e-6) / stay)
     for j in range(states):
         total = 0.0
         for k in range(states):
