@@ -40,7 +40,7 @@ MAPS = ("twin-01", "twin-02", *(f"test/{k:04d}" for k in range(12)))
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument("--signs", type=int, default=400, help="read per distance (default: %(default)s)")
+    parser.add_argument("--signs", type=int, default=1000, help="read per distance (default: %(default)s)")
     parser.add_argument("--hidden", type=float, default=0.0, help="share of each text behind something (default: 0)")
     parser.add_argument("--seed", type=int, default=0, help="of signs and views (default: %(default)s)")
 

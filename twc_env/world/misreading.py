@@ -37,7 +37,9 @@ class TableReader:
 
     def __init__(self, table: OcrTable):
         t = table
-        self._grid = (t.height_px, t.incidence_rad, t.blur_widths, t.miss, t.fragment, t.space_loss, t.level_cdf)
+        # The angle tells by how much it narrows the letters: between two angles, the share lost counts.
+        narrowed = 1.0 - np.cos(t.incidence_rad)
+        self._grid = (t.height_px, narrowed, t.blur_widths, t.miss, t.fragment, t.space_loss, t.level_cdf)
         self._lines = (
             t.level_rate, t.edit_cdf, t.kept, t.kept_begin, t.miss_length_exponent, t.space_proneness,
             float(MISS_LENGTH), float(GARBLED_RATE),
@@ -53,9 +55,9 @@ class TableReader:
 
         `draws` (3 + 2 n) are standard normal: whoever repeats some of them repeats the same mistakes.
         """
-        out = np.empty(2 * len(codes) + 1, np.uint32)
+        out, width = np.empty(2 * len(codes) + 1, np.uint32), math.cos(incidence_rad)
         count = _misread(
-            codes, is_hidden, height_px, abs(incidence_rad), blur_px / (height_px * math.cos(incidence_rad)), draws,
+            codes, is_hidden, height_px, 1.0 - width, blur_px / (height_px * width), draws,
             self._grid, self._lines, self._letters, out,
         )  # fmt: skip
         return out[:count].tobytes().decode("utf-32-le").strip()
@@ -86,14 +88,14 @@ def _pick(cdf, u):
 
 
 @njit(cache=True, error_model="numpy")
-def _misread(codes, is_hidden, height, incidence, blur, draws, grid, lines, letters, out):
+def _misread(codes, is_hidden, height, narrowed, blur, draws, grid, lines, letters, out):
     heights, angles, blurs, miss_grid, fragment_grid, space_grid, level_grid = grid
     level_rate, edit_cdf, kept_quantiles, kept_begin, length_exponent, space_proneness, miss_length, garbled_rate = (
         lines
     )
     characters, proneness, confusion_code, confusion_cdf, added_code, added_cdf = letters
     i, wi = _place(heights, height)
-    j, wj = _place(angles, incidence)
+    j, wj = _place(angles, narrowed)
     k, wk = _place(blurs, blur)
     levels = level_rate.shape[0]
     miss = fragment = space_loss = 0.0
