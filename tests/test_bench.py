@@ -15,6 +15,7 @@ NUMBERS = {
     "slam_step_p99_ms",
 }  # fmt: skip
 PROBED = {"first_step_warm_s", "first_step_cold_s", "memory_per_env_mb", "workers2_speedup"}
+ROW = {"what": "walls", "value": 206, "walls": 206, "access_points": 20, "us_per_env_step": 61.5}
 OF_PEERS = {"irsim_env_steps_per_s", "mpe2_env_steps_per_s", "world_over_irsim", "slam_over_mpe2"}
 
 
@@ -23,7 +24,7 @@ def test_the_comparison_has_its_keys_whether_peers_are_installed_or_not(monkeypa
     monkeypatch.setattr(bench_peers, "SLAM_MAP", "twin-01")
     monkeypatch.setattr(bench_peers, "Settings", lambda: TINY)
     monkeypatch.setattr(bench_probes, "probe", lambda *_: dict.fromkeys(PROBED, 1.0))
-    monkeypatch.setattr(bench_scaling, "bench_scaling", lambda **_: [{"what": "walls"}])
+    monkeypatch.setattr(bench_scaling, "bench_scaling", lambda **_: [ROW])
     monkeypatch.setattr(bench_scaling, "bench_large_reset", lambda: {"large_reset_s": 0.1})
     path = tmp_path / "bench.json"
     assert main(["bench", "--peers", "--json", str(path)]) == 0
@@ -33,6 +34,7 @@ def test_the_comparison_has_its_keys_whether_peers_are_installed_or_not(monkeypa
     assert all(figures[key] is None for key in OF_PEERS)
     assert figures["world_access_points"] == 20 and figures["world_walls"] >= 200
     captured = capsys.readouterr()
+    assert "walls       206    206            20            61.5" in captured.out
     assert "irsim is missing" in captured.err and "1/2 world" in captured.err
 
 

@@ -145,6 +145,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _bench(options: argparse.Namespace) -> None:
     from twc_env.bench import bench
+    from twc_env.bench_scaling import scaling_table
     from twc_env.config import EnvConfig, override
 
     settings = {"map": options.map, "robots": options.robots, "lidar.beam_count": options.beams}
@@ -157,7 +158,9 @@ def _bench(options: argparse.Namespace) -> None:
     else:
         figures = bench(config, options.episodes, report=_report)
     for key, value in figures.items():
-        if key != "scaling":
+        if key == "scaling":
+            print(scaling_table(value))
+        else:
             print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
     _write_json(options.json, figures)
 
