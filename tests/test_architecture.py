@@ -18,6 +18,7 @@ ALLOWED = {
     "twc_env.errors": set(),
     "twc_env._version": set(),
     "twc_env.random_streams": set(),
+    "twc_env.threads": set(),
     "twc_env.geometry": {"twc_env.errors"},
     "twc_env.messages": {"twc_env.errors", "twc_env.geometry"},
     "twc_env.config": {"twc_env.errors"},

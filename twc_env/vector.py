@@ -27,6 +27,7 @@ from twc_env import errors
 from twc_env.config import EnvConfig, to_dict
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.threads import single_threaded
 from twc_env.world.generate import SPLITS, split_names
 
 Array = NDArray
@@ -241,7 +242,8 @@ class _Worker:
     def __init__(self, context, part: list[int], boards: _Boards, task: tuple):
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_work, args=(theirs, part, boards, *task), daemon=True)
-        self._process.start()
+        with single_threaded():
+            self._process.start()
         theirs.close()
 
     def send(self, what: str, seed: int) -> None:

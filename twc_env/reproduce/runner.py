@@ -20,6 +20,7 @@ import numpy as np
 
 from twc_env._version import __version__
 from twc_env.errors import ConfigError, DataError
+from twc_env.threads import single_threaded
 
 TABLES: dict[str, str] = {
     "matching": "matching",
@@ -45,7 +46,6 @@ TABLES: dict[str, str] = {
     "real-radio": "real_radio",
 }
 """Name on the command line -> module of this package."""
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Runner:
@@ -77,20 +77,11 @@ class Runner:
 
     def _each_aside(self, parts: Sequence, work: Callable[..., object], label: Callable[..., str], count: int) -> list:
         """`each` in several processes; they start afresh, so that none inherits a lock or a pool of threads."""
-        held = {name: os.environ.get(name) for name in THREADS}
-        os.environ.update(dict.fromkeys(THREADS, "1"))
-        try:
-            with ProcessPoolExecutor(count, get_context("spawn")) as pool:
-                waiting = [pool.submit(self._once, label(part), work, part) for part in parts]
-                for done, _ in enumerate(as_completed(waiting)):
-                    self._say(f"{done}/{len(parts)}")
-                results = [future.result() for future in waiting]
-        finally:
-            for name, value in held.items():
-                if value is None:
-                    del os.environ[name]
-                else:
-                    os.environ[name] = value
+        with single_threaded(), ProcessPoolExecutor(count, get_context("spawn")) as pool:
+            waiting = [pool.submit(self._once, label(part), work, part) for part in parts]
+            for done, _ in enumerate(as_completed(waiting)):
+                self._say(f"{done}/{len(parts)}")
+            results = [future.result() for future in waiting]
         self._say(f"{len(parts)}/{len(parts)}", end="\n")
         return results
 
