@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from twc_env.geometry import transform_points
 
@@ -109,6 +108,8 @@ def wall_thickness_m(
     divided by the length of all stretches of wall that own one. walls_m (k, 2, 2) are segments in the building frame;
     the other arguments as in `score_map`. A sharp map of thin walls gives one to two cells. NaN where no wall is shown.
     """
+    from scipy.spatial import cKDTree  # slow to import, and needed by this figure alone
+
     samples, stretches, spacings_m = _sampled_walls(np.asarray(walls_m, float))
     rows, columns = np.nonzero(log_odds > wall_above)
     if not len(rows) or not len(samples):

@@ -8,12 +8,15 @@ different places pulls towards the guess, and what is paired along a corridor lo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from twc_env.geometry import align_rigidly, between, transform_points
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Array = NDArray
 
@@ -48,6 +51,8 @@ def match_points(target: Array, source: Array, guess: Array) -> PointMatch:
     pose, gate_m = np.array(guess, float), GATE_FIRST_M
     if len(target) == 0 or len(source) == 0:
         return PointMatch(pose, np.nan, 0.0, np.zeros((3, 3)))
+    from scipy.spatial import cKDTree  # slow to import, and not used by the default method
+
     tree = cKDTree(target)
     for _ in range(ITERATIONS_MAX):
         away_m, nearest = tree.query(transform_points(pose, source), distance_upper_bound=gate_m)

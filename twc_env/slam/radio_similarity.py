@@ -7,13 +7,16 @@ comparison touches only what two places have in common.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from twc_env.messages import Fingerprint
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Array = NDArray
 
@@ -51,6 +54,8 @@ def split_cues(fingerprint: Fingerprint) -> dict[str, Fingerprint]:
 
 def feature_rows(fingerprints: Sequence[Fingerprint], mode: str = "shifted") -> csr_array:
     """(fingerprints, transmitters) features, one row each; the columns are all transmitters heard, ascending."""
+    from scipy.sparse import csr_array  # slow to import, and used by studies of radio alone
+
     macs = [f.macs for f in fingerprints]
     heard = np.concatenate(macs) if macs else np.zeros(0, np.int64)
     known, columns = np.unique(heard, return_inverse=True)
@@ -75,7 +80,7 @@ def cosine(a: Fingerprint, b: Fingerprint, mode: str = "shifted") -> float:
 
 def _normalised(rows: csr_array) -> csr_array:
     lengths = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
-    unit = csr_array(rows, dtype=np.float32)
+    unit = rows.astype(np.float32)
     unit.data = (rows.data / np.repeat(np.maximum(lengths, _SHORTEST), np.diff(rows.indptr))).astype(np.float32)
     return unit
 

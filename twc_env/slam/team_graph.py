@@ -54,10 +54,13 @@ def _places_of_signs(poses, readings, local, robots, text_count, same_m, texts, 
         first = end
         sign = latest[order[t]]
         while sign >= 0:  # from the latest to the first, then turned round
-            texts[end], places[end] = order[t], found[sign]
+            texts[end], places[end, 0], places[end, 1] = order[t], found[sign, 0], found[sign, 1]
             end += 1
             sign = earlier[sign]
-        places[first:end] = places[first:end][::-1].copy()
+        for k in range((end - first) // 2):
+            i, j = first + k, end - 1 - k
+            for axis in range(2):
+                places[i, axis], places[j, axis] = places[j, axis], places[i, axis]
     return count
 
 

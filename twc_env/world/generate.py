@@ -16,7 +16,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from twc_env.errors import MapError
 from twc_env.random_streams import random_stream
@@ -262,6 +261,8 @@ def split_layouts(split: str) -> list[str]:
 
 def check_reachable(plan: Floorplan, radius_m: float = ROBOT_RADIUS_M) -> Floorplan:
     """Return the plan if a disc of this radius can drive from any room to any other; otherwise raise MapError."""
+    from scipy import ndimage  # slow to import, and needed for generated buildings alone
+
     cells = plan.cells()
     gap_m = ndimage.distance_transform_edt(~cells.wall) * cells.resolution_m
     labels, _ = ndimage.label(cells.free & (gap_m > radius_m + cells.resolution_m / 2))
