@@ -164,7 +164,7 @@ class RadioTrail:
             window_m = rule.window_wifi_m if heard.cue == "wifi" else rule.window_lte_m
             reckoned = reckoned_poses(self._steps[1:, :3])
             heard.model = train_on_path(
-                similarity, travel, reckoned[:, :2], rule.similarity_min, window_m, rule.bin_width
+                similarity, travel, reckoned[:, :2], rule.similarity_min, window_m, rule.bin_width, warns=False
             )
         if not len(heard.model.centre):
             return NO_DISTANCES

@@ -82,10 +82,11 @@ def train_on_path(
     window_m: float | None = None,
     bin_width: float = 0.05,
     formula: str = "repaired",
+    warns: bool = True,
 ) -> SimilarityModel:
     """A model from one path: similarity (n, n), path length (n,) and dead-reckoned positions (n, 2) of its places.
 
-    Without a window the narrowest that is wide enough is taken, or the widest, with a warning.
+    Without a window the narrowest that is wide enough is taken, or the widest; `warns` of one that is too narrow.
     """
     windows = WINDOWS_M if window_m is None else (window_m,)
     model = None
@@ -96,10 +97,11 @@ def train_on_path(
         if len(model.centre) and not model.is_truncated(similarity_min):
             return model
     assert model is not None
-    _log.warning(
-        "the similarity model is cut off: at similarity %.2f it tells more than a third of its %.0f m window",
-        similarity_min, model.window_m,
-    )  # fmt: skip
+    if warns:
+        _log.warning(
+            "the similarity model is cut off: at similarity %.2f it tells more than a third of its %.0f m window",
+            similarity_min, model.window_m,
+        )  # fmt: skip
     return model
 
 
