@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 Array = NDArray
 
@@ -46,6 +45,8 @@ class BlockCholesky:
         if not _factorise(*order, self._block, self._target_start, self._target, diagonal, filled, lower, solution):
             return None
         if len(self._rest):
+            from scipy.linalg.lapack import dpotrf, dpotrs  # a tenth of a start's time, and not needed in it
+
             dense, part = _dense_rest(self._rest, self._rest_pairs, diagonal, filled, solution)
             factor, failed = dpotrf(dense, lower=1, overwrite_a=1)
             if failed:

@@ -7,7 +7,6 @@ import math
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotri
 
 from twc_env.geometry import compose, inverse
 from twc_env.slam import pose_graph
@@ -159,6 +158,8 @@ class MapPrediction:
 
 def _inverse(matrix: Array) -> Array:
     """Of a positive definite matrix."""
+    from scipy.linalg.lapack import dpotrf, dpotri  # a tenth of a start's time, and not needed in it
+
     factor, _ = dpotrf(matrix.T, lower=0, overwrite_a=1)
     lower = dpotri(factor, lower=0, overwrite_c=1)[0].T
     _mirror(lower)
