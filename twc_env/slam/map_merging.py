@@ -126,10 +126,10 @@ def _count_standing(walls, walls_origin, walls_cell, free, free_origin, free_cel
 
 def fingerprint_matrix(fingerprints: Sequence[Fingerprint]) -> Array:
     """(places, transmitters) strength [dBm], NaN where not heard."""
-    macs = np.unique(np.concatenate([f.macs for f in fingerprints]))
+    macs, columns = np.unique(np.concatenate([f.macs for f in fingerprints]), return_inverse=True)
+    rows = np.repeat(np.arange(len(fingerprints)), [len(f.macs) for f in fingerprints])
     levels = np.full((len(fingerprints), len(macs)), np.nan)
-    for row, f in enumerate(fingerprints):
-        levels[row, np.searchsorted(macs, f.macs)] = f.rssi_dbm
+    levels[rows, columns] = np.concatenate([f.rssi_dbm for f in fingerprints])
     return levels
 
 
