@@ -33,7 +33,7 @@ ITERATIONS = 8
 RECENT_M = 60.0
 """Places of the latest stretch this long are never forgotten."""
 HELD_STD = (1.0, 1.0, 0.2)
-"""How firmly places stay where they are when others are forgotten [m, m, rad]."""
+"""How firmly places stay where they were when the first was forgotten [m, m, rad]."""
 NOISE = 2.0
 """Odometry is taken to be this many times as noisy as configured: its constant errors are not known yet."""
 
@@ -73,6 +73,8 @@ class RadioTrail:
         self._config, size = config, config.trail_places_max + 1
         self._poses, self._steps = np.zeros((0, 3)), np.zeros((0, 6))
         """Of each place; and from the one before it: motion (3), turn with and without its sign, path length."""
+        self._held_at = np.zeros((0, 3))
+        """(places, 3) where each stood when the first place was forgotten; NaN for those that came later."""
         self._rows, self._free = np.zeros(0, np.int64), list(range(size))[::-1]
         self._heard = [_Heard(cue, size, config.similarity) for cue in BANDWIDTHS_M]
         self._step: Array = np.zeros(6)
@@ -120,8 +122,10 @@ class RadioTrail:
         self._steps = np.concatenate([self._steps, self._step[None]])
         self._rows = np.append(self._rows, row)
         self._step = np.zeros(6)
+        self._held_at = np.concatenate([self._held_at, np.full((1, 3), np.nan)])
         if len(self) > self._config.trail_places_max:
-            self._is_full = True
+            if not self._is_full:
+                self._is_full, self._held_at = True, self._poses.copy()
             self._forget()
 
     def _forget(self) -> None:
@@ -137,6 +141,7 @@ class RadioTrail:
         self._free.append(int(self._rows[k]))
         kept = np.arange(len(self)) != k
         self._poses, self._steps, self._rows = self._poses[kept], self._steps[kept], self._rows[kept]
+        self._held_at = self._held_at[kept]
 
     def _optimise(self) -> None:
         travel, poses = np.cumsum(self._steps[:, 5]), self._poses
@@ -184,11 +189,11 @@ class RadioTrail:
         return ties.pairs, *ties.relative(poses)
 
     def _held(self) -> tuple[Array, Array, Array]:
-        """Once places are forgotten: all that they said keeps the others about where they are, seen from the first."""
-        count = len(self) - 1 if self._is_full else 0
-        pairs = np.column_stack([np.zeros(count, np.int64), np.arange(1, count + 1)])
-        information = np.tile(np.diag(1.0 / np.array(HELD_STD) ** 2), (count, 1, 1))
-        return pairs, between(self._poses[:1], self._poses[1 : count + 1]), information
+        """What is known of places from the time when the first of them was forgotten, seen from the first."""
+        held = np.flatnonzero(np.isfinite(self._held_at[1:, 0])) + 1
+        pairs = np.column_stack([np.zeros_like(held), held])
+        information = np.tile(np.diag(1.0 / np.array(HELD_STD) ** 2), (len(held), 1, 1))
+        return pairs, between(self._held_at[:1], self._held_at[held]), information
 
     def _fit(self, poses: Array, ties: list, closures: Distances) -> Array:
         count, config = len(poses), self._config
