@@ -19,6 +19,12 @@ def test_importing_twc_env_loads_nothing_heavy():
     assert loaded.strip() == "[]"
 
 
+def test_an_environment_needs_no_slow_part_of_scipy_to_start():
+    parts = tuple(f"scipy.{name}" for name in ("linalg", "ndimage", "sparse", "spatial", "special", "stats"))
+    code = f"import sys, twc_env.exploration.environment; print([name for name in {parts!r} if name in sys.modules])"
+    assert run(code).strip() == "[]"
+
+
 def test_a_warm_import_of_twc_env_takes_less_than_its_limit():
     best_s = min(float(run(TIMED)) for _ in range(5))
     print(f"import twc_env: {best_s:.2f} s of CPU time warm, best of 5")
