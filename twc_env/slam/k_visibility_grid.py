@@ -19,6 +19,8 @@ _MARGIN_M = 1.0
 _FREE_BELOW = 0.25
 _WALL_ABOVE = 0.4
 _RAYS_MIN = 2
+_GAP_MAX_M = 0.5
+"""Between neighbouring readings nearer than this, rays to every part of the path are as good as heard."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +59,7 @@ def cell_probabilities(
     likely = np.zeros((rows, columns))
     scaled = (position_m - low) / resolution_m
     for r, router in enumerate((router_m - low) / resolution_m):
-        _count_rays(rays, np.ascontiguousarray(scaled[is_heard[:, r]]), router)
+        _count_rays(rays, _filled(scaled, is_heard[:, r], _GAP_MAX_M / resolution_m), router)
     _sweep(swept, scaled, BODY_RADIUS_M / resolution_m)
     ends = (candidates.ends_m - np.tile(low, 2)) / resolution_m
     seen = (rays >= _RAYS_MIN) | swept
@@ -74,6 +76,18 @@ def cell_probabilities(
         seen &= swept | (doubtful <= likely)
     value = np.clip(np.where(swept, 0.02, likely), 0.02, 0.98)
     return WallGrid(np.where(seen, value, np.nan), low, resolution_m, rays)
+
+
+def _filled(scaled: Array, is_heard: Array, gap_max: float) -> Array:
+    """(k, 2) places of a path (bins, 2), in cells, that heard the router, half a cell apart where neighbours did."""
+    steps = np.linalg.norm(np.diff(scaled, axis=0), axis=1)
+    is_filled = is_heard[1:] & is_heard[:-1] & (steps <= gap_max)
+    parts = [scaled[is_heard]]
+    for count in range(2, int(2 * gap_max) + 2):  # neighbours so far apart that the gap takes `count` steps
+        at = np.flatnonzero(is_filled & (np.ceil(2 * steps).astype(int) == count))
+        share = (np.arange(1, count) / count)[None, :, None]
+        parts.append((scaled[at, None] + share * (scaled[at + 1] - scaled[at])[:, None]).reshape(-1, 2))
+    return np.ascontiguousarray(np.concatenate(parts))
 
 
 @njit(cache=True, error_model="numpy")
