@@ -16,6 +16,7 @@ from twc_env.slam.k_visibility_signal import (
     silhouette_k,
     sliding_window,
 )
+from twc_env.slam.wall_candidates import wall_candidates
 
 ROUTER = np.array([0.8, 1.2])
 
@@ -127,3 +128,8 @@ def test_the_wall_between_two_rooms_stands_where_the_signal_drops():
 def test_too_few_readings_are_refused_with_a_reason():
     with pytest.raises(DataError, match="heard in 2 places"):
         fit_signal(bin_along_path(np.array([[0.0, 0], [1, 0]]), np.array([[-40.0], [-41.0]])), 0, ROUTER)
+
+
+def test_a_long_run_a_little_off_the_main_direction_still_offers_walls():
+    corners = np.array([(0.0, 0), (10, 0), (10, 1), (0, 1), (0, 2), (3, 2.75)])
+    assert (wall_candidates(corners, 0.3).ends_m[:, 1] > 2.1).any()

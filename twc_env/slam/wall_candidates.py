@@ -187,9 +187,9 @@ def _line(
     ahead = np.array([np.cos(direction), np.sin(direction)])
     if len(vertices) * SPACING_M >= 3 * _BEND_MIN_M:  # long enough to tell its own direction
         straight = vertices[np.abs(_wrapped(np.arctan2(tangent[:, 1], tangent[:, 0]) - direction)) < _STRAIGHT_RAD]
-        centred = straight - straight.mean(axis=0)
-        own = np.linalg.svd(centred, full_matrices=False)[2][0]
-        ahead = own * np.sign(own @ ahead)
+        if len(straight) >= 2:
+            own = np.linalg.svd(straight - straight.mean(axis=0), full_matrices=False)[2][0]
+            ahead = own * np.sign(own @ ahead)
     left = np.array([-ahead[1], ahead[0]])
     along, across = vertices @ ahead, float(np.median(vertices @ left)) + sign * offset
     if has_track:
