@@ -1,4 +1,4 @@
-"""Small flats drawn by seed, of the size of the k-visibility twins: settings are chosen on these, not on the twins."""
+"""Small flats drawn by seed, of the size of the k-visibility twins, to choose settings on instead of on the twins."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 Plans, routers, numbers of readings and areas follow the print (SPEC K20); the radio preset is
 `sfw`. `paper` chooses its number of clusters in hindsight, the best for it. `ours, SLAM` is told where the engine
 believes the robot was, from odometry and scans. Coverage stands beside every IoU, for what a map leaves unknown is
-excused by the paper's IoU. Settings were chosen on other flats (`sfw_flats`), with other noise.
+excused by the paper's IoU. Settings were checked on other flats (`sfw_flats`), with other noise.
 """
 
 from __future__ import annotations
