@@ -30,8 +30,8 @@ from twc_env.slam.similarity_model import SimilarityModel, train_on_path
 Array = NDArray
 
 CUES = ("wifi", "lte")
-FIRST_STAGE_M, STAGE_GROWTH = 60.0, {"wifi": 1.3, "lte": 1.15}
-"""The path is fitted up to here first, then up to this many times as far, and so on; the surest cue sets the pace."""
+FIRST_STAGE_M, STAGE_GROWTH = 60.0, 1.3
+"""The path is fitted up to here first, then up to this many times as far, and so on."""
 STAGE_ITERATIONS, FINAL_ITERATIONS, FINAL_ROUNDS = 6, 20, 4
 PAPER_APART_M, PAPER_ITERATIONS = 100.0, 60
 BANDWIDTHS_M = {"wifi": (8.0, 8.0, 5.0, 4.0, 4.0, 4.0), "lte": (40.0, 40.0, 30.0, 30.0, 25.0, 25.0, 20.0, 20.0, 20.0)}
@@ -209,7 +209,6 @@ class _Solver:
         """Fit the path from its beginning on, further and further; its odometry is calibrated on the way."""
         motions, total_m = self._motions, self._travel_m[-1]
         poses = np.zeros((1, 3))
-        growth = max(STAGE_GROWTH[cue.name] for cue in self._cues)
         end_m, last = FIRST_STAGE_M, closures.pairs.max(axis=1)
         rounds_left = FINAL_ROUNDS
         while rounds_left:
@@ -222,7 +221,7 @@ class _Solver:
                 iterations = FINAL_ITERATIONS if is_whole else STAGE_ITERATIONS
                 poses = self._fit(poses, motions, within, iterations=iterations)
                 motions = calibrated(motions, poses)
-            end_m *= growth
+            end_m *= STAGE_GROWTH
             rounds_left -= is_whole
         return poses, motions
 
