@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from twc_env.messages import Fingerprint
 from twc_env.slam.radio_similarity import (
@@ -66,3 +67,9 @@ def test_wifi_and_lte_are_told_apart_by_their_numbers():
     cues = split_cues(heard({5: -60, CELL_ID_MIN + 1: -100}))
     assert cues["wifi"].macs.tolist() == [5] and cues["lte"].macs.tolist() == [CELL_ID_MIN + 1]
     assert feature_rows([cues["lte"]]).toarray().tolist() == [[20.0]]
+
+
+def test_the_order_of_a_rows_columns_does_not_matter():
+    rows = csr_array(([1.0, 5.0, 2.0, 3.0], [2, 0, 0, 1], [0, 2, 4]), shape=(2, 3))
+    expected = 10.0 / np.sqrt(26.0 * 13.0)
+    assert all_similarities(rows)[0, 1] == pytest.approx(expected, rel=1e-6)

@@ -80,8 +80,8 @@ def cosine(a: Fingerprint, b: Fingerprint, mode: str = "shifted") -> float:
 
 def _normalised(rows: csr_array) -> csr_array:
     lengths = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
-    unit = rows.astype(np.float32)
-    unit.data = (rows.data / np.repeat(np.maximum(lengths, _SHORTEST), np.diff(rows.indptr))).astype(np.float32)
+    unit = rows.astype(np.float32)  # may put the columns of a row into another order
+    unit.data = (unit.data / np.repeat(np.maximum(lengths, _SHORTEST), np.diff(unit.indptr))).astype(np.float32)
     return unit
 
 
