@@ -14,11 +14,13 @@ from tqdm import tqdm
 
 import twc_env
 from agents.policy import make_policy
+from training.ppo import ChoicePolicy, clock_of
 from training.run_folder import Task, read_settings, task_of
 from twc_env.config import override
 from twc_env.errors import DataError
 
-Choose = Callable[[dict], dict]
+Choose = Callable[[dict, int], dict]
+"""Observations and time steps gone by -> actions."""
 POLICIES = ("trained", "random", "nearest", "nearest-frontier")
 
 
@@ -75,8 +77,6 @@ def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True)
 
     Raises DataError when the model or the settings of its run cannot be read.
     """
-    from training.ppo import ChoicePolicy
-
     torch.set_num_threads(1)
     task = task_of(read_settings(model_path.parent))
     try:
@@ -85,23 +85,27 @@ def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True)
         raise DataError(f"cannot read the model {model_path}: {error}") from error
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
     for seed in tqdm(seeds, unit="building", disable=not show_progress):
-        choosers = {"trained": _trained(model), "random": _random(seed), "nearest": _nearest}
+        choosers = {"trained": _trained(model, task), "random": _random(seed), "nearest": _nearest}
         for name, choose in choosers.items():
             episodes[name].append(_choosing(task, seed, choose))
         episodes["nearest-frontier"].append(_scripted(task, seed))
     return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()})
 
 
-def _trained(model: PPO) -> Choose:
-    return lambda seen: {agent: int(model.predict(o, deterministic=True)[0]) for agent, o in seen.items()}
+def _trained(model: PPO, task: Task) -> Choose:
+    def choose(seen: dict, elapsed: int) -> dict:
+        clock = clock_of([elapsed], task.max_cycles)
+        return {a: int(model.predict({**o, "clock": clock}, deterministic=True)[0]) for a, o in seen.items()}
+
+    return choose
 
 
 def _random(seed: int) -> Choose:
     random = np.random.default_rng(seed)
-    return lambda seen: {agent: int(random.choice(np.flatnonzero(o["action_mask"]))) for agent, o in seen.items()}
+    return lambda seen, _: {agent: int(random.choice(np.flatnonzero(o["action_mask"]))) for agent, o in seen.items()}
 
 
-def _nearest(seen: dict) -> dict:
+def _nearest(seen: dict, _: int) -> dict:
     """The first choice that counts: the frontier with the shortest path, else a sign, a mate, or stay."""
     return {agent: int(np.argmax(o["action_mask"])) for agent, o in seen.items()}
 
@@ -109,10 +113,11 @@ def _nearest(seen: dict) -> dict:
 def _choosing(task: Task, seed: int, choose: Choose) -> Episode:
     env = twc_env.parallel_env(config=task.config)
     observations, _ = env.reset(seed, {"map": task.held_out_maps(seed + 1)[-1]})
-    reached, total = 0.0, 0.0
+    reached, total, elapsed = 0.0, 0.0, 0
     while env.agents:
-        observations, _, _, _, infos = env.step(choose(observations))
+        observations, _, _, _, infos = env.step(choose(observations, elapsed))
         info = infos["robot_0"]
+        elapsed += info["time_steps"]
         total += info["time_steps"] * reached  # what a step gains is known at its end
         reached += info["reward_terms"]["coverage"]
     return _episode(infos["robot_0"], total / task.max_cycles)
