@@ -85,17 +85,20 @@ def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True)
         raise DataError(f"cannot read the model {model_path}: {error}") from error
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
     for seed in tqdm(seeds, unit="building", disable=not show_progress):
-        choosers = {"trained": _trained(model, task), "random": _random(seed), "nearest": _nearest}
+        choosers = {"trained": _trained(model, task, seed), "random": _random(seed), "nearest": _nearest}
         for name, choose in choosers.items():
             episodes[name].append(_choosing(task, seed, choose))
         episodes["nearest-frontier"].append(_scripted(task, seed))
     return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()})
 
 
-def _trained(model: PPO, task: Task) -> Choose:
+def _trained(model: PPO, task: Task, seed: int) -> Choose:
+    """Draws as in training: two robots that always take their likeliest choice may wait for each other for good."""
+    torch.manual_seed(seed)
+
     def choose(seen: dict, elapsed: int) -> dict:
         clock = clock_of([elapsed], task.max_cycles)
-        return {a: int(model.predict({**o, "clock": clock}, deterministic=True)[0]) for a, o in seen.items()}
+        return {a: int(model.predict({**o, "clock": clock}, deterministic=False)[0]) for a, o in seen.items()}
 
     return choose
 
