@@ -199,15 +199,24 @@ def test_a_lossy_link_costs_bytes_and_delays_but_breaks_nothing(explore, result)
     ids=["stays", "is put right"],
 )
 def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore, settings, is_wrong):
-    from twc_env.slam import map_merging
+    """All that a merge is judged by lies, until robots have been merged for four seconds; then nothing does any more."""
+    from twc_env.slam import map_merging, merge_review
 
     def agree(targets, *_):
         return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool))
 
-    monkeypatch.setattr(map_merging, "largest_agreement", agree)
-    monkeypatch.setattr(map_merging, "wall_contradiction", lambda *_: 0.0)
-    monkeypatch.setattr(map_merging, "wifi_agrees", lambda *_: True)
-    figures = explore(STEPS, seed=1, max_cycles=STEPS, config=settings).env.result().figures
+    def wrong(review, step):
+        if review.merges and step >= review.merges[0].due_step - merge_review.FIRST_STEPS + 40:
+            for name, honest in told.items():
+                monkeypatch.setattr(map_merging, name, honest)
+        return review_of(review, step)
+
+    lies = {"largest_agreement": agree, "wall_contradiction": lambda *_: 0.0, "wifi_agrees": lambda *_: True}
+    told, review_of = {name: getattr(map_merging, name) for name in lies}, merge_review.MergeReview.wrong
+    for name, lie in lies.items():
+        monkeypatch.setattr(map_merging, name, lie)
+    monkeypatch.setattr(merge_review.MergeReview, "wrong", wrong)
+    figures = explore(STEPS, max_cycles=STEPS, config=settings).env.result().figures
     assert figures["wrong_merges"] >= 1
     assert figures["merged_robots"] >= 2
     assert (figures["team_ate_m"] > 1.0) == is_wrong

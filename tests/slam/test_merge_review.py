@@ -11,6 +11,7 @@ from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate, LoopClosure
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.merge_judge import MergeJudge
+from twc_env.slam.merge_review import Merge, MergeReview
 
 PLANTED_STEP = 60
 ROOM_M = (8.0, 0.0, 0.0)
@@ -144,3 +145,21 @@ def test_right_merges_stand(recorded):
     assert max(len(group.robots) for group in engine.team.groups) >= 2
     assert engine.team._review._undone == []
     assert wrong_pairs(engine.team, true_poses) == []
+
+
+@pytest.mark.parametrize(
+    ("sides", "left"),
+    [
+        (((0, 2, 3), (1,)), [((0,), (2, 3)), ((2,), (3,)), ((4,), (5,))]),
+        (((0, 2), (1, 3)), [((0,), (2,)), ((1,), (3,)), ((4,), (5,))]),
+    ],
+    ids=["one goes", "across a later merge"],
+)
+def test_other_merges_of_a_group_that_fell_apart_speak_of_one_side_only(undone, sides, left):
+    review = undone[0].team._review
+    wrong = Merge((0,), (1,), due_step=9)
+    fresh = MergeReview(review._rule, review._graph, review._maps, review._judge)
+    fresh.merges = [wrong, Merge((0, 1), (2, 3), 20), Merge((2,), (3,), 30), Merge((4,), (5,), 40)]
+    fresh.forget(wrong, sides)
+    assert sorted((merge.a, merge.b) for merge in fresh.merges) == left
+    assert fresh.undone_count == 1

@@ -9,7 +9,7 @@ radio, now that more has been seen, speak against it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,9 +81,13 @@ class MergeReview:
                 return merge, why
         return None
 
-    def forget(self, merge: Merge) -> None:
-        """A merge is undone: remember what it said; later ones stand on their own feet."""
+    def forget(self, merge: Merge, sides: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+        """A merge is undone and its group falls into two sides: remember what it said.
+
+        Of every other merge of that group each side keeps what it holds together there.
+        """
         self.merges.remove(merge)
+        self.merges = [part for other in self.merges for part in _parts(other, sides)]
         i, j = merge.a[0], merge.b[0]
         self._undone.append((i, j, between(self._graph.pose_map_odom(i), self._graph.pose_map_odom(j))))
 
@@ -143,3 +147,15 @@ class MergeReview:
     def _grids(self, a: Sequence[int], b: Sequence[int]) -> tuple[GridMap, GridMap]:
         group = self._maps.group_of[a[0]]
         return self._maps.known_grid(a, group), self._maps.known_grid(b, group)
+
+
+def _parts(merge: Merge, sides: tuple[tuple[int, ...], ...]) -> list[Merge]:
+    """What is left of a merge where its group fell apart; the merge itself where it is of another group."""
+    if set(merge.a + merge.b).isdisjoint(sum(sides, ())):
+        return [merge]
+    parts = []
+    for side in sides:
+        a, b = (tuple(robot for robot in robots if robot in side) for robots in (merge.a, merge.b))
+        if a and b:
+            parts.append(replace(merge, a=a, b=b))
+    return parts

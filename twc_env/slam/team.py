@@ -284,7 +284,7 @@ class TeamMapper:
             self._graph.refuse(closure, f"the merge it spoke for was undone: {why}")
         for closure in rivals:
             closure.status, closure.reason = "pending", "waits for closures that agree"
-        self._review.forget(merge)
+        self._review.forget(merge, (a, b))
         self._maps.split(self.group_index(a[0]), (a, b))
         self._search.untie(a + b)
         for side in (a, b):
