@@ -199,7 +199,7 @@ def test_a_lossy_link_costs_bytes_and_delays_but_breaks_nothing(explore, result)
     ids=["stays", "is put right"],
 )
 def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore, settings, is_wrong):
-    """All that a merge is judged by lies, until robots have been merged for four seconds; then nothing does any more."""
+    """All that a merge is judged by lies until robots have been merged for four seconds; then nothing does any more."""
     from twc_env.slam import map_merging, merge_review
 
     def agree(targets, *_):
