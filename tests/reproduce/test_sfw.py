@@ -25,18 +25,28 @@ def test_the_route_follows_every_wall_at_its_distance(name):
 
 def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(tmp_path, monkeypatch):
     monkeypatch.setitem(sfw_table1.POINTS, 1, 600)
-    options = argparse.Namespace(seeds="1", experiments="1", routers="known", out=tmp_path)
+    options = argparse.Namespace(seeds="1", experiments="1", routers="known", flats=0, out=tmp_path)
     rows = sfw_table1.rows(options, Runner("sfw-table1", tmp_path, {}))
-    assert [row["method"] for row in rows] == ["paper", "ours", "ours, SLAM"]
-    assert rows[2]["iou_free"] > 0.9
+    assert [row["method"] for row in rows] == ["paper", "paper, distance", "ours", "ours, SLAM"]
+    assert rows[3]["iou_free"] > 0.9
     assert list(rows[0]) == [
         "experiment", "routers", "points", "method", "k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier",
         "paper_k_accuracy", "paper_iou", "seeds", "sd",
     ]  # fmt: skip
-    assert rows[1]["k_accuracy"] > 0.95 > rows[0]["k_accuracy"]
-    assert rows[1]["iou_free"] > 0.97
-    assert rows[1]["coverage"] > 0.8
+    assert rows[2]["k_accuracy"] > 0.95 > rows[0]["k_accuracy"]
+    assert rows[2]["iou_free"] > 0.97
+    assert rows[2]["coverage"] > 0.8
     assert sfw_table1.update_time_ms() < 0.1
+
+
+def test_flats_are_measured_in_the_same_columns(tmp_path, monkeypatch):
+    monkeypatch.setattr(sfw_table1, "_READINGS_PER_M", 10.0)
+    options = argparse.Namespace(routers="known", flats=1, out=tmp_path)
+    rows = sfw_table1.rows(options, Runner("sfw-table1", tmp_path, {}))
+    assert [(row["experiment"], row["routers"]) for row in rows] == [("1 flats", n) for n in (1, 2) for _ in range(4)]
+    assert rows[2]["k_accuracy"] > 0.9
+    assert rows[0]["paper_iou"] is None
+    assert not any("printed" in text for text in sfw_table1.remarks(rows))
 
 
 def test_a_picture_is_laid_back_on_a_path_drawn_to_another_scale():

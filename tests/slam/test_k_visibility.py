@@ -6,16 +6,10 @@ import pytest
 from twc_env.errors import DataError
 from twc_env.metrics.k_visibility import walls_crossed_in_raster, walls_crossed_map
 from twc_env.slam import k_visibility_rules as rules
+from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, silhouette_k, sliding_window
 from twc_env.slam.k_visibility import map_structure
-from twc_env.slam.k_visibility_signal import (
-    bin_along_path,
-    fit_signal,
-    k_means,
-    locate_router,
-    predict_walls,
-    silhouette_k,
-    sliding_window,
-)
+from twc_env.slam.k_visibility_signal import fit_signal, locate_router
+from twc_env.slam.path_bins import bin_along_path
 from twc_env.slam.wall_candidates import wall_candidates
 
 ROUTER = np.array([0.8, 1.2])
@@ -54,6 +48,15 @@ def test_clusters_are_ranked_from_the_strongest_and_a_value_on_a_threshold_is_be
 def test_the_sliding_window_keeps_the_length_and_the_mean_of_a_constant():
     assert np.array_equal(sliding_window(np.full(9, -40.0), 5), np.full(9, -40.0))
     assert sliding_window(np.array([0.0, 0, 9, 0, 0]), 3, median=True).max() == 0.0
+
+
+def test_readings_compensated_for_their_distance_differ_by_walls_alone():
+    path, rssi, walls = two_rooms()
+    apart_m = np.linalg.norm(path - ROUTER, axis=1)
+    flat = compensate_distance(rssi[:, 0], apart_m, 1.8)
+    assert flat[walls == 0].mean() - flat[walls == 1].mean() == pytest.approx(9.0, abs=0.3)
+    assert flat[walls == 0].std() < rssi[walls == 0, 0].std() - 1.0
+    assert np.mean(predict_walls(flat, k_means(flat, 2)) == walls) > 0.95
 
 
 def test_a_thick_wall_counts_once_and_every_further_wall_once_more():

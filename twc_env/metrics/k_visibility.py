@@ -33,8 +33,6 @@ class StructureScore:
     """Eq. 14 with maps from 0 to 1; times 65025 it is grey squared."""
     brier: float
     """Mean squared error of the wall probability, cells known on both sides."""
-    free_recall: float
-    """Share of the free floor that is called free."""
 
 
 def truth_map(free: Array, wall: Array) -> Array:
@@ -60,7 +58,6 @@ def score_structure(estimate: Array, truth: Array, probability: Array | None = N
         coverage=float(known.sum() / max((truth != UNKNOWN).sum(), 1)),
         mse=float(np.mean((difference / 255.0) ** 2)),
         brier=float(np.mean(error**2)) if told.any() else float("nan"),
-        free_recall=float(((estimate == FREE) & (truth == FREE)).sum() / max((truth == FREE).sum(), 1)),
     )
 
 

@@ -19,7 +19,9 @@ from twc_env.reproduce import radio_places as places
 from twc_env.reproduce import sfw_scoring as scoring
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.sfw_walks import RadioWalk
-from twc_env.slam.k_visibility_signal import bin_along_path, fit_alike, k_means, predict_walls, sliding_window
+from twc_env.slam.k_clusters import k_means, predict_walls, sliding_window
+from twc_env.slam.k_visibility_signal import fit_alike
+from twc_env.slam.path_bins import bin_along_path
 
 Array = NDArray
 

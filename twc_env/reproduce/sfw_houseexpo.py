@@ -30,7 +30,6 @@ _WALL_LOSS_SCALE = 1.6
 _STANDOFFS_M = (0.3, 0.25, 0.2, 0.15)
 _ALONG_SHARE = 0.85
 """A route gets around when it is as long as this share of the walls."""
-_KEYS = ("k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +48,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     for method in scoring.METHODS:
         own = [row for run in runs for row in run["rows"] if row["method"] == method]
         if own:
-            means = {key: float(np.mean([row[key] for row in own])) for key in ("area_m2", "points", *_KEYS)}
+            means = {key: float(np.mean([row[key] for row in own])) for key in ("area_m2", "points", *scoring.FIGURES)}
             means["standoff_m"] = float(np.mean([row["standoff_m"] for row in own]))
             table.append({**own[0], **means, "plan": f"mean of {len(own)}", "calibration_error": None})
     cells = [np.array(run["cells"]) for run in runs]
@@ -86,12 +85,7 @@ def measure(path: Path, options: argparse.Namespace) -> dict | None:
                 "standoff_m": standoff_m,
                 "points": len(route),
                 "method": method,
-                "k_accuracy": made.k_accuracy,
-                "iou_free": made.score.iou_free,
-                "iou_wall": made.score.iou_wall,
-                "coverage": made.score.coverage,
-                "mse": made.score.mse,
-                "brier": made.score.brier,
+                **made.figures,
                 "calibration_error": made.calibration_error,
             }
             for method, made in maps.items()

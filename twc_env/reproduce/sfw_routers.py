@@ -14,7 +14,8 @@ from twc_env.maps import load_map
 from twc_env.reproduce.runner import Runner, parse_seeds
 from twc_env.reproduce.sfw_table1 import POINTS
 from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_route
-from twc_env.slam.k_visibility_signal import bin_along_path, locate_router
+from twc_env.slam.k_visibility_signal import locate_router
+from twc_env.slam.path_bins import bin_along_path
 
 SUMMARY = "routers located from signal strength alone, in the k-visibility twins"
 

@@ -11,14 +11,18 @@ from numpy.typing import NDArray
 from twc_env.metrics.k_visibility import StructureScore, calibration_error, score_structure, truth_map
 from twc_env.reproduce.sfw_walks import RadioWalk
 from twc_env.slam import k_visibility_rules as published
+from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, sliding_window
 from twc_env.slam.k_visibility import Structure, map_structure
-from twc_env.slam.k_visibility_signal import k_means, predict_walls, sliding_window
 from twc_env.world.floorplan import Cells
 
 Array = NDArray
 
 METHODS = ("paper", "ours")
+COMPENSATED = "paper, distance"
+"""The published method on readings compensated for their distance from the router."""
+FIGURES = ("k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier")
 RESOLUTION_M = 0.1
+_FREE_SPACE_EXPONENT = 2.0
 _DENSE_READINGS = 1000
 """With more readings than this the paper's window is 25 wide, else 7 (SPEC K6)."""
 
@@ -35,6 +39,13 @@ class Mapped:
     probability: Array
     structure: Structure | None = None
 
+    @property
+    def figures(self) -> dict[str, float]:
+        """The columns that every table of maps has."""
+        score = self.score
+        columns = (self.k_accuracy, score.iou_free, score.iou_wall, score.coverage, score.mse, score.brier)
+        return dict(zip(FIGURES, columns, strict=True))
+
 
 def focus_of(walk: RadioWalk) -> tuple[Array, Array]:
     """Rows of the readings that heard any router, and the strongest router of each."""
@@ -42,18 +53,23 @@ def focus_of(walk: RadioWalk) -> tuple[Array, Array]:
     return rows, np.argmax(np.nan_to_num(walk.rssi_dbm[rows], nan=-200.0), axis=1)
 
 
-def by_paper(walk: RadioWalk, cells: Cells) -> Mapped:
+def by_paper(walk: RadioWalk, cells: Cells, is_compensated: bool = False) -> Mapped:
     """Sorted k-means on the strongest router's readings, sliding window, rules 1-5 with Eq. 4 and 5 as printed.
 
-    The paper does not print its number of clusters: the one that serves it best, in hindsight, is taken.
+    The paper does not print its number of clusters: the one that serves it best, in hindsight, is taken. Compensated:
+    the loss over distance in free space is added to the readings before they are clustered.
     """
     rows, focus = focus_of(walk)
+    rssi = walk.rssi_dbm
+    if is_compensated:
+        apart_m = np.linalg.norm(walk.position_m[:, None] - walk.router_m, axis=2)
+        rssi = compensate_distance(rssi, apart_m, _FREE_SPACE_EXPONENT)
     width = 25 if len(rows) > _DENSE_READINGS else 7
     smooth = np.zeros(len(rows))
-    for router in range(walk.rssi_dbm.shape[1]):
+    for router in range(rssi.shape[1]):
         mine = focus == router
         if mine.any():
-            smooth[mine] = sliding_window(walk.rssi_dbm[rows[mine], router], width)
+            smooth[mine] = sliding_window(rssi[rows[mine], router], width)
     true = walk.walls[rows, focus]
     tries = [predict_walls(smooth, k_means(smooth, k + 1)) for k in range(1, max(int(true.max()), 1) + 1)]
     k = max(tries, key=lambda guess: float(np.mean(guess == true)))

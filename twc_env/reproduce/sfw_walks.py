@@ -38,7 +38,7 @@ class RadioWalk:
     """(readings, routers) true number of walls crossed."""
 
 
-def wall_following_route(plan: Floorplan, standoff_m: float = STANDOFF_M, area_max_m2: float = np.inf) -> Array:
+def wall_following_route(plan: Floorplan, standoff_m: float = STANDOFF_M) -> Array:
     """(points, 2) a way along every wall of the open floor, room by room, that keeps `standoff_m` from it (Fig. 7).
 
     One round per contour: first the outer one, then around each free-standing block. MapError when nothing is that

@@ -12,61 +12,24 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
-from scipy.sparse import coo_array
 
 from twc_env.slam.k_visibility_grid import WallGrid, cell_probabilities
-from twc_env.slam.k_visibility_signal import (
-    DISTANCE_MIN_M,
-    PathBins,
-    SignalFit,
-    bin_along_path,
-    fit_signal,
-    locate_router,
-    smooth_along_path,
-    typical_signal,
-)
+from twc_env.slam.k_visibility_signal import fit_signal, locate_router, typical_signal
+from twc_env.slam.path_bins import PathBins, bin_along_path
 from twc_env.slam.wall_candidates import WallCandidates, wall_candidates
-from twc_env.slam.wall_sampler import COUPLING, find_crossings, sample_walls
+from twc_env.slam.wall_solver import WallSolver
 
 Array = NDArray
 
 STANDOFF_M = 0.3
 """First guess of how far walls are from the path; the walls between two tracks correct it."""
-_COOLING = (3.0, 2.0, 1.5, 1.0, 3.0, 2.0, 1.5, 1.2, 1.0, 1.0, 1.0)
 _TRIES = (0, 1, None)
 """Annealing can end in a poor optimum: it is tried with walls right of the path alone, left alone and on both sides,
 before all are let in, and from the signal as fitted as from a typical one; the best result counts."""
-_FIXED_ROUNDS = 4
-"""Rounds in which the signal's parameters stay as the signal model gave them."""
-_OPEN_ROUNDS, _BARRED_ODDS = 3, -10.0
-_COOLING_SWEEPS, _ROUNDS, _SWEEPS = 30, 6, 50
-_STANDOFF_SHARE, _APART_ODDS = 0.12, -2.0
-"""Pieces whose distance from the path differs more from the standoff are no walls that the walker followed."""
-_SIDE_ODDS_MAX = 3.0
-_TURNED_COUNT = 4.0
-"""What is known of the side across the path weighs as much as so many pieces."""
 _STANDOFF_SPREAD_MAX_M = 0.05
 """With a larger spread the path does not keep its distance: walls that no ray has crossed are then left unknown."""
-_VOTE_M = 0.5
-"""Length of wall for which the side of the path speaks once."""
-_MEAN_LOSS_FACTOR = 1.25
-"""The mean loss of a wall stays this near to what the signal alone says."""
-_ROUTER_CLEAR_M = 0.25
-"""A piece nearer to a router would only take the place of the router's power."""
-_LOSS_SPREAD, _LOSS_MIN_SHARE = 0.25, 0.7
-"""Walls of one building differ by this share in what they take; what takes less than the other share is none."""
-_K_STATES = 8
-_NEAR_CHANGE_M, _MAP_DOUBT, _OVERRULE = 0.1, 0.001, 0.5
-"""k of the map is trusted but this far around its changes, and but for this share; readings surer than the last
-overrule it."""
-_CORRELATION_M = 0.3
-"""Binned readings within this length count as one: the same shadowing."""
-_NOISE_MIN_DB = 1.2
 _BINS, _BIN_RANGE_M = 1000, (0.1, 0.3)
 """A long path is cut into so many bins, of a length in this range: readings nearer than that tell the same."""
-_CROSSINGS_FULL, _SWEEPS_SHARE_MIN = 150_000, 0.2
-"""With more crossings of rays and pieces than this, sweeps are fewer in proportion, down to this share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +85,7 @@ def map_structure(
     for _ in range(1 if standoff_m is not None else 3):
         candidates = wall_candidates(bins.position_m, standoff)
         for start, barred in [(fits, side) for side in _TRIES] + [(typical, side) for side in _TRIES[:2]]:
-            solver = _Solver(bins, router_m, start, candidates, standoff, seed)
+            solver = WallSolver(bins, router_m, start, candidates, standoff, seed)
             solver.solve(barred)
             tries.append(solver)
         solver = min(tries, key=lambda solver: solver.energy)
@@ -152,224 +115,3 @@ def map_structure(
         noise_db=float(np.sqrt(solver.variance_db2)),
         standoff_m=standoff,
     )
-
-
-class _Solver:
-    """Candidates, rays and the signal's parameters, estimated in turn."""
-
-    def __init__(
-        self, bins: PathBins, router_m: Array, fits: list[SignalFit], candidates: WallCandidates,
-        standoff_m: float, seed: int,
-    ):  # fmt: skip
-        self.candidates, self._seed, self._bins = candidates, seed, bins
-        self.assumed_standoff_m = standoff_m
-        self._routers = router_m
-        routers, places = len(router_m), len(bins.position_m)
-        self._router_of = np.tile(np.arange(routers), places)
-        self._bin_of_ray = np.repeat(np.arange(places), routers)
-        far = bins.position_m[self._bin_of_ray]
-        self._heard = np.isfinite(bins.rssi_dbm).ravel()
-        self._level = np.nan_to_num(bins.rssi_dbm).ravel()
-        self._decades = 10 * np.log10(
-            np.maximum(np.linalg.norm(far - router_m[self._router_of], axis=1), DISTANCE_MIN_M)
-        )
-        self._shape = (places, routers)
-        self._first, self._members = _crossings(candidates.ends_m, router_m[self._router_of], far, self._heard)
-        self._sweeps_share = float(np.clip(_CROSSINGS_FULL / max(len(self._members), 1), _SWEEPS_SHARE_MIN, 1.0))
-        self.power_dbm = np.array([fit.power_at_1m_dbm for fit in fits])
-        self.exponent = np.array([fit.exponent for fit in fits])
-        losses = [fit.wall_loss_db for fit in fits if fit.wall_loss_db > 0]
-        self.mean_loss_db = float(np.median(losses)) if losses else 9.0
-        self._mean_loss_range_db = (self.mean_loss_db / _MEAN_LOSS_FACTOR, self.mean_loss_db * _MEAN_LOSS_FACTOR)
-        self._stretches = int(candidates.stretch.max(initial=-1)) + 1
-        self._stretch_loss = np.full(self._stretches, self.mean_loss_db)
-        self.variance_db2 = max(float(np.median([fit.noise_db for fit in fits])), _NOISE_MIN_DB) ** 2
-        counts = np.maximum(bins.count.ravel(), 1.0)
-        self._noise_share = (1.0 + 16.0 / (4.0 * counts)) / np.mean(1.0 + 16.0 / (4.0 * counts))
-        """A bin of few readings is noisier than one of many: white noise of 4 dB on shadowing of 2 dB."""
-        self._weight = np.full(len(self._level), min(1.0, bins.step_m / _CORRELATION_M))
-        self._is_wall = np.zeros(len(candidates.ends_m), np.bool_)
-        self._side_odds = np.zeros(2)
-        self._is_beside = np.abs(candidates.standoff_m - standoff_m) <= _STANDOFF_SHARE * standoff_m
-        middles = (candidates.ends_m[:, :2] + candidates.ends_m[:, 2:]) / 2
-        near_router = np.linalg.norm(middles[:, None] - router_m, axis=2).min(axis=1, initial=np.inf) < _ROUTER_CLEAR_M
-        self._votes = np.minimum(1.0, np.hypot(*(candidates.ends_m[:, :2] - candidates.ends_m[:, 2:]).T) / _VOTE_M)
-        self._barred = np.where(near_router, _BARRED_ODDS, 0.0)
-        self.probability = np.zeros(len(candidates.ends_m))
-
-    def solve(self, barred_side: int | None = None) -> None:
-        """Anneal, at first without the pieces that lie only on `barred_side`, then sample."""
-        candidates = self.candidates
-        is_barred = np.zeros(len(candidates.side), bool)
-        if barred_side is not None:
-            is_barred = (candidates.side == barred_side) & ~(self._is_beside & candidates.is_between)
-        self._barred = self._barred + np.where(is_barred, _BARRED_ODDS, 0.0)
-        for round_, temperature in enumerate(_COOLING):
-            if round_ == len(_COOLING) - _OPEN_ROUNDS:
-                self._barred = self._barred - np.where(is_barred, _BARRED_ODDS, 0.0)
-            self._sample(temperature, round(self._sweeps_share * _COOLING_SWEEPS), round_, None)
-            if round_ >= _FIXED_ROUNDS:
-                self._refit(with_stretches=round_ > _FIXED_ROUNDS + 1)
-            self._learn_sides()
-        on_count = np.zeros(len(self._is_wall))
-        self.energy = 0.0
-        sweeps = round(self._sweeps_share * _SWEEPS)
-        for round_ in range(_ROUNDS):
-            self._sample(1.0, sweeps, 100 + round_, on_count)
-            self.energy += self._energy()
-            self._refit(with_stretches=True)
-        self.probability = on_count / (_ROUNDS * sweeps)
-
-    def standoff_m(self) -> float | None:
-        """Median distance from the path of the walls found between two tracks; None when there are few."""
-        sure = self.candidates.is_between & (self.probability > 0.8)
-        return float(np.median(self.candidates.standoff_m[sure])) if sure.sum() >= 8 else None
-
-    def standoff_spread_m(self) -> float:
-        """How much the distance from the path differs between the walls found between two tracks."""
-        sure = self.candidates.is_between & (self.probability > 0.8)
-        return float(np.std(self.candidates.standoff_m[sure])) if sure.sum() >= 8 else 0.0
-
-    @property
-    def is_told(self) -> Array:
-        """(pieces,) bool: some ray crosses it, so that readings bear on it."""
-        return np.diff(self._first) > 0
-
-    def count_walls(self, position_m: Array) -> tuple[Array, Array]:
-        """(n, routers) walls between routers and positions, and (bins, routers, k + 1) their probability per bin.
-
-        The map says what k is nearly everywhere; where exactly it changes, the readings nearby say better.
-        """
-        by_map, _ = self._through_walls(position_m)
-        at_bins, loss = self._through_walls(self._bins.position_m)
-        variance = (self.variance_db2 * self._noise_share).reshape(self._shape)
-        expected = (self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades).reshape(
-            self._shape
-        )
-        heard = self._heard.reshape(self._shape)
-        probability = np.zeros((*self._shape, _K_STATES))
-        k = np.arange(_K_STATES)
-        near = max(round(_NEAR_CHANGE_M / max(self._bins.step_m, 1e-3)), 1)
-        for r in range(self._shape[1]):
-            is_k = (np.minimum(at_bins[:, r], _K_STATES - 1)[:, None] == k).astype(float)
-            share = uniform_filter1d(is_k, 2 * near + 1, axis=0, mode="nearest")
-            level = expected[:, r, None] - loss[:, r, None] - self.mean_loss_db * (k - at_bins[:, r, None])
-            error = self._bins.rssi_dbm[:, r, None] - level
-            told = -2.5 * np.log1p(error**2 / (4.0 * variance[:, r, None]))
-            evidence = np.where(heard[:, r, None], self._weight[0] * told, 0.0) + np.log(share + _MAP_DOUBT)
-            probability[:, r] = smooth_along_path(evidence, self._bins.travel_m)
-        settled = np.argmax(probability, axis=2)
-        bin_of = self._bins.bin_of
-        is_sure = (settled != at_bins) & (probability.max(axis=2) > _OVERRULE)
-        return np.where(is_sure[bin_of], settled[bin_of], by_map), probability
-
-    def _through_walls(self, position_m: Array) -> tuple[Array, Array]:
-        """(n, routers) pieces that are walls between each router and each position, and their summed loss."""
-        is_wall = self.probability > 0.5
-        ends = np.ascontiguousarray(self.candidates.ends_m[is_wall])
-        routers = len(self._routers)
-        near = np.tile(self._routers, (len(position_m), 1))
-        far = np.repeat(position_m, routers, axis=0)
-        first, members = _crossings(ends, near, far, np.ones(len(far), np.bool_))
-        losses = np.repeat(self._stretch_loss[self.candidates.stretch[is_wall]], np.diff(first))
-        count = np.bincount(members, minlength=len(far)).reshape(-1, routers)
-        return count, np.bincount(members, losses, minlength=len(far)).reshape(-1, routers)
-
-    def _sample(self, temperature: float, sweeps: int, round_: int, on_count: Array | None):
-        if len(self._is_wall) == 0:
-            return
-        loss = self._stretch_loss[self.candidates.stretch]
-        excess = self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades - self._level
-        summed = self._summed(loss)
-        nothing = np.zeros(0)
-        sample_walls(
-            self._is_wall, summed, loss, self._first, self._members, self.candidates.before, self.candidates.after,
-            self._prior_odds(), excess, self.variance_db2 * self._noise_share, self._weight,
-            temperature, sweeps, np.random.default_rng([self._seed, round_]), nothing if on_count is None else on_count,
-        )  # fmt: skip
-
-    def _prior_odds(self) -> Array:
-        """(pieces,) log-odds of being a wall before any ray is looked at: one vote per length of wall."""
-        odds = np.where(self._is_beside, self._side_odds[self.candidates.side], _APART_ODDS)
-        return odds * self._votes + self._barred
-
-    def _summed(self, loss: Array) -> Array:
-        per_member = np.repeat(np.where(self._is_wall, loss, 0.0), np.diff(self._first))
-        return np.bincount(self._members, per_member, minlength=len(self._level))
-
-    def _refit(self, with_stretches: bool) -> None:
-        """Power and exponent of each router, the loss of each stretch, the noise, and which side has the walls."""
-        routers = self._shape[1]
-        on = np.repeat(self._is_wall, np.diff(self._first))
-        piece = np.repeat(self.candidates.stretch, np.diff(self._first))[on]
-        width = self._stretches if with_stretches else 1
-        rays = np.arange(len(self._level))
-        column = 2 * routers + piece * int(with_stretches)
-        values = np.concatenate([np.ones(len(rays)), -self._decades, np.full(len(column), -1.0)])
-        at_row = np.concatenate([rays, rays, self._members[on]])
-        at_column = np.concatenate([self._router_of, routers + self._router_of, column])
-        design = coo_array((values, (at_row, at_column)), shape=(len(rays), 2 * routers + width)).tocsr()
-        loss = self._stretch_loss[self.candidates.stretch]
-        error = self._errors(loss)
-        robust = 5.0 / (4.0 + error**2 / (self.variance_db2 * self._noise_share))
-        weight = self._weight * robust * self._heard / (self.variance_db2 * self._noise_share)
-        mean = np.concatenate([np.zeros(routers), np.full(routers, 2.0), np.full(width, self.mean_loss_db)])
-        spread = _LOSS_SPREAD * self.mean_loss_db if with_stretches else 3.5
-        precision = np.concatenate(
-            [np.full(routers, 1e-6), np.full(routers, 1 / 0.4**2), np.full(width, 1 / spread**2)]
-        )
-        normal = (design.T @ (design * weight[:, None])).toarray() + np.diag(precision)
-        solution = np.linalg.solve(normal, design.T @ (weight * self._level) + precision * mean)
-        self.power_dbm, self.exponent = solution[:routers], np.maximum(solution[routers : 2 * routers], 0.0)
-        losses = np.maximum(solution[2 * routers :], _LOSS_MIN_SHARE * self.mean_loss_db)
-        if with_stretches:
-            used = np.bincount(piece, minlength=self._stretches) > 0
-            self._stretch_loss = losses
-            if used.any():
-                told = np.diag(normal)[2 * routers :] - precision[2 * routers :]
-                mean = 0.5 * self.mean_loss_db + 0.5 * (told @ losses) / told.sum()
-                self.mean_loss_db = float(np.clip(mean, *self._mean_loss_range_db))
-        else:
-            self.mean_loss_db = float(np.clip(losses[0], *self._mean_loss_range_db))
-            self._stretch_loss = np.full(self._stretches, self.mean_loss_db)
-        error = self._errors(self._stretch_loss[self.candidates.stretch])
-        robust = 5.0 / (4.0 + error**2 / (self.variance_db2 * self._noise_share))
-        heard = self._heard
-        self.variance_db2 = max(float((robust * error**2 / self._noise_share)[heard].mean()), _NOISE_MIN_DB**2)
-
-    def _energy(self) -> float:
-        """Minus the logarithm of the posterior of the present state, up to a constant."""
-        variance = self.variance_db2 * self._noise_share
-        error = self._errors(self._stretch_loss[self.candidates.stretch])
-        misfit = self._weight * (2.5 * np.log1p(error**2 / (4.0 * variance)) + 0.5 * np.log(variance))
-        before = self.candidates.before
-        linked = before >= 0
-        agreeing = self._is_wall[linked] == self._is_wall[before[linked]]
-        prior = np.sum(self._prior_odds()[self._is_wall]) + COUPLING * (np.sum(agreeing) - np.sum(~agreeing))
-        spread = _LOSS_SPREAD * self.mean_loss_db
-        losses = 0.5 * np.sum(((self._stretch_loss - self.mean_loss_db) / spread) ** 2)
-        return float(misfit[self._heard].sum() - prior + losses)
-
-    def _errors(self, loss: Array) -> Array:
-        expected = self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades
-        return expected - self._level - self._summed(loss)
-
-    def _learn_sides(self) -> None:
-        """How often a piece on the left, and on the right, is a wall, told by those that rays cross."""
-        told = (np.diff(self._first) >= 2) & self._is_beside
-        mine = [told & (self.candidates.side == side) for side in (0, 1)]
-        on = [float(self._is_wall[m].sum()) for m in mine]
-        count = [float(m.sum()) for m in mine]
-        for side in (0, 1):
-            # A walker along walls has one on one side: what rays say of the other side counts, turned around.
-            turned = 1.0 - (on[1 - side] + 1.0) / (count[1 - side] + 2.0)
-            share = (on[side] + _TURNED_COUNT * turned) / (count[side] + _TURNED_COUNT)
-            self._side_odds[side] = np.clip(np.log(share / (1 - share)), -_SIDE_ODDS_MAX, _SIDE_ODDS_MAX)
-
-
-def _crossings(ends: Array, near: Array, far: Array, is_heard: Array) -> tuple[Array, Array]:
-    first = np.zeros(len(ends) + 1, np.int64)
-    total = find_crossings(ends, near, far, is_heard, first, np.empty(0, np.int64))
-    members = np.empty(total, np.int64)
-    find_crossings(ends, near, far, is_heard, first, members)
-    return first, members

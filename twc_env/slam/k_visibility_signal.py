@@ -1,7 +1,6 @@
-"""How many walls lie between a router and each reading, from signal strength along a path (SPEC K5, K6, K24d).
+"""How many walls lie between a router and each reading, from signal strength along a path (SPEC K24d).
 
-Two ways. As published: smooth, cluster the strengths, read the cluster's rank (inverse k-visibility Eq. 1-3). Ours: a
-hidden Markov model along the path whose state is the number of walls k and whose reading is
+A hidden Markov model along the path whose state is the number of walls k and whose reading is
 
     rssi = power - 10 n log10(distance) - wall_loss k + noise,
 
@@ -15,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
-from scipy.stats import norm
 
 from twc_env.errors import DataError
+from twc_env.slam.path_bins import PathBins
 
 Array = NDArray
 
@@ -39,68 +37,7 @@ _JUMP_DECAY = 0.15
 _CORRELATION_M = 0.3
 """Binned readings within this length count as one, for their shadowing is the same."""
 _TYPICAL_EXPONENT, _TYPICAL_LOSS_DB, _TYPICAL_CLEAR = 1.6, 8.0, 0.9
-_NOISE_MIN_DB, _NOISE_MAX_DB = 1.0, 6.0
-_HEARD_REACH = 3
-"""Bins on either side over which the share of readings that heard a router is taken."""
-
-
-# --- as published -----------------------------------------------------------------------------------------------------
-
-
-def sliding_window(rssi_dbm: Array, width: int, median: bool = False) -> Array:
-    """(n,) readings of one router in the order of the path -> their running mean (or median); edges are padded."""
-    width = max(1, min(width, len(rssi_dbm)))
-    padded = np.pad(np.asarray(rssi_dbm, float), (width // 2, width - 1 - width // 2), mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, width)
-    return np.median(windows, axis=1) if median else windows.mean(axis=1)
-
-
-def k_means(values: Array, clusters: int, iterations: int = 100) -> Array:
-    """(clusters,) centroids of numbers, descending (C_0 strongest); starts at quantiles, an empty cluster stays."""
-    values = np.asarray(values, float)
-    centroids = np.quantile(values, (np.arange(clusters) + 0.5) / clusters)
-    for _ in range(iterations):
-        nearest = np.argmin(np.abs(values[:, None] - centroids), axis=1)
-        counts = np.bincount(nearest, minlength=clusters)
-        sums = np.bincount(nearest, values, minlength=clusters)
-        updated = np.where(counts > 0, sums / np.maximum(counts, 1), centroids)
-        if np.allclose(updated, centroids):
-            break
-        centroids = updated
-    return np.sort(centroids)[::-1]
-
-
-def predict_walls(values: Array, centroids: Array) -> Array:
-    """(n,) k of each value: how many thresholds t_k = (C_(k-1) + C_k) / 2 it does not exceed (Eq. 1 and 3)."""
-    thresholds = (centroids[:-1] + centroids[1:]) / 2
-    return (np.asarray(values)[:, None] <= thresholds).sum(axis=1)
-
-
-def silhouette_k(values: Array, k_max: int = K_MAX) -> int:
-    """The largest k, 1 to k_max, whose clusters lie apart best (mean simplified silhouette)."""
-    values = np.asarray(values, float)
-    scores = []
-    for k in range(1, k_max + 1):
-        gaps = np.sort(np.abs(values[:, None] - k_means(values, k + 1)), axis=1)
-        scores.append(float(np.mean(1.0 - gaps[:, 0] / np.maximum(gaps[:, 1], 1e-9))))
-    return int(np.argmax(scores)) + 1
-
-
-def compensate_distance(rssi_dbm: Array, distance_m: Array, exponent: float) -> Array:
-    """Readings as if all were taken one metre from the router."""
-    return rssi_dbm + 10.0 * exponent * np.log10(np.maximum(distance_m, DISTANCE_MIN_M))
-
-
-def smooth_along_path(log_evidence: Array, travel_m: Array) -> Array:
-    """(bins, k + 1) probability of each number of walls, from each bin's own log evidence and how rarely k changes."""
-    probability = np.empty(log_evidence.shape)
-    steps = np.diff(travel_m, prepend=travel_m[0])
-    evidence = np.ascontiguousarray(log_evidence, float)
-    _forward_backward(evidence, steps, _STAY_M, np.empty(log_evidence.shape), probability)
-    return probability
-
-
-# --- the hidden Markov model ------------------------------------------------------------------------------------------
+_NOISE_MIN_DB = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,61 +60,13 @@ class SignalFit:
         return np.argmax(self.probability, axis=1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PathBins:
-    """Readings gathered along a path."""
-
-    position_m: Array
-    """(bins, 2) mean position."""
-    rssi_dbm: Array
-    """(bins, routers) mean reading, NaN where a router was not heard."""
-    count: Array
-    """(bins, routers) readings behind each mean."""
-    travel_m: Array
-    """(bins,) path length up to the bin."""
-    bin_of: Array
-    """(readings,) bin of each reading."""
-
-    @property
-    def step_m(self) -> float:
-        """Mean spacing."""
-        return float(self.travel_m[-1] - self.travel_m[0]) / max(len(self.travel_m) - 1, 1) or 1e-3
-
-
-def bin_along_path(position_m: Array, rssi_dbm: Array, step_m: float = 0.1) -> PathBins:
-    """Average readings (n, routers), NaN where not heard, taken at positions (n, 2), over steps of the path."""
-    position, rssi = np.asarray(position_m, float), np.asarray(rssi_dbm, float)
-    if position.ndim != 2 or rssi.ndim != 2 or len(position) != len(rssi) or len(position) < 2:
-        raise DataError(
-            f"k-visibility needs positions (n, 2) and readings (n, routers), n >= 2; got {position.shape}, {rssi.shape}"
-        )
-    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
-    _, bin_of = np.unique(np.floor(travel / step_m).astype(np.int64), return_inverse=True)
-    total = np.bincount(bin_of).astype(float)
-    heard = np.isfinite(rssi)
-    count = np.column_stack([np.bincount(bin_of, column) for column in heard.T.astype(float)])
-    sums = np.column_stack([np.bincount(bin_of, column) for column in np.where(heard, rssi, 0.0).T])
-    with np.errstate(invalid="ignore"):
-        mean = sums / np.where(count > 0, count, np.nan)
-    mean -= _bias_of_the_heard(rssi, count, total)
-    place = np.column_stack([np.bincount(bin_of, position[:, axis]) / total for axis in (0, 1)])
-    return PathBins(place, mean, count, np.bincount(bin_of, travel) / total, bin_of)
-
-
-def _bias_of_the_heard(rssi: Array, count: Array, total: Array) -> Array:
-    """(bins, routers) by how much the mean is too high where only the strong ones of the readings were heard [dB].
-
-    The mean of a normal value above a limit, from the share of readings above it.
-    """
-    width = 2 * _HEARD_REACH + 1
-    heard = uniform_filter1d(count, width, axis=0, mode="nearest")
-    share = np.clip(heard / uniform_filter1d(total, width, mode="nearest")[:, None], 0.02, 1.0)
-    bias = np.zeros(share.shape)
-    for router in range(rssi.shape[1]):
-        steps = np.diff(rssi[np.isfinite(rssi[:, router]), router])
-        noise = min(float(np.median(np.abs(steps))) / 0.954, _NOISE_MAX_DB) if len(steps) else 0.0
-        bias[:, router] = noise * norm.pdf(norm.ppf(share[:, router])) / share[:, router]
-    return bias
+def smooth_along_path(log_evidence: Array, travel_m: Array) -> Array:
+    """(bins, k + 1) probability of each number of walls, from each bin's own log evidence and how rarely k changes."""
+    probability = np.empty(log_evidence.shape)
+    steps = np.diff(travel_m, prepend=travel_m[0])
+    evidence = np.ascontiguousarray(log_evidence, float)
+    _forward_backward(evidence, steps, _STAY_M, np.empty(log_evidence.shape), probability)
+    return probability
 
 
 def _signal(parameters: Array, probability: Array, log_likelihood: float) -> SignalFit:

@@ -1,0 +1,75 @@
+"""Readings along a path, gathered in even steps: what the signal model and the wall sampler work on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import norm
+
+from twc_env.errors import DataError
+
+Array = NDArray
+
+_NOISE_MAX_DB = 6.0
+_HEARD_REACH = 3
+"""Bins on either side over which the share of readings that heard a router is taken."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathBins:
+    """Readings gathered along a path."""
+
+    position_m: Array
+    """(bins, 2) mean position."""
+    rssi_dbm: Array
+    """(bins, routers) mean reading, NaN where a router was not heard."""
+    count: Array
+    """(bins, routers) readings behind each mean."""
+    travel_m: Array
+    """(bins,) path length up to the bin."""
+    bin_of: Array
+    """(readings,) bin of each reading."""
+
+    @property
+    def step_m(self) -> float:
+        """Mean spacing."""
+        return float(self.travel_m[-1] - self.travel_m[0]) / max(len(self.travel_m) - 1, 1) or 1e-3
+
+
+def bin_along_path(position_m: Array, rssi_dbm: Array, step_m: float = 0.1) -> PathBins:
+    """Average readings (n, routers), NaN where not heard, taken at positions (n, 2), over steps of the path."""
+    position, rssi = np.asarray(position_m, float), np.asarray(rssi_dbm, float)
+    if position.ndim != 2 or rssi.ndim != 2 or len(position) != len(rssi) or len(position) < 2:
+        raise DataError(
+            f"k-visibility needs positions (n, 2) and readings (n, routers), n >= 2; got {position.shape}, {rssi.shape}"
+        )
+    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+    _, bin_of = np.unique(np.floor(travel / step_m).astype(np.int64), return_inverse=True)
+    total = np.bincount(bin_of).astype(float)
+    heard = np.isfinite(rssi)
+    count = np.column_stack([np.bincount(bin_of, column) for column in heard.T.astype(float)])
+    sums = np.column_stack([np.bincount(bin_of, column) for column in np.where(heard, rssi, 0.0).T])
+    with np.errstate(invalid="ignore"):
+        mean = sums / np.where(count > 0, count, np.nan)
+    mean -= _bias_of_the_heard(rssi, count, total)
+    place = np.column_stack([np.bincount(bin_of, position[:, axis]) / total for axis in (0, 1)])
+    return PathBins(place, mean, count, np.bincount(bin_of, travel) / total, bin_of)
+
+
+def _bias_of_the_heard(rssi: Array, count: Array, total: Array) -> Array:
+    """(bins, routers) by how much the mean is too high where only the strong ones of the readings were heard [dB].
+
+    The mean of a normal value above a limit, from the share of readings above it.
+    """
+    width = 2 * _HEARD_REACH + 1
+    heard = uniform_filter1d(count, width, axis=0, mode="nearest")
+    share = np.clip(heard / uniform_filter1d(total, width, mode="nearest")[:, None], 0.02, 1.0)
+    bias = np.zeros(share.shape)
+    for router in range(rssi.shape[1]):
+        steps = np.diff(rssi[np.isfinite(rssi[:, router]), router])
+        noise = min(float(np.median(np.abs(steps))) / 0.954, _NOISE_MAX_DB) if len(steps) else 0.0
+        bias[:, router] = noise * norm.pdf(norm.ppf(share[:, router])) / share[:, router]
+    return bias
