@@ -87,7 +87,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("team: the rest", True, CooperativeSlam, "absorb"),
         ("beliefs", False, CooperativeSlam, "belief"),
         ("observation: notes", False, ObservationBuilder, "notice"),
-        ("observation: map crop", False, map_view, "view"),
+        ("observation: map crop", False, map_view, "views"),
         ("observation: the rest", False, ObservationBuilder, "build"),
         ("reward: map against the truth", False, evaluation, "standing"),
         ("end of the episode: report", False, evaluation, "evaluate"),

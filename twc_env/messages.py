@@ -28,7 +28,7 @@ UNSEEN_M = -0.001
 """Range of a beam that tells nothing, as behind a scanner that looks ahead only: free up to nowhere, and no wall."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@_record
 class WifiScan:
     """One sweep over the radio channels: the transmitters heard and how strongly."""
 

@@ -111,16 +111,13 @@ def test_frames_alone_give_the_observations_of_actions_that_last(action, same):
     random = np.random.default_rng(0)
     observations, infos = env.reset(seed=0, options={"starts": "map"})
     engine = CooperativeSlam(env.config, 3)
-    builders = [ObservationBuilder(env.config, robot) for robot in range(3)]
+    builder = ObservationBuilder(env.config)
     checked = 0
     while env.agents:
         for frames in env.frames_of_step or [env.frames]:
             engine.update(frames)
-            beliefs = [engine.belief(robot) for robot in range(3)]
-            for builder, frame, belief in zip(builders, frames, beliefs, strict=True):
-                builder.notice(frame, belief)
-        for agent, builder, frame, belief in zip(env.agents, builders, frames, beliefs, strict=True):
-            built = builder.build(frame, belief)
+            builder.notice(frames, [engine.belief(robot) for robot in range(3)])
+        for agent, built in zip(env.agents, builder.build(), strict=True):
             for name in set(built) - {"frontiers", "action_mask"}:
                 assert np.array_equal(built[name], observations[agent][name]), name
                 checked += 1

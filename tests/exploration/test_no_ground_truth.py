@@ -75,13 +75,12 @@ def test_the_guard_sees_a_planted_leak_when_the_building_moves(explore, here):
 def rebuild_errors(env, steps: int, wander) -> int:
     """Observations that do not follow from frames and beliefs alone."""
     observations, _ = env.reset(seed=0, options={"starts": "map"})
-    builders = [ObservationBuilder(env.config, robot) for robot in range(env.config.robots)]
+    builder = ObservationBuilder(env.config)
     wrong = 0
     for step in range(steps):
-        for agent, builder, frame in zip(env.possible_agents, builders, env.frames, strict=True):
-            frame, belief = pickle.loads(pickle.dumps((frame, env.belief(agent))))
-            builder.notice(frame, belief)
-            built = builder.build(frame, belief)
+        beliefs = [env.belief(agent) for agent in env.possible_agents]
+        builder.notice(*pickle.loads(pickle.dumps((env.frames, beliefs))))
+        for agent, built in zip(env.possible_agents, builder.build(), strict=True):
             wrong += any(not np.array_equal(built[key], observations[agent][key]) for key in built)
         actions = {a: wander(o["lidar"] * 10, step, int(a[-1])) for a, o in observations.items()}
         observations = env.step(actions)[0]
@@ -100,15 +99,13 @@ def replay_errors(env, steps: int, wander) -> int:
     """Observations that a fresh engine, fed with the recorded frames alone, would not have given."""
     observations, _ = env.reset(seed=0, options={"starts": "map"})
     engine = CooperativeSlam(env.config, env.config.robots)
-    builders = [ObservationBuilder(env.config, robot) for robot in range(env.config.robots)]
+    builder = ObservationBuilder(env.config)
     wrong = 0
     for step in range(steps):
         frames = pickle.loads(pickle.dumps(env.frames))
         engine.update(frames)
-        for agent, builder, frame in zip(env.possible_agents, builders, frames, strict=True):
-            belief = engine.belief(frame.robot)
-            builder.notice(frame, belief)
-            built = builder.build(frame, belief)
+        builder.notice(frames, [engine.belief(frame.robot) for frame in frames])
+        for agent, built in zip(env.possible_agents, builder.build(), strict=True):
             wrong += any(not np.array_equal(built[key], observations[agent][key]) for key in built)
         actions = {a: wander(o["lidar"] * 10, step, int(a[-1])) for a, o in observations.items()}
         observations = env.step(actions)[0]

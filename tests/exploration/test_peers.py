@@ -46,15 +46,13 @@ def played(explore):
 def test_what_was_sensed_and_heard_gives_the_same_observations_again(played):
     log, frames, contacts, _ = played
     engine = CooperativeSlam(log.env.config, 3)
-    builders = [ObservationBuilder(log.env.config, robot) for robot in range(3)]
+    builder = ObservationBuilder(log.env.config)
     for step, (now, heard) in enumerate(zip(frames, contacts, strict=True)):
         engine.update(now, heard)
         if step == STEPS:
             engine.finish()
-        for agent, builder, frame in zip(log.env.possible_agents, builders, now, strict=True):
-            belief = engine.belief(frame.robot)
-            builder.notice(frame, belief)
-            built = builder.build(frame, belief)
+        builder.notice(now, [engine.belief(frame.robot) for frame in now])
+        for agent, built in zip(log.env.possible_agents, builder.build(), strict=True):
             assert all(np.array_equal(built[key], log.observations[step][agent][key]) for key in built)
 
 

@@ -16,7 +16,8 @@ from twc_env.config import (
 from twc_env.errors import ConfigError
 from twc_env.maps import load_map
 from twc_env.world.floorplan import AccessPoint, Floorplan
-from twc_env.world.radio import CELL_BAND, CELL_ID_MIN, HIGH_BAND, LOW_BAND, RadioModel, WifiReceiver
+from twc_env.world.radio import CELL_BAND, CELL_ID_MIN, HIGH_BAND, LOW_BAND, RadioModel
+from twc_env.world.reception import WifiReceiver
 
 QUIET = {"shadowing_std_db": 0.0, "fading_std_db": 0.0, "device_offset_std_db": 0.0, "noise_std_db": 0.0}
 SURE = {**QUIET, "detection_floor_dbm": -119.0, "detection_slope_db": 0.05}

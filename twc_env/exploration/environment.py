@@ -17,12 +17,12 @@ from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards
 from twc_env.exploration.compilation import announce_compilation
-from twc_env.exploration.observations import ObservationBuilder, observation_space
+from twc_env.exploration.observation_blocks import observation_space
+from twc_env.exploration.observations import ObservationBuilder
 from twc_env.exploration.pilot import Pilot, Scout, frontier_space, waypoint_space
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
 from twc_env.messages import Belief, Contacts, SensorFrame
-from twc_env.planning.candidates import NOTHING
 from twc_env.random_streams import random_stream
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.tasks import task_config
@@ -176,7 +176,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if self.config.slam.k_visibility.are_transmitters_known:
             self._engine.give_transmitters(*self._world.transmitters_home, self._world.poses_home.copy())
         self._link = Link(self.config.link, count, self.floorplan.home.wall_index, random_stream(self._seed, "link"))
-        self._builders = [ObservationBuilder(self.config, robot) for robot in range(count)]
+        self._builder = ObservationBuilder(self.config)
         self._pilot = Pilot(self.config) if self._lasts else None
         self._scout = Scout(self.config) if self.config.observation.frontiers else None
         self._record = evaluation.EpisodeRecord(count)
@@ -364,8 +364,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def _notice(self) -> None:
         """What the robots believe now, and what their observations must remember of it."""
         self._beliefs = [self.engine.belief(robot) for robot in range(self.config.robots)]
-        for builder, frame, belief in zip(self._builders, self._frames, self._beliefs, strict=True):
-            builder.notice(frame, belief)
+        self._builder.notice(self._frames, self._beliefs)
         if self._viewer is not None:
             self._viewer.follow(self)
 
@@ -384,18 +383,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         looker = self._pilot or self._scout
         if looker is not None:
             looker.look(self._beliefs)
-        masks = self._pilot.mask if self._pilot is not None and self.config.action.kind == "frontier" else None
-        return {
-            agent: builder.build(
-                frame,
-                belief,
-                NOTHING if looker is None else looker.candidates[robot],
-                None if masks is None else masks(robot),
-            )
-            for robot, (agent, builder, frame, belief) in enumerate(
-                zip(self.possible_agents, self._builders, self._frames, self._beliefs, strict=True)
-            )
-        }
+        pilot, masks = self._pilot, None
+        if pilot is not None and self.config.action.kind == "frontier":
+            masks = [pilot.mask(robot) for robot in range(self.config.robots)]
+        seen = self._builder.build(None if looker is None else looker.candidates, masks)
+        return dict(zip(self.possible_agents, seen, strict=True))
 
     def _infos(self, agents: list[str], time_steps: int = 0) -> dict[str, dict[str, Any]]:
         pilot = self._pilot

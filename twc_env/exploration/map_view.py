@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
@@ -32,17 +33,27 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
     return out
 
 
-def view(belief: Belief, cells: int, cell_m: float, path_odom: Array, path_count: int, mates: Array, signs: Array):
-    """`crop_around` of a belief with its last three channels filled too: (7, cells, cells) uint8.
+def views(
+    beliefs: Sequence[Belief], poses: Array, cells: int, cell_m: float, paths_odom: Array, path_counts: Array,
+    mates: Array, mate_counts: Array, signs: Sequence[Array],
+) -> Array:  # fmt: skip
+    """`crop_around` of each robot with its last three channels filled too: (robots, 7, cells, cells) uint8.
 
-    path_odom (k, 2): a ring that holds the latest of `path_count` places in the odom frame; mates: a row for each of
-    `belief.mates` (m, >= 2) as this robot sees it; signs (k, 2) in the map frame.
+    poses (robots, 3, 3): in the map frame, its spread, in the odom frame; paths_odom (robots, k, 2): rings that hold
+    the latest of `path_counts` places; mates (robots, m, >= 2): the first of them as each robot sees them; signs: of
+    each robot (k, 2) in the map frame. Robots that share a map are served by one compiled call.
     """
-    grid, out = belief.grid, np.empty((CHANNELS, cells, cells), np.uint8)
-    _crop_and_mark(
-        grid.log_odds, grid.origin_m, 1.0 / grid.resolution_m, belief.pose_map_robot, cell_m, path_odom, path_count,
-        belief.pose_odom, mates, len(belief.mates), signs, out,
-    )  # fmt: skip
+    out = np.empty((len(beliefs), CHANNELS, cells, cells), np.uint8)
+    first = 0
+    for end in range(1, len(beliefs) + 1):
+        grid, places = beliefs[first].grid, signs[first]
+        if end < len(beliefs) and beliefs[end].grid.log_odds is grid.log_odds and signs[end] is places:
+            continue
+        _crop_and_mark(
+            grid.log_odds, grid.origin_m, 1.0 / grid.resolution_m, poses, cell_m, paths_odom, path_counts,
+            mates, mate_counts, places, first, end, out,
+        )  # fmt: skip
+        first = end
     return out
 
 
@@ -108,6 +119,15 @@ def _stays_inside(x, y, dx, dy, count, height, width):
 
 
 @njit(cache=True, error_model="numpy")
+def _misses(x, y, dx, dy, count, height, width):
+    """Whether a row of samples lies beside the grid, so that it meets none of its cells."""
+    k0, k1 = x >> FIXED_BITS, (x + dx * (count - 1)) >> FIXED_BITS
+    r0, r1 = y >> FIXED_BITS, (y + dy * (count - 1)) >> FIXED_BITS
+    is_beside = max(k0, k1) < 0 or max(r0, r1) < 0 or min(k0, k1) >= width or min(r0, r1) >= height
+    return is_beside or width == 0 or height == 0
+
+
+@njit(cache=True, error_model="numpy")
 def _look_up_two(cells, width, xa, ya, xb, yb, dx, dy, a, b):
     """Write the levels of two rows of samples that lie inside the grid; unsigned numbers index without a check."""
     bits, width = np.uint64(FIXED_BITS), np.uint64(width)
@@ -147,7 +167,7 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     y0 = y * inverse_m + first * (s + c)
     cells = log_odds.reshape(-1)
     dx, dy = int(2 * c * FIXED_POINT), int(2 * s * FIXED_POINT)
-    levels = np.empty((2, size), np.int16)
+    levels, is_known = np.empty((2, size), np.int16), np.empty(size, np.bool_)
     for i in range(size):
         line, shift = 2 * i, i & 1
         xa = int(math.floor((x0 - s * line + c * shift) * FIXED_POINT))
@@ -155,6 +175,10 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
         line, shift = line + 1, 1 - shift
         xb = int(math.floor((x0 - s * line + c * shift) * FIXED_POINT))
         yb = int(math.floor((y0 + c * line + s * shift) * FIXED_POINT))
+        if _misses(xa, ya, dx, dy, size, height, width) and _misses(xb, yb, dx, dy, size, height, width):
+            out[0, i], out[1, i], out[2, i], is_known[i] = 0, 0, 255, False
+            continue
+        is_known[i] = True
         is_inside = _stays_inside(xa, ya, dx, dy, size, height, width)
         if is_inside and _stays_inside(xb, yb, dx, dy, size, height, width):
             _look_up_two(cells, width, xa, ya, xb, yb, dx, dy, levels[0], levels[1])
@@ -169,6 +193,8 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
             unknown[j] = np.uint8(not (is_wall | is_free)) * np.uint8(255)
     out[3] = 0
     for i in range(1, size - 1):
+        if not is_known[i]:
+            continue
         above, here, below = out[2, i - 1], out[2, i], out[2, i + 1]
         free, frontier = out[0, i], out[3, i]
         for j in range(1, size - 1):
@@ -177,13 +203,14 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
 
 @njit(cache=True, error_model="numpy")
 def _crop_and_mark(
-    log_odds, origin, inverse_grid_m, pose_map, cell_m, path, path_count, pose_odom, mates, mate_count,
-    signs, out,
-):  # fmt: skip
-    """All channels: what lies around the robot, its path (k, 2), its mates (k, >= 2, as it sees them) and signs."""
-    _crop(log_odds, pose_map[0] - origin[0], pose_map[1] - origin[1], pose_map[2], inverse_grid_m, cell_m, out)
-    out[4:] = 0
+    log_odds, origin, inverse_grid_m, poses, cell_m, paths, path_counts, mates, mate_counts, signs, first, end, out
+):
+    """All channels of the robots from `first` to before `end`: what lies around each, its path, mates and signs."""
     inverse_m = 1.0 / cell_m
-    _mark(out[4], path, path_count, pose_odom[0], pose_odom[1], pose_odom[2], inverse_m)
-    _mark(out[5], mates, mate_count, 0.0, 0.0, 0.0, inverse_m)
-    _mark(out[6], signs, signs.shape[0], pose_map[0], pose_map[1], pose_map[2], inverse_m)
+    for i in range(first, end):
+        here, odom = poses[i, 0], poses[i, 2]
+        _crop(log_odds, here[0] - origin[0], here[1] - origin[1], here[2], inverse_grid_m, cell_m, out[i])
+        out[i, 4:] = 0
+        _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m)
+        _mark(out[i, 5], mates[i], mate_counts[i], 0.0, 0.0, 0.0, inverse_m)
+        _mark(out[i, 6], signs, signs.shape[0], here[0], here[1], here[2], inverse_m)

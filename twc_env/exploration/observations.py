@@ -1,201 +1,160 @@
-"""What an agent sees: a function of sensor frames and estimates alone. No truth is among its arguments."""
+"""What agents see: a function of sensor frames and estimates alone. No truth is among its arguments."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
-from gymnasium import spaces
 from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.exploration import map_view
+from twc_env.exploration.observation_blocks import POSE_LIMITS, block_spaces, joined
+from twc_env.exploration.wifi_slots import WifiSlots
 from twc_env.messages import Belief, KnownSign, SensorFrame
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
 
 Array = NDArray
 
-RSSI_ZERO_DBM, RSSI_SPAN_DB = -100.0, 80.0
-POSE_LIMITS = np.array([1000.0, 1000.0, 1.0, 1.0, 100.0, 100.0, math.pi, 10_000.0], np.float32)
-POSE_LOWEST = POSE_LIMITS * np.array([-1, -1, -1, -1, 0, 0, 0, 0], np.float32)
 HALF_WAY_M = 10.0
 """Distances d are shown as d / (d + this)."""
 HALF_AGE_S = 10.0
 HALF_COUNT = 2.0
 PATH_SPACING_M = 0.2
 OVERVIEW_PERIOD_STEPS = 10
-EXTRA_CHOICES = ("sign", "mate", "stay")
-"""What the choice among frontiers offers besides frontiers, in this order."""
-
-
-def block_spaces(config: EnvConfig) -> dict[str, spaces.Space]:
-    """The blocks that the config asks for, in order."""
-    shape, mates = config.observation, max(config.robots - 1, 1)
-    chooses = config.action.kind == "frontier"
-    slots = config.action.frontier_slots
-    blocks: dict[str, spaces.Space] = {
-        "lidar": spaces.Box(0.0, 1.0, (config.lidar.beam_count,), np.float32),
-        "map": spaces.Box(0, 255, (map_view.CHANNELS, shape.map_cells, shape.map_cells), np.uint8),
-        "overview": spaces.Box(
-            0, 255, (map_view.OVERVIEW_CHANNELS, shape.overview_cells, shape.overview_cells), np.uint8
-        ),
-        "pose": spaces.Box(POSE_LOWEST, POSE_LIMITS, dtype=np.float32),
-        "wifi": spaces.Box(0.0, 1.0, (shape.wifi_slots,), np.float32),
-        "signs": spaces.Box(-1.0, 1.0, (shape.sign_slots, 5), np.float32),
-        "team": spaces.Box(-1.0, 1.0, (mates, 5), np.float32),
-        "frontiers": spaces.Box(-1.0, 1.0, (slots, 6), np.float32),
-    }
-    wanted = {
-        name: space for name, space in blocks.items() if getattr(shape, name) or (chooses and name == "frontiers")
-    }
-    if config.slam.k_visibility.enabled:
-        wanted["radio"] = spaces.Box(0, 255, (2, shape.map_cells, shape.map_cells), np.uint8)
-    if chooses:
-        wanted["action_mask"] = spaces.Box(0, 1, (slots + len(EXTRA_CHOICES),), np.int8)
-    return wanted
-
-
-def observation_space(config: EnvConfig) -> spaces.Dict | spaces.Box:
-    """The space of one agent's observation; see `ExplorationEnv` for the meaning of each block."""
-    blocks = block_spaces(config)
-    if config.observation.kind == "dict":
-        return spaces.Dict(blocks)
-    low, high = (_joined({name: getattr(space, end) for name, space in blocks.items()}) for end in ("low", "high"))
-    return spaces.Box(low, high, dtype=np.float32)
-
-
-def _joined(blocks: dict[str, Array]) -> Array:
-    """All blocks in one vector of float32, pictures scaled to [0, 1]."""
-    parts = [np.ravel(b) / np.float32(255.0) if b.dtype == np.uint8 else np.ravel(b) for b in blocks.values()]
-    return np.concatenate(parts).astype(np.float32) if parts else np.zeros(0, np.float32)
-
-
-class _Seen(NamedTuple):
-    """What the blocks of one observation are made of."""
-
-    frame: SensorFrame
-    belief: Belief
-    candidates: Candidates
-    mask: Array | None
 
 
 class ObservationBuilder:
-    """Builds one robot's observations; remembers its WiFi slots, its path and recent readings."""
+    """Builds the observations of a team; remembers the WiFi slots, path and recent readings of each robot.
 
-    def __init__(self, config: EnvConfig, robot: int):
+    A block of all robots is one new array, of which each robot gets a row. What is kept of a robot stands in a row of
+    an array too, so that one compiled call serves all robots.
+    """
+
+    def __init__(self, config: EnvConfig):
         self._config = config
-        self._robot, self._robots = robot, config.robots
-        made = {
-            "map": self._map,
-            "overview": self._whole_map,
-            "frontiers": self._frontiers,
-            "radio": self._radio,
-            "action_mask": self._mask,
-        }
-        self._makers = [(name, made.get(name)) for name in block_spaces(config)]
-        """Blocks in order; what makes them, but for the small ones, which are all made at once."""
-        self._is_flat = config.observation.kind != "dict"
-        self._beams, self._per_metre = config.lidar.beam_count, 1.0 / config.lidar.range_max_m
-        self._slots_of_wifi = WifiSlots(config.observation.wifi_slots)
-        self._texts: list[str] = []
-        """Of the latest readings, newest first."""
-        self._readings = np.zeros((config.observation.sign_slots, 4))
+        robots, shape = config.robots, config.observation
+        self._names = tuple(block_spaces(config))
+        self._is_flat = shape.kind != "dict"
+        made: dict[str, Callable[[], Iterable[Array]]] = {
+            "map": self._maps, "overview": self._whole_maps, "radio": self._radio_maps
+        }  # fmt: skip
+        self._makers = [(name, make) for name, make in made.items() if name in self._names]
+        self._slots_of_wifi = WifiSlots(robots, shape.wifi_slots)
+        self._texts: list[list[str]] = [[] for _ in range(robots)]
+        """Of each robot's latest readings, newest first."""
+        self._readings = np.zeros((robots, shape.sign_slots, 4))
         """Of each: time, x and y in the odom frame, and in how many other places the text is known."""
-        self._path_odom = np.zeros((max(1, round(config.observation.path_m / PATH_SPACING_M)), 2))
-        self._path_count, self._path_end = 0, (math.inf, math.inf)
-        self._overview: tuple[tuple[int, int], tuple[Array, Array, float]] | None = None
-        self._time_step_s, self._memory_s = config.dynamics.time_step_s, config.observation.sign_memory_s
-        mates = max(self._robots - 1, 1)
-        self._contact_steps, self._mate_rows = np.full(mates, -1), np.zeros(mates, np.int64)
-        self._mates = np.zeros((mates, 3))
-        """Scratch: when each mate was last heard of; row and pose, in this robot's frame, of each mate of the group."""
-        self._indexed_signs: tuple[KnownSign, ...] = ()
-        self._sign_places = np.zeros((0, 2))
-        self._text_counts: Counter[str] = Counter()
+        self._reading_counts = np.zeros(robots, np.int64)
+        self._paths_odom = np.zeros((robots, max(1, round(shape.path_m / PATH_SPACING_M)), 2))
+        """Rings of the latest places of each robot."""
+        self._path_counts, self._path_ends = np.zeros(robots, np.int64), np.full((robots, 2), math.inf)
+        self._overviews: list[tuple[tuple[int, int], tuple[Array, Array, float]] | None] = [None] * robots
+        mates = max(robots - 1, 1)
+        self._contact_steps, self._contact_counts = np.full((robots, mates), -1), np.zeros(robots, np.int64)
+        self._mate_rows, self._mate_counts = np.zeros((robots, mates), np.int64), np.zeros(robots, np.int64)
+        self._mates = np.zeros((robots, mates, 3))
+        """Scratch: when each mate was last heard of; row and pose, in the robot's frame, of each mate of the group."""
+        self._indexed_signs: list[tuple[KnownSign, ...]] = [()] * robots
+        self._sign_places = [_NO_SIGNS] * robots
+        self._text_counts: list[Counter[str]] = [Counter()] * robots
 
-    def notice(self, frame: SensorFrame, belief: Belief) -> None:
-        """Take in one frame that no observation is built of: path, radio and readings are kept up."""
-        self._slots_of_wifi.update(frame)
-        self._extend_path(belief.pose_odom)
-        if not frame.signs:
-            return
-        x, y, heading = belief.pose_odom.tolist()
-        for sign in frame.signs:
-            angle, away = heading + sign.bearing_rad, sign.range_m
-            self._readings[1:] = self._readings[:-1].copy()
-            self._readings[0, :3] = frame.time_s, x + away * math.cos(angle), y + away * math.sin(angle)
-            self._texts = [sign.text, *self._texts[: len(self._readings) - 1]]
-        self._count_elsewhere()
+    def notice(self, frames: Sequence[SensorFrame], beliefs: Sequence[Belief]) -> None:
+        """Take in one step of all robots, whether or not observations are built of it: path, radio and readings."""
+        self._frames, self._beliefs = frames, beliefs
+        poses = [pose for b in beliefs for pose in (b.pose_map_robot, b.pose_std, b.pose_odom)]
+        self._poses = np.concatenate(poses).reshape(-1, 3, 3)
+        _extend_paths(self._poses, self._path_ends, self._path_counts, self._paths_odom)
+        for robot, frame in enumerate(frames):
+            if frame.wifi is not None:
+                self._slots_of_wifi.update(robot, frame.wifi)
+            if frame.signs:
+                self._remember(robot, frame)
 
     def build(
-        self, frame: SensorFrame, belief: Belief, candidates: Candidates = NOTHING, mask: Array | None = None
-    ) -> dict[str, Array] | Array:
-        """The observation after one frame, which `notice` must have seen."""
-        if belief.signs is not self._indexed_signs:
-            self._index_signs(belief.signs)
-        small = self._small_blocks(frame, belief)
-        seen = _Seen(frame, belief, candidates, mask)
-        blocks = {name: small[name] if make is None else make(seen) for name, make in self._makers}
-        return _joined(blocks) if self._is_flat else blocks
+        self, candidates: Sequence[Candidates] | None = None, masks: Sequence[Array] | None = None
+    ) -> list[dict[str, Array]] | list[Array]:
+        """The observation of each robot after the step that was noticed last; `masks`: its choices that count."""
+        robots = range(len(self._beliefs))
+        for robot, belief in enumerate(self._beliefs):
+            if belief.signs is not self._indexed_signs[robot]:
+                self._index_signs(robot, belief.signs)
+        blocks: dict[str, Iterable[Array]] = dict(self._small_blocks())
+        for name, make in self._makers:
+            blocks[name] = make()
+        if "frontiers" in self._names:
+            slots, lists = self._config.action.frontier_slots, candidates or [NOTHING] * len(robots)
+            blocks["frontiers"] = [features_of(lists[r], self._beliefs[r].pose_map_robot, slots) for r in robots]
+        if "action_mask" in self._names:
+            blocks["action_mask"] = [np.zeros(0, np.int8) if masks is None else masks[r].copy() for r in robots]
+        names = self._names
+        if not names:
+            seen: list[dict[str, Array]] = [{} for _ in robots]
+        else:
+            rows = zip(*[blocks[name] for name in names], strict=True)
+            seen = [dict(zip(names, row, strict=True)) for row in rows]
+        return [joined(blocks) for blocks in seen] if self._is_flat else seen
 
-    def _small_blocks(self, frame: SensorFrame, belief: Belief) -> dict[str, Array]:
-        """Those that one compiled call fills; it also turns the mates' poses into this robot's frame."""
-        lidar, pose = np.empty(self._beams, np.float32), np.empty(len(POSE_LIMITS), np.float32)
-        signs = np.zeros((len(self._readings), 5), np.float32)
-        team = np.zeros((len(self._mates), 5), np.float32)
-        robot, steps, rows = self._robot, self._contact_steps, self._mate_rows
+    def _small_blocks(self) -> dict[str, Array]:
+        """Those that one compiled call fills; it also turns the mates' poses into each robot's frame."""
+        beliefs, frames, config = self._beliefs, self._frames, self._config
+        robots, mates, slots = len(beliefs), self._mates.shape[1], self._readings.shape[1]
+        ranges = np.concatenate([frame.ranges_m for frame in frames]).reshape(robots, -1)
+        lidar, pose = np.empty(ranges.shape, np.float32), np.empty((robots, len(POSE_LIMITS)), np.float32)
+        wifi = self._slots_of_wifi.levels.copy()
+        signs, team = np.empty((robots, slots, 5), np.float32), np.empty((robots, mates, 5), np.float32)
+        since_m = np.array([belief.since_closure_m for belief in beliefs])
+        self._contact_counts[:] = self._mate_counts[:] = 0
+        for robot, belief in enumerate(beliefs):
+            if belief.contact_steps or belief.mates:
+                self._note_mates(robot, belief)
+        _fill_small(
+            ranges, 1.0 / config.lidar.range_max_m, self._poses, since_m, POSE_LIMITS, self._readings,
+            self._reading_counts, frames[0].time_s, config.observation.sign_memory_s, frames[0].step,
+            config.dynamics.time_step_s, self._contact_steps, self._contact_counts, self._mate_rows, self._mates,
+            self._mate_counts, lidar, pose, signs, team,
+        )  # fmt: skip
+        return {"lidar": lidar, "pose": pose, "wifi": wifi, "signs": signs, "team": team}
+
+    def _note_mates(self, robot: int, belief: Belief) -> None:
+        steps, rows, poses = self._contact_steps[robot], self._mate_rows[robot], self._mates[robot]
         for mate, step in belief.contact_steps.items():
             steps[mate if mate < robot else mate - 1] = step
         for k, (mate, pose_map_mate) in enumerate(belief.mates.items()):
             rows[k] = mate if mate < robot else mate - 1
-            self._mates[k] = pose_map_mate
-        _fill_small(
-            frame.ranges_m, self._per_metre, lidar, belief.pose_map_robot, belief.pose_std, belief.since_closure_m,
-            POSE_LIMITS, pose, self._readings, len(self._texts), frame.time_s, self._memory_s, belief.pose_odom, signs,
-            frame.step, self._time_step_s, steps, len(belief.contact_steps), rows, self._mates, len(belief.mates), team,
-        )  # fmt: skip
-        return {"lidar": lidar, "pose": pose, "wifi": self._slots_of_wifi.levels.copy(), "signs": signs, "team": team}
+            poses[k] = pose_map_mate
+        self._contact_counts[robot], self._mate_counts[robot] = len(belief.contact_steps), len(belief.mates)
 
-    def _frontiers(self, seen: _Seen) -> Array:
-        return features_of(seen.candidates, seen.belief.pose_map_robot, self._config.action.frontier_slots)
-
-    def _mask(self, seen: _Seen) -> Array:
-        return np.zeros(0, np.int8) if seen.mask is None else seen.mask.copy()
-
-    def _map(self, seen: _Seen) -> Array:
-        shape, belief = self._config.observation, seen.belief
-        return map_view.view(
-            belief, shape.map_cells, shape.map_cell_m, self._path_odom, self._path_count, self._mates,
-            self._sign_places,
+    def _maps(self) -> Array:
+        shape = self._config.observation
+        return map_view.views(
+            self._beliefs, self._poses, shape.map_cells, shape.map_cell_m, self._paths_odom, self._path_counts,
+            self._mates, self._mate_counts, self._sign_places,
         )  # fmt: skip
 
-    def _radio(self, seen: _Seen) -> Array:
-        """Probably free, probably wall around the robot, from signal strength alone."""
-        shape, belief = self._config.observation, seen.belief
-        if belief.radio_map is None:
-            return np.zeros((2, shape.map_cells, shape.map_cells), np.uint8)
-        return map_view.crop_around(belief.radio_map, belief.pose_map_robot, shape.map_cells, shape.map_cell_m)[:2]
+    def _radio_maps(self) -> list[Array]:
+        """Probably free, probably wall around each robot, from signal strength alone."""
+        cells, cell_m = self._config.observation.map_cells, self._config.observation.map_cell_m
+        return [
+            np.zeros((2, cells, cells), np.uint8)
+            if belief.radio_map is None
+            else map_view.crop_around(belief.radio_map, belief.pose_map_robot, cells, cell_m)[:2]
+            for belief in self._beliefs
+        ]
 
-    def _index_signs(self, signs: tuple[KnownSign, ...]) -> None:
-        """Places (k, 2) and how often each text is known."""
-        self._indexed_signs = signs
-        self._sign_places, self._text_counts = _index_of(signs)
-        self._count_elsewhere()
+    def _whole_maps(self) -> list[Array]:
+        return [self._whole_map(robot, belief) for robot, belief in enumerate(self._beliefs)]
 
-    def _count_elsewhere(self) -> None:
-        for row, text in enumerate(self._texts):
-            self._readings[row, 3] = max(self._text_counts[text] - 1, 0)
-
-    def _whole_map(self, seen: _Seen) -> Array:
-        belief, cells = seen.belief, self._config.observation.overview_cells
+    def _whole_map(self, robot: int, belief: Belief) -> Array:
+        cells, kept = self._config.observation.overview_cells, self._overviews[robot]
         key = (belief.step // OVERVIEW_PERIOD_STEPS, belief.map_version)
-        if self._overview is None or self._overview[0] != key:
-            self._overview = (key, map_view.shrink(belief.grid, cells))
-        picture, corner_m, cell_m = self._overview[1]
+        if kept is None or kept[0] != key:
+            kept = self._overviews[robot] = (key, map_view.shrink(belief.grid, cells))
+        picture, corner_m, cell_m = kept[1]
         out = np.zeros((map_view.OVERVIEW_CHANNELS, cells, cells), np.uint8)
         out[:2] = picture
         for channel, pose in [(2, belief.pose_map_robot), *((3, pose) for pose in belief.mates.values())]:
@@ -204,11 +163,29 @@ class ObservationBuilder:
                 out[channel, row, column] = 255
         return out
 
-    def _extend_path(self, pose_odom: Array) -> None:
-        x, y, _ = pose_odom.tolist()
-        if math.hypot(x - self._path_end[0], y - self._path_end[1]) >= PATH_SPACING_M:
-            self._path_odom[self._path_count % len(self._path_odom)] = self._path_end = x, y
-            self._path_count += 1
+    def _remember(self, robot: int, frame: SensorFrame) -> None:
+        """Take in the texts read in one frame."""
+        readings = self._readings[robot]
+        x, y, heading = self._beliefs[robot].pose_odom.tolist()
+        for sign in frame.signs:
+            angle, away = heading + sign.bearing_rad, sign.range_m
+            readings[1:] = readings[:-1].copy()
+            readings[0, :3] = frame.time_s, x + away * math.cos(angle), y + away * math.sin(angle)
+            self._texts[robot] = [sign.text, *self._texts[robot][: len(readings) - 1]]
+        self._reading_counts[robot] = len(self._texts[robot])
+        self._count_elsewhere(robot)
+
+    def _index_signs(self, robot: int, signs: tuple[KnownSign, ...]) -> None:
+        self._indexed_signs[robot] = signs
+        self._sign_places[robot], self._text_counts[robot] = _index_of(signs)
+        self._count_elsewhere(robot)
+
+    def _count_elsewhere(self, robot: int) -> None:
+        for row, text in enumerate(self._texts[robot]):
+            self._readings[robot, row, 3] = max(self._text_counts[robot][text] - 1, 0)
+
+
+_NO_SIGNS = np.zeros((0, 2))
 
 
 @lru_cache(maxsize=4)
@@ -217,30 +194,17 @@ def _index_of(signs: tuple[KnownSign, ...]) -> tuple[Array, Counter[str]]:
     return np.array([sign.position_m for sign in signs]).reshape(-1, 2), Counter([sign.text for sign in signs])
 
 
-class WifiSlots:
-    """The strongest transmitters in a fixed number of slots; each keeps its slot until a stronger one needs it."""
-
-    def __init__(self, count: int):
-        self.levels = np.zeros(count, np.float32)
-        """(slots,) of the latest scan: 0 at -100 dBm or not heard, 1 at -20 dBm."""
-        self._macs = np.full(count, -1, np.int64)
-        self._last_scan = np.zeros(count, np.int64)
-        """The scan in which each slot's transmitter was last among the strongest."""
-        self._scans = 0
-
-    def update(self, frame: SensorFrame) -> None:
-        """Take in the scan of a frame, if it has one."""
-        scan = frame.wifi
-        if scan is None:
-            return
-        self._scans += 1
-        _place(scan.macs, scan.rssi_dbm, self._scans, self._macs, self._last_scan, self.levels)
-
-
 @njit(cache=True, error_model="numpy")
-def _shares(ranges, per_metre, out):
-    for b in range(min(ranges.shape[0], out.shape[0])):
-        out[b] = min(max(ranges[b] * per_metre, 0.0), 1.0)
+def _extend_paths(poses, ends, counts, paths):
+    """Note where each robot has come to, in rings (robots, k, 2); poses (robots, 3, 3): the last is that in odom."""
+    for i in range(poses.shape[0]):
+        x, y = poses[i, 2, 0], poses[i, 2, 1]
+        dx, dy = x - ends[i, 0], y - ends[i, 1]
+        if dx * dx + dy * dy >= PATH_SPACING_M * PATH_SPACING_M:
+            at = counts[i] % paths.shape[1]
+            paths[i, at, 0], paths[i, at, 1] = x, y
+            ends[i, 0], ends[i, 1] = x, y
+            counts[i] += 1
 
 
 @njit(cache=True, error_model="numpy")
@@ -255,6 +219,9 @@ def _fill_pose(pose, std, since_m, limits, out):
 @njit(cache=True, error_model="numpy")
 def _fill_signs(readings, count, now_s, memory_s, pose, rows):
     """The block `signs`: readings (slots, 4), newest first, that are not older than the memory."""
+    for k in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            rows[k, j] = 0.0
     for k in range(min(count, rows.shape[0])):
         age_s = now_s - readings[k, 0]
         if age_s > memory_s + 1e-9:
@@ -281,6 +248,9 @@ def _as_seen_from(pose, others, count):
 @njit(cache=True, error_model="numpy")
 def _fill_team(now, time_step_s, contact_steps, contact_count, mate_rows, mates, mate_count, rows):
     """The block `team`: the step in which each mate was last heard of; rows and poses of those of the same map."""
+    for k in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            rows[k, j] = 0.0
     for row in range(contact_count):
         step = contact_steps[row]
         age_s = (now - step) * time_step_s
@@ -294,48 +264,20 @@ def _fill_team(now, time_step_s, contact_steps, contact_count, mate_rows, mates,
 
 @njit(cache=True, error_model="numpy")
 def _fill_small(
-    ranges, per_metre, lidar, pose_map, pose_std, since_m, limits, pose, readings, reading_count, now_s, memory_s,
-    pose_odom, signs, step, time_step_s, contact_steps, contact_count, mate_rows, mates, mate_count, team,
+    ranges, per_metre, poses, since_m, limits, readings, reading_counts, now_s, memory_s, step, time_step_s,
+    contact_steps, contact_counts, mate_rows, mates, mate_counts, lidar, pose, signs, team,
 ):  # fmt: skip
-    """The blocks `lidar`, `pose`, `signs` and `team`; mates (m, 3) come in the map frame and leave in the robot's."""
-    _shares(ranges, per_metre, lidar)
-    _fill_pose(pose_map, pose_std, since_m, limits, pose)
-    _fill_signs(readings, reading_count, now_s, memory_s, pose_odom, signs)
-    _as_seen_from(pose_map, mates, mate_count)
-    _fill_team(step, time_step_s, contact_steps, contact_count, mate_rows, mates, mate_count, team)
+    """The blocks `lidar`, `pose`, `signs` and `team` of all robots.
 
-
-@njit(cache=True, error_model="numpy")
-def _place(macs, rssi_dbm, scan, slot_macs, last_scan, levels):
-    """The strongest transmitters take, or keep, the slots. Those longest out of the strongest give way."""
-    slots, heard = slot_macs.shape[0], rssi_dbm.shape[0]
-    strongest = np.empty(slots, np.int64)
-    count = 0
-    for k in range(heard):  # inserted in falling order; of equals, the first stays ahead
-        at = count
-        while at > 0 and rssi_dbm[strongest[at - 1]] < rssi_dbm[k]:
-            at -= 1
-        if at < slots:
-            count = min(count + 1, slots)
-            for i in range(count - 1, at, -1):
-                strongest[i] = strongest[i - 1]
-            strongest[at] = k
-    is_new = np.ones(slots, np.bool_)
-    for k in range(count):
-        for slot in range(slots):
-            if slot_macs[slot] == macs[strongest[k]]:
-                is_new[k] = False
-                last_scan[slot] = scan
-    for k in range(count):
-        if is_new[k]:
-            oldest = 0
-            for slot in range(1, slots):
-                if last_scan[slot] < last_scan[oldest]:
-                    oldest = slot
-            slot_macs[oldest], last_scan[oldest] = macs[strongest[k]], scan
-    for slot in range(slots):
-        levels[slot] = 0.0
-        for k in range(heard):
-            if macs[k] == slot_macs[slot]:
-                levels[slot] = min(max((rssi_dbm[k] - RSSI_ZERO_DBM) / RSSI_SPAN_DB, 0.0), 1.0)
-                break
+    poses (robots, 3, 3): in the map, its spread, in odom; mates (robots, m, 3) come in the map frame and leave in that
+    of the robot.
+    """
+    for i in range(ranges.shape[0]):
+        for b in range(ranges.shape[1]):
+            lidar[i, b] = min(max(ranges[i, b] * per_metre, 0.0), 1.0)
+        _fill_pose(poses[i, 0], poses[i, 1], since_m[i], limits, pose[i])
+        _fill_signs(readings[i], reading_counts[i], now_s, memory_s, poses[i, 2], signs[i])
+        _as_seen_from(poses[i, 0], mates[i], mate_counts[i])
+        _fill_team(
+            step, time_step_s, contact_steps[i], contact_counts[i], mate_rows[i], mates[i], mate_counts[i], team[i]
+        )

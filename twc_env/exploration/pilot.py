@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twc_env.config import ActionConfig, EnvConfig
 from twc_env.errors import ActionError
 from twc_env.exploration.actions import action_array
-from twc_env.exploration.observations import EXTRA_CHOICES
+from twc_env.exploration.observation_blocks import EXTRA_CHOICES
 from twc_env.geometry import transform_points
 from twc_env.messages import Belief
 from twc_env.planning.candidates import NOTHING, Candidates, find_candidates

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Array = NDArray
 
 _STATE = (
-    "_episode_config", "_plan", "_world", "_engine", "_link", "_builders", "_pilot", "_scout", "_record", "_standing",
+    "_episode_config", "_plan", "_world", "_engine", "_link", "_builder", "_pilot", "_scout", "_record", "_standing",
     "_steps", "_seed", "_frames", "_beliefs", "agents",
 )  # fmt: skip
 """What of an environment changes during an episode."""

@@ -18,7 +18,8 @@ from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.routes import RoutePlanner
 from twc_env.world.floorplan import AccessPoint, Floorplan
-from twc_env.world.radio import RadioModel, WifiReceiver
+from twc_env.world.radio import RadioModel
+from twc_env.world.reception import WifiReceiver
 
 Array = NDArray
 
@@ -115,6 +116,9 @@ class RememberingModel(RadioModel):
         if key not in self._known:
             self._known[key] = super().mean_rssi_dbm(position_m)
         return self._known[key].copy()
+
+    def walls_around(self, x: float, y: float) -> None:
+        """Nothing: strengths come from `mean_rssi_dbm`."""
 
 
 def simulate(

@@ -13,7 +13,8 @@ from twc_env.config import RadioConfig
 from twc_env.errors import MapError
 from twc_env.reproduce.routes import RoutePlanner
 from twc_env.world.floorplan import Floorplan
-from twc_env.world.radio import RadioModel, WifiReceiver
+from twc_env.world.radio import RadioModel
+from twc_env.world.reception import WifiReceiver
 
 Array = NDArray
 

@@ -44,11 +44,21 @@ class CrossingTable:
             for band, index in enumerate(self._direct):
                 counts[:], losses_db[band] = index.crossing(np.array([x, y]), self._points_m)
             return
+        table = self._table(x, y)
+        _cross_open(self._walls_m, self._loss_db, self._points_m, x, y, *table, counts, losses_db)
+
+    def walls_around(self, x: float, y: float) -> tuple[Array, ...] | None:
+        """All walls (w, 4) and their losses (bands, w); then, for the square around (x, y), the losses between it and
+        each point that are sure (bands, k), and the walls that must be tested for point i: members[first[i] :
+        first[i + 1]]. None for a building that is too large for squares."""
+        if self._direct:
+            return None
+        return (self._walls_m, self._loss_db, *self._table(x, y)[1:])
+
+    def _table(self, x: float, y: float) -> tuple[Array, Array, Array, Array]:
         square = (int(x // _SQUARE_M), int(y // _SQUARE_M))
         table = self._squares.get(square)
-        if table is None:
-            table = self._work_out(square)
-        _cross_open(self._walls_m, self._loss_db, self._points_m, x, y, *table, counts, losses_db)
+        return self._work_out(square) if table is None else table
 
     def _work_out(self, square: tuple[int, int]) -> tuple[Array, Array, Array, Array]:
         if len(self._squares) >= self._squares_max:

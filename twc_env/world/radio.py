@@ -12,17 +12,14 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import RadioConfig
 from twc_env.geometry import inverse, transform_points
-from twc_env.messages import WifiScan
-from twc_env.random_streams import random_stream
 from twc_env.world.crossing_table import CrossingTable
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.materials import wall_loss_db
-from twc_env.world.noise import StepNoise
+from twc_env.world.reception import mean_rssi_at, shadowing_at
 from twc_env.world.wall_index import WallIndex
 
 Array = NDArray
@@ -118,16 +115,18 @@ class RadioModel:
             self._index, self._sources.position_m[: len(access_points)], np.array(losses_db)
         )
         self._crossed = np.zeros(len(access_points), np.int64), np.zeros((used, len(access_points)))
-        self._fields = np.empty((2, len(self._sources.position_m)))
+        sources = self._sources
+        boxes = np.column_stack([sources.position_m, sources.height_m, sources.shadowing_std_db]).T.copy()
+        self.signal = (
+            self._pose_home_building, boxes, sources.waves, np.stack([self._levels_dbm, self._exponent]),
+            np.stack([self.access_point_of, self.band_of]), config.distance_min_m,
+            np.empty((2 + used, len(sources.position_m))),
+        )  # fmt: skip
+        """What `reception.mean_rssi_at` needs beside the place and the walls around it."""
 
     def shadowing_db(self, position_m: Array) -> Array:
         """(access points,) the fixed deviation of each signal at a place (2,) of the building frame."""
-        shadowing, sources = np.empty(len(self._sources.position_m)), self._sources
-        _shadowing(
-            float(position_m[0]), float(position_m[1]), self._pose_home_building, sources.waves,
-            sources.shadowing_std_db, shadowing,
-        )  # fmt: skip
-        return shadowing
+        return shadowing_at(float(position_m[0]), float(position_m[1]), *self.signal[:3])
 
     def walls_crossed(self, position_m: Array) -> Array:
         """(access points,) walls between a place (2,) and each source, exact."""
@@ -135,16 +134,15 @@ class RadioModel:
 
     def mean_rssi_dbm(self, position_m: Array) -> Array:
         """(transmitters,) strength at a place (2,) before fading, device offset and noise."""
-        x, y, sources = float(position_m[0]), float(position_m[1]), self._sources
-        mean = np.empty(len(self.macs))
-        _mean_rssi(
-            x, y, self._pose_home_building, sources.position_m, sources.height_m, sources.waves,
-            sources.shadowing_std_db, self._wall_losses_db(x, y), self._levels_dbm, self._exponent,
-            self._config.distance_min_m, self.access_point_of, self.band_of, self._fields, mean,
-        )  # fmt: skip
+        x, y = float(position_m[0]), float(position_m[1])
+        mean = mean_rssi_at(x, y, self._wall_losses_db(x, y), *self.signal)
         if self._has_cells:
             mean[self.band_of == CELL_BAND] -= self._sector_loss_db(np.array([x, y]))
         return mean
+
+    def walls_around(self, x: float, y: float) -> tuple[Array, ...] | None:
+        """`CrossingTable.walls_around`; None with cells too, whose signals come from afar."""
+        return None if self._has_cells else self._crossings.walls_around(x, y)
 
     def _wall_losses_db(self, x: float, y: float) -> Array:
         """(bands, sources); bands that nobody sends on stay empty."""
@@ -188,70 +186,6 @@ class RadioModel:
                 draw = _building_stream(plan.digest, "access-point", min(access_point.macs)).standard_normal()
                 offsets[i] = self._config.access_point_spread_db * draw
         return offsets
-
-
-class WifiReceiver:
-    """One robot's radio device for one episode."""
-
-    def __init__(self, config: RadioConfig, model: RadioModel, robot: int, seed: int, offset_db: float = 0.0):
-        self._config, self._model = config, model
-        count = len(model.macs)
-        noise, detection = random_stream(seed, "wifi-noise", robot), random_stream(seed, "wifi-detection", robot)
-        self._draws = StepNoise([noise], count).beside([detection], count, "random")
-        self._fading = random_stream(seed, "wifi-fading", robot)
-        self._sweep = random_stream(seed, "wifi-sweep", robot)
-        is_sweep_whole = config.sweep_share == 1.0 and not config.sweep_share_std
-        self._hears_all_now = is_sweep_whole and config.stale_age_max_s == 0.0
-        device = random_stream(seed, "wifi-device", robot)
-        self._device_offset_db = config.device_offset_std_db * device.standard_normal() + offset_db
-        self._floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
-        self._fading_db = np.zeros(len(model.macs))
-        self._fading_place_m: tuple[float, float] | None = None
-        self._kept_dbm = np.zeros(len(model.macs))
-        self._kept_time_s = np.full(len(model.macs), -np.inf)
-
-    def scan(self, position_m: Array, time_s: float = 0.0) -> WifiScan:
-        """Hear what can be heard at a true position (2,); the time dates readings that are repeated later."""
-        self._refresh_fading(position_m)
-        rssi, all_macs, config = self._model.mean_rssi_dbm(position_m), self._model.macs, self._config
-        count = len(all_macs)
-        heard, macs, readings = np.empty(count, np.bool_), np.empty(count, np.int64), np.empty(count)
-        heard_count = _receive(
-            rssi, self._fading_db, self._device_offset_db, config.noise_std_db, self._draws.next()[0],
-            self._floors_dbm, config.detection_slope_db, config.miss_probability, config.quantisation_db,
-            all_macs, heard, macs, readings,
-        )  # fmt: skip
-        if self._hears_all_now:
-            return WifiScan(macs[:heard_count], readings[:heard_count])
-        if config.sweep_share < 1.0 or config.sweep_share_std:
-            share = config.sweep_share + config.sweep_share_std * self._sweep.standard_normal()
-            heard &= (self._model.sweep_place - self._sweep.random()) % 1.0 < share
-        if config.stale_age_max_s > 0.0:
-            return self._with_stale(rssi, heard, time_s)
-        return WifiScan(all_macs[heard], rssi[heard])
-
-    def _with_stale(self, rssi: Array, heard: Array, time_s: float) -> WifiScan:
-        """What was heard now, and what was heard not too long ago, with its age."""
-        self._kept_dbm[heard], self._kept_time_s[heard] = (
-            rssi[heard],
-            time_s - self._config.sweep_duration_s * self._model.sweep_place[heard],
-        )
-        age_s = time_s - self._kept_time_s
-        listed = age_s <= self._config.stale_age_max_s
-        return WifiScan(self._model.macs[listed], self._kept_dbm[listed], age_s[listed])
-
-    def _refresh_fading(self, position_m: Array) -> None:
-        x, y = float(position_m[0]), float(position_m[1])
-        if self._fading_place_m is not None:
-            moved2 = (x - self._fading_place_m[0]) ** 2 + (y - self._fading_place_m[1]) ** 2
-            if moved2 < self._config.fading_length_m**2:
-                return
-        self._fading_place_m = (x, y)
-        if self._config.fading_shared:
-            self._fading_db = self._fading.standard_normal(self._model.radio_count)[self._model.radio_of]
-            self._fading_db *= self._config.fading_std_db
-        else:
-            self._fading_db = self._config.fading_std_db * self._fading.standard_normal(len(self._fading_db))
 
 
 def _building_stream(digest: str, what: str, mac: int) -> np.random.Generator:
@@ -360,56 +294,3 @@ def _index_for(config: RadioConfig, plan: Floorplan, band: int) -> WallIndex | N
 
 def _scaled(plan: Floorplan, factor: float | Array) -> WallIndex:
     return dataclasses.replace(plan.wall_index, loss_db=plan.wall_loss_db * factor)
-
-
-@njit(cache=True, error_model="numpy")
-def _shadowing(x, y, pose_home_building, waves, stds, shadowing):
-    """Sum of cosines per source; the loop over sources is innermost, so that they are worked out side by side."""
-    c, s = np.cos(pose_home_building[2]), np.sin(pose_home_building[2])
-    home_x = pose_home_building[0] + c * x - s * y
-    home_y = pose_home_building[1] + s * x + c * y
-    shadowing[:] = 0.0
-    for k in range(waves.shape[1]):
-        for a in range(waves.shape[2]):
-            turns = (waves[0, k, a] * home_x + waves[1, k, a] * home_y + waves[2, k, a]) * (0.5 / np.pi)
-            # The sine's series to 1e-9 on the quarter turn around the nearest zero, instead of a call per cosine.
-            z = 2.0 * np.pi * (0.25 - abs(turns - np.floor(turns + 0.5)))
-            q = z * z
-            tail = q * (1 / 362880 - q * (1 / 39916800 - q * (1 / 6227020800)))
-            shadowing[a] += z * (1.0 - q * (1 / 6 - q * (1 / 120 - q * (1 / 5040 - tail))))
-    for a in range(waves.shape[2]):
-        shadowing[a] *= stds[a] * np.sqrt(2.0 / waves.shape[1])
-
-
-@njit(cache=True, error_model="numpy")
-def _mean_rssi(
-    x, y, pose_home_building, sources, heights, waves, stds, losses, levels, exponent, distance_min, owners, bands,
-    fields, mean,
-):  # fmt: skip
-    shadowing, path_loss = fields[0], fields[1]
-    _shadowing(x, y, pose_home_building, waves, stds, shadowing)
-    for a in range(sources.shape[0]):
-        dx, dy, dz = sources[a, 0] - x, sources[a, 1] - y, heights[a]
-        path_loss[a] = 10.0 * np.log10(max(np.sqrt(dx * dx + dy * dy + dz * dz), distance_min))
-    for t in range(owners.shape[0]):
-        a = owners[t]
-        mean[t] = levels[t] - exponent[t] * path_loss[a] - losses[bands[t], a] + shadowing[a]
-
-
-@njit(cache=True, error_model="numpy")
-def _receive(
-    rssi, fading, device_offset, noise_std, draws, floors, slope, missed, step, all_macs, heard, macs, readings
-):
-    """Turn mean strengths into readings, in place; what is heard is also listed in macs and readings -> how many.
-
-    Draws: a normal deviate for each transmitter, then a uniform one for each.
-    """
-    transmitters, count = rssi.shape[0], 0
-    for t in range(transmitters):
-        level = rssi[t] + fading[t] + device_offset + noise_std * draws[t]
-        heard[t] = draws[transmitters + t] * (1.0 + np.exp((floors[t] - level) / slope)) < 1.0 - missed
-        rssi[t] = step * np.floor(level / step + 0.5)
-        if heard[t]:
-            macs[count], readings[count] = all_macs[t], rssi[t]
-            count += 1
-    return count

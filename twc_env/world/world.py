@@ -18,7 +18,8 @@ from twc_env.world.dynamics import Dynamics
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.lidar import Lidar, glass_walls
 from twc_env.world.odometry import Odometry
-from twc_env.world.radio import RadioModel, WifiReceiver
+from twc_env.world.radio import RadioModel
+from twc_env.world.reception import WifiReceiver
 from twc_env.world.signs import SignCamera
 
 Array = NDArray

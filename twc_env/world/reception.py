@@ -1,0 +1,189 @@
+"""What one radio device hears: mean strength, fading, its own offset and noise, then whether it is heard at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.config import RadioConfig
+from twc_env.messages import WifiScan
+from twc_env.random_streams import random_stream
+from twc_env.world.noise import StepNoise
+
+if TYPE_CHECKING:
+    from twc_env.world.radio import RadioModel
+
+Array = NDArray
+
+
+class WifiReceiver:
+    """One robot's radio device for one episode."""
+
+    def __init__(self, config: RadioConfig, model: RadioModel, robot: int, seed: int, offset_db: float = 0.0):
+        self._config, self._model = config, model
+        count = len(model.macs)
+        noise, detection = random_stream(seed, "wifi-noise", robot), random_stream(seed, "wifi-detection", robot)
+        self._draws = StepNoise([noise], count).beside([detection], count, "random")
+        self._fading = random_stream(seed, "wifi-fading", robot)
+        self._sweep = random_stream(seed, "wifi-sweep", robot)
+        self._is_partial = config.sweep_share < 1.0 or config.sweep_share_std > 0.0
+        device = random_stream(seed, "wifi-device", robot)
+        device_offset_db = config.device_offset_std_db * device.standard_normal() + offset_db
+        self._floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
+        self._constants = np.array(
+            [device_offset_db, config.noise_std_db, config.detection_slope_db, 1.0 - config.miss_probability,
+             config.quantisation_db]
+        )  # fmt: skip
+        self._fading_db = np.zeros(count)
+        self._fading_x, self._fading_y = np.inf, np.inf
+        self._kept_dbm, self._kept_time_s = np.zeros(count), np.full(count, -np.inf)
+
+    def scan(self, position_m: Sequence[float] | Array, time_s: float = 0.0) -> WifiScan:
+        """Hear what can be heard at a true position (x, y, ...); the time dates readings that are repeated later."""
+        x, y = float(position_m[0]), float(position_m[1])
+        config, model = self._config, self._model
+        if (x - self._fading_x) ** 2 + (y - self._fading_y) ** 2 >= config.fading_length_m**2:
+            self._refresh_fading(x, y)
+        count = len(model.macs)
+        macs, readings, table = np.empty(count, np.int64), np.empty(count), model.walls_around(x, y)
+        own = self._fading_db, self._constants, self._draws.next()[0], self._floors_dbm, model.macs
+        if table is not None and not self._is_partial and not config.stale_age_max_s:
+            heard_count = _listen(x, y, *model.signal, *table, *own, macs, readings)
+            return WifiScan(macs[:heard_count], readings[:heard_count])
+        rssi, heard = model.mean_rssi_dbm(np.array([x, y])), np.empty(count, np.bool_)
+        _receive(rssi, *own, heard, macs, readings)
+        if self._is_partial:
+            share = config.sweep_share + config.sweep_share_std * self._sweep.standard_normal()
+            heard &= (model.sweep_place - self._sweep.random()) % 1.0 < share
+        if config.stale_age_max_s > 0.0:
+            return self._with_stale(rssi, heard, time_s)
+        return WifiScan(model.macs[heard], rssi[heard])
+
+    def _with_stale(self, rssi: Array, heard: Array, time_s: float) -> WifiScan:
+        """What was heard now, and what was heard not too long ago, with its age."""
+        self._kept_dbm[heard], self._kept_time_s[heard] = (
+            rssi[heard],
+            time_s - self._config.sweep_duration_s * self._model.sweep_place[heard],
+        )
+        age_s = time_s - self._kept_time_s
+        listed = age_s <= self._config.stale_age_max_s
+        return WifiScan(self._model.macs[listed], self._kept_dbm[listed], age_s[listed])
+
+    def _refresh_fading(self, x: float, y: float) -> None:
+        self._fading_x, self._fading_y = x, y
+        if self._config.fading_shared:
+            self._fading_db = self._fading.standard_normal(self._model.radio_count)[self._model.radio_of]
+            self._fading_db *= self._config.fading_std_db
+        else:
+            self._fading_db = self._config.fading_std_db * self._fading.standard_normal(len(self._fading_db))
+
+
+def shadowing_at(x: float, y: float, pose_home_building: Array, boxes: Array, waves: Array) -> Array:
+    """(sources,) the fixed deviation of each source's signal at a place; arguments as in `mean_rssi_at`."""
+    shadowing = np.empty(boxes.shape[1])
+    _shadowing(x, y, pose_home_building, boxes, waves, shadowing)
+    return shadowing
+
+
+def mean_rssi_at(
+    x: float, y: float, losses_db: Array, pose_home_building: Array, boxes: Array, waves: Array, radios: Array,
+    parts: Array, distance_min_m: float, scratch: Array,
+) -> Array:  # fmt: skip
+    """(transmitters,) strength before fading, device and noise.
+
+    losses_db (bands, sources): of walls; boxes (4, sources): x, y, height and spread of the shadowing; waves
+    (3, waves, sources): x and y frequency and phase; radios (2, transmitters): power less fixed losses, and path-loss
+    exponent; parts (2, transmitters): source and band; scratch (>= 2, sources).
+    """
+    mean = np.empty(radios.shape[1])
+    _mean_rssi(x, y, losses_db, pose_home_building, boxes, waves, radios, parts, distance_min_m, scratch, mean)
+    return mean
+
+
+@njit(cache=True, error_model="numpy")
+def _open_losses(x, y, boxes, walls, wall_loss, sure_losses, first, members, losses):
+    """`CrossingTable.crossed` without the counts: sure losses, and those of the walls that must be tested."""
+    for k in range(boxes.shape[1]):
+        for band in range(wall_loss.shape[0]):
+            losses[band, k] = sure_losses[band, k]
+        qx, qy = boxes[0, k], boxes[1, k]
+        dx, dy = qx - x, qy - y
+        for m in range(first[k], first[k + 1]):
+            w = members[m]
+            ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
+            side_a = dx * (ay - y) - dy * (ax - x)
+            side_b = dx * (by - y) - dy * (bx - x)
+            if (side_a >= 0.0) == (side_b >= 0.0):
+                continue
+            side_p = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+            side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
+            if (side_p >= 0.0) != (side_q >= 0.0):
+                for band in range(wall_loss.shape[0]):
+                    losses[band, k] += wall_loss[band, w]
+
+
+@njit(cache=True, error_model="numpy")
+def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
+    """Sum of cosines per source; the loop over sources is innermost, so that they are worked out side by side."""
+    c, s = np.cos(pose_home_building[2]), np.sin(pose_home_building[2])
+    home_x = pose_home_building[0] + c * x - s * y
+    home_y = pose_home_building[1] + s * x + c * y
+    shadowing[:] = 0.0
+    for k in range(waves.shape[1]):
+        for a in range(waves.shape[2]):
+            turns = (waves[0, k, a] * home_x + waves[1, k, a] * home_y + waves[2, k, a]) * (0.5 / np.pi)
+            # The sine's series to 1e-9 on the quarter turn around the nearest zero, instead of a call per cosine.
+            z = 2.0 * np.pi * (0.25 - abs(turns - np.floor(turns + 0.5)))
+            q = z * z
+            tail = q * (1 / 362880 - q * (1 / 39916800 - q * (1 / 6227020800)))
+            shadowing[a] += z * (1.0 - q * (1 / 6 - q * (1 / 120 - q * (1 / 5040 - tail))))
+    for a in range(waves.shape[2]):
+        shadowing[a] *= boxes[3, a] * np.sqrt(2.0 / waves.shape[1])
+
+
+@njit(cache=True, error_model="numpy")
+def _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, mean):
+    shadowing, path_loss = scratch[0], scratch[1]
+    _shadowing(x, y, pose_home_building, boxes, waves, shadowing)
+    for a in range(boxes.shape[1]):
+        dx, dy, dz = boxes[0, a] - x, boxes[1, a] - y, boxes[2, a]
+        path_loss[a] = 10.0 * np.log10(max(np.sqrt(dx * dx + dy * dy + dz * dz), distance_min))
+    for t in range(parts.shape[1]):
+        a = parts[0, t]
+        mean[t] = radios[0, t] - radios[1, t] * path_loss[a] - losses[parts[1, t], a] + shadowing[a]
+
+
+@njit(cache=True, error_model="numpy")
+def _receive(rssi, fading, constants, draws, floors, all_macs, heard, macs, readings):
+    """Turn mean strengths into readings, in place; what is heard is also listed in macs and readings -> how many.
+
+    Draws: a normal deviate for each transmitter, then a uniform one for each.
+    """
+    device_offset, noise_std, slope, chance, step = (
+        constants[0], constants[1], constants[2], constants[3], constants[4]
+    )  # fmt: skip
+    transmitters, count = rssi.shape[0], 0
+    for t in range(transmitters):
+        level = rssi[t] + fading[t] + device_offset + noise_std * draws[t]
+        heard[t] = draws[transmitters + t] * (1.0 + np.exp((floors[t] - level) / slope)) < chance
+        rssi[t] = step * np.floor(level / step + 0.5)
+        if heard[t]:
+            macs[count], readings[count] = all_macs[t], rssi[t]
+            count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _listen(
+    x, y, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, walls, wall_loss, sure_losses, first,
+    members, fading, constants, draws, floors, all_macs, macs, readings,
+):  # fmt: skip
+    """A whole scan at one place, inside a building whose walls around are sorted -> how many are heard."""
+    rssi, heard = np.empty(parts.shape[1]), np.empty(parts.shape[1], np.bool_)
+    _open_losses(x, y, boxes, walls, wall_loss, sure_losses, first, members, scratch[2:])
+    _mean_rssi(x, y, scratch[2:], pose_home_building, boxes, waves, radios, parts, distance_min, scratch, rssi)
+    return _receive(rssi, fading, constants, draws, floors, all_macs, heard, macs, readings)
