@@ -21,7 +21,7 @@ DRAWN_MAX_PX = 128.0
 """Signs so near that their capitals are higher are drawn this high: the OCR reads them no worse."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Sight:
     """How a camera sees one sign."""
 

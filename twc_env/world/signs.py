@@ -18,6 +18,8 @@ Array = NDArray
 
 CHARACTER_PITCH = 0.95
 """Width of a character on a plate [capital heights]."""
+_SIGHT_COLUMNS = 6
+_NOBODY = np.zeros((0, 3))
 _ROBOT = DynamicsConfig()
 
 
@@ -26,31 +28,30 @@ class SignCamera:
 
     def __init__(self, config: SignsConfig, plan: Floorplan, robot: int, seed: int, dynamics: DynamicsConfig = _ROBOT):
         self._config, self._index = config, plan.wall_index
-        self._time_step_s, self._robot_radius_m = dynamics.time_step_s, dynamics.robot_radius_m
         texts = tuple(sign.text for sign in plan.signs)
         normals = np.array([(math.cos(s.facing_rad), math.sin(s.facing_rad)) for s in plan.signs]).reshape(-1, 2)
         faces = np.array([s.position_m for s in plan.signs]).reshape(-1, 2) + SIGN_FACE_M * normals
         self._signs = np.column_stack([faces, normals])  # (signs, 4)
-        self._visible = [np.zeros(len(text), np.bool_) for text in texts]
-        self._range_max_m = min(
-            config.range_max_m, config.focal_length_px * config.character_height_m / config.height_min_px
+        self._lengths = np.array([len(text) for text in texts], np.int64)
+        self._sights = np.empty((len(texts), _SIGHT_COLUMNS))
+        self._hidden = np.zeros((len(texts), max(self._lengths, default=0)), np.bool_)
+        self._constants = np.array(
+            [
+                min(config.range_max_m, config.focal_length_px * config.character_height_m / config.height_min_px),
+                0.5 * config.field_of_view_rad,
+                math.cos(config.incidence_max_rad),
+                config.exposure_s * config.focal_length_px / dynamics.time_step_s,
+                config.focal_length_px * config.character_height_m,
+                dynamics.robot_radius_m,
+                CHARACTER_PITCH * config.character_height_m,
+            ]
         )
         self._noise = random_stream(seed, "camera", robot)
         self._reader = make_reader(config, texts, robot, seed)
 
     def legible(self, pose: Array) -> tuple[int, ...]:
         """The signs whose middle is in view from a true pose (3,): near enough, not too oblique, behind no wall."""
-        config = self._config
-        candidates = np.empty(len(self._signs), np.int64)
-        count = _in_view(
-            self._signs, pose[0], pose[1], pose[2], self._range_max_m,
-            0.5 * config.field_of_view_rad, math.cos(config.incidence_max_rad), candidates,
-        )  # fmt: skip
-        if count == 0:
-            return ()
-        near = candidates[:count]
-        crossed, _ = self._index.crossing(pose, self._signs[near, :2])
-        return tuple(near[crossed == 0].tolist())
+        return tuple(self._sights[: self._look(pose, pose, _NOBODY), 0].astype(int).tolist())
 
     def read(
         self, pose: Array, previous: Array | None = None, robots: Array | None = None
@@ -60,58 +61,93 @@ class SignCamera:
         One time step before, the camera was at `previous`; without it, it stands still. `robots` (k, 3), itself among
         them or not, may hide part of a text.
         """
-        legible = self.legible(pose)
-        if not legible:
-            return (), ()
         config = self._config
-        sights = [self._sight(sign, pose, previous, robots) for sign in legible]
+        hiding = robots if config.robots_hide and robots is not None and len(robots) > 1 else _NOBODY
+        count = self._look(pose, pose if previous is None else previous, hiding)
+        if count == 0:
+            return (), ()
+        sights = []
+        for k, (sign, distance, bearing, height, incidence, blur) in enumerate(self._sights[:count].tolist()):
+            number = int(sign)
+            is_hidden = self._hidden[k, : self._lengths[number]]
+            sights.append(Sight(number, distance, bearing, height, incidence, blur, is_hidden))
         readings, sources = [], []
-        for sight, text in zip(sights, self._reader.read(sights), strict=True):
-            bearing_noise, range_noise = self._noise.standard_normal(2).tolist()
+        noise = self._noise.standard_normal(2 * count).tolist()
+        for k, (sight, text) in enumerate(zip(sights, self._reader.read(sights), strict=True)):
             if not text:
                 continue
-            bearing = sight.bearing_rad + config.bearing_noise_std_rad * bearing_noise
-            distance = max(sight.distance_m + config.range_noise_std_m * range_noise, 0.0)
+            bearing = sight.bearing_rad + config.bearing_noise_std_rad * noise[2 * k]
+            distance = max(sight.distance_m + config.range_noise_std_m * noise[2 * k + 1], 0.0)
             readings.append(SignReading(text, math.remainder(bearing, 2 * math.pi), distance))
             sources.append(sight.sign)
         return tuple(readings), tuple(sources)
 
-    def _sight(self, sign: int, pose: Array, previous: Array | None, robots: Array | None) -> Sight:
-        config = self._config
-        x, y, facing_x, facing_y = self._signs[sign].tolist()
-        at_x, at_y, heading = pose.tolist()
-        dx, dy = x - at_x, y - at_y
-        distance = math.hypot(dx, dy)
-        incidence = math.asin(min(max((dy * facing_x - dx * facing_y) / distance, -1.0), 1.0))
-        blur_px = 0.0
-        if previous is not None:
-            from_x, from_y, from_heading = previous.tolist()
-            turn = math.remainder(heading - from_heading, 2 * math.pi)
-            swing = turn + (dx * (at_y - from_y) - dy * (at_x - from_x)) / distance**2
-            blur_px = abs(swing) / self._time_step_s * config.exposure_s * config.focal_length_px
-        is_hidden = self._visible[sign]
-        if config.robots_hide and robots is not None and len(robots) > 1:
-            is_hidden = np.zeros(len(is_hidden), np.bool_)
-            pitch_m = CHARACTER_PITCH * config.character_height_m
-            _hide(self._signs[sign], at_x, at_y, robots, self._robot_radius_m, pitch_m, is_hidden)
-        height_px = config.focal_length_px * config.character_height_m / distance
-        return Sight(sign, distance, math.atan2(dy, dx) - heading, height_px, incidence, blur_px, is_hidden)
+    def _look(self, pose: Array, previous: Array, robots: Array) -> int:
+        """Fill the sights of the signs in view -> how many."""
+        i = self._index
+        return _look(
+            self._signs, self._lengths, i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members, pose,
+            previous, robots, self._constants, self._sights, self._hidden,
+        )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
-def _in_view(signs, x, y, heading, range_max, half_view, cos_incidence, candidates):
-    count = 0
+def _is_blocked(walls, origin, bucket, rows, columns, first, members, px, py, qx, qy):
+    """Whether a wall crosses the line from p to q; walls of the buckets around the line are tested."""
+    c0 = max(int(np.floor((min(px, qx) - origin[0]) / bucket)), 0)
+    c1 = min(int(np.floor((max(px, qx) - origin[0]) / bucket)), columns - 1)
+    r0 = max(int(np.floor((min(py, qy) - origin[1]) / bucket)), 0)
+    r1 = min(int(np.floor((max(py, qy) - origin[1]) / bucket)), rows - 1)
+    if c0 > c1:
+        return False
+    dx, dy = qx - px, qy - py
+    for r in range(r0, r1 + 1):
+        for m in range(first[r * columns + c0], first[r * columns + c1 + 1]):
+            w = members[m]
+            ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
+            side_a = dx * (ay - py) - dy * (ax - px)
+            side_b = dx * (by - py) - dy * (bx - px)
+            if (side_a >= 0.0) == (side_b >= 0.0):
+                continue
+            side_p = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+            side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
+            if (side_p >= 0.0) != (side_q >= 0.0):
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _look(
+    signs, lengths, walls, origin, bucket, rows, columns, first, members, pose, previous, robots, constants, sights,
+    hidden,
+):  # fmt: skip
+    """Fill a row of sights, as the fields of `Sight`, for each sign in view, and one of hidden -> how many."""
+    range_max, half_view, cos_incidence = constants[0], constants[1], constants[2]
+    x, y, heading, count = pose[0], pose[1], pose[2], 0
+    moved_x, moved_y = x - previous[0], y - previous[1]
+    turn = (heading - previous[2] + math.pi) % (2.0 * math.pi) - math.pi
     for i in range(signs.shape[0]):
         dx, dy = signs[i, 0] - x, signs[i, 1] - y
         distance2 = dx * dx + dy * dy
         if distance2 > range_max * range_max or distance2 < 1e-12:
             continue
-        if -(dx * signs[i, 2] + dy * signs[i, 3]) < cos_incidence * np.sqrt(distance2):
+        distance = math.sqrt(distance2)
+        if -(dx * signs[i, 2] + dy * signs[i, 3]) < cos_incidence * distance:
             continue
-        bearing = (np.arctan2(dy, dx) - heading + np.pi) % (2.0 * np.pi) - np.pi
-        if abs(bearing) <= half_view:
-            candidates[count] = i
-            count += 1
+        bearing = math.atan2(dy, dx) - heading
+        if abs((bearing + math.pi) % (2.0 * math.pi) - math.pi) > half_view:
+            continue
+        if _is_blocked(walls, origin, bucket, rows, columns, first, members, x, y, signs[i, 0], signs[i, 1]):
+            continue
+        swing = turn + (dx * moved_y - dy * moved_x) / distance2
+        sights[count, 0], sights[count, 1], sights[count, 2] = i, distance, bearing
+        sights[count, 3] = constants[4] / distance
+        sights[count, 4] = math.asin(min(max((dy * signs[i, 2] - dx * signs[i, 3]) / distance, -1.0), 1.0))
+        sights[count, 5] = abs(swing) * constants[3]
+        for m in range(lengths[i]):
+            hidden[count, m] = False
+        _hide(signs[i], x, y, robots, constants[5], constants[6], hidden[count, : lengths[i]])
+        count += 1
     return count
 
 
