@@ -327,7 +327,7 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
 def _error_of_log(engine: CooperativeSlam, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:
     """Team ATE [m] over a whole log, each group of robots aligned once."""
     from twc_env.errors import DataError
-    from twc_env.exploration.evaluation import team_error_m
+    from twc_env.exploration.team_alignment import team_error_m
 
     if odom_poses.shape != true_poses.shape:
         raise DataError(f"the truth has shape {true_poses.shape}, the log {odom_poses.shape}: give the pair of one run")

@@ -108,11 +108,11 @@ def test_terms_judge_one_transition():
     after = team_of([((0, 1, 2), True, 0.75)], (0.0, 0.0, 0.25))
     transition = Transition(before, after, np.array([False, True, False]), 2500.0, 200)
     team = {"coverage": 0.25, "merge": 1.0, "localisation": pytest.approx(2.75 / 3 - 0.5)}
-    assert terms(transition, 0, "team") == team | {"collision": 0.0, "time": 0.005, "bytes": 0.25}
+    assert terms(transition, "team")[0] == team | {"collision": 0.0, "time": 0.005, "bytes": 0.25}
     own = {"coverage": 0.5, "merge": 0.5, "localisation": 0.5}
-    assert terms(transition, 1, "individual") == own | {"collision": 1.0, "time": 0.005, "bytes": 0.25}
+    assert terms(transition, "individual")[1] == own | {"collision": 1.0, "time": 0.005, "bytes": 0.25}
     weights = RewardConfig(coverage=2.0, merge=1.0, collision=-1.0, bytes=-4.0)
-    assert weigh(terms(transition, 1, "individual"), weights_of(weights)) == 1.0 + 0.5 - 1.0 - 1.0
+    assert weigh(terms(transition, "individual")[1], weights_of(weights)) == 1.0 + 0.5 - 1.0 - 1.0
 
 
 def test_the_rightly_merged_group_that_mapped_most_counts():

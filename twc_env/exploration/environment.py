@@ -17,6 +17,7 @@ from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards
 from twc_env.exploration.compilation import announce_compilation
+from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observation_blocks import observation_space
 from twc_env.exploration.observations import ObservationBuilder
 from twc_env.exploration.pilot import Pilot, Scout, frontier_space, waypoint_space
@@ -179,7 +180,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._builder = ObservationBuilder(self.config)
         self._pilot = Pilot(self.config) if self._lasts else None
         self._scout = Scout(self.config) if self.config.observation.frontiers else None
-        self._record = evaluation.EpisodeRecord(count)
+        self._record = EpisodeRecord(count)
         self._standing = rewards.Standing.nothing(count)
         self._steps = 0
         self._frames_of_step = []
@@ -242,7 +243,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self._frames_of_step
 
     @property
-    def record(self) -> evaluation.EpisodeRecord:
+    def record(self) -> EpisodeRecord:
         """What truly happened in this episode, for judging; no agent may read it."""
         return self._record
 
@@ -372,11 +373,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         before = self._standing
         if is_last or self._steps % self.config.reward.period_steps == 0:
             self._standing = evaluation.standing(self.engine, self._record, self._cells)
-        count, config = self.config.robots, self.config
-        transition = rewards.Transition(
-            before, self._standing, self._world.contacts, bytes_sent / count, config.max_cycles
-        )
-        return [rewards.terms(transition, robot, config.reward.sharing) for robot in range(count)]
+        config = self.config
+        sent = bytes_sent / config.robots
+        transition = rewards.Transition(before, self._standing, self._world.contacts, sent, config.max_cycles)
+        return rewards.terms(transition, config.reward.sharing)
 
     def _observe(self) -> dict[str, Any]:
         """Observations of all robots; where one chooses among frontiers, they are worked out here."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,13 +14,14 @@ from twc_env import metrics
 from twc_env._version import __version__
 from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
+from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.rewards import JudgedMap, Standing, standing_of
+from twc_env.exploration.team_alignment import position_error_m, team_alignment, trajectories
 from twc_env.geometry import between, compose, transform_points
-from twc_env.messages import GridMap, SensorFrame
+from twc_env.messages import GridMap
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
 from twc_env.slam.occupancy_grid import OccupancyGrid
-from twc_env.slam.team import TeamMapper
 from twc_env.world.floorplan import Cells, Floorplan
 
 Array = NDArray
@@ -85,51 +85,6 @@ class Progress:
     """coverage_correct, wall_iou, team_ate_m, merged_robots, wrong_pairs, closures_accepted, closures_rejected."""
 
 
-class EpisodeRecord:
-    """What happened so far, step by step, kept for judging."""
-
-    def __init__(self, robots: int):
-        self.count = 0
-        self._poses = np.zeros((256, 3, robots, 3))
-        """True pose, front-end pose and measured motion of each step; grows."""
-        self._contacts = np.zeros((256, robots), bool)
-        self.wrong_pairs: set[tuple[int, int]] = set()
-
-    def append(self, true_poses: Array, odom_poses: Array, frames: Sequence[SensorFrame], contacts: Array) -> None:
-        """Note one step, one row per robot: true poses, front-end poses (robots, 3), frames, and contacts."""
-        if self.count == len(self._poses):
-            self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
-            self._contacts = np.concatenate([self._contacts, np.zeros_like(self._contacts)])
-        now = self._poses[self.count]
-        now[0], now[1] = true_poses, odom_poses
-        for robot, frame in enumerate(frames):
-            now[2, robot] = frame.odometry
-        self._contacts[self.count] = contacts
-        self.count += 1
-
-    @property
-    def contact_count(self) -> int:
-        """Contacts that began after the start, summed over robots."""
-        contacts = self._contacts[: self.count]
-        return int(np.count_nonzero(contacts[1:] & ~contacts[:-1]))
-
-    @property
-    def true_poses(self) -> Array:
-        """(steps + 1, robots, 3) building frame."""
-        return self._poses[: self.count, 0]
-
-    @property
-    def odom_poses(self) -> Array:
-        """(steps + 1, robots, 3) front-end estimate, each in its robot's odom frame."""
-        return self._poses[: self.count, 1]
-
-    def odometry_poses(self) -> Array:
-        """(steps + 1, robots, 3) dead reckoning from the true start, building frame."""
-        poses = self.true_poses.copy()
-        _reckon(self._poses[: self.count, 2], poses)
-        return poses
-
-
 def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     """Lay a group's map on the building and measure it."""
     team, robots = view.mapper, view.robots
@@ -178,7 +133,7 @@ def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
     figures = {
         "coverage_correct": score.coverage_correct,
         "wall_iou": score.wall_iou,
-        "team_ate_m": _error_m(alignment, estimated, record.true_poses),
+        "team_ate_m": position_error_m(alignment, estimated, record.true_poses),
         "merged_robots": len(best.robots),
         "wrong_pairs": sum(len(v.wrong_pairs) for v in verdicts),
         "closures_accepted": status.count("accepted"),
@@ -189,10 +144,8 @@ def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
 
 def standing(engine: Engine, record: EpisodeRecord, cells: Cells) -> Standing:
     """The potentials that rewards look at, judged now."""
-    floor_m2 = _floor_m2(cells)
-    errors_m = np.zeros(record.true_poses.shape[1])
-    maps = []
-    true = record.true_poses[-1, :, :2].tolist()
+    floor_m2, true, maps = _floor_m2(cells), record.true_poses[-1, :, :2].tolist(), []
+    errors_m = [0.0] * len(true)
     for verdict in judge(engine, record, cells):
         for robot in verdict.view.viewers:
             believed = compose(verdict.pose_building_map, engine.pose_map_robot(robot)).tolist()
@@ -206,67 +159,6 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells) -> Standing:
 def _floor_m2(cells: Cells) -> float:
     """Explorable floor; summed once per building, for it is asked for whenever the map is judged."""
     return max(float(cells.free.sum()) * cells.resolution_m**2, 1e-9)
-
-
-@njit(cache=True, error_model="numpy")
-def _reckon(motions, poses):
-    """Chain motions (steps, robots, 3) from poses[0], in place; motions[0] is not used."""
-    for t in range(1, poses.shape[0]):
-        for r in range(poses.shape[1]):
-            x, y, heading = poses[t - 1, r, 0], poses[t - 1, r, 1], poses[t - 1, r, 2]
-            c, s = math.cos(heading), math.sin(heading)
-            poses[t, r, 0] = x + c * motions[t, r, 0] - s * motions[t, r, 1]
-            poses[t, r, 1] = y + s * motions[t, r, 0] + c * motions[t, r, 1]
-            poses[t, r, 2] = (heading + motions[t, r, 2] + math.pi) % (2.0 * math.pi) - math.pi
-
-
-def trajectories(engine: Engine, odom_poses: Array) -> Array:
-    """(steps + 1, robots, 3) each step's pose hung on the optimised keyframe before it, in the map that its robot sees.
-
-    odom_poses (steps + 1, robots, 3): the front ends' estimates of all steps.
-    """
-    robots = range(odom_poses.shape[1])
-    return np.stack([_trajectory(engine.mapper_of(r), r, odom_poses[:, r]) for r in robots], axis=1)
-
-
-def _trajectory(mapper: TeamMapper, robot: int, odom: Array) -> Array:
-    """(steps + 1, 3) of one robot in the map of its group in one mapper."""
-    steps = mapper.keyframe_steps(robot)
-    if len(steps) == 0:
-        return odom
-    held = np.clip(np.searchsorted(steps, np.arange(len(odom)), side="right") - 1, 0, None)
-    anchors = np.array([k.pose_odom for k in mapper.keyframes[robot]])
-    return compose(mapper.poses_of(robot)[held], between(anchors[held], odom))
-
-
-def team_alignment(engine: Engine, odom_poses: Array, true_poses: Array) -> Array:
-    """(robots, 3) the one rigid motion that lays the map each robot believes in on the building.
-
-    It weighs all steps of all robots of the map; a mate's steps count up to its last keyframe that the mapper has.
-    """
-    alignment = np.zeros((true_poses.shape[1], 3))
-    for view in engine.views():
-        estimated, true = [], []
-        for robot in view.robots:
-            steps = view.mapper.keyframe_steps(robot)
-            end = len(true_poses) if robot in view.viewers else int(steps[-1]) + 1
-            estimated.append(_trajectory(view.mapper, robot, odom_poses[:, robot])[:end])
-            true.append(true_poses[:end, robot])
-        alignment[list(view.viewers)] = metrics.align_team(np.concatenate(estimated), np.concatenate(true))
-    return alignment
-
-
-def team_error_m(engine: Engine, odom_poses: Array, true_poses: Array) -> float:
-    """Root mean square position error over all steps and robots, each robot's map aligned once as a whole.
-
-    odom_poses, true_poses (steps + 1, robots, 3).
-    """
-    return _error_m(team_alignment(engine, odom_poses, true_poses), trajectories(engine, odom_poses), true_poses)
-
-
-def _error_m(alignment: Array, estimated: Array, true: Array) -> float:
-    aligned = compose(alignment[None], estimated)
-    return float(np.sqrt(((aligned[..., :2] - true[..., :2]) ** 2).sum(axis=-1).mean()))
 
 
 def evaluate(
@@ -297,7 +189,7 @@ def evaluate(
         "wall_iou": score.wall_iou,
         "merged_robots": len(best.robots),
         "wrong_merges": len(record.wrong_pairs),
-        "team_ate_m": _error_m(alignment, estimated, true),
+        "team_ate_m": position_error_m(alignment, estimated, true),
         "per_robot_ate_m": [metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in robots],
         "epe_m": float(np.mean([metrics.end_point_error_m(estimated[:, r], true[:, r]) for r in robots])),
         "odometry_ate_m": metrics.absolute_trajectory_error_m(reckoned, true),

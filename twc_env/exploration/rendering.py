@@ -16,7 +16,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twc_env.exploration.evaluation import EpisodeRecord, GroupVerdict
+from twc_env.exploration.episode_record import EpisodeRecord
+from twc_env.exploration.evaluation import GroupVerdict
 from twc_env.geometry import compose, inverse
 from twc_env.messages import GridMap
 from twc_env.slam.modes import Engine

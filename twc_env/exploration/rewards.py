@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ Array = NDArray
 
 POTENTIALS = ("coverage", "merge", "localisation")
 TERMS = (*POTENTIALS, "collision", "time", "bytes")
-NO_GAINS = (0.0, 0.0, 0.0)
+NO_GAINS = [0.0, 0.0, 0.0]
 ERROR_MAX_M = 1.0
 BYTES_MAX = 10_000.0
 
@@ -62,8 +63,7 @@ class JudgedMap:
     """Of the floor that it maps rightly."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Transition:
+class Transition(NamedTuple):
     """One time step, seen from both sides: the only record that holds truth and estimate together."""
 
     before: Standing
@@ -76,21 +76,27 @@ class Transition:
     """Time steps of a whole episode."""
 
 
-def terms(transition: Transition, robot: int, sharing: str) -> dict[str, float]:
-    """The terms of one robot, by name; the names are those of the weights in RewardConfig."""
-    before, after = transition.before, transition.after
-    gains = NO_GAINS
+def terms(transition: Transition, sharing: str) -> list[dict[str, float]]:
+    """The terms of each robot, by name; the names are those of the weights in RewardConfig."""
+    before, after, contacts, bytes_per_robot, step_count_max = transition
+    gains: list[list[float]] = [NO_GAINS] * len(contacts)
     if after is not before:
-        change = after.team - before.team if sharing == "team" else after.own[robot] - before.own[robot]
-        gains = tuple(change.tolist())
-    return {
-        "coverage": gains[0],
-        "merge": gains[1],
-        "localisation": gains[2],
-        "collision": float(transition.contacts[robot]),
-        "time": 1.0 / transition.step_count_max,
-        "bytes": min(transition.bytes_per_robot / BYTES_MAX, 1.0),
-    }
+        if sharing == "team":
+            gains = [(after.team - before.team).tolist()] * len(contacts)
+        else:
+            gains = (after.own - before.own).tolist()
+    time, sent = 1.0 / step_count_max, min(bytes_per_robot / BYTES_MAX, 1.0)
+    return [
+        {
+            "coverage": coverage,
+            "merge": merge,
+            "localisation": localisation,
+            "collision": 1.0 if touches else 0.0,
+            "time": time,
+            "bytes": sent,
+        }
+        for (coverage, merge, localisation), touches in zip(gains, contacts.tolist(), strict=True)
+    ]
 
 
 def weights_of(config: RewardConfig) -> tuple[tuple[str, float], ...]:
@@ -106,17 +112,17 @@ def weigh(values: dict[str, float], weights: Sequence[tuple[str, float]]) -> flo
     return reward
 
 
-def standing_of(maps: Sequence[JudgedMap], errors_m: Array) -> Standing:
+def standing_of(maps: Sequence[JudgedMap], errors_m: Sequence[float] | Array) -> Standing:
     """The potentials from every map that some robot believes in, and from how far off each robot is.
 
     errors_m (robots,): between where it is and where it believes to be, its map laid on the building.
     """
     count = len(errors_m)
     own = np.zeros((count, 3))
-    own[:, 2] = 1.0 - np.minimum(errors_m / ERROR_MAX_M, 1.0)
+    own[:, 2] = [1.0 - min(error_m / ERROR_MAX_M, 1.0) for error_m in errors_m]
     for judged in maps:
         if judged.is_right:
             for viewer in judged.viewers:
                 own[viewer, 0], own[viewer, 1] = judged.share, (judged.robot_count - 1) / max(count - 1, 1)
-    best = int(np.argmax(own[:, 0]))
+    best = int(own[:, 0].argmax())
     return Standing(np.array([own[best, 0], own[best, 1], own[:, 2].mean()]), own)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
@@ -16,28 +17,6 @@ from twc_env.slam.team import TeamMapper
 Array = NDArray
 
 
-class Reckoner:
-    """Stands where a robot's front end stands: the sum of its odometry since the first frame."""
-
-    __slots__ = ("_pose", "pose_odom", "robot")
-
-    def __init__(self, robot: int):
-        self.robot = robot
-        self._pose = 0.0, 0.0, 0.0
-        self.pose_odom = np.zeros(3)
-        """(3,) in the robot's own odom frame (it starts at 0, 0, 0); a new read-only array with every frame."""
-
-    def update(self, frame: SensorFrame) -> None:
-        """Add the motion of one frame."""
-        x, y, heading = self._pose
-        ahead, left, turn = frame.odometry.tolist()
-        c, s = math.cos(heading), math.sin(heading)
-        heading = (heading + turn + math.pi) % (2 * math.pi) - math.pi
-        self._pose = x + c * ahead - s * left, y + s * ahead + c * left, heading
-        self.pose_odom = np.array(self._pose)
-        self.pose_odom.flags.writeable = False  # beliefs show it to planners
-
-
 class DeadReckoning:
     """`CooperativeSlam`'s interface with no SLAM behind it, for worlds without an engine and for the cost of one.
 
@@ -46,11 +25,18 @@ class DeadReckoning:
     """
 
     def __init__(self, config: EnvConfig, robot_count: int):
-        self.robots = [Reckoner(robot) for robot in range(robot_count)]
         self.team = TeamMapper(config, robot_count)
         self.mappers = [self.team]
         self._grid = self.team.grid_of(0)
         self._frames: list[SensorFrame | None] = [None] * robot_count
+        self._everyone = np.arange(robot_count)
+        self._set_poses(np.zeros((robot_count, 3)))
+
+    def _set_poses(self, poses: Array) -> None:
+        poses.flags.writeable = False  # beliefs show them to planners
+        self.poses_odom = poses
+        """(robots, 3) dead reckoning of all robots, each in the odom frame where it starts at (0, 0, 0)."""
+        self._rows = list(poses)
 
     def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
         """Nothing is made of transmitters here."""
@@ -62,7 +48,11 @@ class DeadReckoning:
         """Sum up the odometry of each frame's robot; there are never keyframes to send."""
         for frame in frames:
             self._frames[frame.robot] = frame
-            self.robots[frame.robot].update(frame)
+        is_complete = len(frames) == len(self._everyone)
+        robots = self._everyone if is_complete else np.array([frame.robot for frame in frames], np.int64)
+        poses = self.poses_odom.copy()
+        _chain(robots, np.concatenate([frame.odometry for frame in frames]), poses)
+        self._set_poses(poses)
         return []
 
     @property
@@ -92,17 +82,29 @@ class DeadReckoning:
         """The same as `track`."""
         self.track(frames)
 
-    @property
-    def poses_odom(self) -> Array:
-        """(robots, 3) dead reckoning of all robots."""
-        return np.array([robot.pose_odom for robot in self.robots])
-
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) dead reckoning of a robot, in the frame it started in."""
-        return self.robots[robot].pose_odom
+        return self._rows[robot]
 
     def belief(self, robot: int, with_signs: bool = True) -> Belief:
         """Where dead reckoning places the robot, on an empty map, with no mates and no signs."""
-        frame, pose = self._frames[robot], self.robots[robot].pose_odom
-        step, ranges_m = (frame.step, frame.ranges_m) if frame is not None else (0, np.zeros(0))
-        return Belief(robot, step, pose, self._grid, ranges_m=ranges_m, pose_odom=pose)
+        frame, pose = self._frames[robot], self._rows[robot]
+        step, ranges_m = (frame.step, frame.ranges_m) if frame is not None else (0, _NO_RANGES)
+        return Belief(robot, step, pose, self._grid, {}, (), ranges_m, 0, pose, _CERTAIN, 0.0, {}, None, _NO_PLACES)
+
+
+_CERTAIN, _NO_RANGES, _NO_PLACES = np.zeros(3), np.zeros(0), np.zeros((0, 2))
+for _shared in (_CERTAIN, _NO_RANGES, _NO_PLACES):
+    _shared.flags.writeable = False
+
+
+@njit(cache=True, error_model="numpy")
+def _chain(robots, motions, poses):
+    """Move poses (robots, 3), in place, by the motions (3 numbers for each of `robots`) seen from them."""
+    for k in range(robots.shape[0]):
+        pose = poses[robots[k]]
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        ahead, left = motions[3 * k], motions[3 * k + 1]
+        pose[0] = pose[0] + c * ahead - s * left
+        pose[1] = pose[1] + s * ahead + c * left
+        pose[2] = (pose[2] + motions[3 * k + 2] + math.pi) % (2.0 * math.pi) - math.pi

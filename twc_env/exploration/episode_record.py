@@ -1,0 +1,74 @@
+"""What happened in an episode, step by step: truth beside the front ends' estimates. Only judges may read it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.messages import SensorFrame
+
+Array = NDArray
+
+
+class EpisodeRecord:
+    """What happened so far, step by step, kept for judging."""
+
+    def __init__(self, robots: int):
+        self.count = 0
+        self._robots = robots
+        self._steps = np.zeros((256, 9 * robots))
+        """True poses, front-end poses and measured motions (robots, 3) of each step, one after another; grows."""
+        self._contacts = np.zeros((256, robots), bool)
+        self.wrong_pairs: set[tuple[int, int]] = set()
+
+    def append(self, true_poses: Array, odom_poses: Array, frames: Sequence[SensorFrame], contacts: Array) -> None:
+        """Note one step, one row per robot: true poses, front-end poses (robots, 3), frames, and contacts."""
+        if self.count == len(self._steps):
+            self._steps = np.concatenate([self._steps, np.zeros_like(self._steps)])
+            self._contacts = np.concatenate([self._contacts, np.zeros_like(self._contacts)])
+        motions = [frame.odometry for frame in frames]
+        np.concatenate([true_poses.ravel(), odom_poses.ravel(), *motions], out=self._steps[self.count])
+        self._contacts[self.count] = contacts
+        self.count += 1
+
+    @property
+    def contact_count(self) -> int:
+        """Contacts that began after the start, summed over robots."""
+        contacts = self._contacts[: self.count]
+        return int(np.count_nonzero(contacts[1:] & ~contacts[:-1]))
+
+    @property
+    def true_poses(self) -> Array:
+        """(steps + 1, robots, 3) building frame."""
+        return self._kept(0)
+
+    @property
+    def odom_poses(self) -> Array:
+        """(steps + 1, robots, 3) front-end estimate, each in its robot's odom frame."""
+        return self._kept(1)
+
+    def odometry_poses(self) -> Array:
+        """(steps + 1, robots, 3) dead reckoning from the true start, building frame."""
+        poses = self.true_poses.copy()
+        _reckon(self._kept(2), poses)
+        return poses
+
+    def _kept(self, what: int) -> Array:
+        """(steps + 1, robots, 3) true poses (0), front-end poses (1) or measured motions (2)."""
+        return self._steps.reshape(len(self._steps), 3, self._robots, 3)[: self.count, what]
+
+
+@njit(cache=True, error_model="numpy")
+def _reckon(motions, poses):
+    """Chain motions (steps, robots, 3) from poses[0], in place; motions[0] is not used."""
+    for t in range(1, poses.shape[0]):
+        for r in range(poses.shape[1]):
+            x, y, heading = poses[t - 1, r, 0], poses[t - 1, r, 1], poses[t - 1, r, 2]
+            c, s = math.cos(heading), math.sin(heading)
+            poses[t, r, 0] = x + c * motions[t, r, 0] - s * motions[t, r, 1]
+            poses[t, r, 1] = y + s * motions[t, r, 0] + c * motions[t, r, 1]
+            poses[t, r, 2] = (heading + motions[t, r, 2] + math.pi) % (2.0 * math.pi) - math.pi
