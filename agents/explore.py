@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,7 @@ class Run:
     """The figures of the result, and those only the driver knows: agent, env_steps_per_s, agent_s."""
     film: picture.Film | None
     was_interrupted: bool
-    frames: list[tuple[SensorFrame, ...]]
+    frames: Sequence[Sequence[SensorFrame]]
     contacts: list[Contacts]
     """What every robot sensed, step by step; `python -m twc_env replay` runs the engine on them again."""
     trace: EpisodeTrace

@@ -10,7 +10,14 @@ import pytest
 import twc_env
 
 ROOT = Path(__file__).parents[1]
-LEAVES = {"twc_env.errors", "twc_env.messages", "twc_env.geometry", "twc_env.config", "twc_env._version"}
+LEAVES = {
+    "twc_env.errors",
+    "twc_env.messages",
+    "twc_env.team_messages",
+    "twc_env.geometry",
+    "twc_env.config",
+    "twc_env._version",
+}
 RANDOM = {"twc_env.random_streams"}
 
 # What the modules below a prefix may import of twc_env besides their own package; the longest prefix counts.
@@ -21,6 +28,7 @@ ALLOWED = {
     "twc_env.threads": set(),
     "twc_env.geometry": {"twc_env.errors"},
     "twc_env.messages": {"twc_env.errors", "twc_env.geometry"},
+    "twc_env.team_messages": {"twc_env.messages"},
     "twc_env.config": {"twc_env.errors"},
     "twc_env.tasks": {"twc_env.errors", "twc_env.config"},
     "twc_env.world": LEAVES | RANDOM,

@@ -23,10 +23,11 @@ from twc_env.exploration.observations import ObservationBuilder
 from twc_env.exploration.pilot import Pilot, Scout, frontier_space, waypoint_space
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
-from twc_env.messages import Belief, Contacts, SensorFrame
+from twc_env.messages import Belief, Contacts
 from twc_env.random_streams import random_stream
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.tasks import task_config
+from twc_env.team_messages import TeamFrames
 from twc_env.world.failures import Failures
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.generate import split_names
@@ -150,7 +151,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._weights = rewards.weights_of(self.config.reward)
         self._failures = Failures(self.config.failure, count)
         self._engine: Engine | None = None
-        self._frames_of_step: list[tuple[SensorFrame, ...]] = []
+        self._frames_of_step: list[TeamFrames] = []
         self._seed: int | None = None
 
     def observation_space(self, agent: str) -> spaces.Space:
@@ -233,12 +234,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self._engine
 
     @property
-    def frames(self) -> tuple[SensorFrame, ...]:
+    def frames(self) -> TeamFrames:
         """What each robot sensed in the last time step; `twc_env.datasets.write_frame_log` records them."""
         return self._frames
 
     @property
-    def frames_of_step(self) -> list[tuple[SensorFrame, ...]]:
+    def frames_of_step(self) -> list[TeamFrames]:
         """The same for each time step of the last `step`: one for velocities, many for actions that last."""
         return self._frames_of_step
 
@@ -347,7 +348,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             if pilot.is_decision_due() or self._steps >= self.config.max_cycles:
                 return sums
 
-    def _think(self, frames: tuple[SensorFrame, ...]) -> None:
+    def _think(self, frames: TeamFrames) -> None:
         """Front ends, link and mappers take in one set of frames."""
         self._frames = frames
         self._frames_of_step.append(frames)
@@ -360,11 +361,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             if is_alive.any():
                 engine.track([frame for frame in frames if is_alive[frame.robot]])
         engine.absorb(self._steps, self._contacts)
-        self._record.append(self._world.poses, engine.poses_odom, frames, self._world.contacts)
+        self._record.append(self._world.poses, engine.poses_odom, frames.odometry, self._world.contacts)
 
     def _notice(self) -> None:
         """What the robots believe now, and what their observations must remember of it."""
-        self._beliefs = [self.engine.belief(robot) for robot in range(self.config.robots)]
+        self._beliefs = self.engine.beliefs()
         self._builder.notice(self._frames, self._beliefs)
         if self._viewer is not None:
             self._viewer.follow(self)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-
-from twc_env.messages import SensorFrame
 
 Array = NDArray
 
@@ -19,19 +16,18 @@ class EpisodeRecord:
 
     def __init__(self, robots: int):
         self.count = 0
-        self._robots = robots
-        self._steps = np.zeros((256, 9 * robots))
-        """True poses, front-end poses and measured motions (robots, 3) of each step, one after another; grows."""
+        self._poses = np.zeros((256, 3, robots, 3))
+        """True pose, front-end pose and measured motion of each step; grows."""
         self._contacts = np.zeros((256, robots), bool)
         self.wrong_pairs: set[tuple[int, int]] = set()
 
-    def append(self, true_poses: Array, odom_poses: Array, frames: Sequence[SensorFrame], contacts: Array) -> None:
-        """Note one step, one row per robot: true poses, front-end poses (robots, 3), frames, and contacts."""
-        if self.count == len(self._steps):
-            self._steps = np.concatenate([self._steps, np.zeros_like(self._steps)])
+    def append(self, true_poses: Array, odom_poses: Array, motions: Array, contacts: Array) -> None:
+        """Note one step, one row per robot: true poses, front-end poses, measured motions (robots, 3), and contacts."""
+        if self.count == len(self._poses):
+            self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
             self._contacts = np.concatenate([self._contacts, np.zeros_like(self._contacts)])
-        motions = [frame.odometry for frame in frames]
-        np.concatenate([true_poses.ravel(), odom_poses.ravel(), *motions], out=self._steps[self.count])
+        now = self._poses[self.count]
+        now[0], now[1], now[2] = true_poses, odom_poses, motions
         self._contacts[self.count] = contacts
         self.count += 1
 
@@ -44,22 +40,18 @@ class EpisodeRecord:
     @property
     def true_poses(self) -> Array:
         """(steps + 1, robots, 3) building frame."""
-        return self._kept(0)
+        return self._poses[: self.count, 0]
 
     @property
     def odom_poses(self) -> Array:
         """(steps + 1, robots, 3) front-end estimate, each in its robot's odom frame."""
-        return self._kept(1)
+        return self._poses[: self.count, 1]
 
     def odometry_poses(self) -> Array:
         """(steps + 1, robots, 3) dead reckoning from the true start, building frame."""
         poses = self.true_poses.copy()
-        _reckon(self._kept(2), poses)
+        _reckon(self._poses[: self.count, 2], poses)
         return poses
-
-    def _kept(self, what: int) -> Array:
-        """(steps + 1, robots, 3) true poses (0), front-end poses (1) or measured motions (2)."""
-        return self._steps.reshape(len(self._steps), 3, self._robots, 3)[: self.count, what]
 
 
 @njit(cache=True, error_model="numpy")

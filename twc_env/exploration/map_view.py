@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twc_env.messages import Belief, GridMap
+from twc_env.messages import GridMap
 
 Array = NDArray
 
@@ -34,7 +34,7 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
 
 
 def views(
-    beliefs: Sequence[Belief], poses: Array, cells: int, cell_m: float, paths_odom: Array, path_counts: Array,
+    grids: Sequence[GridMap], poses: Array, cells: int, cell_m: float, paths_odom: Array, path_counts: Array,
     mates: Array, mate_counts: Array, signs: Sequence[Array],
 ) -> Array:  # fmt: skip
     """`crop_around` of each robot with its last three channels filled too: (robots, 7, cells, cells) uint8.
@@ -43,11 +43,11 @@ def views(
     the latest of `path_counts` places; mates (robots, m, >= 2): the first of them as each robot sees them; signs: of
     each robot (k, 2) in the map frame. Robots that share a map are served by one compiled call.
     """
-    out = np.empty((len(beliefs), CHANNELS, cells, cells), np.uint8)
+    out = np.empty((len(grids), CHANNELS, cells, cells), np.uint8)
     first = 0
-    for end in range(1, len(beliefs) + 1):
-        grid, places = beliefs[first].grid, signs[first]
-        if end < len(beliefs) and beliefs[end].grid.log_odds is grid.log_odds and signs[end] is places:
+    for end in range(1, len(grids) + 1):
+        grid, places = grids[first], signs[first]
+        if end < len(grids) and grids[end].log_odds is grid.log_odds and signs[end] is places:
             continue
         _crop_and_mark(
             grid.log_odds, grid.origin_m, 1.0 / grid.resolution_m, poses, cell_m, paths_odom, path_counts,
@@ -123,8 +123,7 @@ def _misses(x, y, dx, dy, count, height, width):
     """Whether a row of samples lies beside the grid, so that it meets none of its cells."""
     k0, k1 = x >> FIXED_BITS, (x + dx * (count - 1)) >> FIXED_BITS
     r0, r1 = y >> FIXED_BITS, (y + dy * (count - 1)) >> FIXED_BITS
-    is_beside = max(k0, k1) < 0 or max(r0, r1) < 0 or min(k0, k1) >= width or min(r0, r1) >= height
-    return is_beside or width == 0 or height == 0
+    return max(k0, k1) < 0 or max(r0, r1) < 0 or min(k0, k1) >= width or min(r0, r1) >= height
 
 
 @njit(cache=True, error_model="numpy")
@@ -160,6 +159,9 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     """
     height, width = log_odds.shape
     size = out.shape[1]
+    if height == 0:
+        out[:UNKNOWN], out[UNKNOWN], out[FRONTIER] = 0, 255, 0
+        return
     step = 0.5 * cell_m * inverse_m
     c, s = math.cos(heading) * step, math.sin(heading) * step
     first = 0.5 - 2 * (size // 2)  # in samples, two to a cell

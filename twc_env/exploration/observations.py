@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -15,8 +15,9 @@ from twc_env.config import EnvConfig
 from twc_env.exploration import map_view
 from twc_env.exploration.observation_blocks import POSE_LIMITS, block_spaces, joined
 from twc_env.exploration.wifi_slots import WifiSlots
-from twc_env.messages import Belief, KnownSign, SensorFrame
+from twc_env.messages import Belief, KnownSign, SensorFrame, SignReading
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
+from twc_env.team_messages import TeamBeliefs, TeamFrames
 
 Array = NDArray
 
@@ -40,7 +41,7 @@ class ObservationBuilder:
         robots, shape = config.robots, config.observation
         self._names = tuple(block_spaces(config))
         self._is_flat = shape.kind != "dict"
-        made: dict[str, Callable[[], Iterable[Array]]] = {
+        made: dict[str, Callable[[], Sequence[Array] | Array]] = {
             "map": self._maps, "overview": self._whole_maps, "radio": self._radio_maps
         }  # fmt: skip
         self._makers = [(name, make) for name, make in made.items() if name in self._names]
@@ -57,6 +58,7 @@ class ObservationBuilder:
         mates = max(robots - 1, 1)
         self._contact_steps, self._contact_counts = np.full((robots, mates), -1), np.zeros(robots, np.int64)
         self._mate_rows, self._mate_counts = np.zeros((robots, mates), np.int64), np.zeros(robots, np.int64)
+        self._has_mates = [False] * robots
         self._mates = np.zeros((robots, mates, 3))
         """Scratch: when each mate was last heard of; row and pose, in the robot's frame, of each mate of the group."""
         self._indexed_signs: list[tuple[KnownSign, ...]] = [()] * robots
@@ -65,74 +67,68 @@ class ObservationBuilder:
 
     def notice(self, frames: Sequence[SensorFrame], beliefs: Sequence[Belief]) -> None:
         """Take in one step of all robots, whether or not observations are built of it: path, radio and readings."""
-        self._frames, self._beliefs = frames, beliefs
-        poses = [pose for b in beliefs for pose in (b.pose_map_robot, b.pose_std, b.pose_odom)]
-        self._poses = np.concatenate(poses).reshape(-1, 3, 3)
-        _extend_paths(self._poses, self._path_ends, self._path_counts, self._paths_odom)
-        for robot, frame in enumerate(frames):
-            if frame.wifi is not None:
-                self._slots_of_wifi.update(robot, frame.wifi)
-            if frame.signs:
-                self._remember(robot, frame)
+        self._frames, self._beliefs = TeamFrames.of(frames), TeamBeliefs.of(beliefs)
+        _extend_paths(self._beliefs.poses, self._path_ends, self._path_counts, self._paths_odom)
+        for robot, scan in enumerate(self._frames.wifi):
+            if scan is not None:
+                self._slots_of_wifi.update(robot, scan)
+        for robot, signs in enumerate(self._frames.signs):
+            if signs:
+                self._remember(robot, signs)
 
     def build(
         self, candidates: Sequence[Candidates] | None = None, masks: Sequence[Array] | None = None
     ) -> list[dict[str, Array]] | list[Array]:
         """The observation of each robot after the step that was noticed last; `masks`: its choices that count."""
-        robots = range(len(self._beliefs))
-        for robot, belief in enumerate(self._beliefs):
-            if belief.signs is not self._indexed_signs[robot]:
-                self._index_signs(robot, belief.signs)
-        blocks: dict[str, Iterable[Array]] = dict(self._small_blocks())
+        beliefs, names = self._beliefs, self._names
+        robots = range(len(beliefs))
+        for robot, signs in enumerate(beliefs.signs):
+            if signs is not self._indexed_signs[robot]:
+                self._index_signs(robot, signs)
+        blocks: dict[str, Sequence[Array] | Array] = self._small_blocks()
         for name, make in self._makers:
             blocks[name] = make()
-        if "frontiers" in self._names:
+        if "frontiers" in names:
             slots, lists = self._config.action.frontier_slots, candidates or [NOTHING] * len(robots)
-            blocks["frontiers"] = [features_of(lists[r], self._beliefs[r].pose_map_robot, slots) for r in robots]
-        if "action_mask" in self._names:
+            blocks["frontiers"] = [features_of(lists[r], beliefs[r].pose_map_robot, slots) for r in robots]
+        if "action_mask" in names:
             blocks["action_mask"] = [np.zeros(0, np.int8) if masks is None else masks[r].copy() for r in robots]
-        names = self._names
-        if not names:
-            seen: list[dict[str, Array]] = [{} for _ in robots]
-        else:
-            rows = zip(*[blocks[name] for name in names], strict=True)
-            seen = [dict(zip(names, row, strict=True)) for row in rows]
-        return [joined(blocks) for blocks in seen] if self._is_flat else seen
+        seen = [{name: blocks[name][robot] for name in names} for robot in robots]
+        return [joined(own) for own in seen] if self._is_flat else seen
 
-    def _small_blocks(self) -> dict[str, Array]:
+    def _small_blocks(self) -> dict[str, Sequence[Array] | Array]:
         """Those that one compiled call fills; it also turns the mates' poses into each robot's frame."""
         beliefs, frames, config = self._beliefs, self._frames, self._config
         robots, mates, slots = len(beliefs), self._mates.shape[1], self._readings.shape[1]
-        ranges = np.concatenate([frame.ranges_m for frame in frames]).reshape(robots, -1)
-        lidar, pose = np.empty(ranges.shape, np.float32), np.empty((robots, len(POSE_LIMITS)), np.float32)
+        lidar, pose = np.empty(frames.ranges_m.shape, np.float32), np.empty((robots, len(POSE_LIMITS)), np.float32)
         wifi = self._slots_of_wifi.levels.copy()
         signs, team = np.empty((robots, slots, 5), np.float32), np.empty((robots, mates, 5), np.float32)
-        since_m = np.array([belief.since_closure_m for belief in beliefs])
-        self._contact_counts[:] = self._mate_counts[:] = 0
-        for robot, belief in enumerate(beliefs):
-            if belief.contact_steps or belief.mates:
-                self._note_mates(robot, belief)
+        for robot, known in enumerate(beliefs.mates):
+            heard = beliefs.contact_steps[robot]
+            if known or heard or self._has_mates[robot]:
+                self._note_mates(robot, known, heard)
         _fill_small(
-            ranges, 1.0 / config.lidar.range_max_m, self._poses, since_m, POSE_LIMITS, self._readings,
-            self._reading_counts, frames[0].time_s, config.observation.sign_memory_s, frames[0].step,
+            frames.ranges_m, 1.0 / config.lidar.range_max_m, beliefs.poses, beliefs.since_closure_m, POSE_LIMITS,
+            self._readings, self._reading_counts, frames.time_s, config.observation.sign_memory_s, frames.step,
             config.dynamics.time_step_s, self._contact_steps, self._contact_counts, self._mate_rows, self._mates,
             self._mate_counts, lidar, pose, signs, team,
         )  # fmt: skip
         return {"lidar": lidar, "pose": pose, "wifi": wifi, "signs": signs, "team": team}
 
-    def _note_mates(self, robot: int, belief: Belief) -> None:
+    def _note_mates(self, robot: int, known: dict[int, Array], heard: dict[int, int]) -> None:
         steps, rows, poses = self._contact_steps[robot], self._mate_rows[robot], self._mates[robot]
-        for mate, step in belief.contact_steps.items():
+        for mate, step in heard.items():
             steps[mate if mate < robot else mate - 1] = step
-        for k, (mate, pose_map_mate) in enumerate(belief.mates.items()):
+        for k, (mate, pose_map_mate) in enumerate(known.items()):
             rows[k] = mate if mate < robot else mate - 1
             poses[k] = pose_map_mate
-        self._contact_counts[robot], self._mate_counts[robot] = len(belief.contact_steps), len(belief.mates)
+        self._contact_counts[robot], self._mate_counts[robot] = len(heard), len(known)
+        self._has_mates[robot] = bool(heard or known)
 
     def _maps(self) -> Array:
-        shape = self._config.observation
+        shape, beliefs = self._config.observation, self._beliefs
         return map_view.views(
-            self._beliefs, self._poses, shape.map_cells, shape.map_cell_m, self._paths_odom, self._path_counts,
+            beliefs.grids, beliefs.poses, shape.map_cells, shape.map_cell_m, self._paths_odom, self._path_counts,
             self._mates, self._mate_counts, self._sign_places,
         )  # fmt: skip
 
@@ -163,14 +159,14 @@ class ObservationBuilder:
                 out[channel, row, column] = 255
         return out
 
-    def _remember(self, robot: int, frame: SensorFrame) -> None:
-        """Take in the texts read in one frame."""
-        readings = self._readings[robot]
-        x, y, heading = self._beliefs[robot].pose_odom.tolist()
-        for sign in frame.signs:
+    def _remember(self, robot: int, signs: Sequence[SignReading]) -> None:
+        """Take in the texts that one robot read in this step."""
+        readings, time_s = self._readings[robot], self._frames.time_s
+        x, y, heading = self._beliefs.poses[robot, 2].tolist()
+        for sign in signs:
             angle, away = heading + sign.bearing_rad, sign.range_m
             readings[1:] = readings[:-1].copy()
-            readings[0, :3] = frame.time_s, x + away * math.cos(angle), y + away * math.sin(angle)
+            readings[0, :3] = time_s, x + away * math.cos(angle), y + away * math.sin(angle)
             self._texts[robot] = [sign.text, *self._texts[robot][: len(readings) - 1]]
         self._reading_counts[robot] = len(self._texts[robot])
         self._count_elsewhere(robot)

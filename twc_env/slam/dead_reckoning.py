@@ -10,9 +10,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
+from twc_env.messages import Belief, Contacts, GridMap, Keyframe, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
+from twc_env.team_messages import TeamBeliefs, TeamFrames
 
 Array = NDArray
 
@@ -28,15 +29,13 @@ class DeadReckoning:
         self.team = TeamMapper(config, robot_count)
         self.mappers = [self.team]
         self._grid = self.team.grid_of(0)
-        self._frames: list[SensorFrame | None] = [None] * robot_count
         self._everyone = np.arange(robot_count)
-        self._set_poses(np.zeros((robot_count, 3)))
-
-    def _set_poses(self, poses: Array) -> None:
-        poses.flags.writeable = False  # beliefs show them to planners
-        self.poses_odom = poses
-        """(robots, 3) dead reckoning of all robots, each in the odom frame where it starts at (0, 0, 0)."""
-        self._rows = list(poses)
+        self._poses = np.zeros((robot_count, 3, 3))
+        """(robots, 3, 3) as `TeamBeliefs.poses`."""
+        self._ranges_m: list[Array] | Array = [np.zeros(0)] * robot_count
+        self._steps = [0] * robot_count
+        """The latest scan of each robot, and when it was taken."""
+        self._alone: _Alone | None = None
 
     def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
         """Nothing is made of transmitters here."""
@@ -46,13 +45,18 @@ class DeadReckoning:
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Sum up the odometry of each frame's robot; there are never keyframes to send."""
-        for frame in frames:
-            self._frames[frame.robot] = frame
-        is_complete = len(frames) == len(self._everyone)
-        robots = self._everyone if is_complete else np.array([frame.robot for frame in frames], np.int64)
-        poses = self.poses_odom.copy()
-        _chain(robots, np.concatenate([frame.odometry for frame in frames]), poses)
-        self._set_poses(poses)
+        team = TeamFrames.of(frames)
+        robots = self._everyone
+        if len(team) == len(robots):
+            self._ranges_m, self._steps = team.ranges_m, [team.step] * len(robots)
+        else:
+            robots = np.array([frame.robot for frame in frames])
+            self._ranges_m = list(self._ranges_m)
+            for robot, ranges_m in zip(robots.tolist(), team.ranges_m, strict=True):
+                self._ranges_m[robot], self._steps[robot] = ranges_m, team.step
+        self._poses = self._poses.copy()
+        _chain(robots, team.odometry, self._poses)
+        self._alone = None
         return []
 
     @property
@@ -82,29 +86,57 @@ class DeadReckoning:
         """The same as `track`."""
         self.track(frames)
 
+    @property
+    def poses_odom(self) -> Array:
+        """(robots, 3) dead reckoning of all robots, each in the odom frame where it starts at (0, 0, 0)."""
+        return self._poses[:, 2]
+
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) dead reckoning of a robot, in the frame it started in."""
-        return self._rows[robot]
+        return self._poses[robot, 0]
+
+    def beliefs(self) -> TeamBeliefs:
+        """Where dead reckoning places the robots, each on an empty map, with no mates and no signs."""
+        if self._alone is None:
+            self._alone = _Alone(self._poses, self._grid, self._steps, self._ranges_m)
+        return self._alone
 
     def belief(self, robot: int, with_signs: bool = True) -> Belief:
-        """Where dead reckoning places the robot, on an empty map, with no mates and no signs."""
-        frame, pose = self._frames[robot], self._rows[robot]
-        step, ranges_m = (frame.step, frame.ranges_m) if frame is not None else (0, _NO_RANGES)
-        return Belief(robot, step, pose, self._grid, {}, (), ranges_m, 0, pose, _CERTAIN, 0.0, {}, None, _NO_PLACES)
+        """The same of one robot."""
+        return self.beliefs()[robot]
 
 
-_CERTAIN, _NO_RANGES, _NO_PLACES = np.zeros(3), np.zeros(0), np.zeros((0, 2))
-for _shared in (_CERTAIN, _NO_RANGES, _NO_PLACES):
-    _shared.flags.writeable = False
+class _Alone(TeamBeliefs):
+    """The beliefs of robots that know nobody."""
+
+    __slots__ = ("_ranges_m", "_steps")
+
+    def __init__(self, poses: Array, grid: GridMap, steps: Sequence[int], ranges_m: Sequence[Array] | Array):
+        count, nobody = len(steps), [_NOTHING] * len(steps)
+        super().__init__(poses, np.zeros(count), [grid] * count, [()] * count, nobody, nobody)
+        self._steps, self._ranges_m = steps, ranges_m
+
+    def _make(self) -> list[Belief]:
+        beliefs = []
+        for robot, (step, ranges_m, grid) in enumerate(zip(self._steps, self._ranges_m, self.grids, strict=True)):
+            in_map, std, in_odom = self.poses[robot]
+            belief = Belief(robot, step, in_map, grid, ranges_m=ranges_m, pose_odom=in_odom, pose_std=std)
+            beliefs.append(belief)
+        return beliefs
+
+
+_NOTHING: dict = {}
 
 
 @njit(cache=True, error_model="numpy")
 def _chain(robots, motions, poses):
-    """Move poses (robots, 3), in place, by the motions (3 numbers for each of `robots`) seen from them."""
+    """Move the poses of robots (k,) in odom and map, which are one here, by motions (k, 3) seen from them."""
     for k in range(robots.shape[0]):
-        pose = poses[robots[k]]
+        pose = poses[robots[k], 2]
         c, s = math.cos(pose[2]), math.sin(pose[2])
-        ahead, left = motions[3 * k], motions[3 * k + 1]
+        ahead, left = motions[k, 0], motions[k, 1]
         pose[0] = pose[0] + c * ahead - s * left
         pose[1] = pose[1] + s * ahead + c * left
-        pose[2] = (pose[2] + motions[3 * k + 2] + math.pi) % (2.0 * math.pi) - math.pi
+        pose[2] = (pose[2] + motions[k, 2] + math.pi) % (2.0 * math.pi) - math.pi
+        for j in range(3):
+            poses[robots[k], 0, j] = pose[j]

@@ -18,6 +18,7 @@ from twc_env.slam.radio_structure import RadioPicture, RadioStructure
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
+from twc_env.team_messages import TeamBeliefs
 
 Array = NDArray
 _NO_PLACES = np.zeros((0, 2))
@@ -210,6 +211,10 @@ class CooperativeSlam:
             None if radio is None else radio.grid,
             _NO_PLACES if radio is None else radio.transmitter_m,
         )
+
+    def beliefs(self) -> TeamBeliefs:
+        """What all robots know now."""
+        return TeamBeliefs.of([self.belief(robot) for robot in range(len(self.robots))])
 
     def _radio_picture(self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int) -> RadioPicture | None:
         """What the readings of all robots of the group say; with a mapper on each robot, of its own."""

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig, RadioConfig
 from twc_env.errors import ConfigError, MapError
 from twc_env.geometry import compose, inverse
-from twc_env.messages import SensorFrame, SignReading, WifiScan
+from twc_env.messages import SignReading, WifiScan
 from twc_env.random_streams import random_stream
+from twc_env.team_messages import TeamFrames
 from twc_env.world.dynamics import Dynamics
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.lidar import Lidar, glass_walls
@@ -104,30 +105,24 @@ class World:
         self._step += 1
         self._note_poses()
 
-    def sense(self) -> tuple[SensorFrame, ...]:
+    def sense(self) -> TeamFrames:
         """One frame per robot: all that leaves the world. Its arrays are read-only."""
-        poses, step = self._dynamics.poses, self._step
+        poses, step, robots = self._dynamics.poses, self._step, self.config.robots
         odometry, turn_rates = self._odometry.measure(self._sensed_poses, poses)
         ranges = self._lidar.scan(poses)
         if step == 0:
             odometry, turn_rates = np.zeros_like(odometry), np.zeros_like(turn_rates)
-        odometry.flags.writeable = ranges.flags.writeable = False  # beliefs and logs share them
         time_s = step * self.config.dynamics.time_step_s
-        wifi: list[WifiScan | None] = [None] * len(poses)
+        wifi: list[WifiScan | None] = [None] * robots
+        places = poses.tolist()
         for robot in self._due(self._wifi_period):
-            wifi[robot] = self._receivers[robot].scan(poses[robot, :2], time_s)
-        signs: list[tuple[SignReading, ...]] = [()] * len(poses)
-        sighted: list[tuple[int, ...]] = [()] * len(poses)
+            wifi[robot] = self._receivers[robot].scan(places[robot], time_s)
+        signs: list[tuple[SignReading, ...]] = [()] * robots
+        sighted: list[tuple[int, ...]] = [()] * robots
         for robot in self._due(self._camera_period):
             signs[robot], sighted[robot] = self._cameras[robot].read(poses[robot], self._sensed_poses[robot], poses)
-        self._sensed_poses = poses
-        self.sighted_signs = tuple(sighted)
-        return tuple(
-            [
-                SensorFrame(robot, step, time_s, odometry[robot], turn_rate, ranges[robot], wifi[robot], signs[robot])
-                for robot, turn_rate in enumerate(turn_rates.tolist())
-            ]
-        )
+        self._sensed_poses, self.sighted_signs = poses, tuple(sighted)
+        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs)
 
     def _due(self, period: int) -> range:
         """The robots whose sensor of that period reads in this step; they take turns."""

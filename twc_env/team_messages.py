@@ -1,0 +1,130 @@
+"""What all robots of a team sensed and believe in one step: arrays over robots, with a record of each when asked for.
+
+Both are sequences of the records of `messages`, so whoever needs one robot's takes it by its number, and whoever works
+on all robots at once takes the arrays. Like the records, they can hold no true pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.messages import Belief, GridMap, KnownSign, SensorFrame, SignReading, WifiScan
+
+Array = NDArray
+
+_Record = TypeVar("_Record")
+
+
+class _Team(Sequence[_Record]):
+    """Records that are made when the first of them is asked for."""
+
+    __slots__ = ("_records",)
+
+    def __init__(self) -> None:
+        self._records: list[_Record] | None = None
+
+    def _make(self) -> list[_Record]:
+        raise NotImplementedError
+
+    def _all(self) -> list[_Record]:
+        if self._records is None:
+            self._records = self._make()
+        return self._records
+
+    def __getitem__(self, robot):
+        return self._all()[robot]
+
+    def __iter__(self) -> Iterator[_Record]:
+        return iter(self._all())
+
+
+class TeamFrames(_Team[SensorFrame]):
+    """The frames of all robots in one step."""
+
+    __slots__ = ("odometry", "ranges_m", "signs", "step", "time_s", "turn_rates_rad_s", "wifi")
+
+    def __init__(
+        self,
+        step: int,
+        time_s: float,
+        odometry: Array,
+        turn_rates_rad_s: Array,
+        ranges_m: Array,
+        wifi: Sequence[WifiScan | None],
+        signs: Sequence[tuple[SignReading, ...]],
+    ):
+        """A row for each robot, with what the fields of `SensorFrame` mean; the arrays are made read-only."""
+        super().__init__()
+        odometry.flags.writeable = ranges_m.flags.writeable = False  # beliefs and logs share them
+        self.step, self.time_s = step, time_s
+        self.odometry, self.turn_rates_rad_s, self.ranges_m = odometry, turn_rates_rad_s, ranges_m
+        self.wifi, self.signs = wifi, signs
+
+    @classmethod
+    def of(cls, frames: Sequence[SensorFrame]) -> TeamFrames:
+        """Frames of one step, stacked; a row for each of them."""
+        if isinstance(frames, TeamFrames):
+            return frames
+        team = cls(
+            frames[0].step,
+            frames[0].time_s,
+            np.array([frame.odometry for frame in frames]),
+            np.array([frame.turn_rate_rad_s for frame in frames]),
+            np.array([frame.ranges_m for frame in frames]),
+            [frame.wifi for frame in frames],
+            [frame.signs for frame in frames],
+        )
+        team._records = list(frames)
+        return team
+
+    def __len__(self) -> int:
+        return len(self.wifi)
+
+    def _make(self) -> list[SensorFrame]:
+        rows = zip(self.odometry, self.turn_rates_rad_s.tolist(), self.ranges_m, self.wifi, self.signs, strict=True)
+        return [SensorFrame(robot, self.step, self.time_s, *row) for robot, row in enumerate(rows)]
+
+
+class TeamBeliefs(_Team[Belief]):
+    """The beliefs of all robots after one step."""
+
+    __slots__ = ("contact_steps", "grids", "mates", "poses", "signs", "since_closure_m")
+
+    def __init__(
+        self,
+        poses: Array,
+        since_closure_m: Array,
+        grids: Sequence[GridMap],
+        signs: Sequence[tuple[KnownSign, ...]],
+        mates: Sequence[dict[int, Array]],
+        contact_steps: Sequence[dict[int, int]],
+    ):
+        """poses (robots, 3, 3): `pose_map_robot`, `pose_std` and `pose_odom` of each robot, made read-only."""
+        super().__init__()
+        poses.flags.writeable = False  # beliefs show them to planners
+        self.poses, self.since_closure_m, self.grids = poses, since_closure_m, grids
+        self.signs, self.mates, self.contact_steps = signs, mates, contact_steps
+
+    @classmethod
+    def of(cls, beliefs: Sequence[Belief]) -> TeamBeliefs:
+        """Beliefs of robots 0, 1, ... after one step, stacked."""
+        if isinstance(beliefs, TeamBeliefs):
+            return beliefs
+        rows = [pose for b in beliefs for pose in (b.pose_map_robot, b.pose_std, b.pose_odom)]
+        team = TeamBeliefs(
+            np.concatenate(rows).reshape(-1, 3, 3),
+            np.array([belief.since_closure_m for belief in beliefs]),
+            [belief.grid for belief in beliefs],
+            [belief.signs for belief in beliefs],
+            [belief.mates for belief in beliefs],
+            [belief.contact_steps for belief in beliefs],
+        )
+        team._records = list(beliefs)
+        return team
+
+    def __len__(self) -> int:
+        return len(self.grids)
