@@ -6,8 +6,8 @@ import pytest
 
 from twc_env.messages import Fingerprint
 from twc_env.reproduce import real_places
-from twc_env.slam.place_evidence import radio_difference_db
 from twc_env.slam.radio_fingerprint import mac_similarity, rssi_distance_db
+from twc_env.slam.radio_statistics import radio_difference_db
 
 needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="real floors: set TWC_DATA to the data folder")
 

@@ -24,7 +24,8 @@ from twc_env.datasets.indoor20 import FRESH_S, read_indoor20
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.place_pairs import average_precision, precision_recall_curve, recall_at_full_precision
 from twc_env.reproduce.runner import Runner, data_folder, parse_seeds
-from twc_env.slam.place_evidence import FLOOR_DBM, RadioStatistics, log_text_likelihood
+from twc_env.slam.radio_statistics import FLOOR_DBM, RadioStatistics
+from twc_env.slam.text_likelihood import log_text_likelihood
 from twc_env.slam.text_similarity import normalise
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.signs import SignCamera

@@ -1,0 +1,36 @@
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.messages import Fingerprint
+from twc_env.slam.radio_statistics import RadioStatistics, radio_difference_db
+
+
+def test_the_radio_difference_has_a_closed_form_and_ignores_a_common_offset():
+    a = Fingerprint(np.array([1, 2]), np.array([-40.0, -50.0]))
+    b = Fingerprint(np.array([1, 2]), np.array([-46.0, -52.0]))
+    assert radio_difference_db(a, b) == pytest.approx(2.0)
+    louder = Fingerprint(a.macs, a.rssi_dbm + 10.0)
+    assert radio_difference_db(louder, b) == pytest.approx(2.0)
+
+
+def test_a_transmitter_heard_on_one_side_only_counts_as_far_away():
+    a = Fingerprint(np.array([1, 2]), np.array([-40.0, -50.0]))
+    b = Fingerprint(np.array([1]), np.array([-40.0]))
+    assert radio_difference_db(a, b) == pytest.approx(20.0)  # differences 0 and 40
+    assert radio_difference_db(a, b) == radio_difference_db(b, a)
+    assert math.isnan(radio_difference_db(a, Fingerprint(np.zeros(0, int), np.zeros(0))))
+
+
+def test_the_radio_ratio_falls_with_the_difference_and_changes_sign_between_what_was_learned():
+    statistics = RadioStatistics()
+    random = np.random.default_rng(0)
+    for _ in range(300):
+        statistics.learn(float(random.lognormal(np.log(3.0), 0.3)), True)
+        statistics.learn(float(random.lognormal(np.log(12.0), 0.3)), False)
+    ratios = [statistics.log_ratio(d) for d in (2.0, 4.0, 6.0, 9.0, 15.0)]
+    assert ratios == sorted(ratios, reverse=True)
+    assert ratios[1] > 1 > -1 > ratios[3]
+    assert statistics.log_ratio(6.0) == pytest.approx(0.0, abs=0.6)
+    assert statistics.log_ratio(math.nan) == 0.0

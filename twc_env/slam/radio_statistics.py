@@ -1,0 +1,85 @@
+"""How far radio signatures differ at one place and between places, learned from the robots' own paths."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from twc_env.messages import Fingerprint
+
+Array = NDArray
+
+DIFFERENCE_MIN_DB = 0.5
+"""Smaller differences prove no more."""
+FLOOR_DBM = -90.0
+"""Stands in for a transmitter that only one side hears."""
+
+
+def radio_difference_db(a: Fingerprint, b: Fingerprint) -> float:
+    """RMS difference over all transmitters that either heard, without the devices' common offset; NaN with none.
+
+    A transmitter that only one side hears stands at the detection floor on the other.
+    """
+    return _radio_difference(a.macs, a.rssi_dbm, b.macs, b.rssi_dbm, FLOOR_DBM)
+
+
+@njit(cache=True, error_model="numpy")
+def _radio_difference(macs_a, levels_a, macs_b, levels_b, floor):
+    total = squares = 0.0
+    i = j = count = 0
+    while i < len(macs_a) or j < len(macs_b):
+        if j >= len(macs_b) or (i < len(macs_a) and macs_a[i] < macs_b[j]):
+            difference = max(levels_a[i] - floor, 0.0)
+            i += 1
+        elif i >= len(macs_a) or macs_b[j] < macs_a[i]:
+            difference = -max(levels_b[j] - floor, 0.0)
+            j += 1
+        else:
+            difference = levels_a[i] - levels_b[j]
+            i += 1
+            j += 1
+        total += difference
+        squares += difference * difference
+        count += 1
+    if len(macs_a) == 0 or len(macs_b) == 0:
+        return np.nan
+    return math.sqrt(max(squares / count - (total / count) ** 2, 0.0))
+
+
+class RadioStatistics:
+    """How far fingerprints of this building differ at one place and between places, learned from own trajectories.
+
+    The logarithm of the difference is taken as normal in both cases with one spread, so that the log-likelihood ratio
+    falls steadily with the difference. Starts from a weak guess.
+    """
+
+    def __init__(self):
+        self._count = np.array([10.0, 10.0])
+        self._sum = self._count * np.log([4.0, 10.0])
+        self._squares = 0.35**2 * self._count + self._sum**2 / self._count
+        self._line: tuple[float, float] | None = None
+
+    def learn(self, difference_db: float, is_same_place: bool) -> None:
+        """Take in one pair of keyframes of one robot."""
+        if math.isnan(difference_db):
+            return
+        value = math.log(max(difference_db, DIFFERENCE_MIN_DB))
+        k = 0 if is_same_place else 1
+        self._count[k] += 1
+        self._sum[k] += value
+        self._squares[k] += value * value
+        self._line = None
+
+    def log_ratio(self, difference_db: float) -> float:
+        """Log of how much likelier this difference is at one place than between places; 0 where unknown."""
+        if math.isnan(difference_db):
+            return 0.0
+        if self._line is None:
+            same, apart = (self._sum / self._count).tolist()
+            variance = float((self._squares - self._sum**2 / self._count).sum() / self._count.sum())
+            self._line = max(apart - same, 0.05) / max(variance, 0.1**2), 0.5 * (same + apart)
+        slope, middle = self._line
+        return slope * (middle - math.log(max(difference_db, DIFFERENCE_MIN_DB)))

@@ -1,0 +1,73 @@
+"""A sign on one robot's own map: where it hangs, and what all readings of it agree on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from rapidfuzz.distance import Levenshtein
+from rapidfuzz.process import cdist
+
+from twc_env.geometry import wrap_angle
+from twc_env.messages import Keyframe, SignObservation
+
+Array = NDArray
+
+SAME_SIGN_SIMILARITY = 0.6
+"""A reading of a sign that was seen before is at least this like one of those before."""
+READINGS_MAX, VIEWS_MAX = 15, 6
+"""Texts and keyframes kept per sign."""
+
+
+@dataclass(slots=True, eq=False)
+class SignPlace:
+    """A sign on one robot's own map."""
+
+    robot: int
+    position_odom: Array
+    """(2,) mean of the latest pass."""
+    travel_m: float
+    facing_odom: float = math.nan
+    """The facing that is nearest to all readings of it; NaN where none is known."""
+    texts: list[str] = field(default_factory=list)
+    views: list[tuple[Keyframe, SignObservation]] = field(default_factory=list)
+    """Keyframes that read it, spread over its passes, and what they saw."""
+    consensus: str = ""
+    support: int = 1
+    """How many readings agree on the consensus."""
+    _facings: list[float] = field(default_factory=list)
+
+    def add(self, text: str, keyframe: Keyframe, sign: SignObservation, position: Array, facing: float) -> None:
+        """Take in one more reading, at a position and facing in the odom frame."""
+        is_settled = text == self.consensus and self.support == len(self.texts) < READINGS_MAX
+        self.texts = [*self.texts[1 - READINGS_MAX :], text]
+        if not self.views or self.views[-1][0].index != keyframe.index:
+            if len(self.views) == VIEWS_MAX:
+                self.views.pop(1)
+            self.views.append((keyframe, sign))
+        self.position_odom, self.travel_m = position, keyframe.travel_m
+        if not math.isnan(facing):
+            self._facings = [*self._facings[1 - READINGS_MAX :], facing]
+            gaps = np.abs(wrap_angle(np.subtract.outer(self._facings, self._facings)))
+            self.facing_odom = self._facings[int(np.argmin(gaps.sum(axis=1)))]
+        if is_settled:
+            self.support += 1
+        else:
+            self._vote()
+
+    def reads_like(self, text: str, is_near: bool, similarity_min: float = SAME_SIGN_SIMILARITY) -> bool:
+        """Whether a reading is like any that was kept; nearby, a fragment of the consensus is enough."""
+        if is_near and (text in self.consensus or self.consensus in text):
+            return True
+        return bool(cdist([text], self.texts, scorer=Levenshtein.normalized_similarity).max() >= similarity_min)
+
+    def _vote(self) -> None:
+        """The reading that explains all readings best, as fragments of it or by few wrong characters."""
+        cost = np.minimum(3.0 * cdist(self.texts, self.texts, scorer=Levenshtein.distance), 12.0)
+        is_part = np.array([[part in whole for part in self.texts] for whole in self.texts])
+        total = np.where(is_part, np.minimum(cost, 5.0), cost).sum(axis=1)
+        best = np.flatnonzero(total == total.min())
+        self.consensus = max((self.texts[k] for k in best), key=lambda text: (len(text), text))
+        self.support = max(1, sum(text == self.consensus for text in self.texts))

@@ -1,0 +1,50 @@
+"""How likely a text is to be read where another one stands: a noisy channel for OCR."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rapidfuzz.distance import Levenshtein
+from rapidfuzz.process import cdist
+
+Array = NDArray
+
+FRAGMENT_PROBABILITY, CHARACTER_ERROR_PROBABILITY = 0.07, 0.03
+"""How often OCR gives a fragment, and how often it gets a character wrong (SPEC T3)."""
+INDEPENDENT_READINGS_MAX = 2
+"""More readings that agree prove no more: the mistakes of one reader with one sign stay the same."""
+WRONG_CHARACTERS = 6.0
+"""A wrong character is one of about this many (most are look-alikes)."""
+LANGUAGE_CHARACTERS = 12.0
+"""An unknown text is as hard to guess as if each character were one of this many."""
+
+
+def log_text_likelihood(reading: str, others: Sequence[str], reading_count: int, other_counts: Array) -> Array:
+    """(others,) log probability of a reading if the sign is the one that gave each of the others.
+
+    A noisy channel twice: characters go wrong singly, or only a fragment is left (SPEC T3). Counts say how many
+    readings agreed on a text: the more, the less likely it is wrong.
+    """
+    if not others:
+        return np.zeros(0)
+    count = np.minimum(np.minimum(np.asarray(other_counts, float), reading_count), INDEPENDENT_READINGS_MAX)
+    wrong = 2 * CHARACTER_ERROR_PROBABILITY / count
+    fragment = 2 * FRAGMENT_PROBABILITY / count**2
+    length = np.array([len(other) for other in others], float)
+    longest = np.maximum(length, len(reading))
+    edits = cdist([reading], list(others), scorer=Levenshtein.distance)[0].astype(float)
+    whole = np.log1p(-fragment) + (longest - edits) * np.log1p(-wrong) + edits * np.log(wrong / WRONG_CHARACTERS)
+    shortest = np.minimum(length, len(reading))
+    is_part = np.array([reading in other or other in reading for other in others]) & (shortest <= 0.5 * longest)
+    cuts = (longest - shortest + 1) * np.maximum(0.35 * longest, 1)
+    part = np.where(is_part, np.log(fragment / cuts), -np.inf)
+    noise = np.log(fragment) + log_unknown_text(reading) - 2.0
+    return np.logaddexp(np.logaddexp(whole, part), noise)
+
+
+def log_unknown_text(reading: str) -> float:
+    """Log probability of a reading if nothing is known of the sign."""
+    return -len(reading) * math.log(LANGUAGE_CHARACTERS)
