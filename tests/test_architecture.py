@@ -38,7 +38,7 @@ ALLOWED = {
     "twc_env.datasets": LEAVES | RANDOM | {"twc_env.world.floorplan"},
     "twc_env.maps": LEAVES
     | RANDOM
-    | {"twc_env.world.floorplan", "twc_env.world.generate", "twc_env.world.twins", "twc_env.datasets"},
+    | {"twc_env.world.floorplan", "twc_env.world.splits", "twc_env.world.twins", "twc_env.datasets"},
     "twc_env.exploration": LEAVES
     | RANDOM
     | {"twc_env.world", "twc_env.slam", "twc_env.metrics", "twc_env.planning", "twc_env.maps", "twc_env.datasets"}

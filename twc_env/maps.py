@@ -53,7 +53,7 @@ def schema() -> dict:
 
 
 def _drawn_by_code(name: str) -> Floorplan | None:
-    from twc_env.world.generate import generate_by_name
+    from twc_env.world.splits import generate_by_name
     from twc_env.world.twins import RADIO_TWINS, radio_twin
 
     return radio_twin(name) if name in RADIO_TWINS else generate_by_name(name)

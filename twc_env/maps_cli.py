@@ -53,7 +53,8 @@ def add_maps_parser(commands) -> None:
         "example: python -m twc_env maps generate office 800 --seed 7 --out office.json\n"
         "The same building is the map gen:office:800:7 wherever a map is named.",
     )
-    from twc_env.world.generate import AREA_MAX_M2, AREA_MIN_M2, KINDS
+    from twc_env.world.generate import AREA_MAX_M2, AREA_MIN_M2
+    from twc_env.world.layouts import KINDS
 
     make.add_argument("kind", metavar="KIND", help=f"one of {', '.join(KINDS)}")
     make.add_argument("area", type=float, metavar="AREA", help=f"gross floor area, {AREA_MIN_M2} to {AREA_MAX_M2} m2")
@@ -123,7 +124,8 @@ def _list(options: argparse.Namespace) -> None:
     for name in options.maps or map_names():
         print(_row(load_map(name)))
     if not options.maps:
-        from twc_env.world.generate import KINDS, SPLITS
+        from twc_env.world.layouts import KINDS
+        from twc_env.world.splits import SPLITS
 
         splits = ", ".join(f"{split}/0000 ({count})" for split, count in SPLITS.items())
         print(f"and generated ones: gen:KIND:AREA:SEED with KIND {', '.join(KINDS)}; splits {splits}")
@@ -229,14 +231,14 @@ def _check_maps(names: Iterable[str], seed: int, findings: dict[str, object]) ->
 
 
 def _check_splits(findings: dict[str, object]) -> list[str]:
-    from twc_env.world.generate import SPLITS, digest_of_layouts, split_layouts
+    from twc_env.world.splits import SPLITS, digest_of_layouts, split_layouts
 
     faults: list[str] = []
     owner: dict[str, str] = {}
     digests = {}
     for split in SPLITS:
         layouts = split_layouts(split)
-        digests[split] = digest_of_layouts(iter(layouts))
+        digests[split] = digest_of_layouts(layouts)
         for number, layout in enumerate(layouts):
             name = f"{split}/{number:04d}"
             if layout in owner:

@@ -28,7 +28,7 @@ from twc_env.config import EnvConfig, to_dict
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.threads import single_threaded
-from twc_env.world.generate import SPLITS, split_names
+from twc_env.world.splits import SPLITS, split_names
 
 Array = NDArray
 

@@ -13,13 +13,12 @@ from twc_env.errors import MapError
 from twc_env.geometry import transform_points
 from twc_env.maps import load_map
 from twc_env.world.floorplan import Floorplan, Room, validate
-from twc_env.world.generate import (
-    KINDS,
+from twc_env.world.generate import check_reachable, generate
+from twc_env.world.layouts import KINDS
+from twc_env.world.splits import (
     SPLIT_AREA_M2,
     SPLITS,
-    check_reachable,
     digest_of_layouts,
-    generate,
     generate_by_name,
     layout_digest,
     split_layouts,
@@ -160,7 +159,7 @@ def test_splits_take_their_kinds_in_turn_and_stay_in_their_range_of_areas():
 
 @pytest.mark.parametrize("split", SPLITS)
 def test_the_layouts_of_a_split_are_pinned(split, layouts):
-    assert digest_of_layouts(iter(layouts[split])) == SPLIT_DIGESTS[split]
+    assert digest_of_layouts(layouts[split]) == SPLIT_DIGESTS[split]
 
 
 def test_no_layout_occurs_twice_in_or_across_splits_even_turned_or_mirrored(layouts):

@@ -30,8 +30,8 @@ from twc_env.tasks import task_config
 from twc_env.team_messages import TeamFrames
 from twc_env.world.failures import Failures
 from twc_env.world.floorplan import Floorplan
-from twc_env.world.generate import split_names
 from twc_env.world.link import Link
+from twc_env.world.splits import split_names
 from twc_env.world.thinning import thinned
 from twc_env.world.world import World
 

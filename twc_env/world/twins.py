@@ -12,8 +12,12 @@ from functools import lru_cache
 import numpy as np
 
 from twc_env.random_streams import random_stream
+from twc_env.world.drawing import Drawing, Style
+from twc_env.world.fittings import finish
 from twc_env.world.floorplan import Floorplan, validate
-from twc_env.world.generate import Drawing, Style, bands, check_reachable, finish, room_label
+from twc_env.world.generate import check_reachable
+from twc_env.world.layouts import bands
+from twc_env.world.room_names import room_label
 
 _MACS_PER_ACCESS_POINT = 8
 """Four networks on two bands."""

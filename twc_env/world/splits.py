@@ -1,0 +1,111 @@
+"""Generated buildings by name, and the fixed splits of them for training, validation and testing."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+
+import numpy as np
+
+from twc_env.errors import MapError
+from twc_env.random_streams import random_stream
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.generate import generate
+from twc_env.world.layouts import KINDS
+
+SPLITS = {"train": 1000, "validation": 100, "test": 100}
+"""Buildings of each fixed split, named `train/0000` and so on."""
+SPLIT_AREA_M2 = (100.0, 2000.0)
+"""Areas in the splits are drawn from this range, evenly on a logarithmic scale."""
+_SPLIT_SEEDS = {"train": 0, "validation": 1_000_000, "test": 2_000_000}
+
+
+def generate_by_name(name: str, check: bool = True) -> Floorplan | None:
+    """The building of a name such as `gen:office:800:7` or `train/0007`; None for names of another form.
+
+    Raises MapError when the form fits and a part of it does not.
+    """
+    head, _, rest = name.partition(":")
+    if head == "gen":
+        return _cached(*_parts(name, rest), name, check)
+    split, _, number = name.partition("/")
+    if split not in SPLITS or not number.isdigit() or len(number) != 4:
+        return None
+    if int(number) >= SPLITS[split]:
+        raise MapError(f"no building {name!r}: {split} holds {SPLITS[split]}, {split}/0000 to {_last(split)}")
+    return _cached(*split_recipe(split, int(number)), name, check)
+
+
+def split_names(split: str) -> tuple[str, ...]:
+    """The names of all buildings of a split."""
+    if split not in SPLITS:
+        raise MapError(f"no split {split!r}; splits are {', '.join(SPLITS)}")
+    return tuple(f"{split}/{number:04d}" for number in range(SPLITS[split]))
+
+
+def split_recipe(split: str, number: int) -> tuple[str, float, int]:
+    """Kind, area [m2] and seed of one building of a split: kinds take turns, areas are drawn."""
+    seed = _SPLIT_SEEDS[split] + number
+    low, high = (math.log(area) for area in SPLIT_AREA_M2)
+    area_m2 = round(math.exp(random_stream(seed, "split-area").uniform(low, high)))
+    return KINDS[number % len(KINDS)], float(area_m2), seed
+
+
+def layout_digest(plan: Floorplan) -> str:
+    """Twelve hex digits of the walls alone, the same for moved, quarter-turned and mirrored copies."""
+    walls = np.round(plan.home.walls_m * 100).astype(np.int64)
+    copies = []
+    for mirror in (1, -1):
+        for turn in ([[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]):
+            copy = walls * np.array([mirror, 1]) @ np.array(turn)
+            copy -= copy.reshape(-1, 2).min(axis=0)
+            # The ends of a wall, and the walls, in one order.
+            is_swapped = (copy[:, 0, 0] > copy[:, 1, 0]) | (
+                (copy[:, 0, 0] == copy[:, 1, 0]) & (copy[:, 0, 1] > copy[:, 1, 1])
+            )
+            copy[is_swapped] = copy[is_swapped][:, ::-1]
+            rows = copy.reshape(-1, 4)
+            copies.append(rows[np.lexsort(rows.T)].tobytes())
+    return hashlib.sha256(min(copies)).hexdigest()[:12]
+
+
+def digest_of_layouts(layouts: Iterable[str]) -> str:
+    """One digest over a sequence of layout digests."""
+    return hashlib.sha256("\n".join(layouts).encode()).hexdigest()[:12]
+
+
+def split_layouts(split: str) -> list[str]:
+    """Layout digest of every building of a split."""
+    return [layout_digest(plan) for plan in _drawn(split)]
+
+
+@lru_cache(maxsize=32)
+def _cached(kind: str, area_m2: float, seed: int, name: str, check: bool) -> Floorplan:
+    plan = generate(kind, area_m2, seed, check)
+    object.__setattr__(plan, "name", name)  # not yet seen by anyone; its caches stay warm
+    return plan
+
+
+def _drawn(split: str) -> Iterator[Floorplan]:
+    for number in range(len(split_names(split))):
+        yield generate(*split_recipe(split, number), check=False)
+
+
+def _last(split: str) -> str:
+    return split_names(split)[-1]
+
+
+def _parts(name: str, rest: str) -> tuple[str, float, int]:
+    parts = rest.split(":")
+    try:
+        kind, area_m2, seed = parts[0], float(parts[1]), int(parts[2])
+        if len(parts) != 3 or not math.isfinite(area_m2):
+            raise ValueError
+    except (IndexError, ValueError):
+        raise MapError(
+            f"{name!r} names no building; write gen:KIND:AREA:SEED, for example gen:office:800:7 "
+            f"(kinds: {', '.join(KINDS)})"
+        ) from None
+    return kind, area_m2, seed
