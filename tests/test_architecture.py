@@ -19,6 +19,7 @@ LEAVES = {
     "twc_env._version",
 }
 RANDOM = {"twc_env.random_streams"}
+FLOORPLAN = {f"twc_env.world.{name}" for name in ("floorplan", "floorplan_file", "floorplan_check", "floor_cells")}
 
 # What the modules below a prefix may import of twc_env besides their own package; the longest prefix counts.
 ALLOWED = {
@@ -35,10 +36,8 @@ ALLOWED = {
     "twc_env.slam": LEAVES,
     "twc_env.metrics": LEAVES,
     "twc_env.planning": LEAVES,
-    "twc_env.datasets": LEAVES | RANDOM | {"twc_env.world.floorplan"},
-    "twc_env.maps": LEAVES
-    | RANDOM
-    | {"twc_env.world.floorplan", "twc_env.world.splits", "twc_env.world.twins", "twc_env.datasets"},
+    "twc_env.datasets": LEAVES | RANDOM | FLOORPLAN,
+    "twc_env.maps": LEAVES | RANDOM | FLOORPLAN | {"twc_env.world.splits", "twc_env.world.twins", "twc_env.datasets"},
     "twc_env.exploration": LEAVES
     | RANDOM
     | {"twc_env.world", "twc_env.slam", "twc_env.metrics", "twc_env.planning", "twc_env.maps", "twc_env.datasets"}

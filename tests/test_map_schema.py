@@ -7,7 +7,8 @@ import pytest
 
 from twc_env.errors import MapError
 from twc_env.maps import load_map, map_names, schema
-from twc_env.world.floorplan import floorplan_from_values, validate, write_floorplan
+from twc_env.world.floorplan_check import validate
+from twc_env.world.floorplan_file import floorplan_from_values, write_floorplan
 
 ROOT = Path(__file__).parents[1]
 VALIDATOR = jsonschema.Draft202012Validator(schema())

@@ -8,8 +8,8 @@ import pytest
 
 from twc_env.errors import MapError
 from twc_env.maps import load_map, map_names
-from twc_env.world import floorplan
-from twc_env.world.floorplan import write_floorplan
+from twc_env.world import floorplan_file
+from twc_env.world.floorplan_file import write_floorplan
 
 HOUSE = {
     "id": "house",
@@ -133,7 +133,7 @@ def test_a_packed_file_that_is_cut_off_is_refused(tmp_path):
 
 
 def test_a_small_file_that_unpacks_to_a_huge_one_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(floorplan, "FILE_BYTES_MAX", 1_000_000)
+    monkeypatch.setattr(floorplan_file, "FILE_BYTES_MAX", 1_000_000)
     path = tmp_path / "bomb.json.gz"
     path.write_bytes(gzip.compress(b" " * 2_000_000))
     with pytest.raises(MapError, match="holds more than 1 MB"):

@@ -19,7 +19,7 @@ from twc_env.datasets.map_export import export_map
 from twc_env.errors import MapError
 from twc_env.maps import load_map
 from twc_env.random_streams import random_stream
-from twc_env.world.floorplan import write_floorplan
+from twc_env.world.floorplan_file import write_floorplan
 from twc_env.world.generate import generate
 
 SECONDS_MAX = 1.0

@@ -7,7 +7,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from twc_env.errors import MapError
-from twc_env.world.floorplan import Floorplan, floorplan_from_values, load_json, read_floorplan, validate
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.floorplan_check import validate
+from twc_env.world.floorplan_file import floorplan_from_values, load_json, read_floorplan
 
 _FOLDERS = (Path(__file__).parent / "maps", Path(__file__).parent.parent / "maps")
 """Where the bundled maps lie: in an installed package, and in a checkout."""

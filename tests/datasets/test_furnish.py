@@ -4,7 +4,7 @@ import pytest
 from twc_env.config import EnvConfig
 from twc_env.datasets.furnish import REPEATED, SIGN_SPACING_M, furnish, room_label
 from twc_env.datasets.raster import plan_from_free
-from twc_env.world.floorplan import validate
+from twc_env.world.floorplan_check import validate
 from twc_env.world.radio import RadioModel
 
 

@@ -8,17 +8,9 @@ import pytest
 from twc_env.errors import MapError
 from twc_env.geometry import compose
 from twc_env.maps import load_map
-from twc_env.world.floorplan import (
-    AccessPoint,
-    Floorplan,
-    Room,
-    Sign,
-    floorplan_from_values,
-    mac_text,
-    read_floorplan,
-    validate,
-    write_floorplan,
-)
+from twc_env.world.floorplan import AccessPoint, Floorplan, Room, Sign, mac_text
+from twc_env.world.floorplan_check import validate
+from twc_env.world.floorplan_file import floorplan_from_values, read_floorplan, write_floorplan
 
 
 def square_values(**changes) -> dict:

@@ -12,7 +12,8 @@ from twc_env.config import EnvConfig
 from twc_env.errors import MapError
 from twc_env.geometry import transform_points
 from twc_env.maps import load_map
-from twc_env.world.floorplan import Floorplan, Room, validate
+from twc_env.world.floorplan import Floorplan, Room
+from twc_env.world.floorplan_check import validate
 from twc_env.world.generate import check_reachable, generate
 from twc_env.world.layouts import KINDS
 from twc_env.world.splits import (

@@ -6,7 +6,8 @@ import pytest
 
 from twc_env.errors import MapError
 from twc_env.maps import load_map
-from twc_env.world.floorplan import floorplan_from_values, read_floorplan, validate, write_floorplan
+from twc_env.world.floorplan_check import validate
+from twc_env.world.floorplan_file import floorplan_from_values, read_floorplan, write_floorplan
 from twc_env.world.materials import MATERIALS, wall_loss_db
 
 

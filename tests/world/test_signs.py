@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from twc_env.config import SignsConfig
-from twc_env.world.floorplan import Floorplan, Sign, validate
+from twc_env.world.floorplan import Floorplan, Sign
+from twc_env.world.floorplan_check import validate
 from twc_env.world.misreading import misread
 from twc_env.world.signs import SignCamera
 

@@ -20,7 +20,9 @@ from twc_env.datasets.outline import simplified_ring
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
 from twc_env.random_streams import random_stream
-from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, Room, Sign, load_json, validate
+from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, Room, Sign
+from twc_env.world.floorplan_check import validate
+from twc_env.world.floorplan_file import load_json
 
 Array = NDArray
 

@@ -17,7 +17,10 @@ from twc_env.datasets.furnish import furnish
 from twc_env.datasets.outline import simplified_ring
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
-from twc_env.world.floorplan import CELLS_MAX, COORDINATE_MAX_M, Cells, Floorplan, Room, load_json, validate
+from twc_env.world.floor_cells import CELLS_MAX, Cells
+from twc_env.world.floorplan import Floorplan, Room
+from twc_env.world.floorplan_check import COORDINATE_MAX_M, validate
+from twc_env.world.floorplan_file import load_json
 
 Array = NDArray
 

@@ -9,7 +9,8 @@ import numpy as np
 from twc_env.datasets.ros_map import write_ros_map
 from twc_env.errors import MapError
 from twc_env.messages import GridMap
-from twc_env.world.floorplan import Floorplan, write_floorplan
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.floorplan_file import write_floorplan
 
 EXPORT_SUFFIXES = (".json", ".yaml", ".png")
 EXPORT_RESOLUTION_M = 0.05

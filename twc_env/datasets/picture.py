@@ -13,7 +13,8 @@ from twc_env.datasets.furnish import furnish
 from twc_env.datasets.outline import outer_ring, simplified_ring
 from twc_env.datasets.raster import parts, plan_from_free, read_grey
 from twc_env.errors import MapError
-from twc_env.world.floorplan import Floorplan, Room, validate
+from twc_env.world.floorplan import Floorplan, Room
+from twc_env.world.floorplan_check import validate
 
 Array = NDArray
 

@@ -12,7 +12,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.errors import MapError
-from twc_env.world.floorplan import CELLS_MAX, Floorplan, load_bytes
+from twc_env.world.floor_cells import CELLS_MAX
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.floorplan_file import load_bytes
 
 Array = NDArray
 

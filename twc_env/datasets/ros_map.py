@@ -12,7 +12,9 @@ from twc_env.datasets.furnish import furnish
 from twc_env.datasets.raster import plan_from_free, read_grey
 from twc_env.errors import MapError
 from twc_env.messages import GridMap
-from twc_env.world.floorplan import Floorplan, load_bytes, validate
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.floorplan_check import validate
+from twc_env.world.floorplan_file import load_bytes
 
 Array = NDArray
 

@@ -22,7 +22,8 @@ from twc_env.messages import GridMap
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
 from twc_env.slam.occupancy_grid import OccupancyGrid
-from twc_env.world.floorplan import Cells, Floorplan
+from twc_env.world.floor_cells import Cells
+from twc_env.world.floorplan import Floorplan
 
 Array = NDArray
 

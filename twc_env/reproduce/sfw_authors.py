@@ -28,7 +28,7 @@ from twc_env.reproduce import sfw_scoring as scoring
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.sfw_registration import Registration, register
 from twc_env.reproduce.sfw_walks import RadioWalk
-from twc_env.world.floorplan import Cells
+from twc_env.world.floor_cells import Cells
 
 Array = NDArray
 

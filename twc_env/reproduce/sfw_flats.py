@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.world.floorplan import AccessPoint, Floorplan, validate
+from twc_env.world.floorplan import AccessPoint, Floorplan
+from twc_env.world.floorplan_check import validate
 
 Array = NDArray
 

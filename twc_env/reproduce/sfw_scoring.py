@@ -13,7 +13,7 @@ from twc_env.reproduce.sfw_walks import RadioWalk
 from twc_env.slam import k_visibility_rules as published
 from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, sliding_window
 from twc_env.slam.k_visibility import Structure, map_structure
-from twc_env.world.floorplan import Cells
+from twc_env.world.floor_cells import Cells
 
 Array = NDArray
 

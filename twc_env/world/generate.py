@@ -11,7 +11,8 @@ import numpy as np
 from twc_env.errors import MapError
 from twc_env.random_streams import random_stream
 from twc_env.world.fittings import finish
-from twc_env.world.floorplan import Floorplan, validate
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.floorplan_check import validate
 from twc_env.world.layouts import KINDS, LAYOUTS
 
 AREA_MIN_M2, AREA_MAX_M2 = 100, 10_000

@@ -14,7 +14,8 @@ import numpy as np
 from twc_env.random_streams import random_stream
 from twc_env.world.drawing import Drawing, Style
 from twc_env.world.fittings import finish
-from twc_env.world.floorplan import Floorplan, validate
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.floorplan_check import validate
 from twc_env.world.generate import check_reachable
 from twc_env.world.layouts import bands
 from twc_env.world.room_names import room_label

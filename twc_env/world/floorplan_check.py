@@ -1,0 +1,117 @@
+"""What a sound floor plan is: walls, names and signs that robots can explore."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.errors import MapError
+from twc_env.world.floor_cells import Cells
+from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, mac_text
+from twc_env.world.materials import MATERIALS
+
+Array = NDArray
+
+SIGN_TO_WALL_MAX_M = 0.3
+_WALL_LENGTH_MIN_M = 1e-6
+COORDINATE_MAX_M = 100_000.0
+"""Nothing in a plan lies farther from the origin: beyond it, decimetres get lost in single precision."""
+_CHECK_RESOLUTION_M = 0.1
+
+
+def validate(plan: Floorplan) -> Floorplan:
+    """Return the plan if a robot can explore it; otherwise raise MapError naming the value and the remedy."""
+    where = f"map {plan.name!r}"
+    _check_walls(plan, where)
+    _check_names(plan, where)
+    cells = plan.cells(_CHECK_RESOLUTION_M)
+    if not cells.free.any():
+        raise MapError(
+            f"{where} has no free space: none of its {len(plan.interior_m)} interior points lies clear of walls; "
+            "put at least one point of interior_m into open floor"
+        )
+    _check_signs(plan, cells, where)
+    for i in np.flatnonzero(~cells.is_free(plan.starts[:, :2])):
+        at = _point_text(plan.starts[i])
+        raise MapError(f"{where}: start {i} at {at} lies outside the free space; move it onto open floor")
+    return plan
+
+
+def _check_walls(plan: Floorplan, where: str) -> None:
+    if len(plan.walls_m) == 0:
+        raise MapError(f"{where} has no walls; a building needs at least a closed outer wall")
+    if len(plan.wall_loss_db) != len(plan.walls_m):
+        raise MapError(
+            f"{where} has {len(plan.walls_m)} walls but {len(plan.wall_loss_db)} losses; give one loss per wall"
+        )
+    for label, values in _all_numbers(plan):
+        if not np.isfinite(values).all():
+            raise MapError(f"{where}: {label} holds a value that is not finite (NaN or infinity); give plain numbers")
+        if values.size and np.abs(values).max() > COORDINATE_MAX_M:
+            raise MapError(f"{where}: {label} holds {np.abs(values).max():.3g}, too large; lengths must be metres")
+    lengths = np.linalg.norm(plan.walls_m[:, 1] - plan.walls_m[:, 0], axis=1)
+    for i in np.flatnonzero(lengths < _WALL_LENGTH_MIN_M):
+        raise MapError(f"{where}: wall {i} at {_point_text(plan.walls_m[i, 0])} has no length; remove it")
+    if len(plan.wall_materials) not in (0, len(plan.walls_m)):
+        raise MapError(
+            f"{where} has {len(plan.walls_m)} walls but {len(plan.wall_materials)} materials; name one per wall or none"
+        )
+    for name in set(plan.wall_materials) - {"", *MATERIALS}:
+        near = difflib.get_close_matches(str(name), MATERIALS, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(MATERIALS)}"
+        raise MapError(f"{where}: a wall is of the unknown material {name!r}; {hint}")
+    for i in np.flatnonzero((plan.wall_loss_db < 0) | (plan.wall_loss_db > 1000)):
+        raise MapError(f"{where}: wall {i} has a loss of {plan.wall_loss_db[i]:g} dB; losses are 0 to 1000")
+
+
+def _all_numbers(plan: Floorplan) -> Iterator[tuple[str, Array]]:
+    for key in ("walls_m", "wall_loss_db", "starts", "interior_m", "pose_building_home"):
+        yield key, getattr(plan, key)
+    for room in plan.rooms:
+        yield f"room {room.name!r}", room.polygon_m
+    for sign in plan.signs:
+        yield f"sign {sign.text!r}", np.append(sign.position_m, sign.facing_rad)
+    for access_point in plan.access_points:
+        yield f"access point {access_point.name!r}", access_point.position_m
+
+
+def _check_names(plan: Floorplan, where: str) -> None:
+    owner: dict[int, str] = {}
+    for access_point in plan.access_points:
+        if not access_point.macs:
+            raise MapError(f"{where}: access point {access_point.name!r} has no MAC address; give it at least one")
+        for mac in access_point.macs:
+            if not 0 < mac < 1 << 48:
+                raise MapError(f"{where}: access point {access_point.name!r} has MAC {mac}; use 48 bits, not all zero")
+            if mac in owner:
+                raise MapError(
+                    f"{where}: MAC {mac_text(mac)} is used by {owner[mac]!r} and by {access_point.name!r}; "
+                    "every address must be unique"
+                )
+            owner[mac] = access_point.name
+    for i, sign in enumerate(plan.signs):
+        if not sign.text.strip():
+            raise MapError(f"{where}: sign {i} at {_point_text(sign.position_m)} has no text; give it one or remove it")
+
+
+def _check_signs(plan: Floorplan, cells: Cells, where: str) -> None:
+    for sign in plan.signs:
+        label = f"{where}: sign {sign.text!r} at {_point_text(sign.position_m)}"
+        if plan.wall_index.distance_m(sign.position_m[None], SIGN_TO_WALL_MAX_M)[0] >= SIGN_TO_WALL_MAX_M:
+            raise MapError(f"{label} hangs on no wall: none is within {SIGN_TO_WALL_MAX_M} m; move it onto one")
+        normal = np.array([np.cos(sign.facing_rad), np.sin(sign.facing_rad)])
+        front = sign.position_m + SIGN_FRONT_M * normal
+        if not cells.is_free(front):
+            raise MapError(
+                f"{label} has nothing free in front of it: {_point_text(front)} is no open floor; turn or move it"
+            )
+        face = sign.position_m + SIGN_FACE_M * normal
+        if plan.wall_index.crossing(front, face[None])[0][0]:
+            raise MapError(f"{label} is buried inside a wall; move it to the wall's face, towards its facing side")
+
+
+def _point_text(point: Array) -> str:
+    return f"({point[0]:.2f}, {point[1]:.2f})"
