@@ -1,0 +1,86 @@
+"""`python -m twc_env bench`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twc_env.command_line import assignments, write_json
+
+if TYPE_CHECKING:
+    from twc_env.config import EnvConfig
+
+
+def add_bench_parser(commands: argparse._SubParsersAction) -> None:
+    """Arguments of the command."""
+    speed = commands.add_parser(
+        "bench",
+        help="steps per second of the world alone and of the whole step with SLAM",
+        description="Robots wander by reflex through whole episodes; medians over the episodes are printed. "
+        "Compare figures from one machine and one run only.",
+    )
+    speed.add_argument("--map", default="twin-01", help="bundled name or file (default: %(default)s)")
+    speed.add_argument("--robots", type=int, default=3, help="default: %(default)s")
+    speed.add_argument("--beams", type=int, default=180, help="beams per scan (default: %(default)s)")
+    speed.add_argument("--steps", type=int, default=1500, help="steps per episode (default: %(default)s)")
+    speed.add_argument("--episodes", type=int, default=3, help="seeds 0, 1, ... (default: %(default)s)")
+    speed.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    speed.add_argument("--parts", action="store_true", help="the table of what costs what, instead of rates")
+    speed.add_argument(
+        "--peers",
+        action="store_true",
+        help="in one run on one core: ours beside IR-SIM and MPE2 (pip install 'twc_env[peers]'), start-up, memory, "
+        "two workers; fixed settings",
+    )
+    speed.add_argument(
+        "--scaling", action="store_true", help="cost of the world against walls, beams, robots and area; large resets"
+    )
+    speed.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one object")
+    speed.set_defaults(run=_bench)
+
+
+def _bench(options: argparse.Namespace) -> None:
+    from twc_env.bench import bench
+    from twc_env.bench_scaling import scaling_table
+    from twc_env.config import EnvConfig, override
+
+    settings = {"map": options.map, "robots": options.robots, "lidar.beam_count": options.beams}
+    config = override(EnvConfig(), {**settings, "max_cycles": options.steps, **assignments(options.set)})
+    if options.parts:
+        _bench_parts(config, options)
+        return
+    if options.peers or options.scaling:
+        figures = _bench_peers(options)
+    else:
+        figures = bench(config, options.episodes, report=_report)
+    for key, value in figures.items():
+        if key == "scaling":
+            print(scaling_table(value))
+        else:
+            print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
+    write_json(options.json, figures)
+
+
+def _bench_peers(options: argparse.Namespace) -> dict:
+    from twc_env.bench_peers import bench_peers
+    from twc_env.bench_scaling import bench_large_reset, bench_scaling
+
+    figures = bench_peers(report=_report) if options.peers else {}
+    return figures | bench_large_reset() | {"scaling": bench_scaling(report=_report)}
+
+
+def _report(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
+    from twc_env.bench_parts import bench_parts, table_of, time_matching
+
+    rows = bench_parts(config, options.episodes, report=_report)
+    print(table_of(rows))
+    matching = time_matching(config)
+    for key, value in matching.items():
+        print(f"{key:<32}{value:>18.3f}")
+    write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows} | matching)

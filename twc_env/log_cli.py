@@ -1,0 +1,168 @@
+"""`python -m twc_env record` and `replay`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twc_env.command_line import assignments, write_json
+
+if TYPE_CHECKING:
+    from twc_env.slam.engine import CooperativeSlam
+    from twc_env.slam.team import TeamMapper
+
+
+def add_log_parsers(commands: argparse._SubParsersAction) -> None:
+    """Arguments of the two commands."""
+    record = commands.add_parser(
+        "record",
+        help="record what robots sense in an episode, the truth in a separate file",
+        description="Robots wander by reflex. Writes frames.npz (sensor frames and settings, no truth) and truth.npz "
+        "(true poses); docs/frames.md describes both. `python -m agents explore` records its episodes too.",
+    )
+    record.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
+    record.add_argument("--robots", type=int, default=3, help="default: %(default)s")
+    record.add_argument("--steps", type=int, default=600, help="default: %(default)s")
+    record.add_argument("--seed", type=int, default=0, help="default: %(default)s")
+    record.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    record.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    record.set_defaults(run=_record)
+
+    replay = commands.add_parser(
+        "replay",
+        help="run the SLAM engine on recorded sensor frames, or make a page or Rerun recording of a run",
+        description="The engine sees the frames of a log (frames.npz of a run folder) and nothing else. "
+        "Prints what it found; the same log gives the same numbers every time. With --html, nothing is run: the run "
+        "folder's trace.npz and report.json become one page with a time slider, to be opened in any browser; with "
+        "--rerun a recording for the Rerun viewer (`rerun RUN/replay.rrd`).",
+    )
+    replay.add_argument("log", type=Path, help="a run folder, or a frame log (frames.npz)")
+    replay.add_argument(
+        "--html", type=Path, nargs="?", const=Path(), metavar="FILE", help="write the page (default: RUN/replay.html)"
+    )
+    replay.add_argument(
+        "--rerun",
+        type=Path,
+        nargs="?",
+        const=Path(),
+        metavar="FILE",
+        help="write a recording for the Rerun viewer (default: RUN/replay.rrd; pip install 'twc_env[rerun]')",
+    )
+    replay.add_argument("--truth", type=Path, metavar="FILE", help="truth.npz: also print the team's trajectory error")
+    replay.add_argument(
+        "--filter",
+        choices=("compiled", "filterpy"),
+        default="compiled",
+        help="odometry filter: the compiled kernel, or filterpy's EKF, its oracle (default: %(default)s)",
+    )
+    replay.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    replay.add_argument("--out", type=Path, metavar="DIR", help="write merged maps (map_server) and pose_graph.g2o")
+    replay.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    replay.set_defaults(run=_replay)
+
+
+def _record(options: argparse.Namespace) -> None:
+    from twc_env.bench import wander
+    from twc_env.config import EnvConfig, override
+    from twc_env.datasets.frame_log import write_frame_log, write_truth_log
+    from twc_env.errors import DataError
+    from twc_env.exploration.environment import ExplorationEnv
+
+    settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
+    env = ExplorationEnv(config=override(EnvConfig(), {**settings, **assignments(options.set)}))
+    env.reset(seed=options.seed)
+    steps, contacts = [env.frames], [env.contacts]
+    for actions in wander(env, options.seed):
+        env.step(actions)
+        steps.append(env.frames)
+        contacts.append(env.contacts)
+        _progress(len(steps) - 1, env.config.max_cycles)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot make the folder {options.out}: {error.strerror}; choose another with --out") from error
+    write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
+    write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
+    print(f"recorded {len(steps) - 1} steps of {env.config.robots} robots: {options.out}/frames.npz and truth.npz")
+
+
+def _progress(done: int, total: int) -> None:
+    if sys.stderr.isatty() and (done % 50 == 0 or done == total):
+        print(f"\r{done}/{total} steps", end="\n" if done == total else "", file=sys.stderr, flush=True)
+
+
+def _replay(options: argparse.Namespace) -> None:
+    run = options.log if options.log.is_dir() else options.log.parent
+    if options.html is not None:
+        from twc_env.replay_page import write_page
+
+        print(write_page(run, run / "replay.html" if options.html == Path() else options.html))
+    if options.rerun is not None:
+        from twc_env.rerun_export import write_rerun
+
+        print(write_rerun(run, run / "replay.rrd" if options.rerun == Path() else options.rerun))
+    if options.html is not None or options.rerun is not None:
+        return
+    _replay_frames(options, options.log / "frames.npz" if options.log.is_dir() else options.log)
+
+
+def _replay_frames(options: argparse.Namespace, log: Path) -> None:
+    from twc_env.config import digest, override
+    from twc_env.datasets.frame_log import read_contacts, read_frame_log, read_truth_log
+    from twc_env.slam.engine import CooperativeSlam
+
+    config, steps = read_frame_log(log)
+    config = override(config, {**assignments(options.set), "slam.odometry_filter.backend": options.filter})
+    robots = 1 + max(frame.robot for frames in steps for frame in frames)
+    engine = CooperativeSlam(config, robots)
+    odom_poses = []
+    contacts = read_contacts(log)
+    for count, frames in enumerate(steps):
+        engine.update(frames, contacts[count] if contacts else None)
+        odom_poses.append([front_end.pose_odom for front_end in engine.robots])
+        _progress(count + 1, len(steps))
+    if steps[-1][0].step >= config.max_cycles:  # the episode was played to its end, where the mapper clears its desk
+        engine.finish()
+    team = engine.team
+    figures = {
+        "log": str(log),
+        "steps": len(steps),
+        "filter": options.filter,
+        "groups": [list(group.robots) for group in team.groups],
+        "keyframes": [len(keyframes) for keyframes in team.keyframes],
+        "closures_accepted": sum(c.status == "accepted" for c in team.closures),
+        "closures_proposed": len(team.closures),
+        "final_poses": [[round(float(v), 6) for v in engine.pose_map_robot(r)] for r in range(len(engine.robots))],
+        "config_digest": digest(config),
+    }
+    if options.truth:
+        figures["team_ate_m"] = _error_of_log(engine, np.array(odom_poses), read_truth_log(options.truth)[2])
+    for key, value in figures.items():
+        print(f"{key:<20} {value}")
+    write_json(options.json, figures)
+    if options.out:
+        _write_maps(options.out, team)
+
+
+def _error_of_log(engine: CooperativeSlam, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:
+    """Team ATE [m] over a whole log, each group of robots aligned once."""
+    from twc_env.errors import DataError
+    from twc_env.exploration.team_alignment import team_error_m
+
+    if odom_poses.shape != true_poses.shape:
+        raise DataError(f"the truth has shape {true_poses.shape}, the log {odom_poses.shape}: give the pair of one run")
+    return team_error_m(engine, odom_poses, true_poses)
+
+
+def _write_maps(folder: Path, team: TeamMapper) -> None:
+    from twc_env.datasets.g2o import write_g2o
+    from twc_env.datasets.ros_map import write_ros_map
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for index in range(len(team.groups)):
+        write_ros_map(team.grid_of(index), folder, "map" if index == 0 else f"map_{index}")
+    write_g2o(folder / "pose_graph.g2o", team.graph())
