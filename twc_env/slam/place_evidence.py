@@ -58,8 +58,8 @@ class EvidenceWeights:
     geometry_limit: float = 2.0
     neighbours: float = 0.5
     neighbours_limit: float = 4.0
-    sequence: float = 0.5
-    sequence_limit: float = 4.0
+    sequence: float = 0.25
+    sequence_limit: float = 2.0
 
 
 @dataclass(frozen=True, slots=True)

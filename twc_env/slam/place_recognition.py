@@ -339,7 +339,7 @@ class ScanRecogniser:
 
 
 class FusedRecogniser:
-    """Text, radio, walls and neighbouring signs, weighed against each other instead of each against a threshold."""
+    """Text, radio, walls, neighbouring signs and the ways there, weighed against each other instead of each against a threshold."""
 
     name = "fused"
 
