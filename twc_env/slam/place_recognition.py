@@ -340,7 +340,7 @@ class ScanRecogniser:
 
 class FusedRecogniser:
     """Text, radio, walls, neighbouring signs and the ways there, weighed against each other instead of each against a threshold."""
-
+    """Text, radio, walls, neighbouring signs and the ways there, weighed together instead of each against a threshold."""
     name = "fused"
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
