@@ -339,8 +339,8 @@ class ScanRecogniser:
 
 
 class FusedRecogniser:
-    """Text, radio, walls, neighbouring signs and the ways there, weighed against each other instead of each against a threshold."""
-    """Text, radio, walls, neighbouring signs and the ways there, weighed together instead of each against a threshold."""
+    """Text, radio, walls, neighbouring signs and the ways there, weighed together instead of against thresholds."""
+
     name = "fused"
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
