@@ -41,11 +41,6 @@ class ClosureSearch:
         self._searched_m = [0.0] * robot_count
         self._tied_m = [-np.inf] * robot_count
 
-    @property
-    def has_more(self) -> bool:
-        """Whether candidates wait for their turn."""
-        return any(self._waiting.values())
-
     def propose(self, keyframe: Keyframe) -> None:
         """Queue what a new keyframe looks like."""
         group_of = self._maps.group_of

@@ -3,7 +3,8 @@
 The front end has already registered each scan to those before it (radio SLAM, "registration of LiDAR scans in
 proximity"). Here keyframes that the radio trajectory puts near each other are matched, the closures that hold are
 optimised with the front end's own motions, robustly, and what is near in the better trajectory is matched again. A
-corridor does not fix its own axis: the matcher leaves that direction to odometry.
+corridor does not fix its own axis: the matcher leaves that direction to odometry. Radio has no say once laser closures
+hold the graph; last, every scan is laid on its neighbours one to one (`scan_alignment`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.geometry import between, wrap_angle
 from twc_env.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
-from twc_env.slam import radio_slam, robust_backend
+from twc_env.slam import radio_slam, robust_backend, scan_alignment
 from twc_env.slam.loop_verification import LoopVerifier
 from twc_env.slam.occupancy_grid import OccupancyGrid
 
@@ -39,7 +40,7 @@ class RadioLidarResult:
     poses: Array
     """(keyframes, 3), the first at (0, 0, 0)."""
     closures: tuple[LoopClosure, ...]
-    """That scan matching accepted and the last optimisation believed."""
+    """That scan matching accepted and the robust optimisation believed."""
     grid: GridMap
     radio: radio_slam.RadioResult
 
@@ -58,6 +59,7 @@ def solve(keyframes: Sequence[Keyframe], config: EnvConfig, cues: Sequence[str] 
     for reach_m, source in ROUNDS:
         found = _matched(keyframes, poses, reach_m, source, config)
         poses, closures = _optimised(keyframes, poses, found, config)
+    poses = scan_alignment.aligned(keyframes, poses, config.lidar.range_max_m)
     grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
     grid.integrate(poses, np.array([k.ranges_m for k in keyframes]))
     return RadioLidarResult(poses, closures, grid.snapshot(), radio)
