@@ -41,7 +41,7 @@ FIT = PoseGraphConfig(robust="cauchy", robust_scale=9.0, iterations_max=30)
 
 
 def aligned(keyframes: Sequence[Keyframe], poses: Array, range_max_m: float) -> Array:
-    """Poses (n, 3) of one robot's keyframes, in order, from poses that tell what lies next to what; the first is held."""
+    """Poses (n, 3) of one robot's keyframes, in order, from poses that tell what lies near what; the first is held."""
     count = len(keyframes)
     if count < 2:
         return poses
