@@ -45,7 +45,7 @@ class ClosureSearch:
         """Queue what a new keyframe looks like."""
         group_of = self._maps.group_of
         group = group_of[keyframe.robot]
-        is_tied = keyframe.travel_m - self._tied_m[keyframe.robot] < TIED_M
+        is_tied = self._is_tied(keyframe)
         mates = self._maps.groups[group].robots if is_tied else ()
         candidates = self._recogniser.propose(keyframe, skipped_robots=mates)
         near = None if is_tied else self._near_keyframe(keyframe)
@@ -56,6 +56,10 @@ class ClosureSearch:
             reach = REPEAT_REACH_M if group_of[target.robot] == group else REPEAT_REACH_APART_M
             if self._filters[candidate.recogniser].is_new(target, keyframe, reach):
                 self._waiting[candidate.recogniser].append(candidate)
+
+    def _is_tied(self, keyframe: Keyframe) -> bool:
+        """Whether a closure already ties this part of its robot's path to the map."""
+        return keyframe.travel_m - self._tied_m[keyframe.robot] < TIED_M
 
     def _near_keyframe(self, keyframe: Keyframe) -> LoopCandidate | None:
         """The nearest keyframe of the same map that the path alone does not tie to this one."""
@@ -86,13 +90,19 @@ class ClosureSearch:
             self._tied_m[robot] = -np.inf
 
     def next_closure(self) -> LoopClosure | None:
-        """Verify the first candidate whose scans are here; None when none waits. Missing scans are asked for."""
+        """Verify the first candidate that is needed and whose scans are here; None when none waits.
+
+        Missing scans are asked for. Inside one map a candidate is not needed once another closure ties its keyframe.
+        """
         while True:
             queue = self._waiting[self._recogniser.name] or self._waiting["proximity"]
             if not queue:
                 return None
             candidate = queue.popleft()
-            paths = self._graph.keyframes[candidate.target[0]], self._graph.keyframes[candidate.source[0]]
+            (target, _), (source, index) = candidate.target, candidate.source
+            paths = self._graph.keyframes[target], self._graph.keyframes[source]
+            if self._maps.group_of[target] == self._maps.group_of[source] and self._is_tied(paths[1][index]):
+                continue
             if self._on_request and self._maps.ask_for(self._verifier.compared(candidate, *paths)):
                 self._without_scans.append(candidate)
             else:
