@@ -15,7 +15,7 @@ from pettingzoo import ParallelEnv
 from twc_env.config import EnvConfig, from_dict, override
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
-from twc_env.exploration import evaluation, rewards
+from twc_env.exploration import evaluation, rewards, verdicts
 from twc_env.exploration.compilation import announce_compilation
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observation_blocks import observation_space
@@ -373,7 +373,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def _judge(self, is_last: bool, bytes_sent: int) -> list[dict[str, float]]:
         before = self._standing
         if is_last or self._steps % self.config.reward.period_steps == 0:
-            self._standing = evaluation.standing(self.engine, self._record, self._cells)
+            self._standing = verdicts.standing(self.engine, self._record, self._cells)
         config = self.config
         sent = bytes_sent / config.robots
         transition = rewards.Transition(before, self._standing, self._world.contacts, sent, config.max_cycles)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -15,11 +14,10 @@ from twc_env._version import __version__
 from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
 from twc_env.exploration.episode_record import EpisodeRecord
-from twc_env.exploration.rewards import JudgedMap, Standing, standing_of
 from twc_env.exploration.team_alignment import position_error_m, team_alignment, trajectories
-from twc_env.geometry import between, compose, transform_points
+from twc_env.exploration.verdicts import GroupVerdict, floor_m2, judge, verdicts_of
+from twc_env.geometry import between, transform_points
 from twc_env.messages import GridMap
-from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.world.floor_cells import Cells
@@ -29,20 +27,6 @@ Array = NDArray
 
 STUCK_WINDOW_S = 10.0
 STUCK_RADIUS_M = 0.3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GroupVerdict:
-    """One map that robots believe in, and the robots whose keyframes it holds, against the truth."""
-
-    view: View
-    robots: tuple[int, ...]
-    grid: GridMap
-    pose_building_map: Array
-    """(3,) the one rigid alignment that lays the group's map on the building."""
-    wrong_pairs: tuple[tuple[int, int], ...]
-    """Pairs of its robots whose relative frame is off by more than 1 m or 10 degrees."""
-    correct_area_m2: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,42 +70,6 @@ class Progress:
     """coverage_correct, wall_iou, team_ate_m, merged_robots, wrong_pairs, closures_accepted, closures_rejected."""
 
 
-def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
-    """Lay a group's map on the building and measure it."""
-    team, robots = view.mapper, view.robots
-    grid = team.grid_of(view.group)
-    counts = [len(team.keyframes[r]) for r in robots]
-    if not any(counts):
-        return GroupVerdict(view, robots, grid, np.zeros(3), (), 0.0)
-    estimated = np.concatenate([team.poses_of(r) for r in robots])
-    true = np.concatenate([record.true_poses[team.keyframe_steps(r), r] for r in robots])
-    pose = metrics.lay_map(estimated, true)
-    wrong: tuple[tuple[int, int], ...] = ()
-    if len(robots) > 1:
-        frames = metrics.implied_frames(estimated, true, np.repeat(np.arange(len(robots)), counts))
-        pairs = metrics.wrong_pairs(frames, estimated[:, :2].mean(axis=0))
-        wrong = tuple((robots[i], robots[j]) for i, j in pairs)
-    known = team.known_part_of(view.group)
-    area = metrics.correct_area_m2(
-        known.log_odds, known.origin_m, known.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m
-    )
-    return GroupVerdict(view, robots, grid, pose, wrong, area)
-
-
-def verdicts_of(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:
-    """Every map that some robot believes in, that with most robots (then most area) first; leaves no mark."""
-    verdicts = [judge_view(view, record, cells) for view in engine.views()]
-    return sorted(verdicts, key=lambda v: (-len(v.robots), -v.correct_area_m2))
-
-
-def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:
-    """`verdicts_of`, with wrong pairs noted in the record."""
-    verdicts = verdicts_of(engine, record, cells)
-    for verdict in verdicts:
-        record.wrong_pairs.update(verdict.wrong_pairs)
-    return verdicts
-
-
 def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
     """The figures that pictures over time show, by the same definitions as those of the report."""
     verdicts = verdicts_of(engine, record, cells)
@@ -141,25 +89,6 @@ def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
         "closures_rejected": status.count("rejected"),
     }
     return Progress(tuple(verdicts), alignment, closures, figures)
-
-
-def standing(engine: Engine, record: EpisodeRecord, cells: Cells) -> Standing:
-    """The potentials that rewards look at, judged now."""
-    floor_m2, true, maps = _floor_m2(cells), record.true_poses[-1, :, :2].tolist(), []
-    errors_m = [0.0] * len(true)
-    for verdict in judge(engine, record, cells):
-        for robot in verdict.view.viewers:
-            believed = compose(verdict.pose_building_map, engine.pose_map_robot(robot)).tolist()
-            errors_m[robot] = math.dist(believed[:2], true[robot])
-        share = verdict.correct_area_m2 / floor_m2
-        maps.append(JudgedMap(verdict.view.viewers, len(verdict.robots), not verdict.wrong_pairs, share))
-    return standing_of(maps, errors_m)
-
-
-@lru_cache(maxsize=8)
-def _floor_m2(cells: Cells) -> float:
-    """Explorable floor; summed once per building, for it is asked for whenever the map is judged."""
-    return max(float(cells.free.sum()) * cells.resolution_m**2, 1e-9)
 
 
 def evaluate(
@@ -183,7 +112,7 @@ def evaluate(
         "seed": seed,
         "steps": record.count - 1,
         "sim_time_s": round((record.count - 1) * config.dynamics.time_step_s, 6),
-        "coverage_believed": score.believed_area_m2 / _floor_m2(cells),
+        "coverage_believed": score.believed_area_m2 / floor_m2(cells),
         "coverage_true": _seen_share(map_at(engine, record.true_poses, config), cells),
         "coverage_correct": score.coverage_correct,
         "map_iou": score.map_iou,

@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.exploration.episode_record import EpisodeRecord
-from twc_env.exploration.evaluation import GroupVerdict
+from twc_env.exploration.verdicts import GroupVerdict
 from twc_env.geometry import compose, inverse
 from twc_env.messages import GridMap
 from twc_env.slam.modes import Engine

@@ -19,6 +19,7 @@ from twc_env.config import to_dict
 from twc_env.errors import DataError
 from twc_env.exploration import evaluation
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.exploration.verdicts import GroupVerdict
 from twc_env.geometry import compose
 from twc_env.messages import GridMap
 from twc_env.world.signal_map import signal_map_dbm
@@ -124,7 +125,7 @@ class EpisodeTrace:
         return compose(self._alignment, live)
 
 
-def _layer(grid: GridMap, verdict: evaluation.GroupVerdict) -> Layer:
+def _layer(grid: GridMap, verdict: GroupVerdict) -> Layer:
     kind = np.full(grid.log_odds.shape, UNKNOWN, np.uint8)
     kind[grid.log_odds < 0] = FREE
     kind[grid.log_odds > 0] = WALL

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import RadioConfig
-from twc_env.exploration.evaluation import GroupVerdict, verdicts_of
 from twc_env.exploration.layers import HELP, Layers, layered
 from twc_env.exploration.rendering import ClosureLine, SignalLayer, render, scene_of
+from twc_env.exploration.verdicts import GroupVerdict, verdicts_of
 from twc_env.exploration.window import Window
 from twc_env.geometry import transform_points
 from twc_env.world.floorplan import Floorplan

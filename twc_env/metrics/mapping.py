@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,10 +45,15 @@ def correct_area_m2(
     truth_origin_m: Array,
     truth_resolution_m: float,
     free_below: int = 0,
+    box: tuple[int, int, int, int] | None = None,
 ) -> float:
-    """Area of the explorable floor (truth_free) that the map shows as free; arguments as in `score_map`."""
+    """Area of the explorable floor (truth_free) that the map shows as free; arguments as in `score_map`.
+
+    box: first row and column, end row and column of the cells that are looked at; None: all.
+    """
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
-    count = _count_free(np.ascontiguousarray(log_odds), row, column, step, truth_free, free_below)
+    box = box or (0, 0, *log_odds.shape)
+    count = _count_free(np.ascontiguousarray(log_odds), box, row, column, step, truth_free, free_below)
     return float(count) * truth_resolution_m**2
 
 
@@ -75,7 +81,8 @@ def score_map(
     """
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
     cell_m2 = truth_resolution_m**2
-    correct_m2 = float(_count_free(np.ascontiguousarray(log_odds), row, column, step, truth_free, free_below)) * cell_m2
+    whole = np.ascontiguousarray(log_odds)
+    correct_m2 = float(_count_free(whole, (0, 0, *whole.shape), row, column, step, truth_free, free_below)) * cell_m2
     floor_m2 = float(np.count_nonzero(truth_free)) * cell_m2
     believed_m2 = float(np.count_nonzero(log_odds < free_below)) * resolution_m**2
     union_m2 = floor_m2 + max(believed_m2, correct_m2) - correct_m2
@@ -139,25 +146,25 @@ def _share(part: float, whole: float) -> float:
 
 def _sampling(pose_building_map: Array, origin_m, resolution_m, truth_origin_m, truth_resolution_m):
     """Map cell (row, column, as reals) of the centre of true cell [0, 0], and (cos, sin) of one true cell's step."""
-    x, y, heading = (float(v) for v in pose_building_map)
-    c, s = np.cos(heading), np.sin(heading)
+    x, y, heading = np.asarray(pose_building_map).tolist()
+    c, s = math.cos(heading), math.sin(heading)
     dx = truth_origin_m[0] + 0.5 * truth_resolution_m - x
     dy = truth_origin_m[1] + 0.5 * truth_resolution_m - y
     row = (-s * dx + c * dy - origin_m[1]) / resolution_m
     column = (c * dx + s * dy - origin_m[0]) / resolution_m
     scale = truth_resolution_m / resolution_m
-    return float(row), float(column), np.array([c * scale, -s * scale])
+    return float(row), float(column), (c * scale, -s * scale)
 
 
 def _sampling_back(pose_building_map: Array, origin_m, resolution_m, truth_origin_m, truth_resolution_m):
     """The same for the centres of map cells in the true grid."""
-    x, y, heading = (float(v) for v in pose_building_map)
-    c, s = np.cos(heading), np.sin(heading)
+    x, y, heading = np.asarray(pose_building_map).tolist()
+    c, s = math.cos(heading), math.sin(heading)
     px, py = origin_m[0] + 0.5 * resolution_m, origin_m[1] + 0.5 * resolution_m
     row = (y + s * px + c * py - truth_origin_m[1]) / truth_resolution_m
     column = (x + c * px - s * py - truth_origin_m[0]) / truth_resolution_m
     scale = resolution_m / truth_resolution_m
-    return float(row), float(column), np.array([c * scale, s * scale])
+    return float(row), float(column), (c * scale, s * scale)
 
 
 @njit(cache=True, error_model="numpy")
@@ -173,9 +180,10 @@ def _inside(start, step, limit, count):
 
 
 @njit(cache=True, error_model="numpy")
-def _count_free(log_odds, row0, column0, step, truth_free, free_below):
-    """True free cells whose centre falls into a free cell of the map; steps in fixed point."""
-    rows, columns = log_odds.shape
+def _count_free(log_odds, box, row0, column0, step, truth_free, free_below):
+    """True free cells whose centre falls into a free cell in a box of the map; steps in fixed point."""
+    columns = log_odds.shape[1]
+    bottom, left, rows_above, columns_right = box[0], box[1], box[2] - box[0], box[3] - box[1]
     width = truth_free.shape[1]
     cells, levels = log_odds.reshape(-1), np.empty(width, log_odds.dtype)
     bits, stride, below = np.uint64(FIXED_BITS), np.uint64(columns), levels.dtype.type(free_below)
@@ -184,14 +192,15 @@ def _count_free(log_odds, row0, column0, step, truth_free, free_below):
     right, up = np.uint64(dk), np.uint64(dr)
     count = 0
     for i in range(truth_free.shape[0]):
-        r = int(np.floor((row0 + c * i) * FIXED_POINT))
-        k = int(np.floor((column0 - s * i) * FIXED_POINT))
-        first_r, last_r = _inside(r, dr, rows << FIXED_BITS, width)
-        first_k, last_k = _inside(k, dk, columns << FIXED_BITS, width)
+        r = int(np.floor((row0 - bottom + c * i) * FIXED_POINT))
+        k = int(np.floor((column0 - left - s * i) * FIXED_POINT))
+        first_r, last_r = _inside(r, dr, rows_above << FIXED_BITS, width)
+        first_k, last_k = _inside(k, dk, columns_right << FIXED_BITS, width)
         first, last = max(first_r, first_k), min(last_r, last_k)
         if first >= last:
             continue
-        row, column = np.uint64(r + first * dr), np.uint64(k + first * dk)
+        row = np.uint64(r + first * dr + (bottom << FIXED_BITS))
+        column = np.uint64(k + first * dk + (left << FIXED_BITS))
         for j in range(last - first):  # all of them lie in the map: unsigned numbers index without a check
             levels[j] = cells[(row >> bits) * stride + (column >> bits)]
             row += up

@@ -9,7 +9,6 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from twc_env.errors import DataError
-from twc_env.geometry import compose, wrap_angle
 
 Array = NDArray
 
@@ -63,8 +62,25 @@ def wrong_pairs(
     point amid the group's paths, at most distance_max_m apart and their headings at most angle_max_rad.
     """
     frames = np.asarray(poses_building_map, float)
-    places = compose(frames, [*np.asarray(centre_map_m, float), 0.0])
-    apart_m = np.hypot(*(places[:, None, :2] - places[None, :, :2]).T)
-    turned_rad = np.abs(wrap_angle(frames[:, None, 2] - frames[None, :, 2]))
-    wrong = np.triu((apart_m > distance_max_m) | (turned_rad > angle_max_rad), 1)
-    return [(int(i), int(j)) for i, j in np.argwhere(wrong)]
+    x, y = np.asarray(centre_map_m, float).tolist()
+    is_wrong = np.zeros((len(frames), len(frames)), bool)
+    if not _find_wrong(frames, x, y, distance_max_m, angle_max_rad, is_wrong):
+        return []
+    return [(int(i), int(j)) for i, j in np.argwhere(is_wrong)]
+
+
+@njit(cache=True, error_model="numpy")
+def _find_wrong(frames, x, y, distance_max, angle_max, is_wrong):
+    """Mark the pairs (i, j), i < j, that disagree; gives how many they are."""
+    count = 0
+    for i in range(frames.shape[0]):
+        for j in range(i + 1, frames.shape[0]):
+            turn_i, turn_j = frames[i, 2], frames[j, 2]
+            ci, si, cj, sj = math.cos(turn_i), math.sin(turn_i), math.cos(turn_j), math.sin(turn_j)
+            dx = frames[i, 0] + ci * x - si * y - frames[j, 0] - cj * x + sj * y
+            dy = frames[i, 1] + si * x + ci * y - frames[j, 1] - sj * x - cj * y
+            turned = abs((turn_i - turn_j + math.pi) % (2.0 * math.pi) - math.pi)
+            if math.sqrt(dx * dx + dy * dy) > distance_max or turned > angle_max:
+                is_wrong[i, j] = True
+                count += 1
+    return count

@@ -24,7 +24,7 @@ def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
     for the team as a whole. Raises DataError for unequal shapes or no positions.
     """
     pose = np.empty(3)
-    _align(*_position_pairs(estimated, true), np.zeros(0), 0.0, pose)
+    _align(*_position_pairs(estimated, true), 0.0, pose)
     return pose
 
 
@@ -34,16 +34,15 @@ def lay_map(estimated: ArrayLike, true: ArrayLike) -> Array:
     As `align_team`, but headings count too, like points a metre ahead: a robot that has hardly moved says by its
     heading, not by its few centimetres of way, how its map lies. After some metres both give the same.
     """
-    estimated, true = np.asarray(estimated, float), np.asarray(true, float)
-    turns = (true[..., 2] - estimated[..., 2]).ravel()
-    pose = np.empty(3)
-    _align(*_position_pairs(estimated, true), turns, HEADING_LEVER_M, pose)
+    estimated, true, pose = np.asarray(estimated, float), np.asarray(true, float), np.empty(3)
+    _check_pairs(estimated, true)
+    _align(estimated.reshape(-1, 3), true.reshape(-1, 3), HEADING_LEVER_M, pose)
     return pose
 
 
 @njit(cache=True, error_model="numpy")
-def _align(a, b, turns, lever, pose):
-    """`geometry.align_rigidly` of points (n, 2), for callers in a hurry; with turns (n,) of headings, if any."""
+def _align(a, b, lever, pose):
+    """`geometry.align_rigidly` of points (n, 2), or of poses (n, 3), with headings that count like points ahead."""
     count = a.shape[0]
     ax = ay = bx = by = 0.0
     for i in range(count):
@@ -57,9 +56,11 @@ def _align(a, b, turns, lever, pose):
         px, py, qx, qy = a[i, 0] - ax, a[i, 1] - ay, b[i, 0] - bx, b[i, 1] - by
         along += px * qx + py * qy
         across += px * qy - py * qx
-    for i in range(turns.shape[0]):
-        along += lever * lever * math.cos(turns[i])
-        across += lever * lever * math.sin(turns[i])
+    if lever > 0.0:
+        for i in range(count):
+            turn = b[i, 2] - a[i, 2]
+            along += lever * lever * math.cos(turn)
+            across += lever * lever * math.sin(turn)
     pose[2] = math.atan2(across, along)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     pose[0], pose[1] = bx - c * ax + s * ay, by - s * ax - c * ay
@@ -120,6 +121,10 @@ def stuck_share(true_poses: ArrayLike, window: int, radius_m: float) -> float:
 
 def _position_pairs(estimated: ArrayLike, true: ArrayLike) -> tuple[Array, Array]:
     estimated, true = np.asarray(estimated, float), np.asarray(true, float)
+    _check_pairs(estimated, true)
+    return estimated[..., :2].reshape(-1, 2), true[..., :2].reshape(-1, 2)
+
+
+def _check_pairs(estimated: Array, true: Array) -> None:
     if estimated.shape[:-1] != true.shape[:-1] or true.size == 0:
         raise DataError(f"need as many estimated as true poses, at least one; got {estimated.shape} and {true.shape}")
-    return estimated[..., :2].reshape(-1, 2), true[..., :2].reshape(-1, 2)

@@ -168,19 +168,19 @@ class OccupancyGrid:
             self._snapshot = GridMap(*views, self.resolution_m)
         return self._snapshot
 
-    def known_part(self) -> GridMap:
-        """A copy of the box of cells outside which nothing is known."""
+    def known_box(self) -> tuple[int, int, int, int]:
+        """First row and column, end row and column of the box of cells outside which nothing is known."""
         left, bottom, right, top = self._reached_m
         if left > right:
-            return self.snapshot()
-        x, y = self.origin_m.tolist()
+            return 0, 0, 0, 0
+        (x, y), cell = self.origin_m.tolist(), self.resolution_m
         rows, columns = self.log_odds.shape
-        first_column, first_row = int((left - x) / self.resolution_m), int((bottom - y) / self.resolution_m)
-        end_column, end_row = int((right - x) / self.resolution_m) + 2, int((top - y) / self.resolution_m) + 2
-        first_column, first_row = max(first_column - 1, 0), max(first_row - 1, 0)
-        cells = self.log_odds[first_row : min(end_row, rows), first_column : min(end_column, columns)].copy()
-        corner = np.array([x + first_column * self.resolution_m, y + first_row * self.resolution_m])
-        return GridMap(cells, corner, self.resolution_m)
+        return (
+            max(int((bottom - y) / cell) - 1, 0),
+            max(int((left - x) / cell) - 1, 0),
+            min(int((top - y) / cell) + 2, rows),
+            min(int((right - x) / cell) + 2, columns),
+        )
 
     def _grow(self, low_m: Array, high_m: Array) -> None:
         """Make the grid hold the box low_m..high_m too, with some room to spare."""

@@ -144,6 +144,11 @@ class TeamMapper:
         """(keyframes, 3) of one robot in its group's map frame."""
         return self._graph.poses_of(robot)
 
+    @property
+    def nodes(self) -> tuple[Array, Array, Array]:
+        """Of all keyframes as they arrived: poses (n, 3) in the maps of their groups, robots and steps (n,)."""
+        return self._graph.poses, self._graph.robot_of_node, self._graph.step_of_node
+
     def keyframe_steps(self, robot: int) -> Array:
         """(keyframes,) the step at which each was taken."""
         return self._graph.steps_of(robot)
@@ -164,9 +169,9 @@ class TeamMapper:
         """The merged map of a group, as it is now."""
         return self.groups[group].grid.snapshot()
 
-    def known_part_of(self, group: int) -> GridMap:
-        """A copy of the part of a group's map in which anything is known."""
-        return self.groups[group].grid.known_part()
+    def known_box_of(self, group: int) -> tuple[int, int, int, int]:
+        """First row and column, end row and column of the part of a group's map in which anything is known."""
+        return self.groups[group].grid.known_box()
 
     def signs_of(self, group: int) -> tuple[KnownSign, ...]:
         """The texts read by a group, each once per place."""

@@ -115,7 +115,7 @@ class TeamGraph:
         self.closures: list[LoopClosure] = []
         """Every closure that was ever verified, with what became of it."""
         self._poses, self._scans = Growing(3), Growing(beam_count)
-        self._robot_of_node = Growing(dtype=np.int64)
+        self._robot_of_node, self._step_of_node = Growing(dtype=np.int64), Growing(dtype=np.int64)
         self._nodes: list[list[int]] = [[] for _ in range(robot_count)]
         self._node_rows = [Growing(dtype=np.int64) for _ in range(robot_count)]
         """The same once more, to index with."""
@@ -145,6 +145,16 @@ class TeamGraph:
     def scans(self) -> Array:
         """(nodes, beams) of all keyframes [m]."""
         return self._scans.rows
+
+    @property
+    def robot_of_node(self) -> Array:
+        """(nodes,) whose keyframe each is."""
+        return self._robot_of_node.rows
+
+    @property
+    def step_of_node(self) -> Array:
+        """(nodes,) the step at which each was taken."""
+        return self._step_of_node.rows
 
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) of one robot."""
@@ -203,6 +213,7 @@ class TeamGraph:
         self._poses.append(compose(self._poses.rows[nodes[-1]], keyframe.motion) if nodes else np.zeros(3))
         self._scans.append(keyframe.ranges_m)
         self._robot_of_node.append(robot)
+        self._step_of_node.append(keyframe.step)
         if nodes:
             self._add_edge(nodes[-1], node, keyframe.motion, keyframe.motion_covariance, ODOMETRY, True)
         nodes.append(node)
