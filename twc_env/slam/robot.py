@@ -29,7 +29,10 @@ REDRAW_SPACING_M = 0.9
 
 
 @njit(cache=True, error_model="numpy")
-def _arrive(robots, states, odometry, dts, keyframe_poses, distance, turn, poses, travels, steps, is_new):
+def _arrive(
+    robots, states, odometry, dts, keyframe_poses, explained, explained_min, distance, distance_new, turn, poses,
+    travels, steps, is_new,
+):  # fmt: skip
     """Poses after the step, path lengths, and whether each robot has come to a new place."""
     for a in range(robots.shape[0]):
         k = robots[a]
@@ -40,7 +43,8 @@ def _arrive(robots, states, odometry, dts, keyframe_poses, distance, turn, poses
             steps[k] += 1
         dx, dy = poses[k, 0] - keyframe_poses[k, 0], poses[k, 1] - keyframe_poses[k, 1]
         turned = (poses[k, 2] - keyframe_poses[k, 2] + math.pi) % (2 * math.pi) - math.pi
-        is_new[k] = not (math.sqrt(dx * dx + dy * dy) < distance and abs(turned) < turn)
+        reach = distance if explained[k] >= explained_min else distance_new
+        is_new[k] = not (math.sqrt(dx * dx + dy * dy) < reach and abs(turned) < turn)
 
 
 class FrontEnds:
@@ -87,8 +91,9 @@ class FrontEnds:
         self._match(robots)
         self.poses_odom = self.poses_odom.copy()
         _arrive(
-            robots, self._filters.states, self._odometry, self._dts_s, self._keyframe_poses, self._rule.distance_m,
-            self._rule.turn_rad, self.poses_odom, self._travels_m, self._steps, self._is_new,
+            robots, self._filters.states, self._odometry, self._dts_s, self._keyframe_poses, self._matches.explained,
+            self._rule.explained_min, self._rule.distance_m, self._rule.distance_new_m, self._rule.turn_rad,
+            self.poses_odom, self._travels_m, self._steps, self._is_new,
         )  # fmt: skip
         return self._remember(frames)
 

@@ -222,7 +222,7 @@ def _information(h, degenerate, vx, vy, scale, out):
 @njit(cache=True, error_model="numpy")
 def _match_scans(
     walls, origins, inverse_m, robots, scans, directions, range_max, guesses, distance_max, iterations,
-    degenerate_share, variance, share_min, jump_max_m, jump_max_rad, points, poses, information, is_matched,
+    degenerate_share, variance, share_min, jump_max_m, jump_max_rad, points, poses, information, is_matched, explained,
 ):  # fmt: skip
     """Each robot's scan against its own field; see `LineFields.match`."""
     h = np.zeros(6)
@@ -233,6 +233,7 @@ def _match_scans(
             walls[k], origins[k], inverse_m, points, n, guesses[k], distance_max, iterations, degenerate_share,
             TRACKING_STOP_M, TRACKING_STOP_RAD, poses[k], h,
         )  # fmt: skip
+        explained[k] = total / max(n, 1)
         jump_x, jump_y = poses[k, 0] - guesses[k, 0], poses[k, 1] - guesses[k, 1]
         is_matched[k] = (
             total >= WEIGHT_MIN
@@ -368,7 +369,7 @@ class LineFields:
             self._walls, self._origins_m, self._inverse_m, robots, scans, self._directions, self._range_max_m, guesses,
             rule.match_distance_max_m, rule.match_iterations_max, rule.degenerate_share, variance_m2,
             MATCHED_SHARE_MIN, INNOVATION_MAX_M, INNOVATION_MAX_RAD, self._points, matches.poses, matches.information,
-            matches.is_matched,
+            matches.is_matched, matches.explained,
         )  # fmt: skip
 
 
@@ -382,6 +383,8 @@ class Matches:
         """(n, 3, 3) of the poses; zeros where nothing was matched."""
         self.is_matched = np.zeros(count, bool)
         """(n,) whether the pose is to be believed: near the guess, and enough beams speak for it."""
+        self.explained = np.ones(count)
+        """(n,) share of the beams that returned which end on walls of the field; 1 where nothing is matched."""
 
 
 def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Array, Array]:
