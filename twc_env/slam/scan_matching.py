@@ -53,11 +53,12 @@ def _points_of(ranges, range_max, directions, points):
 
 @njit(cache=True, error_model="numpy")
 def _normal_equations(walls, origin, inverse_m, points, n, x, y, heading, distance_max, h, g):
-    """Sum J^T w J (h: 6 upper entries) and J^T w e (g: 3) over the points; gives the sum of weights."""
+    """Sum J^T w J (h: 6 upper entries) and J^T w e (g: 3) over points near walls; gives the sum of w, and how many."""
     height, width = walls.shape[0], walls.shape[1]
     c, s = math.cos(heading), math.sin(heading)
     x -= origin[0]
     y -= origin[1]
+    near = 0
     total = h0 = h1 = h2 = h3 = h4 = h5 = g0 = g1 = g2 = 0.0
     for i in range(n):
         rx, ry = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
@@ -87,9 +88,10 @@ def _normal_equations(walls, origin, inverse_m, points, n, x, y, heading, distan
         g1 += we * ny
         g2 += we * jt
         total += w
+        near += 1
     h[0], h[1], h[2], h[3], h[4], h[5] = h0, h1, h2, h3, h4, h5
     g[0], g[1], g[2] = g0, g1, g2
-    return total
+    return total, near
 
 
 @njit(cache=True, error_model="numpy")
@@ -120,16 +122,16 @@ def _refine(
 ):
     """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
 
-    Writes the pose and the final h. Gives (sum of weights, is_degenerate, direction x, direction y).
+    Writes the pose and the final h. Gives (sum of weights, points near walls, is_degenerate, direction x, direction y).
     """
     g = np.zeros(3)
     delta = np.zeros(3)
     pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
-    total = 0.0
+    total, near = 0.0, 0
     vx = vy = 0.0
     degenerate = False
     for _ in range(iterations):
-        total = _normal_equations(
+        total, near = _normal_equations(
             walls, origin, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, h, g
         )  # fmt: skip
         if total < WEIGHT_MIN:
@@ -146,7 +148,7 @@ def _refine(
         pose[2] += delta[2]
         if abs(delta[0]) < stop_m and abs(delta[1]) < stop_m and abs(delta[2]) < stop_rad:
             break
-    return total, degenerate, vx, vy
+    return total, near, degenerate, vx, vy
 
 
 @njit(cache=True, error_model="numpy")
@@ -229,11 +231,11 @@ def _match_scans(
     for a in range(robots.shape[0]):
         k = robots[a]
         n = _points_of(scans[k], range_max, directions, points)
-        total, degenerate, vx, vy = _refine(
+        total, near, degenerate, vx, vy = _refine(
             walls[k], origins[k], inverse_m, points, n, guesses[k], distance_max, iterations, degenerate_share,
             TRACKING_STOP_M, TRACKING_STOP_RAD, poses[k], h,
         )  # fmt: skip
-        explained[k] = total / max(n, 1)
+        explained[k] = near / max(n, 1)
         jump_x, jump_y = poses[k, 0] - guesses[k, 0], poses[k, 1] - guesses[k, 1]
         is_matched[k] = (
             total >= WEIGHT_MIN
@@ -305,7 +307,7 @@ class LineField:
     def refine(self, points: Array, guess: Array, distance_max_m: float, iterations: int, degenerate_share: float):
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
         pose, h = np.empty(3), np.zeros(6)
-        weight, degenerate, vx, vy = _refine(
+        weight, _, degenerate, vx, vy = _refine(
             *self._field, points, len(points), guess, distance_max_m, iterations, degenerate_share, STOP_M, STOP_RAD,
             pose, h,
         )  # fmt: skip
@@ -384,7 +386,7 @@ class Matches:
         self.is_matched = np.zeros(count, bool)
         """(n,) whether the pose is to be believed: near the guess, and enough beams speak for it."""
         self.explained = np.ones(count)
-        """(n,) share of the beams that returned which end on walls of the field; 1 where nothing is matched."""
+        """(n,) share of the beams that returned which end near walls of the field; 1 where nothing is matched."""
 
 
 def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Array, Array]:
