@@ -17,7 +17,7 @@ from twc_env.geometry import compose
 from twc_env.messages import GridMap
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
-from twc_env.world.floorplan import Cells
+from twc_env.world.floor_cells import Cells
 
 Array = NDArray
 
