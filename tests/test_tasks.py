@@ -7,16 +7,16 @@ from twc_env.config import digest
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "97ef11a3fe4c",
-    "twc/ExploreTwin01-v0": "97ef11a3fe4c",
-    "twc/ExploreTwin02-v0": "1f133f9c97c2",
-    "twc/ExploreOffice-v0": "c1fb49629599",
-    "twc/ExploreFrontier-v0": "6573e0e2cca4",
-    "twc/ExploreFrontierAsync-v0": "5269a348ed1d",
-    "twc/ExploreHard-v0": "d7acb6d7f647",
-    "twc/ExploreKnownStarts-v0": "0611c87bc422",
-    "twc/ExploreTruePoses-v0": "a1a89d8abc16",
-    "twc/ExploreNoMerging-v0": "76d9275a8e32",
+    "twc/Explore-v0": "2b1836068937",
+    "twc/ExploreTwin01-v0": "2b1836068937",
+    "twc/ExploreTwin02-v0": "2a96ef4175f4",
+    "twc/ExploreOffice-v0": "5b5a51017ded",
+    "twc/ExploreFrontier-v0": "a317a90d7927",
+    "twc/ExploreFrontierAsync-v0": "fdbfe8baef2a",
+    "twc/ExploreHard-v0": "b36ee7c678f4",
+    "twc/ExploreKnownStarts-v0": "1c84b31eaf75",
+    "twc/ExploreTruePoses-v0": "b5401e2a2399",
+    "twc/ExploreNoMerging-v0": "10fa7e30b459",
 }
 
 
