@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.explorer_state import UNSEEN, ExplorerConfig, ExplorerRobot, Failure
+from agents.openings import is_open_behind, open_bearing
 from twc_env.config import DynamicsConfig, EnvConfig
-from twc_env.geometry import compose, inverse, transform_points
+from twc_env.geometry import compose, inverse
 from twc_env.messages import Belief
 from twc_env.planning import (
     Disc,
@@ -33,116 +34,6 @@ from twc_env.planning import (
 Array = NDArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExplorerConfig:
-    """How a nearest-frontier team behaves."""
-
-    check_s: float = 0.5
-    """Goals and paths are checked against the newest map this often, and replanned when they no longer hold."""
-    replan_s: float = 4.0
-    frontier_cells_min: int = 5
-    """Smaller frontiers are noise until no other is left."""
-    frontier_cells_last: int = 3
-    """Smaller frontiers are never visited."""
-    small_penalty_m: float = 30.0
-    claim_radius_m: float = 3.0
-    """A frontier this near to a mate's goal belongs to the mate."""
-    claim_penalty_m: float = 20.0
-    change_penalty_m: float = 2.0
-    """Another goal must be this much nearer before a robot turns away from the one it has."""
-    arrival_m: float = 0.3
-    arrival_patience_s: float = 1.5
-    """A frontier that is still there this long after arrival is given up."""
-    stuck_s: float = 4.0
-    stuck_m: float = 0.45
-    """A robot that got no further than this in `stuck_s` is stuck."""
-    jam_radius_m: float = 2.0
-    """Stuck again this near counts as the same jam ..."""
-    jam_count_max: int = 4
-    """... in which a robot gives way longer each time, up to so many times as long."""
-    tries: int = 2
-    """A goal that failed less often than this is waited for before the team counts as finished."""
-    forget_s: float = 20.0
-    """A goal that failed is left alone this long, twice as long after each further failure."""
-    forget_radius_m: float = 0.8
-    tour_spacing_m: float = 2.0
-    tour_speed_m_s: float = 0.25
-    """How many metres of detour one second of absence is worth on a tour."""
-    tour_sign_bonus_m: float = 20.0
-    tour_arrival_m: float = 0.7
-    squeeze: float = 0.6
-    """A robot that its map shuts in plans as if it were this many times as wide."""
-    finished_s: float = 5.0
-    """Nothing left to do for this long means finished."""
-
-
-_UNSEEN = (-1, 0)
-
-
-@dataclass(slots=True, eq=False)
-class _Failure:
-    """A goal that could not be reached."""
-
-    place_m: Array
-    until_step: int
-    count: int = 1
-
-
-@dataclass(slots=True, eq=False)
-class _Robot:
-    """What the team remembers of one robot; all places are in the map frame of its group."""
-
-    follower: Follower
-    pose: Array = field(default_factory=lambda: np.zeros(3))
-    map_id: tuple[int, int] = _UNSEEN
-    """Changes whenever the map frame jumps: version of the map and number of mates in it."""
-    goal_m: Array = field(default_factory=lambda: np.zeros(2))
-    goal_kind: str = ""
-    """"frontier" or "tour"; "" when there is no goal."""
-    arrived_step: int = -1
-    stuck_count: int = 0
-    track_m: list[Array] = field(default_factory=list)
-    track_step: list[int] = field(default_factory=list)
-    anchor: tuple[float, float, int] | None = None
-    """Where (x, y) and at which step it last got on: it is stuck when it has not left this place for long."""
-    failures: list[_Failure] = field(default_factory=list)
-    obstacles: list[tuple[Array, int]] = field(default_factory=list)
-    """Places where it got stuck, with the step until which they are avoided."""
-    escape_until: int = -1
-    escape_bearing: float = 0.0
-    replan: bool = True
-    jam_m: Array | None = None
-    """Where it was last stuck, in the map frame."""
-    jam_count: int = 0
-    """How often in a row about there."""
-    is_idle: bool = False
-    """The last plan found no frontier."""
-
-    def move_frame(self, pose_new_old: Array) -> None:
-        """The map jumped: carry everything remembered over to the new frame, and plan anew."""
-
-        def moved(place_m: Array) -> Array:
-            return transform_points(pose_new_old, place_m[None])[0]
-
-        self.track_m = list(transform_points(pose_new_old, np.array(self.track_m).reshape(-1, 2)))
-        for failure in self.failures:
-            failure.place_m = moved(failure.place_m)
-        self.obstacles = [(moved(place), until) for place, until in self.obstacles]
-        if self.anchor is not None:
-            x, y = moved(np.array(self.anchor[:2]))
-            self.anchor = (float(x), float(y), self.anchor[2])
-        self.jam_m = None if self.jam_m is None else moved(self.jam_m)
-        self.goal_m = moved(self.goal_m)
-        if self.follower.has_path:
-            self.follower.start(transform_points(pose_new_old, self.follower.path_m))
-        self.replan = True
-
-    def drop_goal(self) -> None:
-        """Forget goal and path; the next step plans anew."""
-        self.goal_kind, self.arrived_step, self.replan = "", -1, True
-        self.follower.stop()
-
-
 class NearestFrontier:
     """The scripted team that the benchmark figures are made with."""
 
@@ -155,7 +46,7 @@ class NearestFrontier:
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Forget everything; the seed only breaks ties when robots are stuck."""
         self._rng = np.random.default_rng(seed)
-        self._robots = {agent: _Robot(Follower(self.dynamics)) for agent in agents}
+        self._robots = {agent: ExplorerRobot(Follower(self.dynamics)) for agent in agents}
         self._terrains: dict[tuple[float, ...], tuple[int, Terrain]] = {}
         self._idle_since: int | None = None
 
@@ -178,11 +69,11 @@ class NearestFrontier:
 
     # What happened
 
-    def _observe(self, robot: _Robot, belief: Belief) -> None:
+    def _observe(self, robot: ExplorerRobot, belief: Belief) -> None:
         """Take in a belief: frame jumps, the track, being stuck, arrival."""
         pose = np.asarray(belief.pose_map_robot, float)
         map_id = (belief.map_version, len(belief.mates))
-        if robot.map_id != _UNSEEN and map_id != robot.map_id:
+        if robot.map_id != UNSEEN and map_id != robot.map_id:
             robot.move_frame(compose(pose, inverse(robot.pose)))
         robot.pose, robot.map_id = pose, map_id
         x, y = float(pose[0]), float(pose[1])
@@ -197,7 +88,7 @@ class NearestFrontier:
         if (belief.step - anchor[2]) * self.dynamics.time_step_s >= self.explorer.stuck_s:
             self._get_unstuck(robot, belief)
 
-    def _has_arrived(self, robot: _Robot, belief: Belief) -> bool:
+    def _has_arrived(self, robot: ExplorerRobot, belief: Belief) -> bool:
         """Handle arrival; a frontier that stays although the robot is there counts as failed."""
         limit = self.explorer.tour_arrival_m if robot.goal_kind == "tour" else self.explorer.arrival_m
         if math.hypot(robot.goal_m[0] - robot.pose[0], robot.goal_m[1] - robot.pose[1]) > limit:
@@ -213,11 +104,11 @@ class NearestFrontier:
             self._fail_goal(robot, belief.step)
         return True
 
-    def _fail_goal(self, robot: _Robot, step: int) -> None:
+    def _fail_goal(self, robot: ExplorerRobot, step: int) -> None:
         """Leave this goal alone for a while, longer with each failure."""
         radius = self.explorer.forget_radius_m
         known = [f for f in robot.failures if math.hypot(*(f.place_m - robot.goal_m)) < radius]
-        failure = known[0] if known else _Failure(robot.goal_m.copy(), 0, 0)
+        failure = known[0] if known else Failure(robot.goal_m.copy(), 0, 0)
         failure.count += 1
         wait_s = self.explorer.forget_s * 2 ** min(failure.count - 1, 6)
         failure.until_step = step + round(wait_s / self.dynamics.time_step_s)
@@ -225,7 +116,7 @@ class NearestFrontier:
             robot.failures.append(failure)
         robot.drop_goal()
 
-    def _get_unstuck(self, robot: _Robot, belief: Belief) -> None:
+    def _get_unstuck(self, robot: ExplorerRobot, belief: Belief) -> None:
         """Turn to an open side and drive there for a moment; the second time in a row also give up the goal."""
         robot.stuck_count += 1
         step = belief.step
@@ -234,7 +125,7 @@ class NearestFrontier:
         robot.jam_m = robot.pose[:2].copy()
         # Two robots that meet in a door both give way, each for a random time that grows until they miss each other.
         robot.escape_until = step + int(self._rng.integers(14, 24)) * min(robot.jam_count, self.explorer.jam_count_max)
-        robot.escape_bearing = self._open_bearing(belief.ranges_m)
+        robot.escape_bearing = open_bearing(belief.ranges_m, self._rng)
         if robot.follower.has_path:
             offset = robot.goal_m - robot.pose[:2]
             ahead = offset / max(math.hypot(*offset), 1e-6) * 0.5
@@ -245,18 +136,6 @@ class NearestFrontier:
             self._fail_goal(robot, step)
         robot.replan = True
 
-    def _open_bearing(self, ranges_m: Array | None) -> float:
-        """A bearing drawn among the open ones, the wider the likelier."""
-        if ranges_m is None or len(ranges_m) == 0:
-            return float(self._rng.uniform(-math.pi, math.pi))
-        beams = len(ranges_m)
-        half = max(1, round(beams * 0.04))
-        ring = np.minimum(np.concatenate([ranges_m[-half:], ranges_m, ranges_m[:half]]), 3.0)
-        room = np.lib.stride_tricks.sliding_window_view(ring, 2 * half + 1).min(axis=1)
-        weight = np.maximum(room - 0.3, 0.0) ** 2 + 1e-9
-        beam = int(self._rng.choice(beams, p=weight / weight.sum()))
-        return math.remainder(2 * math.pi * beam / beams, 2 * math.pi)
-
     # Plans
 
     def _in_planning_order(self, beliefs: dict[str, Belief]) -> list[str]:
@@ -264,7 +143,7 @@ class NearestFrontier:
         due = [agent for agent, belief in beliefs.items() if self._needs_plan(self._robots[agent], belief)]
         return sorted(due, key=lambda agent: not self._robots[agent].goal_kind)
 
-    def _needs_plan(self, robot: _Robot, belief: Belief) -> bool:
+    def _needs_plan(self, robot: ExplorerRobot, belief: Belief) -> bool:
         """Now and then anyway; at once when the plan was dropped, its frontier was mapped or its path is blocked."""
         step, explorer, tick = belief.step, self.explorer, self.dynamics.time_step_s
         if step <= robot.escape_until:
@@ -326,7 +205,7 @@ class NearestFrontier:
     def _mates(self, belief: Belief) -> list[int]:
         return [mate for mate in belief.mates if mate != belief.robot]
 
-    def _discs(self, robot: _Robot, belief: Belief, terrain: Terrain) -> list[Disc]:
+    def _discs(self, robot: ExplorerRobot, belief: Belief, terrain: Terrain) -> list[Disc]:
         """What to drive around: mates, places where it got stuck, and scan points the map does not explain."""
         discs = [
             Disc(float(pose[0]), float(pose[1]), 0.6, 12)
@@ -387,7 +266,7 @@ class NearestFrontier:
         """(frontiers,) metres of detour by which frontiers at centres (frontiers, 2) are less wanted; none here."""
         return np.zeros(len(centres_m))
 
-    def _banned(self, robot: _Robot, belief: Belief, beliefs: dict[str, Belief]) -> list[Array]:
+    def _banned(self, robot: ExplorerRobot, belief: Belief, beliefs: dict[str, Belief]) -> list[Array]:
         """Places of goals that failed lately: the robot's own, and its mates' after repeated failure."""
         places = [f.place_m for f in robot.failures if f.until_step > belief.step]
         for other, mate_belief in beliefs.items():
@@ -396,7 +275,7 @@ class NearestFrontier:
                 places += [f.place_m for f in failures if f.count >= 2 and f.until_step > belief.step]
         return places
 
-    def _plan_tour(self, robot: _Robot, belief: Belief, terrain: Terrain, discs: list[Disc]) -> Plan | None:
+    def _plan_tour(self, robot: ExplorerRobot, belief: Belief, terrain: Terrain, discs: list[Disc]) -> Plan | None:
         """The place that is worth a visit most: signs and spots where the robot has not been for long."""
         explorer = self.explorer
         if robot.goal_kind == "tour":  # keep it, only refresh the path
@@ -438,7 +317,7 @@ class NearestFrontier:
         labels[part][open_cells] = label
         return bool(open_cells.any())
 
-    def _absence_s(self, robot: _Robot, places: Array, step: int) -> Array:
+    def _absence_s(self, robot: ExplorerRobot, places: Array, step: int) -> Array:
         """(k,) seconds since the robot was last within 2 m of each place."""
         last = np.zeros(len(places))
         track, steps = np.array(robot.track_m[-600:]), np.array(robot.track_step[-600:])
@@ -449,11 +328,11 @@ class NearestFrontier:
 
     # Commands
 
-    def _command(self, robot: _Robot, belief: Belief) -> Array:
+    def _command(self, robot: ExplorerRobot, belief: Belief) -> Array:
         """Speed and turn rate for now, as shares of the maxima."""
         if belief.step <= robot.escape_until:
             bearing = robot.escape_bearing
-            if abs(bearing) > 2.0 and self._is_open_behind(belief.ranges_m):
+            if abs(bearing) > 2.0 and is_open_behind(belief.ranges_m, self.dynamics.robot_radius_m):
                 speed, turn_rate = -0.4 * self.dynamics.speed_max_m_s, 0.0  # quicker than turning round
             else:
                 x, y = 0.6 * math.cos(bearing), 0.6 * math.sin(bearing)
@@ -465,15 +344,7 @@ class NearestFrontier:
             speed, turn_rate = robot.follower.command(robot.pose, belief.ranges_m, self._has_to_wait(robot, belief))
         return as_action(speed, turn_rate, self.dynamics)
 
-    def _is_open_behind(self, ranges_m: Array | None) -> bool:
-        """Whether a robot can back up a little."""
-        if ranges_m is None or len(ranges_m) == 0:
-            return False
-        beams = len(ranges_m)
-        behind = ranges_m[beams // 2 - beams // 6 : beams // 2 + beams // 6 + 1]
-        return bool(behind.min() > self.dynamics.robot_radius_m + 0.25)
-
-    def _has_to_wait(self, robot: _Robot, belief: Belief) -> bool:
+    def _has_to_wait(self, robot: ExplorerRobot, belief: Belief) -> bool:
         """A mate with right of way (the lower number) is close ahead."""
         for mate, pose in belief.mates.items():
             if mate >= belief.robot:

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from agents.nearest_frontier import ExplorerConfig, NearestFrontier
+from agents.explorer_state import ExplorerConfig
+from agents.nearest_frontier import NearestFrontier
 from twc_env import EnvConfig
 from twc_env.messages import Belief, GridMap, KnownSign
 

@@ -1,0 +1,124 @@
+"""How a nearest-frontier team behaves, and what it remembers of each of its robots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.geometry import transform_points
+from twc_env.planning import Follower
+
+Array = NDArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExplorerConfig:
+    """How a nearest-frontier team behaves."""
+
+    check_s: float = 0.5
+    """Goals and paths are checked against the newest map this often, and replanned when they no longer hold."""
+    replan_s: float = 4.0
+    frontier_cells_min: int = 5
+    """Smaller frontiers are noise until no other is left."""
+    frontier_cells_last: int = 3
+    """Smaller frontiers are never visited."""
+    small_penalty_m: float = 30.0
+    claim_radius_m: float = 3.0
+    """A frontier this near to a mate's goal belongs to the mate."""
+    claim_penalty_m: float = 20.0
+    change_penalty_m: float = 2.0
+    """Another goal must be this much nearer before a robot turns away from the one it has."""
+    arrival_m: float = 0.3
+    arrival_patience_s: float = 1.5
+    """A frontier that is still there this long after arrival is given up."""
+    stuck_s: float = 4.0
+    stuck_m: float = 0.45
+    """A robot that got no further than this in `stuck_s` is stuck."""
+    jam_radius_m: float = 2.0
+    """Stuck again this near counts as the same jam ..."""
+    jam_count_max: int = 4
+    """... in which a robot gives way longer each time, up to so many times as long."""
+    tries: int = 2
+    """A goal that failed less often than this is waited for before the team counts as finished."""
+    forget_s: float = 20.0
+    """A goal that failed is left alone this long, twice as long after each further failure."""
+    forget_radius_m: float = 0.8
+    tour_spacing_m: float = 2.0
+    tour_speed_m_s: float = 0.25
+    """How many metres of detour one second of absence is worth on a tour."""
+    tour_sign_bonus_m: float = 20.0
+    tour_arrival_m: float = 0.7
+    squeeze: float = 0.6
+    """A robot that its map shuts in plans as if it were this many times as wide."""
+    finished_s: float = 5.0
+    """Nothing left to do for this long means finished."""
+
+
+UNSEEN = (-1, 0)
+"""No map yet."""
+
+
+@dataclass(slots=True, eq=False)
+class Failure:
+    """A goal that could not be reached."""
+
+    place_m: Array
+    until_step: int
+    count: int = 1
+
+
+@dataclass(slots=True, eq=False)
+class ExplorerRobot:
+    """What the team remembers of one robot; all places are in the map frame of its group."""
+
+    follower: Follower
+    pose: Array = field(default_factory=lambda: np.zeros(3))
+    map_id: tuple[int, int] = UNSEEN
+    """Changes whenever the map frame jumps: version of the map and number of mates in it."""
+    goal_m: Array = field(default_factory=lambda: np.zeros(2))
+    goal_kind: str = ""
+    """"frontier" or "tour"; "" when there is no goal."""
+    arrived_step: int = -1
+    stuck_count: int = 0
+    track_m: list[Array] = field(default_factory=list)
+    track_step: list[int] = field(default_factory=list)
+    anchor: tuple[float, float, int] | None = None
+    """Where (x, y) and at which step it last got on: it is stuck when it has not left this place for long."""
+    failures: list[Failure] = field(default_factory=list)
+    obstacles: list[tuple[Array, int]] = field(default_factory=list)
+    """Places where it got stuck, with the step until which they are avoided."""
+    escape_until: int = -1
+    escape_bearing: float = 0.0
+    replan: bool = True
+    jam_m: Array | None = None
+    """Where it was last stuck, in the map frame."""
+    jam_count: int = 0
+    """How often in a row about there."""
+    is_idle: bool = False
+    """The last plan found no frontier."""
+
+    def move_frame(self, pose_new_old: Array) -> None:
+        """The map jumped: carry everything remembered over to the new frame, and plan anew."""
+
+        def moved(place_m: Array) -> Array:
+            return transform_points(pose_new_old, place_m[None])[0]
+
+        self.track_m = list(transform_points(pose_new_old, np.array(self.track_m).reshape(-1, 2)))
+        for failure in self.failures:
+            failure.place_m = moved(failure.place_m)
+        self.obstacles = [(moved(place), until) for place, until in self.obstacles]
+        if self.anchor is not None:
+            x, y = moved(np.array(self.anchor[:2]))
+            self.anchor = (float(x), float(y), self.anchor[2])
+        self.jam_m = None if self.jam_m is None else moved(self.jam_m)
+        self.goal_m = moved(self.goal_m)
+        if self.follower.has_path:
+            self.follower.start(transform_points(pose_new_old, self.follower.path_m))
+        self.replan = True
+
+    def drop_goal(self) -> None:
+        """Forget goal and path; the next step plans anew."""
+        self.goal_kind, self.arrived_step, self.replan = "", -1, True
+        self.follower.stop()
