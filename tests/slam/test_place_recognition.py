@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.geometry import between, inverse, transform_points, wrap_angle
 from twc_env.messages import SignObservation
-from twc_env.slam import place_recognition
-from twc_env.slam.place_recognition import ProposalFilter, TextWifiRecogniser
+from twc_env.slam import text_wifi_recogniser
+from twc_env.slam.place_recognition import ProposalFilter
 from twc_env.slam.radio_fingerprint import FingerprintTable
+from twc_env.slam.text_wifi_recogniser import TextWifiRecogniser
 
 MACS = (1, 2, 3, 4, 5)
 LEVELS_DBM = (-40.0, -50.0, -60.0, -70.0, -80.0)
@@ -92,7 +93,7 @@ def test_cues_are_asked_in_the_order_text_transmitters_strengths(place, monkeypa
         return lambda *arguments: (found.append(name), function(*arguments))[1]
 
     monkeypatch.setattr(FingerprintTable, "compare", spy("transmitters", FingerprintTable.compare))
-    monkeypatch.setattr(place_recognition, "_rssi_cue", spy("strengths", place_recognition._rssi_cue))
+    monkeypatch.setattr(text_wifi_recogniser, "rssi_cue", spy("strengths", text_wifi_recogniser.rssi_cue))
     candidates(place(0, text="A101 LABORATORY"), place(1, text=text, macs=macs, rssi_dbm=LEVELS_DBM[: len(macs)]))
     assert found == asked
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import Fingerprint
-from twc_env.slam.place_recognition import similarities
+from twc_env.slam.place_cues import similarities
 from twc_env.slam.radio_fingerprint import rssi_distance_db, rssi_similarity
 from twc_env.slam.rssi_similarity import BY_DISTANCE, COSINES, by_cosine, by_distance
 

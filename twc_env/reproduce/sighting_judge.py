@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import compose, inverse
-from twc_env.messages import Keyframe, LoopCandidate, SignObservation
+from twc_env.messages import Keyframe, LoopCandidate
 from twc_env.reproduce.place_pairs import (
     Counts,
     Pairs,
@@ -26,8 +25,11 @@ from twc_env.reproduce.place_pairs import (
 )
 from twc_env.reproduce.place_pairs import recall_at_full_precision as full_recall
 from twc_env.reproduce.routes import Sighting, Walk
+from twc_env.slam.fused_recogniser import FusedRecogniser
 from twc_env.slam.loop_verification import LoopVerifier
-from twc_env.slam.place_recognition import FusedRecogniser, ScanRecogniser, similarities
+from twc_env.slam.place_cues import similarities
+from twc_env.slam.text_wifi_recogniser import meet_at_sign
+from twc_env.slam.wayside_recognisers import ScanRecogniser
 
 Array = NDArray
 
@@ -226,7 +228,7 @@ class _Verified:
         if kind == "none":
             guess, recogniser, sign_m = np.zeros(3), "wifi", None
         else:
-            remembered = self._fused.memory.guess(target, a, source, b) if kind == "memory" else _meet_at_sign(a, b)
+            remembered = self._fused.memory.guess(target, a, source, b) if kind == "memory" else meet_at_sign(a, b)
             if remembered is None or not np.isfinite(remembered).all():
                 return False
             guess, recogniser, sign_m = remembered, "twc", a.position_m
@@ -234,12 +236,6 @@ class _Verified:
         candidate = LoopCandidate(*ends, guess, recogniser, sign_m=sign_m)
         closure = self._verifier.verify(candidate, self._paths[target.robot], self._paths[source.robot])
         return closure.status == "accepted"
-
-
-def _meet_at_sign(target: SignObservation, source: SignObservation) -> Array:
-    """Pose of the source in the target's frame if both see one sign."""
-    frames = [np.array([*sign.position_m, sign.facing_rad]) for sign in (target, source)]
-    return compose(frames[0], inverse(frames[1]))
 
 
 def _of(counts: Counts | None, what: str) -> dict:

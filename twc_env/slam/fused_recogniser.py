@@ -1,0 +1,65 @@
+"""Places recognised by all cues, weighed as log-odds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from twc_env.config import PlaceRecognitionConfig
+from twc_env.messages import Keyframe, LoopCandidate, SignObservation
+from twc_env.slam.place_evidence import PlaceMemory
+
+
+class FusedRecogniser:
+    """Text, radio, walls, neighbouring signs and the ways there, weighed together instead of against thresholds."""
+
+    name = "fused"
+
+    def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
+        self._config = config
+        self.memory = PlaceMemory(range_max_m)
+        """What the evidence rests on."""
+
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+        """See `Recogniser`; of each sign on another map the view whose radio signature fits best."""
+        best: dict[tuple[int, int], LoopCandidate] = {}
+        places = self.memory.observe(keyframe)
+        for sign, place in zip(keyframe.signs, places, strict=True):
+            for robot in sorted(set(self.memory.signs) - set(skipped_robots)):
+                for known in self.memory.like_text(place, robot):
+                    views = [view for view in known.views if self._is_apart(view[0], keyframe)]
+                    if not views:
+                        continue
+                    target, target_sign = self.memory.best_view(views, keyframe)
+                    candidate = self._weigh(target, target_sign, keyframe, sign)
+                    held = best.get(candidate.target) if candidate is not None else None
+                    if candidate is not None and (held is None or candidate.log_odds > held.log_odds):
+                        best[candidate.target] = candidate
+        return list(best.values())
+
+    def score(self, target: Keyframe, source: Keyframe) -> float:
+        """Log-odds of the pair of signs that speaks most for one place; both keyframes must have been proposed."""
+        pairs = [(a, b) for a in target.signs for b in source.signs]
+        return max((self.memory.weigh(target, a, source, b).total for a, b in pairs), default=-math.inf)
+
+    def _is_apart(self, earlier: Keyframe, keyframe: Keyframe) -> bool:
+        is_own = earlier.robot == keyframe.robot
+        return not is_own or keyframe.travel_m - earlier.travel_m >= self._config.revisit_travel_m
+
+    def _weigh(
+        self, target: Keyframe, target_sign: SignObservation, source: Keyframe, source_sign: SignObservation
+    ) -> LoopCandidate | None:
+        evidence = self.memory.weigh(target, target_sign, source, source_sign)
+        if evidence.total < self._config.log_odds_min:
+            return None
+        guess = self.memory.guess(target, target_sign, source, source_sign)
+        if guess is None:
+            return None
+        return LoopCandidate(
+            target=(target.robot, target.index),
+            source=(source.robot, source.index),
+            guess=guess,
+            recogniser=self.name,
+            sign_m=target_sign.position_m,
+            log_odds=evidence.total,
+        )

@@ -1,0 +1,142 @@
+"""Places recognised by like texts, with WiFi (TWC-SLAM's Algorithm 1) or without."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import PlaceRecognitionConfig
+from twc_env.geometry import compose, inverse
+from twc_env.messages import Fingerprint, Keyframe, LoopCandidate, SignObservation
+from twc_env.slam.place_cues import rssi_cue, similarities
+from twc_env.slam.radio_fingerprint import FingerprintTable
+from twc_env.slam.text_similarity import AlikeTexts, normalise
+
+Array = NDArray
+
+SAME_PLACE_M = 0.5
+"""The same text read again within this path length ..."""
+SAME_SIGN_M = 1.0
+"""... at a place nearer than this is not remembered twice."""
+
+
+class TextWifiRecogniser:
+    """Algorithm 1 of TWC-SLAM: like text, then shared transmitters, then like strengths (SPEC T9).
+
+    Every text that was ever read is kept with its keyframe; a new keyframe is compared with all of them, of its own
+    robot (when enough path lies between) and of the others.
+    """
+
+    name = "twc"
+
+    def __init__(self, config: PlaceRecognitionConfig):
+        self._config = config
+        self._texts = AlikeTexts(config.text_similarity_min - 1e-9)
+        self._numbers_of: list[list[int]] = []
+        """Of each text the places where it was read, by number."""
+        self._recent: dict[tuple[int, str], deque[tuple[float, Array]]] = {}
+        self._places: list[tuple[Keyframe, SignObservation]] = []
+        self._fingerprints = FingerprintTable()
+        """One row per place."""
+
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+        """See `Recogniser`; the better of two texts speaks for a pair."""
+        best: dict[tuple[int, int], LoopCandidate] = {}
+        readings = [(self._key(sign.text), sign) for sign in keyframe.signs]
+        for text, sign in readings:
+            if math.isnan(sign.facing_rad):
+                continue
+            similarity = self._like_text(text, keyframe, skipped_robots)
+            for k, macs, rssi in self._like_radio(sorted(similarity), keyframe.fingerprint):
+                target, target_sign = self._places[k]
+                held = best.get((target.robot, target.index))
+                if held is None or similarity[k] > held.text_similarity:
+                    candidate = LoopCandidate(
+                        target=(target.robot, target.index),
+                        source=(keyframe.robot, keyframe.index),
+                        guess=meet_at_sign(target_sign, sign),
+                        recogniser=self.name,
+                        sign_m=target_sign.position_m,
+                        text_similarity=similarity[k],
+                        mac_similarity=macs,
+                        rssi_similarity=rssi,
+                    )
+                    best[candidate.target] = candidate
+        for text, sign in readings:
+            self._remember(text, keyframe, sign)
+        return list(best.values())
+
+    def score(self, target: Keyframe, source: Keyframe) -> float:
+        """The smallest of the three similarities: at this threshold for all of them the pair would just pass."""
+        cues = similarities(target, source, self._config)
+        return min(cues.text, cues.macs, cues.rssi)
+
+    def _like_text(self, text: str, keyframe: Keyframe, skipped_robots: Sequence[int]) -> dict[int, float]:
+        """Numbers of the places whose text is alike and that the keyframe may be compared with -> similarity."""
+        found = {}
+        latest_m = keyframe.travel_m - self._config.revisit_travel_m
+        for other, similarity in self._texts.alike(text):
+            for k in self._numbers_of[other]:
+                target = self._places[k][0]
+                is_own = target.robot == keyframe.robot
+                if target.robot not in skipped_robots and not (is_own and target.travel_m > latest_m):
+                    found[k] = similarity
+        return found
+
+    def _like_radio(self, numbers: list[int], fingerprint: Fingerprint) -> list[tuple[int, float, float]]:
+        """Those of the places whose fingerprint passes, with the similarities of transmitters and of strengths."""
+        rule = self._config
+        if not numbers:
+            return []
+        macs, distance_db, shared = self._fingerprints.compare(numbers, fingerprint)
+        passed = []
+        for row in np.flatnonzero(macs >= rule.mac_similarity_min - 1e-9).tolist():
+            k, distance, count = numbers[row], float(distance_db[row]), int(shared[row])
+            rssi, is_alike = rssi_cue(distance, count, rule, (self._places[k][0].fingerprint, fingerprint))
+            if is_alike:
+                passed.append((k, float(macs[row]), rssi))
+        return passed
+
+    def _remember(self, text: str, keyframe: Keyframe, sign: SignObservation) -> None:
+        """Keep a reading, unless no wall is known behind it or the same robot read the same just before."""
+        if math.isnan(sign.facing_rad):
+            return
+        position = compose(keyframe.pose_odom, [*sign.position_m, 0.0])[:2]
+        for travel_m, other in self._recent.get((keyframe.robot, text), ()):
+            if keyframe.travel_m - travel_m < SAME_PLACE_M and math.dist(position, other) < SAME_SIGN_M:
+                return
+        recent = self._recent.setdefault((keyframe.robot, text), deque(maxlen=4))
+        recent.append((keyframe.travel_m, position))
+        number = self._texts.number_of(text)
+        if number == len(self._numbers_of):
+            self._numbers_of.append([])
+        self._numbers_of[number].append(len(self._places))
+        self._places.append((keyframe, sign))
+        self._fingerprints.append(keyframe.fingerprint)
+
+    def _key(self, text: str) -> str:
+        return normalise(text) if self._config.normalise_text else text
+
+
+class TextRecogniser(TextWifiRecogniser):
+    """Like text alone."""
+
+    name = "text"
+
+    def score(self, target: Keyframe, source: Keyframe) -> float:
+        """Similarity of the two texts most alike."""
+        return similarities(target, source, self._config).text
+
+    def _like_radio(self, numbers: list[int], fingerprint: Fingerprint) -> list[tuple[int, float, float]]:
+        return [(k, math.nan, math.nan) for k in numbers]
+
+
+def meet_at_sign(target: SignObservation, source: SignObservation) -> Array:
+    """(3,) pose of the source in the target's frame if both see one sign: lay the two sign frames on each other."""
+    target_sign = np.array([*target.position_m, target.facing_rad])
+    source_sign = np.array([*source.position_m, source.facing_rad])
+    return compose(target_sign, inverse(source_sign))

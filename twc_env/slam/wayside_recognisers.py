@@ -1,0 +1,152 @@
+"""Places recognised without signs, every metre along the way: by WiFi alone, or by the scan alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import PlaceRecognitionConfig
+from twc_env.messages import Keyframe, LoopCandidate
+from twc_env.slam.place_cues import rssi_cue, similarities
+from twc_env.slam.radio_fingerprint import mac_similarity, rssi_distance_db
+from twc_env.slam.scan_descriptor import compare, compare_many, describe, ring_key
+
+Array = NDArray
+
+STEP_M = 1.0
+"""Recognisers that need no sign compare and remember a place this often along a path."""
+RING_KEY_NEIGHBOURS = 10
+"""Places whose rings are most alike are compared under every turn."""
+CANDIDATES_MAX = 5
+"""Most candidates of one keyframe where no sign limits them."""
+
+
+class PlacesOnTheWay:
+    """Keyframes about STEP_M apart along each robot's path, with the descriptors of their scans."""
+
+    def __init__(self, range_max_m: float):
+        self._range_max_m = range_max_m
+        self.keyframes: list[Keyframe] = []
+        self._descriptors: list[Array] = []
+        self._keys: list[Array] = []
+        self._last_m: dict[int, float] = {}
+
+    def is_due(self, keyframe: Keyframe) -> bool:
+        """Whether the robot has gone far enough since its last remembered place."""
+        return keyframe.travel_m - self._last_m.get(keyframe.robot, -math.inf) >= STEP_M
+
+    def add(self, keyframe: Keyframe, descriptor: Array) -> None:
+        """Remember a place."""
+        self._last_m[keyframe.robot] = keyframe.travel_m
+        self.keyframes.append(keyframe)
+        self._descriptors.append(descriptor)
+        self._keys.append(ring_key(descriptor))
+
+    def others(self, keyframe: Keyframe, skipped_robots: Sequence[int], revisit_travel_m: float) -> Array:
+        """Numbers of the places a keyframe may be compared with."""
+        return np.array(
+            [
+                k
+                for k, place in enumerate(self.keyframes)
+                if place.robot not in skipped_robots
+                and (place.robot != keyframe.robot or keyframe.travel_m - place.travel_m >= revisit_travel_m)
+            ],
+            int,
+        )
+
+    def most_alike(self, numbers: Array, descriptor: Array) -> tuple[Array, Array, Array]:
+        """Of these places those with like rings: their numbers, similarities and turns, the best first."""
+        keys = np.array([self._keys[k] for k in numbers])
+        near = numbers[np.argsort(((keys - ring_key(descriptor)) ** 2).sum(axis=1), kind="stable")]
+        near = near[:RING_KEY_NEIGHBOURS]
+        similarity, turn = compare_many(np.array([self._descriptors[k] for k in near]), descriptor)
+        order = np.argsort(-similarity, kind="stable")
+        return near[order], similarity[order], turn[order]
+
+    def turn_to(self, number: int, descriptor: Array) -> float:
+        """Heading of a scan in the frame of a remembered one [rad]."""
+        return compare(self._descriptors[number], descriptor)[1]
+
+    def describe(self, keyframe: Keyframe) -> Array:
+        """The descriptor of a keyframe's scan."""
+        return describe(keyframe.ranges_m, self._range_max_m)
+
+
+class WifiRecogniser:
+    """Shared transmitters and like strengths alone; the scans only tell how the two keyframes are turned."""
+
+    name = "wifi"
+
+    def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
+        self._config = config
+        self._places = PlacesOnTheWay(range_max_m)
+
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+        """See `Recogniser`; the few most alike."""
+        if not self._places.is_due(keyframe):
+            return []
+        rule, found = self._config, []
+        for k in self._places.others(keyframe, skipped_robots, rule.revisit_travel_m):
+            target = self._places.keyframes[k]
+            macs = mac_similarity(target.fingerprint, keyframe.fingerprint)
+            if macs < rule.mac_similarity_min - 1e-9:
+                continue
+            prints = target.fingerprint, keyframe.fingerprint
+            rssi, is_alike = rssi_cue(*rssi_distance_db(*prints), rule, prints)
+            if is_alike:
+                found.append((min(macs, rssi), int(k), macs, rssi))
+        found.sort(key=lambda entry: (-entry[0], entry[1]))
+        descriptor = self._places.describe(keyframe)
+        candidates = []
+        for _, k, macs, rssi in found[:CANDIDATES_MAX]:
+            guess = np.array([0.0, 0.0, self._places.turn_to(k, descriptor)])
+            candidates.append(
+                _candidate(self._places.keyframes[k], keyframe, guess, self.name, mac=macs, rssi=rssi),
+            )
+        self._places.add(keyframe, descriptor)
+        return candidates
+
+    def score(self, target: Keyframe, source: Keyframe) -> float:
+        """The smaller of the two similarities."""
+        cues = similarities(target, source, self._config)
+        return min(cues.macs, cues.rssi)
+
+
+class ScanRecogniser:
+    """Scan Context: like scans under some turn."""
+
+    name = "lidar"
+
+    def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
+        self._config, self._range_max_m = config, range_max_m
+        self._places = PlacesOnTheWay(range_max_m)
+
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+        """See `Recogniser`; the few most alike."""
+        if not self._places.is_due(keyframe):
+            return []
+        descriptor = self._places.describe(keyframe)
+        numbers = self._places.others(keyframe, skipped_robots, self._config.revisit_travel_m)
+        candidates: list[LoopCandidate] = []
+        if len(numbers):
+            for k, similarity, turn in zip(*self._places.most_alike(numbers, descriptor), strict=True):
+                if similarity >= self._config.scan_similarity_min and len(candidates) < CANDIDATES_MAX:
+                    guess = np.array([0.0, 0.0, turn])
+                    candidates.append(_candidate(self._places.keyframes[k], keyframe, guess, self.name))
+        self._places.add(keyframe, descriptor)
+        return candidates
+
+    def score(self, target: Keyframe, source: Keyframe) -> float:
+        """Similarity of the two scans at the best turn."""
+        scans = (describe(keyframe.ranges_m, self._range_max_m) for keyframe in (target, source))
+        return compare(*scans)[0]
+
+
+def _candidate(
+    target: Keyframe, source: Keyframe, guess: Array, name: str, mac: float = math.nan, rssi: float = math.nan
+) -> LoopCandidate:
+    ends = (target.robot, target.index), (source.robot, source.index)
+    return LoopCandidate(*ends, guess, name, mac_similarity=mac, rssi_similarity=rssi)
