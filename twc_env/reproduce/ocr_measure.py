@@ -35,7 +35,6 @@ BLUR_WIDTHS = (0.0, 0.12, 0.24, 0.36, 0.48, 0.65)
 """In capital heights as the incidence narrows them."""
 LEVEL_RATE = (0.9, 0.65, 0.45, 0.3, 0.2, 0.12, 0.07, 0.03, 0.0)
 """Character error rates between which lines are told apart, worst first."""
-SIGNS_PER_BIN = 40
 SMALL_PX = 12.0
 """Below this capital height rates change fast: twice as many signs are read."""
 AGAIN_HEIGHT_PX = (6.5, 8.0, 10.0, 14.0)
