@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from twc_env.maps import load_map
+from twc_env.metrics.k_visibility import score_structure
 from twc_env.reproduce import sfw_table1
 from twc_env.reproduce.runner import Runner
 from twc_env.reproduce.sfw_flats import flat
 from twc_env.reproduce.sfw_registration import register
+from twc_env.reproduce.sfw_scoring import Mapped, at_coverage
 from twc_env.reproduce.sfw_slam import slam_walk
 from twc_env.reproduce.sfw_walks import STANDOFF_M, length_m, wall_following_route
 
@@ -37,6 +39,19 @@ def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(
     assert rows[2]["iou_free"] > 0.97
     assert rows[2]["coverage"] > 0.8
     assert sfw_table1.update_time_ms() < 0.1
+
+
+def test_the_surest_cells_are_told_first_up_to_a_coverage():
+    truth = np.full((4, 5), 255, np.uint8)
+    probability = np.tile([0.02, 0.1, 0.2, 0.6, np.nan], (4, 1))
+    classes = np.select([probability < 0.25, probability > 0.4], [255, 0], 127).astype(np.uint8)
+    made = Mapped(1.0, score_structure(classes, truth, probability), 0.0, classes, truth, probability)
+    rays = np.arange(20).reshape(4, 5)
+    told = at_coverage(made, rays, 0.5)
+    assert told.score.coverage == 0.5
+    assert (told.classes != 127).sum(axis=0).tolist() == [4, 2, 0, 4, 0]
+    assert np.flatnonzero(told.classes[:, 1] != 127).tolist() == [2, 3]
+    assert told.score.iou_free < 1.0
 
 
 def test_flats_are_measured_in_the_same_columns(tmp_path, monkeypatch):

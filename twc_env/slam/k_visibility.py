@@ -95,7 +95,6 @@ def map_structure(
         standoff = seen
     standoff = solver.assumed_standoff_m
     probability = solver.probability
-    walls, wall_probability = solver.count_walls(np.asarray(position_m, float))
     keeps_distance = solver.standoff_spread_m() <= _STANDOFF_SPREAD_MAX_M
     grid = cell_probabilities(
         bins.position_m, router_m, np.isfinite(bins.rssi_dbm), solver.candidates, probability,
@@ -103,8 +102,8 @@ def map_structure(
     )  # fmt: skip
     return Structure(
         router_m=router_m,
-        walls=walls,
-        wall_probability=wall_probability,
+        walls=solver.count_walls(np.asarray(position_m, float), np.asarray(rssi_dbm, float)),
+        wall_probability=solver.count_probability(),
         bins=bins,
         candidates=solver.candidates,
         probability=probability,

@@ -16,8 +16,8 @@ FREE, UNKNOWN, WALL = 255, 127, 0
 BODY_RADIUS_M = 0.1
 """What the robot's body has swept is free (rule 1)."""
 _MARGIN_M = 1.0
-_FREE_BELOW = 0.25
-_WALL_ABOVE = 0.4
+FREE_BELOW = 0.25
+WALL_ABOVE = 0.4
 _RAYS_MIN = 2
 _GAP_MAX_M = 0.5
 """Between neighbouring readings nearer than this, rays to every part of the path are as good as heard."""
@@ -37,8 +37,8 @@ class WallGrid:
 
     def classes(self) -> Array:
         """(rows, columns) uint8: FREE, WALL, or UNKNOWN where it is neither surely enough."""
-        known = np.nan_to_num(self.probability, nan=0.5 * (_FREE_BELOW + _WALL_ABOVE))
-        return np.where(known < _FREE_BELOW, FREE, np.where(known > _WALL_ABOVE, WALL, UNKNOWN)).astype(np.uint8)
+        known = np.nan_to_num(self.probability, nan=0.5 * (FREE_BELOW + WALL_ABOVE))
+        return np.where(known < FREE_BELOW, FREE, np.where(known > WALL_ABOVE, WALL, UNKNOWN)).astype(np.uint8)
 
 
 def cell_probabilities(

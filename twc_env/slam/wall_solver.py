@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.sparse import coo_array
 
+from twc_env.slam.change_points import settle_changes
 from twc_env.slam.k_visibility_signal import DISTANCE_MIN_M, SignalFit, smooth_along_path
 from twc_env.slam.path_bins import PathBins
 from twc_env.slam.wall_candidates import WallCandidates
@@ -33,9 +34,8 @@ _ROUTER_CLEAR_M = 0.25
 _LOSS_SPREAD, _LOSS_MIN_SHARE = 0.25, 0.7
 """Walls of one building differ by this share in what they take; what takes less than the other share is none."""
 _K_STATES = 8
-_NEAR_CHANGE_M, _MAP_DOUBT, _OVERRULE = 0.1, 0.001, 0.5
-"""k of the map is trusted but this far around its changes, and but for this share; readings surer than the last
-overrule it."""
+_NEAR_CHANGE_M, _MAP_DOUBT = 0.1, 0.001
+"""k of the map is trusted but this far around its changes, and but for this share."""
 _CORRELATION_M = 0.3
 """Binned readings within this length count as one: the same shadowing."""
 _NOISE_MIN_DB = 1.2
@@ -124,12 +124,21 @@ class WallSolver:
         """(pieces,) bool: some ray crosses it, so that readings bear on it."""
         return np.diff(self._first) > 0
 
-    def count_walls(self, position_m: Array) -> tuple[Array, Array]:
-        """(n, routers) walls between routers and positions, and (bins, routers, k + 1) their probability per bin.
+    def count_walls(self, position_m: Array, rssi_dbm: Array) -> Array:
+        """(n, routers) walls between routers and positions (n, 2), where rssi (n, routers) was read, NaN if not heard.
 
         The map says what k is nearly everywhere; where exactly it changes, the readings nearby say better.
         """
-        by_map, _ = self._through_walls(position_m)
+        walls, loss = self._through_walls(position_m)
+        apart_m = np.linalg.norm(position_m[:, None] - self._routers, axis=2)
+        excess = self.power_dbm - self.exponent * 10 * np.log10(np.maximum(apart_m, DISTANCE_MIN_M)) - rssi_dbm
+        travel_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position_m, axis=0), axis=1))])
+        for router in range(len(self._routers)):
+            walls[:, router] = settle_changes(walls[:, router], loss[:, router], excess[:, router], travel_m)
+        return walls
+
+    def count_probability(self) -> Array:
+        """(bins, routers, k + 1) probability of each number of walls, per bin of the path."""
         at_bins, loss = self._through_walls(self._bins.position_m)
         variance = (self.variance_db2 * self._noise_share).reshape(self._shape)
         expected = (self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades).reshape(
@@ -147,10 +156,7 @@ class WallSolver:
             told = -2.5 * np.log1p(error**2 / (4.0 * variance[:, r, None]))
             evidence = np.where(heard[:, r, None], self._weight[0] * told, 0.0) + np.log(share + _MAP_DOUBT)
             probability[:, r] = smooth_along_path(evidence, self._bins.travel_m)
-        settled = np.argmax(probability, axis=2)
-        bin_of = self._bins.bin_of
-        is_sure = (settled != at_bins) & (probability.max(axis=2) > _OVERRULE)
-        return np.where(is_sure[bin_of], settled[bin_of], by_map), probability
+        return probability
 
     def _through_walls(self, position_m: Array) -> tuple[Array, Array]:
         """(n, routers) pieces that are walls between each router and each position, and their summed loss."""

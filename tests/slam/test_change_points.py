@@ -1,0 +1,43 @@
+"""Changes of the number of walls, settled reading by reading."""
+
+import numpy as np
+import pytest
+
+from twc_env.slam.change_points import settle_changes
+
+STEP_M, LOSS_DB = 0.01, 8.0
+
+
+def readings(walls, seed):
+    """Excess loss along a path with the shadowing and noise of the k-visibility twins."""
+    random = np.random.default_rng(seed)
+    keep = np.exp(-STEP_M / 0.5)
+    shadowing = np.zeros(len(walls))
+    for i in range(1, len(walls)):
+        shadowing[i] = keep * shadowing[i - 1] + random.normal(0, 3.0 * np.sqrt(1 - keep**2))
+    return LOSS_DB * walls + shadowing + random.normal(0, 3.0, len(walls))
+
+
+def settled(walls, by_map, seed):
+    return settle_changes(by_map, LOSS_DB * by_map, readings(walls, seed), STEP_M * np.arange(len(walls)))
+
+
+@pytest.mark.parametrize("off", [-12, 9])
+def test_a_change_moves_to_where_the_readings_drop(off):
+    walls = (np.arange(600) >= 300).astype(int)
+    by_map = (np.arange(600) >= 300 + off).astype(int)
+    misses = [np.sum(settled(walls, by_map, seed) != walls) for seed in range(9)]
+    assert np.median(misses) <= 2 < abs(off)
+
+
+def test_a_short_detour_stays_only_where_the_readings_call_for_it():
+    at = np.arange(600)
+    detour = ((at >= 300) & (at < 330)).astype(int)
+    none = np.zeros(600, int)
+    assert sum(settled(none, detour, seed).max() for seed in range(9)) <= 1
+    assert sum(settled(detour, detour, seed).max() for seed in range(9)) >= 8
+
+
+def test_without_readings_the_map_is_believed():
+    walls = (np.arange(50) >= 20).astype(int)
+    assert np.array_equal(settle_changes(walls, LOSS_DB * walls, np.full(50, np.nan), np.arange(50.0)), walls)
