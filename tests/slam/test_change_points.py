@@ -30,7 +30,7 @@ def test_a_change_moves_to_where_the_readings_drop(off):
     assert np.median(misses) <= 2 < abs(off)
 
 
-def test_a_short_detour_stays_only_where_the_readings_call_for_it():
+def test_a_detour_stays_only_where_the_readings_call_for_it():
     at = np.arange(600)
     detour = ((at >= 300) & (at < 330)).astype(int)
     none = np.zeros(600, int)

@@ -22,9 +22,6 @@ _AROUND_M = 0.4
 """Readings this far beyond still bear on it."""
 _MAP_ERROR_M = 0.05
 """How far the map's changes are off on average."""
-_DETOUR_M = 0.6
-"""Where the number changes and is back within this length, the readings must call for it."""
-_SWEEPS = 3
 _SHADOWING_M = 0.5
 """Shadowing is forgotten over this length."""
 _STD_MIN_DB = 0.5
@@ -92,7 +89,7 @@ def _move_changes(walls, loss, home, excess, travel, noise, shadowing, length):
 
 @njit(cache=True, error_model="numpy")
 def _drop_detours(walls, loss, excess, travel, noise, shadowing, length):
-    """Short runs between two of equal numbers go where the readings do not call for them."""
+    """Runs between two of equal numbers go where the readings do not call for them."""
     count, at = walls.shape[0], 1
     while at < count:
         if walls[at] == walls[at - 1]:
@@ -101,7 +98,7 @@ def _drop_detours(walls, loss, excess, travel, noise, shadowing, length):
         end = at
         while end < count and walls[end] == walls[at]:
             end += 1
-        if end < count and walls[end] == walls[at - 1] and travel[end] - travel[at] < _DETOUR_M:
+        if end < count and walls[end] == walls[at - 1]:
             value = 0.5 * (loss[at - 1] + loss[end])
             kept = _likelihood(loss, excess, travel, at, end, at, at, 0.0, noise, shadowing, length)
             without = _likelihood(loss, excess, travel, at, end, at, end, value, noise, shadowing, length)
