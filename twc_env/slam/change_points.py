@@ -22,6 +22,7 @@ _AROUND_M = 0.4
 """Readings this far beyond still bear on it."""
 _MAP_ERROR_M = 0.05
 """How far the map's changes are off on average."""
+_SWEEPS = 3
 _SHADOWING_M = 0.5
 """Shadowing is forgotten over this length."""
 _STD_MIN_DB = 0.5
