@@ -4,8 +4,9 @@ Two steps: closures that tell distances, from the similarity of fingerprints (ra
 from its beginning onwards; then the fields of signal strength around each place tie it to other visits near by. After
 each fit the odometry's constant errors are taken out. `paper` does the first step only, as printed.
 
-All pairs of places judge the result, also the many that are no closures: where likeness falls with distance no better
-than it does along the odometry, the odometry is given back.
+How noisy the odometry is nobody says, so the way is gone under several assumptions, and the result stays that explains
+best what was heard without straining the odometry (`radio_evidence`). Where likeness falls with distance no better than
+it does along the odometry, the odometry is given back.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_field
 from twc_env.slam.distance_factor import Distances, RadioEquations
-from twc_env.slam.odometry_calibration import Motions, calibrated
+from twc_env.slam.odometry_calibration import Calibration, Motions, calibrated
+from twc_env.slam.pose_graph import squared_errors
+from twc_env.slam.radio_evidence import FieldEvidence
 from twc_env.slam.radio_similarity import all_similarities, feature_rows, split_cues
 from twc_env.slam.similarity_model import SimilarityModel, train_on_path
 
@@ -40,12 +43,16 @@ FIELD_SMOOTHING = 0.6
 """Fields are fitted to fingerprints averaged over this share of the length that similarities are taken over."""
 MOVED_PER_BANDWIDTH = 1.5
 WORTH_ITERATIONS = 10
-NOISE_LEVELS = ((1.0, 1.0), (1.0, 3.0), (2.0, 6.0), (4.0, 4.0), (10.0, 10.0))
-"""How many times as noisy as configured odometry's positions and headings are, nobody knows: each pair is tried, and
-the one whose result the fingerprints fit best stays."""
-ORDER_TIE, ORDER_MIN = 0.01, 0.1
-"""Rank correlations this near to the best count as equal, and the least noise is then assumed: a loose path follows the
-fingerprints' own noise and orders them best. Fingerprints that fit worse than the second tell nothing."""
+NOISE_LEVELS = ((1.0, 1.0), (1.0, 3.0), (3.0, 3.0), (6.0, 6.0), (10.0, 10.0))
+"""How many times as noisy as configured odometry's positions and headings may be: each pair is tried."""
+STRAIN_NOISE, EVIDENCE_WEIGHT = 3.0, 2.0
+"""A result is strained by what odometry of this many times the configured noise cannot explain; against that weighs the
+evidence of as many transmitters (what they hear is far from independent)."""
+STRAIN_MAX, EVIDENCE_LOSS_MAX, CURLS_RAD_M = 0.15, 20.0, (-0.012, 0.012)
+"""Where every result either strains the odometry more than this per place or has so much less evidence than another,
+the path went astray from the beginning: then it is also begun with these curls."""
+ORDER_MIN = 0.1
+"""Fingerprints that fit the distances of places with a lower rank correlation tell nothing."""
 JUDGES_MAX = 50_000
 """Pairs of places that judge the result."""
 POSITION_STD_MIN_M, HEADING_STD_MIN_RAD = 0.02, 0.005
@@ -98,8 +105,22 @@ class _Cue:
     similarity: Array
     feature: Array
     model: SimilarityModel
+    evidence: FieldEvidence
     worth: dict[float, float] = field(default_factory=dict)
     """Of the fields, by bandwidth."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Try:
+    """Poses (p, 3) of the places, how much they strain the odometry, and how well they explain what was heard."""
+
+    poses: Array
+    strain: float
+    evidence: float
+
+    @property
+    def misfit(self) -> float:
+        return self.strain - EVIDENCE_WEIGHT * self.evidence
 
 
 def solve(
@@ -137,18 +158,31 @@ class _Solver:
         if self._config.weighting == "paper":
             poses = self._fit(self._odometry, self._motions, closures, robust=False, iterations=PAPER_ITERATIONS)
             return self._result(poses, closures, fell_back=False)
-        tries = [self._solved(closures, *noise) for noise in NOISE_LEVELS]
-        orders = np.array([self._order(poses) for poses in tries])
-        best = int(np.argmax(orders >= orders.max() - ORDER_TIE))
-        if orders[best] <= max(self._order(self._odometry), ORDER_MIN):
+        tries = self._tries(self._motions, closures)
+        most = max(found.evidence for found in tries) - EVIDENCE_LOSS_MAX
+        if all(found.evidence < most or found.strain > STRAIN_MAX * len(self._places) for found in tries):
+            for curl in CURLS_RAD_M:
+                tries += self._tries(Calibration(curl_rad_m=curl).applied(self._motions), closures)
+        best = min(tries, key=lambda found: found.misfit).poses
+        if self._order(best) <= max(self._order(self._odometry), ORDER_MIN):
             return self._result(self._odometry, closures, fell_back=True)
-        return self._result(tries[best], closures, fell_back=False)
+        return self._result(best, closures, fell_back=False)
 
-    def _solved(self, closures: Distances, noise: float, heading_noise: float) -> Array:
-        """The whole way, with odometry this many times as noisy as configured."""
-        std = np.array([noise, noise, heading_noise])
-        self._information = self._own_information / (std[:, None] * std)
-        return self._refine(*self._grow(closures))
+    def _tries(self, motions: Motions, closures: Distances) -> list[_Try]:
+        """The whole way under each assumption of noise."""
+        tries = []
+        for noise, heading_noise in NOISE_LEVELS:
+            std = np.array([noise, noise, heading_noise])
+            self._information = self._own_information / (std[:, None] * std)
+            poses = self._refine(*self._grow(motions, closures))
+            chain = np.arange(len(poses) - 1)
+            squared = squared_errors(
+                poses, np.column_stack([chain, chain + 1]), calibrated(motions, poses).motion, self._own_information
+            )
+            strain = 0.5 * float(squared.sum()) / STRAIN_NOISE**2
+            evidence = sum(cue.evidence.of(poses[:, :2]) for cue in self._cues)
+            tries.append(_Try(poses, strain, evidence))
+        return tries
 
     def _order(self, poses: Array) -> float:
         """How well distances order the similarities of places that the path does not tie: mean rank correlation."""
@@ -178,7 +212,7 @@ class _Solver:
         if not len(model.centre):
             return None
         feature = averaged(rows, travel_m, FIELD_SMOOTHING * smoothing_m)[self._places].toarray()
-        return _Cue(name, similarity, feature.astype(np.float32), model)
+        return _Cue(name, similarity, feature.astype(np.float32), model, FieldEvidence(feature))
 
     def _closures(self, false_closures: Distances | None) -> Distances:
         config, parts = self._config, []
@@ -205,10 +239,9 @@ class _Solver:
 
     # --- fitting
 
-    def _grow(self, closures: Distances) -> tuple[Array, Motions]:
+    def _grow(self, motions: Motions, closures: Distances) -> tuple[Array, Motions]:
         """Fit the path from its beginning on, further and further; its odometry is calibrated on the way."""
-        motions, total_m = self._motions, self._travel_m[-1]
-        poses = np.zeros((1, 3))
+        poses, total_m = np.zeros((1, 3)), self._travel_m[-1]
         end_m, last = FIRST_STAGE_M, closures.pairs.max(axis=1)
         rounds_left = FINAL_ROUNDS
         while rounds_left:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,11 +99,17 @@ def train_on_path(
             return model
     assert model is not None
     if warns:
-        _log.warning(
-            "the similarity model is cut off: at similarity %.2f it tells more than a third of its %.0f m window",
-            similarity_min, model.window_m,
-        )  # fmt: skip
+        warn_cut_off(similarity_min, model.window_m)
     return model
+
+
+@lru_cache
+def warn_cut_off(similarity_min: float, window_m: float) -> None:
+    """Say once in a process that models of such a window tell too short distances."""
+    _log.warning(
+        "the similarity model is cut off: at similarity %.2f it tells more than a third of its %.0f m window",
+        similarity_min, window_m,
+    )  # fmt: skip
 
 
 def _pairs_within(travel_m: Array, window_m: float) -> tuple[Array, Array]:

@@ -1,0 +1,35 @@
+import numpy as np
+import pytest
+
+from twc_env.slam.radio_evidence import FieldEvidence
+
+RANDOM = np.random.default_rng(1)
+PLACES = RANDOM.uniform(0, 40, (80, 2))
+BOXES = RANDOM.uniform(-5, 45, (30, 2))
+AWAY_M = np.linalg.norm(PLACES[:, None] - BOXES, axis=2)
+HEARD = np.maximum(65 - 30 * np.log10(np.maximum(AWAY_M, 1.0)) + RANDOM.normal(size=AWAY_M.shape), 0.0)
+
+
+def test_the_true_layout_has_more_evidence_than_a_bent_one_and_that_more_than_chance():
+    evidence = FieldEvidence(HEARD)
+    bent = PLACES + np.column_stack([0.01 * PLACES[:, 1] ** 2, np.zeros(80)])
+    folded = np.column_stack([np.abs(PLACES[:, 0] - 20.0), PLACES[:, 1]])
+    true, bent, folded = (evidence.of(places) for places in (PLACES, bent, folded))
+    assert true > bent + 0.5 and bent > folded + 10.0
+
+
+def test_evidence_does_not_depend_on_where_the_layout_lies():
+    evidence = FieldEvidence(HEARD)
+    turned = PLACES @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + [100.0, -30.0]
+    assert evidence.of(turned) == pytest.approx(evidence.of(PLACES), abs=1e-3)
+
+
+def test_slopes_are_those_of_the_evidence():
+    evidence = FieldEvidence(HEARD)
+    squared = ((PLACES[:, None] - PLACES) ** 2).sum(axis=2)
+    logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1])
+    _, slopes = evidence._cost(logs, squared)
+    for k in range(5):
+        step = 1e-5 * np.eye(5)[k]
+        difference = evidence._cost(logs + step, squared)[0] - evidence._cost(logs - step, squared)[0]
+        assert slopes[k] == pytest.approx(difference / 2e-5, rel=1e-3, abs=1e-3)
