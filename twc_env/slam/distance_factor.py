@@ -6,6 +6,7 @@ do not enter it, and where both positions coincide its direction is undefined: i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,20 @@ class Distances:
         length = np.hypot(away[:, 0], away[:, 1])
         unit = np.where((length > COINCIDENT_M)[:, None], away / np.maximum(length, COINCIDENT_M)[:, None], 0.0)
         return unit / np.sqrt(self.variance_m2)[:, None]
+
+
+NO_DISTANCES = Distances(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0))
+
+
+def together(parts: Sequence[Distances]) -> Distances:
+    """Distances one after the other."""
+    if not parts:
+        return NO_DISTANCES
+    return Distances(
+        np.concatenate([p.pairs for p in parts]).astype(np.int64),
+        np.concatenate([p.distance_m for p in parts]),
+        np.concatenate([p.variance_m2 for p in parts]),
+    )
 
 
 class RadioEquations(NormalEquations):

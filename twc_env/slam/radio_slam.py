@@ -16,18 +16,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 from scipy.stats import spearmanr
 
 from twc_env.config import RadioSlamConfig
 from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_field
-from twc_env.slam.distance_factor import Distances, RadioEquations
+from twc_env.slam.distance_factor import NO_DISTANCES, Distances, RadioEquations, together
 from twc_env.slam.odometry_calibration import Calibration, Motions, calibrated
 from twc_env.slam.pose_graph import squared_errors
 from twc_env.slam.radio_evidence import FieldEvidence
-from twc_env.slam.radio_similarity import all_similarities, feature_rows, split_cues
+from twc_env.slam.radio_similarity import all_similarities, averaged, feature_rows, split_cues
 from twc_env.slam.similarity_model import SimilarityModel, train_on_path
 
 Array = NDArray
@@ -310,9 +310,6 @@ class _Solver:
         return RadioResult(poses, self._places, place_poses, models, closures, fell_back)
 
 
-NO_DISTANCES = Distances(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0))
-
-
 def motion_information(config: RadioSlamConfig, length_m: Array, turned_rad: Array) -> Array:
     """(k, 3, 3) of odometry over path lengths (k,) and turns (k,), these all counted positive."""
     position = config.position_std_per_m**2 * length_m + POSITION_STD_MIN_M**2
@@ -321,21 +318,6 @@ def motion_information(config: RadioSlamConfig, length_m: Array, turned_rad: Arr
     information[:, 0, 0] = information[:, 1, 1] = 1.0 / position
     information[:, 2, 2] = 1.0 / (heading + HEADING_STD_MIN_RAD**2)
     return information
-
-
-def averaged(rows: csr_array, travel_m: Array, reach_m: float) -> csr_array:
-    """Feature rows averaged along the path, nearer ones weighing more; what was not heard counts as 0."""
-    if reach_m <= 0.0:
-        return rows
-    first = np.searchsorted(travel_m, travel_m - reach_m, side="right")
-    last = np.maximum(np.searchsorted(travel_m, travel_m + reach_m, side="left"), first + 1)
-    size = last - first
-    i = np.repeat(np.arange(len(travel_m)), size)
-    j = np.arange(len(i)) - np.repeat(np.cumsum(size) - size, size) + np.repeat(first, size)
-    weight = np.maximum(1.0 - np.abs(travel_m[i] - travel_m[j]) / reach_m, 1e-3)
-    weight /= np.bincount(i, weight, len(travel_m))[i]
-    mixing = coo_array((weight, (i, j)), shape=(len(travel_m), len(travel_m))).tocsr()
-    return csr_array(mixing @ rows)
 
 
 def spread(path: Array, travel_m: Array, places: Array, place_poses: Array) -> Array:
@@ -370,14 +352,3 @@ def _spaced(travel_m: Array, spacing_m: float) -> Array:
             chosen.append(k)
             last = travel_m[k]
     return np.array(chosen)
-
-
-def together(parts: Sequence[Distances]) -> Distances:
-    """Distances one after the other."""
-    if not parts:
-        return NO_DISTANCES
-    return Distances(
-        np.concatenate([p.pairs for p in parts]).astype(np.int64),
-        np.concatenate([p.distance_m for p in parts]),
-        np.concatenate([p.variance_m2 for p in parts]),
-    )

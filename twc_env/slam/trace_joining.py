@@ -23,8 +23,7 @@ from twc_env.geometry import compose
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_field
 from twc_env.slam.distance_factor import Distances
-from twc_env.slam.radio_similarity import all_similarities, feature_rows
-from twc_env.slam.radio_slam import averaged
+from twc_env.slam.radio_similarity import all_similarities, averaged, feature_rows
 from twc_env.slam.similarity_model import SimilarityModel, train
 
 Array = NDArray
