@@ -14,6 +14,7 @@ import math
 import tomllib
 import typing
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 from twc_env.errors import ConfigError
@@ -705,6 +706,7 @@ def radio_preset(name: str) -> RadioConfig:
     return from_dict(RADIO_PRESETS[name], RadioConfig, "radio")
 
 
+@lru_cache(maxsize=16)
 def digest(config: EnvConfig) -> str:
     """Twelve hex digits that change if and only if a value changes."""
     text = json.dumps(dataclasses.asdict(config), sort_keys=True)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from twc_env import metrics
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.rewards import JudgedMap, Standing, standing_of
-from twc_env.geometry import compose
 from twc_env.messages import GridMap
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
@@ -97,12 +96,19 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells) -> Standing:
     """The potentials that rewards look at, judged now."""
     whole_m2, true, maps = floor_m2(cells), record.true_poses[-1, :, :2].tolist(), []
     errors_m = [0.0] * len(true)
-    for verdict in judge(engine, record, cells):
-        for robot in verdict.view.viewers:
-            believed = compose(verdict.pose_building_map, engine.pose_map_robot(robot)).tolist()
-            errors_m[robot] = math.dist(believed[:2], true[robot])
-        share = verdict.correct_area_m2 / whole_m2
-        maps.append(JudgedMap(verdict.view.viewers, len(verdict.robots), not verdict.wrong_pairs, share))
+    for view in engine.views():
+        x, y, turn, share, is_right = 0.0, 0.0, 0.0, 0.0, True
+        if any(view.mapper.keyframes[robot] for robot in view.robots):
+            verdict = judge_view(view, record, cells)
+            record.wrong_pairs.update(verdict.wrong_pairs)
+            x, y, turn = verdict.pose_building_map.tolist()
+            share, is_right = verdict.correct_area_m2 / whole_m2, not verdict.wrong_pairs
+        c, s = math.cos(turn), math.sin(turn)
+        for robot in view.viewers:
+            ahead, left, _ = engine.pose_map_robot(robot).tolist()
+            believed = x + c * ahead - s * left, y + s * ahead + c * left
+            errors_m[robot] = math.dist(believed, true[robot])
+        maps.append(JudgedMap(view.viewers, len(view.robots), is_right, share))
     return standing_of(maps, errors_m)
 
 

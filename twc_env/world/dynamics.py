@@ -38,7 +38,7 @@ class Dynamics:
 
     def __init__(self, config: DynamicsConfig, index: WallIndex, starts: Array):
         """Walls and start poses (n, 3) in one frame; the robots begin at rest."""
-        self._space, self._index, self._radius_m = _walled_space(index.walls_m), index, config.robot_radius_m
+        self._space, self._radius_m = _walled_space(index.walls_m), config.robot_radius_m
         starts = np.asarray(starts, float)
         for pose in starts:
             _add_robot(self._space, pose, config.robot_radius_m)
@@ -60,10 +60,8 @@ class Dynamics:
         self._make_buffers()
         self._gaps = np.empty(self._count)
         """(n,) from each robot's middle to the nearest wall, cut where no step reaches."""
-        self.poses = np.empty((self._count, 3))
-        """(n, 3) true poses, a new array with every step."""
-        self.contacts = np.empty(self._count, np.bool_)
-        """(n,) whether the robot touches a wall or a robot at the end of the step; a new array with every step."""
+        i = index
+        self._walls = i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members
         self._look_around()
 
     def _make_buffers(self) -> None:
@@ -79,14 +77,14 @@ class Dynamics:
 
     def step(self, commands: Array) -> None:
         """Advance one time step; commands (n, 2) are forward speed [m/s] and turn rate [rad/s], cut to the limits."""
-        commands = np.asarray(commands, float)
-        is_free = _drive(
-            self._state, commands, self._limits, self._time_step_s, self._substeps, self._gaps, self._radius_m
-        )
+        self.poses, self.contacts = np.empty((self._count, 3)), np.empty(self._count, np.bool_)
+        is_free = _advance(
+            self._state, np.asarray(commands, float), self._limits, self._time_step_s, self._substeps, *self._walls,
+            self._radius_m, self._reach_m, self._gaps, self.poses, self.contacts,
+        )  # fmt: skip
         if not is_free:
             self._collide()
-        self.poses, self.contacts = np.empty((self._count, 3)), np.empty(self._count, np.bool_)
-        self._look_around()
+            self._look_around()
 
     def anchor(self, robots: Iterable[int]) -> None:
         """From now on nobody can push these robots: their brakes hold."""
@@ -104,11 +102,11 @@ class Dynamics:
         self._state[:] = np.frombuffer(self._incoming.float_buf()).reshape(self._count + 1, 6)
 
     def _look_around(self) -> None:
-        i = self._index
-        _look_around(
-            self._state, i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members, self._radius_m,
-            self._reach_m, self._gaps, self.poses, self.contacts,
-        )  # fmt: skip
+        self.poses = np.empty((self._count, 3))
+        """(n, 3) true poses, a new array with every step."""
+        self.contacts = np.empty(self._count, np.bool_)
+        """(n,) whether the robot touches a wall or a robot at the end of the step; a new array with every step."""
+        _look_around(self._state, *self._walls, self._radius_m, self._reach_m, self._gaps, self.poses, self.contacts)
 
 
 def _walled_space(walls_m: Array) -> pymunk.Space:
@@ -163,22 +161,6 @@ def _drive(state, commands, limits, time_step, substeps, gaps, radius):
 
 
 @njit(cache=True, error_model="numpy")
-def _look_around(state, walls, origin, bucket, rows, columns, first, members, radius, reach, gaps, poses, contacts):
-    """Poses of the robots, their distances to walls, and who touches something."""
-    robots = poses.shape[0]
-    for i in range(robots):
-        poses[i, 0], poses[i, 1] = state[i, 0], state[i, 1]
-        poses[i, 2] = (state[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
-        gaps[i] = _gap(walls, origin, bucket, rows, columns, first, members, state[i, 0], state[i, 1], reach)
-        contacts[i] = gaps[i] < radius
-    for i in range(robots):
-        for j in range(i):
-            dx, dy = poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]
-            if dx * dx + dy * dy < 4.0 * radius * radius:
-                contacts[i] = contacts[j] = True
-
-
-@njit(cache=True, error_model="numpy")
 def _gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
     """Distance of (x, y) to the nearest wall, cut at `reach`."""
     c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
@@ -196,3 +178,31 @@ def _gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
                 dx, dy = ax - t * ex, ay - t * ey
                 nearest2 = min(nearest2, dx * dx + dy * dy)
     return np.sqrt(nearest2)
+
+
+@njit(cache=True, error_model="numpy")
+def _look_around(state, walls, origin, bucket, rows, columns, first, members, radius, reach, gaps, poses, contacts):
+    """Poses of the robots, their distances to walls, and who touches something."""
+    robots = poses.shape[0]
+    for i in range(robots):
+        poses[i, 0], poses[i, 1] = state[i, 0], state[i, 1]
+        poses[i, 2] = (state[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        gaps[i] = _gap(walls, origin, bucket, rows, columns, first, members, state[i, 0], state[i, 1], reach)
+        contacts[i] = gaps[i] < radius
+    for i in range(robots):
+        for j in range(i):
+            dx, dy = poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]
+            if dx * dx + dy * dy < 4.0 * radius * radius:
+                contacts[i] = contacts[j] = True
+
+
+@njit(cache=True, error_model="numpy")
+def _advance(
+    state, commands, limits, time_step, substeps, walls, origin, bucket, rows, columns, first, members, radius, reach,
+    gaps, poses, contacts,
+):  # fmt: skip
+    """`_drive` and, where nothing can be touched, `_look_around`; whether that was so."""
+    is_free = _drive(state, commands, limits, time_step, substeps, gaps, radius)
+    if is_free:
+        _look_around(state, walls, origin, bucket, rows, columns, first, members, radius, reach, gaps, poses, contacts)
+    return is_free
