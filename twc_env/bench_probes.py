@@ -46,28 +46,26 @@ def probe(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
 def workers2_speedup(map_name: str, steps: int, report: Report) -> float | None:
     """Steps per second of two worker processes at once over those of one; None on a single core.
 
-    Median over rounds of one worker, then two.
+    Median over rounds of one worker, then two that each do the same work; every round has an episode of its own.
     """
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
     if len(cores) < 2:
         report("one core only: two workers cannot be measured")
         return None
     ratios = []
-    for _ in range(_ROUNDS):
-        alone = _workers(map_name, steps, cores[:1])
-        ratios.append(_workers(map_name, steps, cores[:2]) / alone)
+    for seed in range(_ROUNDS):
+        alone = _workers(map_name, steps, seed, cores[:1])
+        ratios.append(_workers(map_name, steps, seed, cores[:2]) / alone)
     speedup = statistics.median(ratios)
     report(f"two workers against one: {speedup:.2f} x")
     return speedup
 
 
-def _workers(map_name: str, steps: int, cores: list[int]) -> float:
-    """Steps per second of all workers together: each runs its own environment on its own core, all begin at once."""
+def _workers(map_name: str, steps: int, seed: int, cores: list[int]) -> float:
+    """Steps per second of all workers together: each plays the same episode on its own core, all begin at once."""
     with tempfile.TemporaryDirectory() as folder:
         gate = Path(folder) / "go"
-        workers = [
-            _start(["worker", map_name, str(steps), str(core), str(seed), str(gate)]) for seed, core in enumerate(cores)
-        ]
+        workers = [_start(["worker", map_name, str(steps), str(core), str(seed), str(gate)]) for core in cores]
         for worker in workers:
             assert worker.stdout is not None
             worker.stdout.readline()  # "ready"
@@ -95,8 +93,8 @@ def _run(arguments: list[str], environment: dict[str, str] | None = None) -> str
 
 
 def _first_step(map_name: str) -> list[float]:
-    """Wall and CPU seconds from before the import to after the first step."""
-    wall, cpu = time.perf_counter(), time.process_time()
+    """Wall and CPU seconds from before the import to after the first step, those of a helper process included."""
+    wall, cpu = time.perf_counter(), sum(os.times()[:4])
     import numpy as np
 
     import twc_env
@@ -104,7 +102,7 @@ def _first_step(map_name: str) -> list[float]:
     env = twc_env.parallel_env(map=map_name)
     env.reset(seed=0)
     env.step(dict.fromkeys(env.agents, np.zeros(2, np.float32)))
-    return [time.perf_counter() - wall, time.process_time() - cpu]
+    return [time.perf_counter() - wall, sum(os.times()[:4]) - cpu]
 
 
 def _memory_mb(steps: int) -> float:

@@ -16,10 +16,10 @@ from twc_env.config import EnvConfig, from_dict, override
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards, verdicts
-from twc_env.exploration.compilation import announce_compilation
+from twc_env.exploration.compilation import HELPER, announce_compilation
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observation_blocks import observation_space
-from twc_env.exploration.observations import ObservationBuilder
+from twc_env.exploration.observations import ObservationBuilder, first_observations
 from twc_env.exploration.pilot import Pilot, Scout, frontier_space, waypoint_space
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
@@ -136,6 +136,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         EzPickle.__init__(
             self, config=self.config, render_mode=render_mode, floorplan=floorplan, render_signal=render_signal
         )
+        HELPER.is_wanted |= self.config.slam.mode != "off"
         self.metadata = copy.deepcopy(type(self).metadata)
         self.render_mode = render_mode
         self._viewer = _make_viewer(render_mode, self.metadata["render_fps"], render_signal)
@@ -188,7 +189,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if self._viewer is not None:
             self._viewer.begin()
         self.agents = self.possible_agents[:]
-        self._think(self._world.sense())
+        frames = self._world.sense()
+        HELPER.join(lambda: first_observations(self.config, frames))
+        self._think(frames)
         self._notice()
         return self._observe(), self._infos(self.agents)
 

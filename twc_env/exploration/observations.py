@@ -17,6 +17,7 @@ from twc_env.exploration.observation_blocks import POSE_LIMITS, block_spaces, jo
 from twc_env.exploration.wifi_slots import WifiSlots
 from twc_env.messages import Belief, KnownSign, SensorFrame, SignReading
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
+from twc_env.slam.dead_reckoning import DeadReckoning
 from twc_env.team_messages import TeamBeliefs, TeamFrames
 
 Array = NDArray
@@ -179,6 +180,14 @@ class ObservationBuilder:
     def _count_elsewhere(self, robot: int) -> None:
         for row, text in enumerate(self._texts[robot]):
             self._readings[robot, row, 3] = max(self._text_counts[robot][text] - 1, 0)
+
+
+def first_observations(config: EnvConfig, frames: TeamFrames) -> list[dict[str, Array]] | list[Array]:
+    """What robots would see after their first frames that have no map yet."""
+    engine, builder = DeadReckoning(config, len(frames)), ObservationBuilder(config)
+    engine.track(frames)
+    builder.notice(frames, engine.beliefs())
+    return builder.build()
 
 
 _NO_SIGNS = np.zeros((0, 2))

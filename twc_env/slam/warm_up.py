@@ -1,0 +1,42 @@
+"""Run the engine for a moment on made-up frames, so that its kernels are compiled and stand on disk.
+
+`python -m twc_env.slam.warm_up` is what a first start runs beside itself (`twc_env.exploration.compilation`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twc_env.config import EnvConfig
+from twc_env.messages import SignReading, WifiScan
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.team_messages import TeamFrames
+
+ROBOTS, STEPS, BEAMS = 2, 3, 180
+DISC_AWAY_M, DISC_RADIUS_M = 1.0, 0.2
+
+
+def made_up_frames(step: int) -> TeamFrames:
+    """What two robots in the middle of a square room would sense that creep on, with something round ahead."""
+    angles = 2 * np.pi * np.arange(BEAMS) / BEAMS
+    walls_m = 3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    inside = DISC_RADIUS_M**2 - (DISC_AWAY_M * np.sin(angles)) ** 2
+    disc_m = DISC_AWAY_M * np.cos(angles) - np.sqrt(np.maximum(inside, 0.0))
+    scan_m = np.where((inside > 0) & (np.cos(angles) > 0), disc_m, walls_m)
+    odometry = np.zeros((ROBOTS, 3))
+    odometry[:, 0] = 0.05 * min(step, 1)
+    heard, read = WifiScan(np.arange(1, 5), np.full(4, -60.0)), SignReading("A101", 0.0, 3.0)
+    ranges_m = np.repeat(scan_m[None], ROBOTS, axis=0)
+    return TeamFrames(step, 0.1 * step, odometry, np.zeros(ROBOTS), ranges_m, [heard] * ROBOTS, [(read,)] * ROBOTS)
+
+
+def main() -> None:
+    """A few steps of the default engine."""
+    engine = CooperativeSlam(EnvConfig(), ROBOTS)
+    for step in range(STEPS):
+        engine.update(made_up_frames(step))
+        engine.beliefs()
+
+
+if __name__ == "__main__":
+    main()
