@@ -41,7 +41,7 @@ ALLOWED = {
     "twc_env.exploration": LEAVES
     | RANDOM
     | {"twc_env.world", "twc_env.slam", "twc_env.metrics", "twc_env.planning", "twc_env.maps", "twc_env.datasets"}
-    | {"twc_env.tasks"},
+    | {"twc_env.tasks", "twc_env.threads"},
     "twc_env": {"twc_env"},  # the top: __init__, __main__, reproduce, bench
 }
 COMPUTED = "<a name computed at run time>"
