@@ -118,16 +118,17 @@ def test_a_fresh_engine_gives_the_same_observations_from_the_recorded_frames(wan
 
 def test_the_guard_sees_a_planted_leak_when_frames_are_replayed(wander, monkeypatch):
     env = twc_env.parallel_env(robots=3)
-    honest = CooperativeSlam.belief
+    honest = CooperativeSlam.beliefs
 
-    def belief_near_the_truth(engine, robot, with_signs=True):
-        belief = honest(engine, robot, with_signs)
+    def beliefs_near_the_truth(engine):
+        beliefs = honest(engine)
         if engine is not env.engine:
-            return belief
-        true = env.state().reshape(-1, 6)[robot, :3]
-        return dataclasses.replace(belief, pose_map_robot=belief.pose_map_robot + 1e-3 * true)
+            return beliefs
+        true = env.state().reshape(-1, 6)[:, :3]
+        near = [b.pose_map_robot + 1e-3 * pose for b, pose in zip(beliefs, true, strict=True)]
+        return [dataclasses.replace(b, pose_map_robot=p) for b, p in zip(beliefs, near, strict=True)]
 
-    monkeypatch.setattr(CooperativeSlam, "belief", belief_near_the_truth)
+    monkeypatch.setattr(CooperativeSlam, "beliefs", beliefs_near_the_truth)
     assert replay_errors(env, 5, wander) > 0
 
 

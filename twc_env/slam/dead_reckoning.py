@@ -101,7 +101,7 @@ class DeadReckoning:
             self._alone = _Alone(self._poses, self._grid, self._steps, self._ranges_m)
         return self._alone
 
-    def belief(self, robot: int, with_signs: bool = True) -> Belief:
+    def belief(self, robot: int) -> Belief:
         """The same of one robot."""
         return self.beliefs()[robot]
 

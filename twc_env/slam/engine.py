@@ -14,25 +14,27 @@ from twc_env.config import CuesConfig, EnvConfig
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
+from twc_env.slam.map_beliefs import Held, MapBeliefs
 from twc_env.slam.radio_structure import RadioPicture, RadioStructure
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
-from twc_env.team_messages import TeamBeliefs
+from twc_env.team_messages import TeamBeliefs, TeamFrames
 
 Array = NDArray
-_NO_PLACES = np.zeros((0, 2))
-_NO_PLACES.flags.writeable = False
 
 
 @njit(cache=True, error_model="numpy")
-def _compose_rows(first, second, out):
-    """`geometry.compose` row by row."""
-    for k in range(first.shape[0]):
-        c, s = math.cos(first[k, 2]), math.sin(first[k, 2])
-        out[k, 0] = first[k, 0] + c * second[k, 0] - s * second[k, 1]
-        out[k, 1] = first[k, 1] + s * second[k, 0] + c * second[k, 1]
-        out[k, 2] = (first[k, 2] + second[k, 2] + math.pi) % (2 * math.pi) - math.pi
+def _believed_poses(poses_map_odom, std, poses_odom, out):
+    """Of each robot, to out (robots, 3, 3): its pose in the map, how far that may be off, its pose in odom."""
+    for k in range(out.shape[0]):
+        c, s = math.cos(poses_map_odom[k, 2]), math.sin(poses_map_odom[k, 2])
+        x, y, heading = poses_odom[k, 0], poses_odom[k, 1], poses_odom[k, 2]
+        out[k, 0, 0] = poses_map_odom[k, 0] + c * x - s * y
+        out[k, 0, 1] = poses_map_odom[k, 1] + s * x + c * y
+        out[k, 0, 2] = (poses_map_odom[k, 2] + heading + math.pi) % (2 * math.pi) - math.pi
+        out[k, 1, 0], out[k, 1, 1], out[k, 1, 2] = std[k, 0], std[k, 1], std[k, 2]
+        out[k, 2, 0], out[k, 2, 1], out[k, 2, 2] = x, y, heading
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,13 +73,18 @@ class CooperativeSlam:
         if not self._is_central:
             np.fill_diagonal(everyone, False)
         self._all_in_touch = Contacts(everyone, everyone)
-        self._frames: list[SensorFrame | None] = [None] * robot_count
-        self._poses_map_robot = [np.zeros(3)] * robot_count
+        self._steps, self._ranges_m = [0] * robot_count, [np.zeros(0)] * robot_count
+        """Of the latest frame of each robot."""
+        self._poses = np.zeros((robot_count, 3, 3))
+        """As `TeamBeliefs.poses`."""
         self._poses_map_odom = np.zeros((robot_count, 3))
-        self._located = [[-1] * robot_count for _ in self.mappers]
-        """The state of each mapper, by its counts of changes, that `_poses_map_odom` and `_ties` were taken from."""
-        self._ties: list[tuple[float, Array]] = [(0.0, np.zeros(3))] * robot_count
+        self._since_closure_m, self._std = np.zeros(robot_count), np.zeros((robot_count, 3))
         """Of each robot: path length since its last closure, and what may have gone astray on it."""
+        self._contact_steps: list[dict[int, int]] = [{} for _ in range(robot_count)]
+        self._located = [[-1] * robot_count for _ in self.mappers]
+        """The state of each mapper, by its counts of changes, that the five before were taken from."""
+        self._beliefs: TeamBeliefs | None = None
+        """Once asked for, until something changes."""
         self._last_step = 0
         radio = config.slam.k_visibility
         self._radio = RadioStructure(radio, config.slam.resolution_m, robot_count) if radio.enabled else None
@@ -119,8 +126,13 @@ class CooperativeSlam:
         """Run the front end of each frame's robot; the keyframes that came of it, in order, ready to be sent."""
         if not self._has_all_cues:
             frames = [cues.heard(frame, self._cues) for frame in frames]
-        for frame in frames:
-            self._frames[frame.robot] = frame
+        self._beliefs = None
+        if isinstance(frames, TeamFrames):
+            self._steps, self._ranges_m = [frames.step] * len(frames), list(frames.ranges_m)
+        else:
+            self._steps, self._ranges_m = self._steps.copy(), self._ranges_m.copy()  # beliefs hold the old ones
+            for frame in frames:
+                self._steps[frame.robot], self._ranges_m[frame.robot] = frame.step, frame.ranges_m
         keyframes = self._front_ends.update(frames)
         if self._radio is not None:
             for frame in frames:
@@ -145,18 +157,17 @@ class CooperativeSlam:
                 for robot in range(len(self.robots)) if self._is_central else (number,):
                     if mapper.changes[robot] != self._located[number][robot]:
                         self._relocate(robot, mapper)
+                    heard = {mate: step for mate, step in enumerate(mapper.last_steps) if mate != robot}
+                    self._contact_steps[robot] = heard
                 self._located[number] = mapper.changes.copy()
-        poses = np.empty_like(self._poses_map_odom)
-        _compose_rows(self._poses_map_odom, self._front_ends.poses_odom, poses)
-        poses.flags.writeable = False  # beliefs show it to planners
-        self._poses_map_robot = list(poses)
+        self._poses, self._beliefs = np.empty_like(self._poses), None
+        _believed_poses(self._poses_map_odom, self._std, self._front_ends.poses_odom, self._poses)
+        self._poses.flags.writeable = False  # beliefs show them to planners
 
     def _relocate(self, robot: int, mapper: TeamMapper) -> None:
         """What its mapper says of a robot has changed."""
         self._poses_map_odom[robot] = mapper.pose_map_odom(robot)
-        since_m, std = mapper.since_closure(robot)
-        std.flags.writeable = False  # beliefs show it to planners
-        self._ties[robot] = since_m, std
+        self._since_closure_m[robot], self._std[robot] = mapper.since_closure(robot)
 
     def finish(self) -> None:
         """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""
@@ -177,7 +188,7 @@ class CooperativeSlam:
 
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) estimate of a robot in its group's map frame, as of the last `absorb`."""
-        return self._poses_map_robot[robot]
+        return self._poses[robot, 0]
 
     def lacked(self) -> list[str]:
         """What the engine had to do without so far, one line each; with a mapper on each robot, of each of them."""
@@ -188,33 +199,26 @@ class CooperativeSlam:
             lines += own if self._is_central else [f"mapper of robot {number}: {line}" for line in own]
         return lines
 
-    def belief(self, robot: int, with_signs: bool = True) -> Belief:
-        """What this robot knows now; `with_signs=False` leaves out the team's list of signs, which takes a while."""
-        mapper, frame = self.mapper_of(robot), self._frames[robot]
-        group = mapper.group_index(robot)
-        held = mapper.groups[group]
-        since_closure_m, pose_std = self._ties[robot]
-        radio = None if self._radio is None else self._radio_picture(self._radio, mapper, group, robot)
-        return Belief(
-            robot,
-            frame.step if frame is not None else 0,
-            self._poses_map_robot[robot],
-            held.grid.snapshot(),
-            {mate: self._pose_of_mate(mapper, mate) for mate in held.robots if mate != robot},
-            mapper.signs_of(group) if with_signs else (),
-            frame.ranges_m if frame is not None else np.zeros(0),
-            held.version,
-            self.robots[robot].pose_odom,
-            pose_std,
-            since_closure_m,
-            {mate: step for mate, step in enumerate(mapper.last_steps) if mate != robot},
-            None if radio is None else radio.grid,
-            _NO_PLACES if radio is None else radio.transmitter_m,
-        )
+    def belief(self, robot: int) -> Belief:
+        """What this robot knows now."""
+        return self.beliefs()[robot]
 
     def beliefs(self) -> TeamBeliefs:
         """What all robots know now."""
-        return TeamBeliefs.of([self.belief(robot) for robot in range(len(self.robots))])
+        if self._beliefs is None:
+            held = [self._held_by(robot) for robot in range(len(self.robots))]
+            since_m, contact_steps = self._since_closure_m.copy(), self._contact_steps.copy()
+            self._beliefs = MapBeliefs(self._poses, since_m, contact_steps, held, self._steps, self._ranges_m)
+        return self._beliefs
+
+    def _held_by(self, robot: int) -> Held:
+        """The map that a robot believes in."""
+        mapper = self.mapper_of(robot)
+        number = mapper.group_index(robot)
+        group = mapper.groups[number]
+        mates = {mate: self._pose_of_mate(mapper, mate) for mate in group.robots if mate != robot}
+        radio = None if self._radio is None else self._radio_picture(self._radio, mapper, number, robot)
+        return Held(group.grid.snapshot(), mapper.signs_of(number), mates, group.version, radio)
 
     def _radio_picture(self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int) -> RadioPicture | None:
         """What the readings of all robots of the group say; with a mapper on each robot, of its own."""
@@ -224,4 +228,4 @@ class CooperativeSlam:
 
     def _pose_of_mate(self, mapper: TeamMapper, mate: int) -> Array:
         """(3,) where a mate is, as far as this mapper has heard: now, or at its last keyframe that came."""
-        return self._poses_map_robot[mate] if self._is_central else mapper.poses_of(mate)[-1]
+        return self._poses[mate, 0] if self._is_central else mapper.poses_of(mate)[-1]

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import between
-from twc_env.messages import Keyframe, SensorFrame, SignObservation
+from twc_env.messages import Keyframe, SensorFrame, SignObservation, SignReading
 from twc_env.slam.mate_detection import MateMarker, StillDiscs
 from twc_env.slam.odometry_filter import make_filters, motion_covariance
 from twc_env.slam.radio_fingerprint import ScanWindow
 from twc_env.slam.scan_matching import LineField, LineFields, Matches
+from twc_env.team_messages import TeamFrames
 
 Array = NDArray
 
@@ -78,14 +79,7 @@ class FrontEnds:
 
     def update(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Take in at most one frame per robot; gives a keyframe of each robot that has come to a new place."""
-        robots = self._everyone if len(frames) == len(self.robots) else np.array([frame.robot for frame in frames])
-        for frame in frames:
-            k = frame.robot
-            self._ranges_m[k] = frame.ranges_m
-            self._odometry[k] = frame.odometry
-            self._turn_rates_rad_s[k] = frame.turn_rate_rad_s
-            self._dts_s[k] = frame.time_s - self._times_s[k]
-            self._times_s[k] = frame.time_s
+        robots = self._take_in(frames)
         self._filters.predict(robots, self._odometry, self._turn_rates_rad_s, self._dts_s)
         self._marker.mark(robots, self._ranges_m)
         self._match(robots)
@@ -95,7 +89,23 @@ class FrontEnds:
             self._rule.explained_min, self._rule.distance_m, self._rule.distance_new_m, self._rule.turn_rad,
             self.poses_odom, self._travels_m, self._steps, self._is_new,
         )  # fmt: skip
-        return self._remember(frames)
+        return self._remember(frames, robots.tolist())
+
+    def _take_in(self, frames: Sequence[SensorFrame]) -> Array:
+        """Note what was measured; gives the robots (k,), one for each frame."""
+        if isinstance(frames, TeamFrames):
+            self._ranges_m[:], self._odometry[:] = frames.ranges_m, frames.odometry
+            self._turn_rates_rad_s[:], self._dts_s[:] = frames.turn_rates_rad_s, frames.time_s - self._times_s
+            self._times_s[:] = frames.time_s
+            return self._everyone
+        for frame in frames:
+            k = frame.robot
+            self._ranges_m[k] = frame.ranges_m
+            self._odometry[k] = frame.odometry
+            self._turn_rates_rad_s[k] = frame.turn_rate_rad_s
+            self._dts_s[k] = frame.time_s - self._times_s[k]
+            self._times_s[k] = frame.time_s
+        return np.array([frame.robot for frame in frames])
 
     def _match(self, robots: Array) -> None:
         """Lay the scans on the local maps and correct the filters."""
@@ -105,23 +115,23 @@ class FrontEnds:
         self._fields.match(robots, self._marker.marked_m, states, self._local, self._match_variance_m2, matches)
         self._filters.update(robots, matches.poses, matches.information, matches.is_matched)
 
-    def _remember(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
+    def _remember(self, frames: Sequence[SensorFrame], robots: list[int]) -> list[Keyframe]:
+        """Let each robot remember what it read and heard, and the place where that is a new one."""
         keyframes = []
-        is_new = self._is_new.tolist()
-        for frame in frames:
-            k = frame.robot
-            pose, robot = self.poses_odom[k], self.robots[k]
+        is_new, times_s = self._is_new.tolist(), self._times_s.tolist()
+        team = frames if isinstance(frames, TeamFrames) else TeamFrames.of(frames)
+        for k, wifi, signs in zip(robots, team.wifi, team.signs, strict=True):
+            pose, robot, time_s = self.poses_odom[k], self.robots[k], times_s[k]
             robot.pose_odom = pose
-            if frame.wifi is not None:
-                robot.radio.add(frame.time_s, frame.wifi)
-            if frame.signs:
-                robot.read_signs(frame, pose)
+            if wifi is not None:
+                robot.radio.add(time_s, wifi)
+            if signs:
+                robot.read_signs(signs, pose)
             if is_new[k]:
                 scan = self._marker.marked_m[k].copy()
-                robot.still.unmark(scan, self._marker.discs_of(k), pose, self._travels_m[k], frame.time_s)
-                keyframe = robot.make_keyframe(
-                    frame, scan, pose, float(self._travels_m[k]), int(self._steps[k]), self._matches.information[k]
-                )
+                robot.still.unmark(scan, self._marker.discs_of(k), pose, self._travels_m[k], time_s)
+                moved = float(self._travels_m[k]), int(self._steps[k])
+                keyframe = robot.make_keyframe(team.step, time_s, scan, pose, *moved, self._matches.information[k])
                 self._keyframe_poses[k], self._steps[k] = pose, 0
                 keyframes.append(keyframe)
         return keyframes
@@ -145,16 +155,16 @@ class RobotFrontEnd:
         self.pose_odom = np.zeros(3)
         """(3,) the estimate after the latest frame."""
 
-    def read_signs(self, frame: SensorFrame, pose_odom: Array) -> None:
+    def read_signs(self, signs: Sequence[SignReading], pose_odom: Array) -> None:
         """Note the signs of a frame with the walls they hang on."""
         x, y, heading = pose_odom.tolist()
-        for sign in frame.signs:
+        for sign in signs:
             angle = heading + sign.bearing_rad
             place = x + sign.range_m * math.cos(angle), y + sign.range_m * math.sin(angle)
             self._readings.append((sign.text, *place, self._field.facing_at(place, (x, y))))
 
     def make_keyframe(
-        self, frame: SensorFrame, scan: Array, pose_odom: Array, travel_m: float, steps: int, matched: Array
+        self, step: int, time_s: float, scan: Array, pose_odom: Array, travel_m: float, steps: int, matched: Array
     ) -> Keyframe:
         """Remember this place and draw it into the local map.
 
@@ -170,8 +180,8 @@ class RobotFrontEnd:
         keyframe = Keyframe(
             robot=self.robot,
             index=len(self._keyframes),
-            step=frame.step,
-            time_s=frame.time_s,
+            step=step,
+            time_s=time_s,
             pose_odom=pose_odom.copy(),
             motion=motion,
             motion_covariance=covariance,
@@ -179,7 +189,7 @@ class RobotFrontEnd:
             ranges_m=scan,
             signs=self._signs_seen_from(pose_odom),
             fingerprint=self.radio.fingerprint(
-                frame.time_s - rule.fingerprint_window_s,
+                time_s - rule.fingerprint_window_s,
                 rule.fingerprint_detection_min,
                 rule.std_mode,
                 rule.fingerprint_age_max_s,
