@@ -292,13 +292,14 @@ class LocalMapConfig(_Checked):
 class KeyframeConfig(_Checked):
     """When a robot remembers a place."""
 
-    distance_m: float = _number(0.5, 0.05, 10.0)
+    distance_m: float = _number(0.7, 0.05, 10.0)
     """At the latest so far from the last remembered place ..."""
-    distance_new_m: float = _number(0.5, 0.05, 10.0)
-    """... or so far where the scan shows much that is new ..."""
-    explained_min: float = _number(0.9, 0.0, 1.0)
-    """... that is, where fewer of its beams than this share end on walls that the local map knows."""
-    turn_rad: float = _number(0.5, 0.05, math.pi)
+    distance_new_m: float = _number(0.4, 0.05, 10.0)
+    """... or so far where the scan shows something new ..."""
+    explained_min: float = _number(0.98, 0.0, 1.0)
+    """... that is, where fewer of its beams than this share end near walls that the local map knows ..."""
+    turn_rad: float = _number(1.0, 0.05, math.pi)
+    """... or turned so far."""
     mask_mates: bool = True
     """Leave out beams that end on something as round and wide as a robot (`dynamics.robot_radius_m`)."""
     fingerprint_window_s: float = _number(2.0, 0.1, 60.0)

@@ -23,7 +23,7 @@ from twc_env.team_messages import TeamFrames
 
 Array = NDArray
 
-MOTION_STD_MIN = (0.01, 0.01, 0.003)
+MOTION_STD_MIN = (0.013, 0.013, 0.004)
 """Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""
 REDRAW_SPACING_M = 0.9
 """When the local map moves on, of the older keyframes every one this far along the path is drawn again."""
