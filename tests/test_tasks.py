@@ -7,16 +7,16 @@ from twc_env.config import digest
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "2b1836068937",
-    "twc/ExploreTwin01-v0": "2b1836068937",
-    "twc/ExploreTwin02-v0": "2a96ef4175f4",
-    "twc/ExploreOffice-v0": "5b5a51017ded",
-    "twc/ExploreFrontier-v0": "a317a90d7927",
-    "twc/ExploreFrontierAsync-v0": "fdbfe8baef2a",
-    "twc/ExploreHard-v0": "b36ee7c678f4",
-    "twc/ExploreKnownStarts-v0": "1c84b31eaf75",
-    "twc/ExploreTruePoses-v0": "b5401e2a2399",
-    "twc/ExploreNoMerging-v0": "10fa7e30b459",
+    "twc/Explore-v0": "d6c22abcff0c",
+    "twc/ExploreTwin01-v0": "d6c22abcff0c",
+    "twc/ExploreTwin02-v0": "b357601f9c44",
+    "twc/ExploreOffice-v0": "828b409f38cb",
+    "twc/ExploreFrontier-v0": "e25905c1cfc3",
+    "twc/ExploreFrontierAsync-v0": "1aff5d468bb2",
+    "twc/ExploreHard-v0": "79b5ea7e4dda",
+    "twc/ExploreKnownStarts-v0": "c698fd612127",
+    "twc/ExploreTruePoses-v0": "06c2c7f0be42",
+    "twc/ExploreNoMerging-v0": "11bc7e0aa25b",
 }
 
 

@@ -85,7 +85,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("team: pose graph", True, TeamMapper, "_optimise"),
         ("team: redrawing", True, GroupMaps, "redraw"),
         ("team: the rest", True, CooperativeSlam, "absorb"),
-        ("beliefs", False, CooperativeSlam, "belief"),
+        ("beliefs", False, CooperativeSlam, "beliefs"),
         ("observation: notes", False, ObservationBuilder, "notice"),
         ("observation: map crop", False, map_view, "views"),
         ("observation: the rest", False, ObservationBuilder, "build"),
