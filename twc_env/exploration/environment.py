@@ -12,7 +12,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from twc_env.config import EnvConfig, from_dict, override
+from twc_env.config import EnvConfig, override
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards, verdicts
@@ -21,12 +21,12 @@ from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observation_blocks import observation_space
 from twc_env.exploration.observations import ObservationBuilder, first_observations
 from twc_env.exploration.pilot import Pilot, Scout, frontier_space, waypoint_space
+from twc_env.exploration.settings import resolve
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
 from twc_env.messages import Belief, Contacts
 from twc_env.random_streams import random_stream
 from twc_env.slam.modes import Engine, make_engine
-from twc_env.tasks import task_config
 from twc_env.team_messages import TeamFrames
 from twc_env.world.failures import Failures
 from twc_env.world.floorplan import Floorplan
@@ -131,7 +131,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         render_signal: bool = False,
     ):
         announce_compilation()
-        self.config = _resolve(_base(config, task), {"map": map, "robots": robots, "max_cycles": max_cycles})
+        self.config = resolve(config, task, {"map": map, "robots": robots, "max_cycles": max_cycles})
         # Copies are made from the resolved values: a dict may be changed by its owner later.
         EzPickle.__init__(
             self, config=self.config, render_mode=render_mode, floorplan=floorplan, render_signal=render_signal
@@ -427,35 +427,3 @@ def _checked_options(options: dict | None) -> dict:
     if "map" in options and "split" in options:
         raise ConfigError("reset options name either a map or a split, not both")
     return options
-
-
-def _base(config: EnvConfig | Mapping[str, Any] | None, task: str | None) -> EnvConfig | Mapping[str, Any] | None:
-    """The settings of a standard task, with the overrides in `config` on top; a whole EnvConfig stands as it is."""
-    if task is None or isinstance(config, EnvConfig):
-        return config
-    return override(task_config(task), _dotted(config or {}))
-
-
-def _dotted(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings as dotted ones."""
-    flat: dict[str, Any] = {}
-    for key, value in settings.items():
-        flat |= _dotted(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
-    return flat
-
-
-def _resolve(config: EnvConfig | Mapping[str, Any] | None, shortcuts: dict[str, Any]) -> EnvConfig:
-    """One config from a ready one or overrides (nested or dotted), with the constructor's shortcuts on top."""
-    if config is None:
-        resolved = EnvConfig()
-    elif isinstance(config, EnvConfig):
-        resolved = config
-    elif isinstance(config, Mapping):
-        nested = {key: value for key, value in config.items() if "." not in key}
-        resolved = override(from_dict(nested), {key: value for key, value in config.items() if "." in key})
-    else:
-        raise ConfigError(f"config must be an EnvConfig or a dict of settings; got {config!r}")
-    resolved = override(resolved, {key: value for key, value in shortcuts.items() if value is not None})
-    if resolved.slam.oracle == "poses":
-        resolved = override(resolved, {"odometry.drift": 0.0})
-    return resolved

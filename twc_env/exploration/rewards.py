@@ -118,11 +118,10 @@ def standing_of(maps: Sequence[JudgedMap], errors_m: Sequence[float] | Array) ->
     errors_m (robots,): between where it is and where it believes to be, its map laid on the building.
     """
     count = len(errors_m)
-    own = np.zeros((count, 3))
-    own[:, 2] = [1.0 - min(error_m / ERROR_MAX_M, 1.0) for error_m in errors_m]
+    own = [[0.0, 0.0, 1.0 - min(float(error_m) / ERROR_MAX_M, 1.0)] for error_m in errors_m]
     for judged in maps:
         if judged.is_right:
             for viewer in judged.viewers:
-                own[viewer, 0], own[viewer, 1] = judged.share, (judged.robot_count - 1) / max(count - 1, 1)
-    best = int(own[:, 0].argmax())
-    return Standing(np.array([own[best, 0], own[best, 1], own[:, 2].mean()]), own)
+                own[viewer][:2] = judged.share, (judged.robot_count - 1) / max(count - 1, 1)
+    best = max(own, key=lambda potentials: potentials[0])
+    return Standing(np.array([best[0], best[1], sum(row[2] for row in own) / count]), np.array(own))

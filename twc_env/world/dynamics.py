@@ -60,8 +60,7 @@ class Dynamics:
         self._make_buffers()
         self._gaps = np.empty(self._count)
         """(n,) from each robot's middle to the nearest wall, cut where no step reaches."""
-        i = index
-        self._walls = i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members
+        self._walls = index.buckets()
         self._look_around()
 
     def _make_buffers(self) -> None:

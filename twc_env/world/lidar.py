@@ -37,10 +37,12 @@ class Lidar:
         glass: tuple[int, ...] = (),
     ):
         """`glass` names the walls of the index that a beam may pass."""
-        self._config, self._index, self._radius_m = config, index, robot_radius_m
-        self._solid, self._glass_m = index, index.walls_m[:0]
+        self._config, self._radius_m = config, robot_radius_m
+        self._walls = self._solid = index.buckets()
+        self._glass_m = index.walls_m[:0]
         if glass and config.glass_return_probability < 1.0:
-            self._solid, self._glass_m = _apart(index, glass)
+            solid, self._glass_m = _apart(index, glass)
+            self._solid = solid.buckets()
         angles = 2 * math.pi * np.arange(config.beam_count) / config.beam_count
         self._directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, beams)
         self._near, self._stamps = np.empty((6, len(index.walls_m))), np.full(len(index.walls_m), -1, np.int64)
@@ -73,13 +75,13 @@ class Lidar:
 
     def true_ranges(self, poses: Array) -> Array:
         """True poses (n, 3) -> exact ranges (n, beams) [m], cut at the maximum range; glass counts as wall."""
-        return self._ranges(poses, self._index, np.zeros((len(poses), self._words), np.uint64), 0.0)
+        return self._ranges(poses, self._walls, np.zeros((len(poses), self._words), np.uint64), 0.0)
 
-    def _ranges(self, poses: Array, i: WallIndex, words: Array, std_m: float) -> Array:
+    def _ranges(self, poses: Array, walls: tuple, words: Array, std_m: float) -> Array:
         ranges = np.empty((len(poses), self._config.beam_count))
         _sweep(
-            i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members, poses, self._directions, self._radius_m,
-            self._config.range_max_m, self._near, self._stamps, words, self._quantiles, std_m, ranges,
+            *walls, poses, self._directions, self._radius_m, self._config.range_max_m, self._near, self._stamps, words,
+            self._quantiles, std_m, ranges,
         )  # fmt: skip
         return ranges
 

@@ -27,7 +27,7 @@ class SignCamera:
     """One robot's camera and OCR for one episode."""
 
     def __init__(self, config: SignsConfig, plan: Floorplan, robot: int, seed: int, dynamics: DynamicsConfig = _ROBOT):
-        self._config, self._index = config, plan.wall_index
+        self._config, self._walls = config, plan.wall_index.buckets()
         texts = tuple(sign.text for sign in plan.signs)
         normals = np.array([(math.cos(s.facing_rad), math.sin(s.facing_rad)) for s in plan.signs]).reshape(-1, 2)
         faces = np.array([s.position_m for s in plan.signs]).reshape(-1, 2) + SIGN_FACE_M * normals
@@ -84,10 +84,9 @@ class SignCamera:
 
     def _look(self, pose: Array, previous: Array, robots: Array) -> int:
         """Fill the sights of the signs in view -> how many."""
-        i = self._index
         return _look(
-            self._signs, self._lengths, i.walls_m, i.origin_m, i.bucket_m, *i.shape, i.first, i.members, pose,
-            previous, robots, self._constants, self._sights, self._hidden,
+            self._signs, self._lengths, *self._walls, pose, previous, robots, self._constants, self._sights,
+            self._hidden,
         )  # fmt: skip
 
 

@@ -32,6 +32,10 @@ class WallIndex:
     members: Array
     """(entries,) int32 wall numbers."""
 
+    def buckets(self) -> tuple:
+        """What kernels need that look for walls around a place: walls, origin, side, rows, columns, first, members."""
+        return self.walls_m, self.origin_m, self.bucket_m, *self.shape, self.first, self.members
+
     def crossing(self, point_m: Array, targets_m: Array) -> tuple[Array, Array]:
         """Walls between one point (2,) and each target (k, 2): (k,) how many, and (k,) their summed loss [dB].
 

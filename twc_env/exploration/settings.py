@@ -1,0 +1,48 @@
+"""Which config an environment runs with: a task, overrides of it, and the constructor's shortcuts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from twc_env.config import EnvConfig, from_dict, override
+from twc_env.errors import ConfigError
+from twc_env.tasks import task_config
+
+
+def resolve(
+    settings: EnvConfig | Mapping[str, Any] | None, task: str | None, shortcuts: Mapping[str, Any]
+) -> EnvConfig:
+    """One config from a ready one, or from overrides (nested or dotted) of a task, with shortcuts that are set on top.
+
+    Raises ConfigError for settings that are no such thing.
+    """
+    config = _base(settings, task)
+    if config is None:
+        resolved = EnvConfig()
+    elif isinstance(config, EnvConfig):
+        resolved = config
+    elif isinstance(config, Mapping):
+        nested = {key: value for key, value in config.items() if "." not in key}
+        resolved = override(from_dict(nested), {key: value for key, value in config.items() if "." in key})
+    else:
+        raise ConfigError(f"config must be an EnvConfig or a dict of settings; got {config!r}")
+    resolved = override(resolved, {key: value for key, value in shortcuts.items() if value is not None})
+    if resolved.slam.oracle == "poses":
+        resolved = override(resolved, {"odometry.drift": 0.0})
+    return resolved
+
+
+def _base(config: EnvConfig | Mapping[str, Any] | None, task: str | None) -> EnvConfig | Mapping[str, Any] | None:
+    """The settings of a standard task, with the overrides in `config` on top; a whole EnvConfig stands as it is."""
+    if task is None or isinstance(config, EnvConfig):
+        return config
+    return override(task_config(task), _dotted(config or {}))
+
+
+def _dotted(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings as dotted ones."""
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        flat |= _dotted(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return flat
