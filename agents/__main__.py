@@ -130,6 +130,7 @@ def _radio_survey(options: argparse.Namespace) -> int:
             print(
                 f"{c.name} seed {c.seed} {agent:13s} {walked.path_m[-1]:6.1f} m  free IoU {walked.iou[-1]:.3f}, "
                 f"among known cells {walked.iou_published[-1]:.3f} at coverage {walked.coverage[-1]:.3f}"
+                f"{'' if walked.is_finished else ', not finished'}"
             )
     for share in (0.25, 0.5, 0.6, 0.75, 1.0):
         both = [c.at_share(share) for c in found]
@@ -191,7 +192,7 @@ def _parser() -> argparse.ArgumentParser:
     walk = _command(commands, "radio-survey", "the map from radio by path length: active walk against walls", "")
     walk.add_argument("--maps", nargs="+", default=[f"sfw-e{n}" for n in range(1, 7)], help="names or files")
     walk.add_argument("--seeds", default="0-2", help="numbers and ranges (default: %(default)s)")
-    walk.add_argument("--steps", type=_natural, default=700, help="steps at most (default: %(default)s)")
+    walk.add_argument("--steps", type=_natural, default=1500, help="steps at most (default: %(default)s)")
     walk.add_argument("--out", type=Path, default=Path("runs/radio-survey"), help="finished walks (%(default)s)")
     walk.set_defaults(run=_radio_survey)
     for command in (one, many):
