@@ -30,12 +30,17 @@ def test_a_change_moves_to_where_the_readings_drop(off):
     assert np.median(misses) <= 2 < abs(off)
 
 
-def test_a_detour_stays_only_where_the_readings_call_for_it():
+def test_a_short_detour_stays_only_where_the_readings_call_for_it():
     at = np.arange(600)
     detour = ((at >= 300) & (at < 330)).astype(int)
     none = np.zeros(600, int)
     assert sum(settled(none, detour, seed).max() for seed in range(9)) <= 1
     assert sum(settled(detour, detour, seed).max() for seed in range(9)) >= 8
+
+
+def test_a_long_detour_is_for_the_map_to_judge():
+    long = ((np.arange(600) >= 300) & (np.arange(600) < 400)).astype(int)
+    assert all(settled(np.zeros(600, int), long, seed).any() for seed in range(3))
 
 
 def test_without_readings_the_map_is_believed():

@@ -129,7 +129,7 @@ def remarks(table: list[dict]) -> list[str]:
         and row["paper_k_accuracy"]
         and abs(row["k_accuracy"] - row["paper_k_accuracy"]) > 0.05
     ]
-    why = ["k is missed where it changes: each change is found to within a few centimetres of a wall's end"]
+    why = ["k is missed where rays graze a wall: its end cannot be told from shadowing"]
     return missed + (why if any("k_accuracy" in text for text in missed) else []) + paper
 
 

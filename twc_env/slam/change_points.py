@@ -90,7 +90,7 @@ def _move_changes(walls, loss, home, excess, travel, noise, shadowing, length):
 
 @njit(cache=True, error_model="numpy")
 def _drop_detours(walls, loss, excess, travel, noise, shadowing, length):
-    """Runs between two of equal numbers go where the readings do not call for them."""
+    """Runs between two of equal numbers go unless readings call for them; long ones are for the map to judge."""
     count, at = walls.shape[0], 1
     while at < count:
         if walls[at] == walls[at - 1]:
@@ -99,7 +99,7 @@ def _drop_detours(walls, loss, excess, travel, noise, shadowing, length):
         end = at
         while end < count and walls[end] == walls[at]:
             end += 1
-        if end < count and walls[end] == walls[at - 1]:
+        if end < count and walls[end] == walls[at - 1] and travel[end] - travel[at] < 2 * REACH_M:
             value = 0.5 * (loss[at - 1] + loss[end])
             kept = _likelihood(loss, excess, travel, at, end, at, at, 0.0, noise, shadowing, length)
             without = _likelihood(loss, excess, travel, at, end, at, end, value, noise, shadowing, length)

@@ -2,7 +2,8 @@
 
 The signal model gives a first count of walls per reading (`k_visibility_signal`); the path offers pieces where walls
 may stand (`wall_candidates`); sampling all pieces against all rays of all routers at once tells which are walls
-(`wall_sampler`). Power, path loss and the loss of every straight stretch of wall are estimated along with them. The
+(`wall_sampler`). Power, path loss and the loss of every straight stretch of wall are estimated along with them
+(`wall_solver`). Where exactly the number of walls changes along the path, the readings settle (`change_points`). The
 result is a grid of probabilities in which what no ray and no step has touched stays unknown.
 """
 
