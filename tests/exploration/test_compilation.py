@@ -1,3 +1,4 @@
+import importlib
 import json
 import logging
 import subprocess
@@ -6,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from numba import njit
+from numba.core.dispatcher import Dispatcher
 
 from twc_env.exploration import compilation
 from twc_env.exploration.compilation import Helper, _FirstCompilation, announce_compilation
@@ -71,7 +73,7 @@ def test_a_helper_is_called_when_everything_must_be_compiled_and_awaited_after_t
     listener = _FirstCompilation(helper.start)
 
     class Event:
-        data = {"dispatcher": compiled_function("twc_env.world.floorplan")}  # noqa: RUF012
+        data = {"dispatcher": compiled_function(compilation.FIRST_MODULE)}  # noqa: RUF012
 
     listener.on_start(Event)
     (process,) = started
@@ -81,6 +83,11 @@ def test_a_helper_is_called_when_everything_must_be_compiled_and_awaited_after_t
     assert process.events == ["own share", "waited"]
 
 
+def test_the_first_module_has_kernels():
+    module = importlib.import_module(compilation.FIRST_MODULE)
+    assert any(isinstance(value, Dispatcher) for value in vars(module).values())
+
+
 @pytest.mark.parametrize("lacking", ["engine", "core", "first module"])
 def test_no_helper_is_called_without_need(helper, monkeypatch, lacking):
     helper, started = helper
@@ -88,7 +95,7 @@ def test_no_helper_is_called_without_need(helper, monkeypatch, lacking):
     monkeypatch.setattr(compilation, "core_count", lambda: 1 if lacking == "core" else 2)
 
     class Event:
-        module = "twc_env.world.lidar" if lacking == "first module" else "twc_env.world.floorplan"
+        module = "twc_env.world.lidar" if lacking == "first module" else compilation.FIRST_MODULE
         data = {"dispatcher": compiled_function(module)}  # noqa: RUF012
 
     _FirstCompilation(helper.start).on_start(Event)

@@ -19,9 +19,10 @@ from typing import Any
 from numba.core import event
 
 from twc_env.threads import THREADS
+from twc_env.world.floor_cells import rasterise
 
 _LOG = logging.getLogger("twc_env")
-_FIRST_MODULE = "twc_env.world.floorplan"
+FIRST_MODULE = rasterise.__module__
 """Its kernels come first in every start: where they must be compiled, so must all."""
 _HELP_MAX_S = 120.0
 
@@ -42,7 +43,7 @@ class _FirstCompilation(event.Listener):
             "compiling kernels for first use, some 10 to 30 s in all; later starts read them from disk "
             "(beside the sources, or in NUMBA_CACHE_DIR)"
         )
-        if module == _FIRST_MODULE:
+        if module == FIRST_MODULE:
             self._call_help()
 
     def on_end(self, event: Any) -> None:
