@@ -294,12 +294,12 @@ class KeyframeConfig(_Checked):
 
     distance_m: float = _number(0.7, 0.05, 10.0)
     """At the latest so far from the last remembered place ..."""
-    distance_new_m: float = _number(0.4, 0.05, 10.0)
-    """... or so far where the scan shows something new ..."""
-    explained_min: float = _number(0.98, 0.0, 1.0)
-    """... that is, where fewer of its beams than this share end near walls that the local map knows ..."""
     turn_rad: float = _number(1.0, 0.05, math.pi)
-    """... or turned so far."""
+    """... or turned so far ..."""
+    distance_new_m: float = _number(0.4, 0.05, 10.0)
+    """... or so far, or turned by as much less, where the scan shows something new:"""
+    explained_min: float = _number(0.98, 0.0, 1.0)
+    """fewer of its beams than this share end near walls that the local map knows."""
     mask_mates: bool = True
     """Leave out beams that end on something as round and wide as a robot (`dynamics.robot_radius_m`)."""
     fingerprint_window_s: float = _number(2.0, 0.1, 60.0)

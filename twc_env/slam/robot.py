@@ -44,8 +44,8 @@ def _arrive(
             steps[k] += 1
         dx, dy = poses[k, 0] - keyframe_poses[k, 0], poses[k, 1] - keyframe_poses[k, 1]
         turned = (poses[k, 2] - keyframe_poses[k, 2] + math.pi) % (2 * math.pi) - math.pi
-        reach = distance if explained[k] >= explained_min else distance_new
-        is_new[k] = not (math.sqrt(dx * dx + dy * dy) < reach and abs(turned) < turn)
+        share = 1.0 if explained[k] >= explained_min else distance_new / distance
+        is_new[k] = not (math.sqrt(dx * dx + dy * dy) < share * distance and abs(turned) < share * turn)
 
 
 class FrontEnds:

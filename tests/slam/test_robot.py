@@ -1,0 +1,48 @@
+"""Where a robot remembers a place."""
+
+import numpy as np
+import pytest
+
+from twc_env.config import EnvConfig, override
+from twc_env.messages import SensorFrame
+from twc_env.slam.robot import FrontEnds
+
+STEP_M, STEP_RAD = 0.05, 0.05
+ROOM = [(-4, -4), (4, -4), (4, 4), (-4, 4)]
+ROUND_A_CORNER = [(-2, -1), (6, -1), (6, 8), (4, 8), (4, 1), (-2, 1)]
+
+
+def keyframes(scan, walls, corners, poses):
+    """Of a robot without noise that stands at these poses one after the other."""
+    ends = FrontEnds(override(EnvConfig(), {"robots": 1}), 1)
+    found, last = [], poses[0]
+    for step, pose in enumerate(poses):
+        motion = np.array([np.hypot(*(pose - last)[:2]), 0.0, pose[2] - last[2]])
+        frame = SensorFrame(0, step, 0.1 * step, motion, 10 * motion[2], scan(walls(*corners), pose), None, ())
+        found += ends.update([frame])
+        last = pose
+    return found
+
+
+def straight(from_m, to_m):
+    along = np.arange(from_m, to_m, STEP_M)
+    return np.stack([along, np.zeros_like(along), np.zeros_like(along)], axis=1)
+
+
+def test_in_a_room_that_it_sees_whole_a_robot_remembers_a_place_every_distance(scan, walls):
+    found = keyframes(scan, walls, ROOM, straight(-2.0, 2.0))
+    gaps_m = np.diff([k.travel_m for k in found[1:]])
+    assert gaps_m == pytest.approx(EnvConfig().slam.keyframe.distance_m, abs=1.1 * STEP_M)
+
+
+def test_where_it_comes_to_see_round_a_corner_a_robot_remembers_places_sooner(scan, walls):
+    found = keyframes(scan, walls, ROUND_A_CORNER, straight(-1.0, 5.0))
+    travel_m = np.array([k.travel_m for k in found])
+    gaps_m = np.diff(travel_m)[travel_m[1:] > 3.5]
+    assert np.median(gaps_m) == pytest.approx(EnvConfig().slam.keyframe.distance_new_m, abs=1.1 * STEP_M)
+
+
+def test_a_robot_that_turns_on_the_spot_remembers_few_places(scan, walls):
+    angles = np.arange(0.0, 2 * np.pi, STEP_RAD)
+    found = keyframes(scan, walls, ROOM, np.stack([0 * angles, 0 * angles, angles], axis=1))
+    assert 6 <= len(found) <= 8, "one every radian"
