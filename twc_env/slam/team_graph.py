@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from twc_env.geometry import compose, inverse
 from twc_env.messages import Keyframe, KnownSign, LoopClosure
+from twc_env.slam.growing import Growing
 from twc_env.slam.odometry_filter import invert_symmetric
 from twc_env.slam.pose_graph import Graph
 
@@ -74,26 +75,6 @@ def _nearest(poses, nodes, travels, travel_max, x, y):
         if dx * dx + dy * dy < best_squared:
             best, best_squared = k, dx * dx + dy * dy
     return best, math.sqrt(best_squared)
-
-
-class Growing:
-    """Rows of numbers that grow one at a time without copying each time."""
-
-    def __init__(self, *shape: int, dtype: type = np.float64):
-        self._data: Array = np.zeros((64, *shape), dtype)
-        self.count = 0
-
-    def append(self, row) -> None:
-        """Add one row."""
-        if self.count == len(self._data):
-            self._data = np.concatenate([self._data, np.zeros_like(self._data)])
-        self._data[self.count] = row
-        self.count += 1
-
-    @property
-    def rows(self) -> Array:
-        """All rows so far; may be written to."""
-        return self._data[: self.count]
 
 
 class TeamGraph:
