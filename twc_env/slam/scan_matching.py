@@ -385,8 +385,8 @@ class Matches:
         """(n, 3, 3) of the poses; zeros where nothing was matched."""
         self.is_matched = np.zeros(count, bool)
         """(n,) whether the pose is to be believed: near the guess, and enough beams speak for it."""
-        self.explained = np.ones(count)
-        """(n,) share of the beams that returned which end near walls of the field; 1 where nothing is matched."""
+        self.explained = np.zeros(count)
+        """(n,) share of the beams that returned which end near walls of the field; 0 where nothing is matched."""
 
 
 def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Array, Array]:
