@@ -23,7 +23,7 @@ Array = NDArray
 
 URGENT_SQUARED_ERROR = 1.0
 """A closure that the estimate already meets this well can wait for the next optimisation but `patience` ones."""
-PATIENCE_PERIODS = 16
+PATIENCE_PERIODS = 8
 DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
 """A closure inside one map may disagree with the present estimate by this much."""
 REFUSED_MIN = 3
