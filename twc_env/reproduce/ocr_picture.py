@@ -72,7 +72,7 @@ def _draw_rates(axes) -> None:
         curve = [_rates(h, 0.0, blur)[1] for h in heights]
         axes[2].plot(heights, curve, label=f"{blur:g}")
     axes[2].set(xscale="log", xlabel="capital height [px]", title="mean similarity, head-on", ylim=(0, 1))
-    axes[2].legend(title="blur [capital heights]", loc="upper left", fontsize=8)
+    axes[2].legend(title="blur [capital heights]", loc=(0.51, 0.46), fontsize=8)
     for axis in axes:
         axis.set_xticks([5, 7, 10, 15, 20, 40], ["5", "7", "10", "15", "20", "40"])
         axis.minorticks_off()
