@@ -70,17 +70,16 @@ def explore(
     register(COMPILER_EVENT, compiling)
     try:
         while env.agents:
-            start = time.perf_counter()
+            start = _clock_s(compiling)
             beliefs = {name: env.belief(name) for name in env.agents}
-            believed = time.perf_counter()
+            believed = _clock_s(compiling)
             actions = policy.act(beliefs)
             is_finished = policy.finished(beliefs)
-            thought = time.perf_counter()
+            thought = _clock_s(compiling)
             if is_finished:
                 break
-            compiled_s = _seconds(compiling)
             rewards = env.step(actions)[1]
-            stepped = time.perf_counter() - (_seconds(compiling) - compiled_s)
+            stepped = _clock_s(compiling)
             frames.append(env.frames)
             contacts.append(env.contacts)
             trace.note(rewards)
@@ -106,9 +105,9 @@ def explore(
     )
 
 
-def _seconds(compiling: TimingListener) -> float:
-    """Time spent so far on compiling kernels or loading them."""
-    return compiling.duration if compiling.done else 0.0
+def _clock_s(compiling: TimingListener) -> float:
+    """A clock that stands still while kernels are compiled or loaded."""
+    return time.perf_counter() - (compiling.duration if compiling.done else 0.0)
 
 
 def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
