@@ -39,9 +39,10 @@ HIDDEN_TWIN_SHARE = 0.1
 NEIGHBOUR_REACH_M = 8.0
 MEETING_M, MEETING_PER_M = 0.5, 0.06
 """Under a hypothesis, neighbouring signs nearer than this to each other are taken for one."""
-SEQUENCE_STEP_M, SEQUENCE_REACH_M, SEQUENCE_BESIDE_M = 2.0, 8.0, 2.0
-"""Keyframes this far apart along a path, up to this far from the sighting, are compared with those of the other path
-that run beside them."""
+SEQUENCE_M, SEQUENCE_BESIDE_M = (2.0, 4.0, 6.0, 8.0), 2.0
+"""Keyframes so far before and after a sighting along a path are compared with those of the other path beside them."""
+SEQUENCE_END_M = 10.0
+"""Where keyframes are sparse, the nearest beyond such a distance stands in for it, up to this far."""
 SAME_RADIO_M, ELSEWHERE_M = 3.0, (5.0, 20.0)
 """Own keyframes this near teach how far fingerprints differ at one place; those this far, how far elsewhere."""
 RADIO_APART_S = 2.5
@@ -255,23 +256,23 @@ class PlaceMemory:
         total = 0.0
         for keyframe, position in self._around(source) if beside else ():
             here = compose(guess, [*position, 0.0])[:2]
-            away, nearest = min(((math.dist(here, there), k) for k, (_, there) in enumerate(beside)))
+            away, nearest = min((math.dist(here, there), k) for k, (_, there) in enumerate(beside))
             if away < SEQUENCE_BESIDE_M:
                 total += self._radio(beside[nearest][0], keyframe)
         return float(min(max(w.sequence * total, -w.sequence_limit), w.sequence_limit))
 
     def _around(self, view: Keyframe) -> list[tuple[Keyframe, Array]]:
-        """Keyframes before and after one on its path, SEQUENCE_STEP_M apart, and where they were in its frame (2,)."""
+        """Keyframes before and after one on its path, and where they were in its frame (2,)."""
         path = self._path[view.robot]
         robot_odom = inverse(view.pose_odom)
         chosen = []
-        for away_m in np.arange(SEQUENCE_STEP_M, SEQUENCE_REACH_M + 1e-9, SEQUENCE_STEP_M).tolist():
+        for away_m in SEQUENCE_M:
             chosen.append(bisect.bisect_right(path, view.travel_m - away_m, key=_travel_m) - 1)
             chosen.append(bisect.bisect_left(path, view.travel_m + away_m, key=_travel_m))
         return [
             (path[k], compose(robot_odom, path[k].pose_odom)[:2])
             for k in dict.fromkeys(chosen)
-            if 0 <= k < len(path) and abs(path[k].travel_m - view.travel_m) < SEQUENCE_REACH_M + SEQUENCE_STEP_M
+            if 0 <= k < len(path) and abs(path[k].travel_m - view.travel_m) < SEQUENCE_END_M
         ]
 
     def _near(self, centre: SignPlace, view: Keyframe) -> list[tuple[SignPlace, Array]]:
