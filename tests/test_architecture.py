@@ -15,6 +15,7 @@ LEAVES = {
     "twc_env.messages",
     "twc_env.team_messages",
     "twc_env.geometry",
+    "twc_env.kernels",
     "twc_env.config",
     "twc_env._version",
 }
@@ -27,6 +28,7 @@ ALLOWED = {
     "twc_env._version": set(),
     "twc_env.random_streams": set(),
     "twc_env.threads": set(),
+    "twc_env.kernels": set(),
     "twc_env.geometry": {"twc_env.errors"},
     "twc_env.messages": {"twc_env.errors", "twc_env.geometry"},
     "twc_env.team_messages": {"twc_env.messages"},

@@ -1,38 +1,59 @@
-"""Numba's cache on disk sees edits of a kernel's own file only: kernels must take nothing from other files."""
+"""A compiled kernel on disk is out of date as soon as anything that it is made of changes."""
 
-import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from twc_env import geometry
+from twc_env.kernels import kernel
+
 ROOT = Path(__file__).parents[1]
-FILES = [path for path in sorted((ROOT / "twc_env").rglob("*.py")) if "njit" in path.read_text()]
+UPPER = """from lower import FACTOR, scaled
+from twc_env.kernels import kernel
 
 
-def borrowed(source: str) -> list[str]:
-    """Names that kernels of a file use although they were imported from twc_env."""
-    tree = ast.parse(source)
-    imported = {
-        alias.asname or alias.name
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and (node.level or (node.module or "").startswith("twc_env"))
-        for alias in node.names
-    }
-    found = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef) and any("njit" in ast.unparse(d) for d in node.decorator_list):
-            own = {argument.arg for argument in node.args.args}
-            names = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)} - own
-            found += sorted(f"{node.name}: {name}" for name in names & imported)
-    return found
+@kernel
+def total(x):
+    return more(x) + FACTOR
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_kernels_use_nothing_from_other_files(path):
-    assert borrowed(path.read_text()) == []
+@kernel
+def more(x):
+    return scaled(x)
+"""
+LOWER = """from twc_env.kernels import kernel
+
+FACTOR = {factor}
 
 
-def test_the_check_sees_a_borrowed_kernel_and_a_borrowed_number():
-    source = "from twc_env.geometry import f, LIMIT\n\n@njit(cache=True)\ndef g(x):\n    return f(x) + LIMIT\n"
-    source += "\n@njit\ndef h(f):\n    return f\n"
-    assert borrowed(source) == ["g: LIMIT", "g: f"]
+@kernel
+def scaled(x):
+    return {body}
+"""
+
+
+def test_a_kernel_is_compiled_anew_when_a_kernel_or_a_constant_of_another_file_changes(tmp_path):
+    (tmp_path / "upper.py").write_text(UPPER)
+    code = "import upper; print(upper.total(3), len(upper.total.stats.cache_hits))"
+
+    def value_and_hits(body: str, factor: int) -> tuple[int, ...]:
+        (tmp_path / "lower.py").write_text(LOWER.format(body=body, factor=factor))
+        command, path = [sys.executable, "-B", "-c", code], {"PYTHONPATH": str(ROOT)}
+        said = subprocess.run(command, cwd=tmp_path, env=path, capture_output=True, text=True)
+        assert not said.returncode, said.stderr
+        return tuple(map(int, said.stdout.split()))
+
+    assert value_and_hits("2 * x", 1) == (7, 0)
+    assert value_and_hits("2 * x", 1) == (7, 1)
+    assert value_and_hits("5 * x", 1) == (16, 0)
+    assert value_and_hits("5 * x", 4) == (19, 0)
+
+
+def test_a_kernel_may_not_reach_into_a_module_of_the_package():
+    def reaching(x):
+        return geometry.wrap_angle(x)
+
+    with pytest.raises(TypeError, match=r"kernel reaching: import names from twc_env\.geometry"):
+        kernel(reaching)

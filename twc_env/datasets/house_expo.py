@@ -10,13 +10,13 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.datasets.furnish import furnish
 from twc_env.datasets.outline import simplified_ring
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
+from twc_env.kernels import kernel
 from twc_env.world.floor_cells import CELLS_MAX, Cells
 from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.floorplan_check import COORDINATE_MAX_M, validate
@@ -122,7 +122,7 @@ def _free_share(cells: Cells, x1: float, y1: float, x2: float, y2: float) -> flo
     return float(cells.is_free(points).mean()) if points.size else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fill_ring(ring, resolution, inside):
     """Flip the cells whose centre lies inside the ring (k, 2): each edge flips what is right of it."""
     rows, columns = inside.shape

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -37,7 +38,7 @@ def simplified_ring(ring: Array, tolerance_m: float) -> Array:
     return ring[keep[:-1]]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _keep_corners(points, begin, end, tolerance, keep):
     stack = [(begin, end)]
     while len(stack) > 0:
@@ -57,7 +58,7 @@ def _keep_corners(points, begin, end, tolerance, keep):
             stack.append((at, j))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _walk(mask, row, column, ring):
     """Go along the edges with the patch on the left, from the lower left corner of its first cell; mask is padded."""
     x, y, dx, dy = column, row, 1, 0

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.errors import MapError
+from twc_env.kernels import kernel
 from twc_env.world.floor_cells import CELLS_MAX
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.floorplan_file import load_bytes
@@ -175,7 +175,7 @@ def _without_strips(free: Array, resolution_m: float) -> Array:
     return np.asarray(swept)[1:-1, 1:-1]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _label(mask, diagonal):
     """Connected parts of a mask: (rows, columns) labels from 1, and their sizes."""
     rows, columns = mask.shape
@@ -204,7 +204,7 @@ def _label(mask, diagonal):
     return labels, np.array(sizes, dtype=np.int64)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _depth(free):
     """Chamfer distance of each free cell to the nearest other, in thirds of a cell; the border must not be free."""
     rows, columns = free.shape

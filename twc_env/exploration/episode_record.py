@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -54,7 +55,7 @@ class EpisodeRecord:
         return poses
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _reckon(motions, poses):
     """Chain motions (steps, robots, 3) from poses[0], in place; motions[0] is not used."""
     for t in range(1, poses.shape[0]):

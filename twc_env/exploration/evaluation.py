@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env import metrics
@@ -17,6 +16,7 @@ from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.team_alignment import position_error_m, team_alignment, trajectories
 from twc_env.exploration.verdicts import GroupVerdict, floor_m2, judge, verdicts_of
 from twc_env.geometry import between, transform_points
+from twc_env.kernels import kernel
 from twc_env.messages import GridMap
 from twc_env.slam.modes import Engine
 from twc_env.slam.occupancy_grid import OccupancyGrid
@@ -202,7 +202,7 @@ def _seen_share(grid: GridMap, cells: Cells) -> float:
     return float(seen / max(np.count_nonzero(cells.free), 1))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _count_seen(log_odds, origin, resolution_m, free, free_origin, free_resolution_m):
     """Free cells of which the map says anything at their centres."""
     rows, columns = log_odds.shape

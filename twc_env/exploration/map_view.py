@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.messages import GridMap
 
 Array = NDArray
@@ -68,7 +68,7 @@ def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
     return out, corner_m, factor * grid.resolution_m
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mark(channel, points, count, x, y, heading, inverse_m):
     """Set the cells of channel (cells, cells) under the first points of (k, 2), seen from a pose in their frame."""
     size = channel.shape[0]
@@ -81,7 +81,7 @@ def _mark(channel, points, count, x, y, heading, inverse_m):
             channel[row, column] = 255
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shrink(log_odds, out):
     """Returns the first row and column of the known box, and how many grid cells go into one of `out`."""
     height, width = log_odds.shape
@@ -110,7 +110,7 @@ def _shrink(log_odds, out):
     return low_r, low_c, factor
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _stays_inside(x, y, dx, dy, count, height, width):
     """Whether a row of samples from cell (x, y) on, in fixed point, lies inside the grid."""
     k0, k1 = x >> FIXED_BITS, (x + dx * (count - 1)) >> FIXED_BITS
@@ -118,7 +118,7 @@ def _stays_inside(x, y, dx, dy, count, height, width):
     return min(k0, k1) >= 0 and min(r0, r1) >= 0 and max(k0, k1) < width and max(r0, r1) < height
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _misses(x, y, dx, dy, count, height, width):
     """Whether a row of samples lies beside the grid, so that it meets none of its cells."""
     k0, k1 = x >> FIXED_BITS, (x + dx * (count - 1)) >> FIXED_BITS
@@ -126,7 +126,7 @@ def _misses(x, y, dx, dy, count, height, width):
     return max(k0, k1) < 0 or max(r0, r1) < 0 or min(k0, k1) >= width or min(r0, r1) >= height
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _look_up_two(cells, width, xa, ya, xb, yb, dx, dy, a, b):
     """Write the levels of two rows of samples that lie inside the grid; unsigned numbers index without a check."""
     bits, width = np.uint64(FIXED_BITS), np.uint64(width)
@@ -140,7 +140,7 @@ def _look_up_two(cells, width, xa, ya, xb, yb, dx, dy, a, b):
         yb += dy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _look_up(cells, height, width, x, y, dx, dy, levels):
     """Write the levels of a row of samples; 0 outside the grid."""
     for j in range(levels.shape[0]):
@@ -150,7 +150,7 @@ def _look_up(cells, height, width, x, y, dx, dy, levels):
         y += dy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
     """Egocentric view, robot in the middle and looking along +column: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0).
 
@@ -203,7 +203,7 @@ def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
             frontier[j] = free[j] & (above[j] | below[j] | here[j - 1] | here[j + 1])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _crop_and_mark(
     log_odds, origin, inverse_grid_m, poses, cell_m, paths, path_counts, mates, mate_counts, signs, first, end, out
 ):

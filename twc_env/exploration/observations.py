@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.exploration import map_view
 from twc_env.exploration.observation_blocks import POSE_LIMITS, block_spaces, joined
 from twc_env.exploration.wifi_slots import WifiSlots
+from twc_env.kernels import kernel
 from twc_env.messages import Belief, KnownSign, SensorFrame, SignReading
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
 from twc_env.slam.dead_reckoning import DeadReckoning
@@ -199,7 +199,7 @@ def _index_of(signs: tuple[KnownSign, ...]) -> tuple[Array, Counter[str]]:
     return np.array([sign.position_m for sign in signs]).reshape(-1, 2), Counter([sign.text for sign in signs])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _extend_paths(poses, ends, counts, paths):
     """Note where each robot has come to, in rings (robots, k, 2); poses (robots, 3, 3): the last is that in odom."""
     for i in range(poses.shape[0]):
@@ -212,7 +212,7 @@ def _extend_paths(poses, ends, counts, paths):
             counts[i] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill_pose(pose, std, since_m, limits, out):
     out[0], out[1] = pose[0], pose[1]
     out[2], out[3] = math.cos(pose[2]), math.sin(pose[2])
@@ -221,7 +221,7 @@ def _fill_pose(pose, std, since_m, limits, out):
         out[k] = min(max(out[k], -limits[k]), limits[k])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill_signs(readings, count, now_s, memory_s, pose, rows):
     """The block `signs`: readings (slots, 4), newest first, that are not older than the memory."""
     for k in range(rows.shape[0]):
@@ -240,7 +240,7 @@ def _fill_signs(readings, count, now_s, memory_s, pose, rows):
         rows[k, 4] = elsewhere / (elsewhere + HALF_COUNT)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _as_seen_from(pose, others, count):
     """`geometry.between` of a pose and each of the first of the others, written over these."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -250,7 +250,7 @@ def _as_seen_from(pose, others, count):
         others[k, 2] = (turn + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill_team(now, time_step_s, contact_steps, contact_count, mate_rows, mates, mate_count, rows):
     """The block `team`: the step in which each mate was last heard of; rows and poses of those of the same map."""
     for k in range(rows.shape[0]):
@@ -267,7 +267,7 @@ def _fill_team(now, time_step_s, contact_steps, contact_count, mate_rows, mates,
         row[2], row[3] = away / (away + HALF_WAY_M), mates[k, 2] / math.pi
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill_small(
     ranges, per_metre, poses, since_m, limits, readings, reading_counts, now_s, memory_s, step, time_step_s,
     contact_steps, contact_counts, mate_rows, mates, mate_counts, lidar, pose, signs, team,

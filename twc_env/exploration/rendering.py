@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.verdicts import GroupVerdict
 from twc_env.geometry import compose, inverse
+from twc_env.kernels import kernel
 from twc_env.messages import GridMap
 from twc_env.slam.modes import Engine
 from twc_env.world.floorplan import Floorplan
@@ -99,7 +99,7 @@ class Scene:
     signal: SignalLayer | None = None
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _paint_floor(image, left, top, metres, walls, wall_x, wall_y, wall_cell):
     """Fill the image with ground truth; pixel (0, 0) is at (left, top)."""
     height, width, _ = image.shape
@@ -113,7 +113,7 @@ def _paint_floor(image, left, top, metres, walls, wall_x, wall_y, wall_cell):
                 image[v, u, k] = _TRUE_WALL[k] if is_wall else _UNKNOWN[k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _paint_grid(image, left, top, metres, log_odds, grid_x, grid_y, cell, pose_map_building, floor):
     """Lay an estimated map over the image."""
     height, width, _ = image.shape
@@ -131,7 +131,7 @@ def _paint_grid(image, left, top, metres, log_odds, grid_x, grid_y, cell, pose_m
                 image[v, u, k] = _WALL[k] if log_odds[row, column] > 0 else floor[k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _paint_signal(image, left, top, metres, share, layer_x, layer_y, cell):
     """Tint the floor by signal strength; dark pixels, which are walls, stay readable."""
     height, width, _ = image.shape
@@ -152,7 +152,7 @@ def _paint_signal(image, left, top, metres, share, layer_x, layer_y, cell):
                 image[v, u, k] += _SIGNAL_OPACITY * (colour - image[v, u, k])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _draw_line(image, u0, v0, u1, v1, half_width, colour, opacity):
     """A smooth-edged line between two pixels; a point when both are equal."""
     height, width, _ = image.shape
@@ -169,7 +169,7 @@ def _draw_line(image, u0, v0, u1, v1, half_width, colour, opacity):
                     image[v, u, k] += cover * (colour[k] - image[v, u, k])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _draw_path(image, pixels, half_width, colour, fade):
     """Lines through pixels (k, 2), the oldest at opacity `fade`."""
     count = pixels.shape[0]
@@ -178,7 +178,7 @@ def _draw_path(image, pixels, half_width, colour, fade):
         _draw_line(image, pixels[k, 0], pixels[k, 1], pixels[k + 1, 0], pixels[k + 1, 1], half_width, colour, opacity)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _draw_ring(image, u0, v0, radius, half_width, colour):
     """A smooth-edged circle."""
     height, width, _ = image.shape

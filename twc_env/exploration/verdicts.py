@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env import metrics
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.rewards import JudgedMap, Standing, standing_of
+from twc_env.kernels import kernel
 from twc_env.messages import GridMap
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
@@ -59,7 +59,7 @@ def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     return GroupVerdict(view, robots, grid, pose, wrong, area)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true, owner):
     """Estimated and true poses of some robots' keyframes, robot by robot, and whose they are; count and mean place.
 

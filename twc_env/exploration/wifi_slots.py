@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.messages import WifiScan
 
 Array = NDArray
@@ -30,7 +30,7 @@ class WifiSlots:
         _place(scan.macs, scan.rssi_dbm, self._scans[robot], robot, self._macs, self._last_scan, self.levels)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _place(macs, rssi_dbm, scan, robot, slot_macs_of, last_scan_of, levels_of):
     """The strongest transmitters take, or keep, the slots. Those longest out of the strongest give way."""
     slot_macs, last_scan, levels = slot_macs_of[robot], last_scan_of[robot], levels_of[robot]

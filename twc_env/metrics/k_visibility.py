@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.metrics.mapping import score_map
 
 Array = NDArray
@@ -98,7 +98,7 @@ def walls_crossed_map(wall: Array, free: Array, start_cell: Array) -> Array:
     return k_map
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _count_runs(wall, start, targets, gap, crossed):
     rows, columns = wall.shape
     for i in range(targets.shape[0]):

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.geometry import transform_points
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -167,7 +167,7 @@ def _sampling_back(pose_building_map: Array, origin_m, resolution_m, truth_origi
     return float(row), float(column), (c * scale, s * scale)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _inside(start, step, limit, count):
     """First and last + 1 of the j in 0..count-1 with 0 <= start + j step < limit; whole numbers."""
     if step == 0:
@@ -179,7 +179,7 @@ def _inside(start, step, limit, count):
     return first, min(last, count)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _count_free(log_odds, box, row0, column0, step, truth_free, free_below):
     """True free cells whose centre falls into a free cell in a box of the map; steps in fixed point."""
     columns = log_odds.shape[1]
@@ -211,7 +211,7 @@ def _count_free(log_odds, box, row0, column0, step, truth_free, free_below):
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _count_true_walls_met(log_odds, row0, column0, step, truth_free, truth_wall, wall_above):
     """(met, all) of the true wall cells that border free cells; met: a wall of the map at most one cell away."""
     rows, columns = log_odds.shape
@@ -238,7 +238,7 @@ def _count_true_walls_met(log_odds, row0, column0, step, truth_free, truth_wall,
     return met, count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _count_map_walls_met(log_odds, row0, column0, step, truth_wall, wall_above):
     """(met, all) of the map's wall cells; met: a true wall at most one cell away."""
     height, width = truth_wall.shape

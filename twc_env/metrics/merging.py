@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from twc_env.errors import DataError
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -28,7 +28,7 @@ def implied_frames(estimated_poses: Array, true_poses: Array, robot_of: Array) -
     return frames
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _implied_frames(estimated, true, robot_of, frames):
     for robot in range(frames.shape[0]):
         count = 0
@@ -69,7 +69,7 @@ def wrong_pairs(
     return [(int(i), int(j)) for i, j in np.argwhere(is_wrong)]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _find_wrong(frames, x, y, distance_max, angle_max, is_wrong):
     """Mark the pairs (i, j), i < j, that disagree; gives how many they are."""
     count = 0

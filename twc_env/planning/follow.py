@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import DynamicsConfig
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -31,7 +31,7 @@ DETOUR_STEP_RAD = 0.2
 """When the straight way is blocked, bearings this far apart are tried on both sides."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _near_points(ranges, sight, points):
     """Scan points (k, 2) in the robot frame nearer than `sight`; returns how many."""
     beams = ranges.shape[0]
@@ -45,7 +45,7 @@ def _near_points(ranges, sight, points):
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _arc_clearance(points, count, speed, turn_rate, time_step, steps):
     """Least distance from the robot's centre to any point while it drives an arc."""
     x = y = heading = 0.0
@@ -62,7 +62,7 @@ def _arc_clearance(points, count, speed, turn_rate, time_step, steps):
     return math.sqrt(least)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _ray_clearance(points, count, bearing, length):
     """Least distance of any point to the straight way of `length` toward `bearing`."""
     c, s = math.cos(bearing), math.sin(bearing)
@@ -73,7 +73,7 @@ def _ray_clearance(points, count, bearing, length):
     return math.sqrt(least)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _way_around(points, count, bearing, needed, length):
     """The bearing nearest to the wanted one whose straight way is clear; the wanted one when none is."""
     for k in range(1, 13):
@@ -87,7 +87,7 @@ def _way_around(points, count, bearing, needed, length):
     return bearing
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fastest(points, count, bearing, speed_max, turn_max, time_step, radius, needed, caution, steps):
     """Turn toward `bearing` and drive as fast as the points allow: (speed, turn rate), speed 0 when nothing goes."""
     bearing -= 2.0 * math.pi * math.floor((bearing + math.pi) / (2.0 * math.pi))
@@ -101,7 +101,7 @@ def _fastest(points, count, bearing, speed_max, turn_max, time_step, radius, nee
     return 0.0, turn_rate
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _drive(points, count, target_x, target_y, speed_max, turn_max, time_step, radius, margin, caution, steps, patience):
     """Speed and turn rate toward a target in the robot frame that keep clear of the points.
 
@@ -123,7 +123,7 @@ def _drive(points, count, target_x, target_y, speed_max, turn_max, time_step, ra
     return _fastest(points, count, bearing, speed_max, turn_max, time_step, radius, needed, caution, steps)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _point_ahead(path, index, x, y, look_ahead):
     """The point `look_ahead` further along path (k, 2) than the nearest one to (x, y); searches on from `index`.
 

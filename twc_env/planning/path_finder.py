@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.planning.terrain import OPEN_COST, Terrain
 
 Array = NDArray
@@ -38,7 +38,7 @@ class Disc:
     """Added to the cost factor of its cells (`OPEN_COST` is the factor of open floor)."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add_discs(cost, discs, undo_cell, undo_cost):
     """Raise the cost of open cells inside discs (k, 4: row, column, radius, extra); returns how many to undo."""
     height, width = cost.shape
@@ -59,7 +59,7 @@ def _add_discs(cost, discs, undo_cell, undo_cost):
     return changed
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _undo(cost, undo_cell, undo_cost, changed):
     """Give back the costs `_add_discs` changed, in reverse order."""
     width = cost.shape[1]
@@ -67,7 +67,7 @@ def _undo(cost, undo_cell, undo_cost, changed):
         cost[undo_cell[k] // width, undo_cell[k] % width] = undo_cost[k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _nearest_open(cost, row, column, reach):
     """The enterable cell nearest to (row, column) within `reach` cells, as flat index; -1 if there is none."""
     height, width = cost.shape
@@ -80,7 +80,7 @@ def _nearest_open(cost, row, column, reach):
     return best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cheapest_goal(cost, labels, penalty, least_edge, start, spent, parent, following, preceding, opened, opened_count):
     """Dijkstra with a bucket queue from flat cell `start` to the labelled cell of least path cost + penalty[label].
 
@@ -150,7 +150,7 @@ def _cheapest_goal(cost, labels, penalty, least_edge, start, spent, parent, foll
     return best, (spent[best] if best >= 0 else FAR), count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _trace(parent, goal, width):
     """The cells (k, 2) from the start to `goal`."""
     length, cell = 0, goal
@@ -164,7 +164,7 @@ def _trace(parent, goal, width):
     return path
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _line_cost(cost, row_a, column_a, row_b, column_b):
     """Highest cost factor on the straight line between two points (in cells); COST_MAX + 1 if one is closed."""
     height, width = cost.shape
@@ -179,7 +179,7 @@ def _line_cost(cost, row_a, column_a, row_b, column_b):
     return highest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shortcut(path, cost):
     """Straighten path (k, 2): keep a corner only where the straight line would cross dearer cells (nearer to a wall).
 
@@ -203,7 +203,7 @@ def _shortcut(path, cost):
     return kept[:size]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _least_per_label(labels, spent, opened, opened_count, least, cell_of):
     """Path cost to, and flat index of, the nearest opened cell of each label (count + 1,); cell -1: none."""
     label_of = labels.reshape(-1)
@@ -213,7 +213,7 @@ def _least_per_label(labels, spent, opened, opened_count, least, cell_of):
             least[label], cell_of[label] = spent[opened[k]], opened[k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _nearest_opened(row, column, width, opened, opened_count):
     """Flat index of the opened cell nearest to (row, column) as the crow flies."""
     best, nearest = -1, 1e18

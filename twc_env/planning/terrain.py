@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.messages import GridMap
 
 Array = NDArray
@@ -17,7 +17,7 @@ OPEN_COST = 2
 """Cost factor of a cell far from walls; others cost more, 0 is closed."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _known_box(log_odds):
     """Rows and columns (first, last + 1) that hold anything known; all zero when nothing is."""
     height, width = log_odds.shape
@@ -37,7 +37,7 @@ def _known_box(log_odds):
     return row_low, row_high, columns[0], columns[-1] + 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _classify(log_odds, row_low, column_low, free_below, wall_above, kind):
     """Fill kind (h, w) from the cells whose [0, 0] lies one cell outside the known box."""
     height, width = kind.shape
@@ -47,7 +47,7 @@ def _classify(log_odds, row_low, column_low, free_below, wall_above, kind):
             kind[r, c] = WALL if value > wall_above else (FREE if value < free_below else UNKNOWN)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _free_discs(kind, discs):
     """A robot stands on each of discs (k, 3: row, column, radius in cells), so no wall is there."""
     height, width = kind.shape
@@ -60,7 +60,7 @@ def _free_discs(kind, discs):
                     kind[r, c] = FREE
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _squared_clearance(kind, reach, across, squared):
     """Squared distance in cells to the nearest wall, exact up to `reach`; both outputs (h, w) float32."""
     height, width = kind.shape
@@ -91,7 +91,7 @@ def _squared_clearance(kind, reach, across, squared):
                 out[c] = min(out[c], min(above[c], below[c]) + d2)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _price(kind, squared, price_of_squared, cost):
     """Cost factor of each cell: 0 where a robot's centre may not be."""
     height, width = kind.shape
@@ -101,7 +101,7 @@ def _price(kind, squared, price_of_squared, cost):
             cost[r, c] = price_of_squared[min(int(squared[r, c]), top)] if kind[r, c] == FREE else 0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _frontiers(kind, cost, labels, cells):
     """Label clusters (8-neighbours) of free cells beside unknown ones; only cells a robot may enter keep their label.
 
@@ -136,7 +136,7 @@ def _frontiers(kind, cost, labels, cells):
     return clusters[: count + 1]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _gather(cost, labels, row, column, label, clusters):
     """Flood one cluster of cells labelled -1 from (row, column) and sum it up in clusters[label]."""
     height, width = labels.shape
@@ -159,7 +159,7 @@ def _gather(cost, labels, row, column, label, clusters):
     clusters[label, 2] /= enterable
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _blocked(log_odds, rows, columns, wall_above, reach):
     """Whether a wall cell lies within `reach` cells of any of the points (in cells)."""
     height, width = log_odds.shape
@@ -174,7 +174,7 @@ def _blocked(log_odds, rows, columns, wall_above, reach):
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _any_frontier(log_odds, row, column, reach, free_below):
     """Whether a free cell within `reach` of (row, column) has an unknown neighbour."""
     height, width = log_odds.shape

@@ -7,8 +7,9 @@ runs through flat arrays. What remains when the graph has become nearly complete
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -56,14 +57,14 @@ class BlockCholesky:
         return solution
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _grown(values, size):
     bigger = np.empty(max(size, 2 * len(values)), values.dtype)
     bigger[: len(values)] = values
     return bigger
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _eliminate(pairs, count, dense_from, dense_share):
     """Minimum-degree elimination on lists of neighbours.
 
@@ -210,7 +211,7 @@ def _eliminate(pairs, count, dense_from, dense_share):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _factorise(order, start, node_of, block_of, target_start, target, diagonal, blocks, lower, right):
     """Eliminate in order: diagonal becomes 3 x 3 Cholesky factors, lower the columns, right the forward solution."""
     for step in range(len(order)):
@@ -267,7 +268,7 @@ def _factorise(order, start, node_of, block_of, target_start, target, diagonal, 
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _dense_rest(rest, pairs, diagonal, blocks, right):
     """The lower triangle of what is left, in columns for LAPACK, and its right-hand side."""
     size = 3 * len(rest)
@@ -286,7 +287,7 @@ def _dense_rest(rest, pairs, diagonal, blocks, right):
     return dense, part
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _substitute_back(order, start, node_of, diagonal, lower, solution):
     for step in range(len(order) - 1, -1, -1):
         p = order[step]

@@ -11,8 +11,9 @@ shadowing a Gauss-Markov process along the path, so that every place of a change
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -49,7 +50,7 @@ def settle_changes(walls: Array, loss_db: Array, excess_db: Array, travel_m: Arr
     return settled
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _settle(walls, loss, excess, travel, noise, shadowing, length):
     """Move one change at a time to its best place between its neighbours, and drop doubtful detours, in place."""
     home = travel.copy()  # of the change before reading i, where the map had it
@@ -58,7 +59,7 @@ def _settle(walls, loss, excess, travel, noise, shadowing, length):
         _drop_detours(walls, loss, excess, travel, noise, shadowing, length)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _move_changes(walls, loss, home, excess, travel, noise, shadowing, length):
     count, at = walls.shape[0], 1
     while at < count:
@@ -88,7 +89,7 @@ def _move_changes(walls, loss, home, excess, travel, noise, shadowing, length):
         at = max(at, place) + 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _drop_detours(walls, loss, excess, travel, noise, shadowing, length):
     """Runs between two of equal numbers go unless readings call for them; long ones are for the map to judge."""
     count, at = walls.shape[0], 1
@@ -109,7 +110,7 @@ def _drop_detours(walls, loss, excess, travel, noise, shadowing, length):
         at = end
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _likelihood(loss, excess, travel, first, last, low, high, value, noise, shadowing, length):
     """Log-likelihood of the readings around first to last if the loss from `low` to before `high` were `value`."""
     count = loss.shape[0]

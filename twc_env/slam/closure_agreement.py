@@ -7,10 +7,10 @@ their ends explain (Mangelson 2018, pairwise consistency).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.geometry import compose, inverse
+from twc_env.kernels import kernel
 from twc_env.slam.odometry_chains import Chains
 from twc_env.slam.pose_graph import GATE, Graph
 from twc_env.slam.twists import adjoint, turned
@@ -44,7 +44,7 @@ class Pairs:
         return _agreement(members, gate, *self._facts)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown):
     ta, tb = claim[a], claim[b]
     turn = (ta[2] - tb[2] + np.pi) % (2 * np.pi) - np.pi
@@ -80,7 +80,7 @@ def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown):
     return u * u + v * v + w * w
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _disagreements(first, second, claim, adjoint, noise, i, j, step, grown):
     out = np.empty(len(first))
     for k in range(len(first)):
@@ -88,7 +88,7 @@ def _disagreements(first, second, claim, adjoint, noise, i, j, step, grown):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _agreement(members, gate, claim, adjoint, noise, i, j, step, grown):
     out = np.zeros((len(members), len(members)), np.bool_)
     for p in range(len(members)):
@@ -112,7 +112,7 @@ def pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
     return graph.fit(poses, accepted.astype(float)), accepted
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _greedy_clique(agree):
     """Members of a large clique: from each of the best connected nodes, always add the one that keeps most choices."""
     count = len(agree)

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
+from twc_env.kernels import kernel
 from twc_env.messages import Belief, Contacts, GridMap, Keyframe, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
@@ -128,7 +128,7 @@ class _Alone(TeamBeliefs):
 _NOTHING: dict = {}
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _chain(robots, motions, poses):
     """Move the poses of robots (k,) in odom and map, which are one here, by motions (k, 3) seen from them."""
     for k in range(robots.shape[0]):

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.slam.pose_graph import NormalEquations
 
 Array = NDArray
@@ -100,7 +100,7 @@ class RadioEquations(NormalEquations):
         return self, weight
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add_distances(pairs, residuals, jacobian, weight, block_of_edge, fixed, diagonal, blocks, gradient):
     for e in range(len(pairs)):
         w, r = weight[e], residuals[e]

@@ -12,8 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -94,7 +95,7 @@ def _kernel() -> Array:
     return np.round(FULL * np.maximum(1.0 - away / BLUR_M, 0.0)).astype(np.uint8)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _stamp(field, points, origin_x, origin_y, cell, kernel):
     rows, columns = field.shape
     reach = kernel.shape[0] // 2
@@ -110,7 +111,7 @@ def _stamp(field, points, origin_x, origin_y, cell, kernel):
                     field[r, c] = value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _widen(fields):
     """Fill the levels above the first."""
     levels, rows, columns = fields.shape
@@ -126,7 +127,7 @@ def _widen(fields):
                 here[r, c] = max(here[r, c], here[r, c + step])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sum(field, cells, row, column):
     """Score of the cells (n, 2) of points, shifted."""
     rows, columns = field.shape
@@ -138,7 +139,7 @@ def _sum(field, cells, row, column):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _turn(points, heading, origin_x, origin_y, cell, cells):
     """Cells (n, 2) of the points turned to a heading, not yet shifted."""
     cosine, sine = math.cos(heading), math.sin(heading)
@@ -149,7 +150,7 @@ def _turn(points, heading, origin_x, origin_y, cell, cells):
         cells[k, 1] = int(math.floor(x / cell))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _branch_and_bound(fields, points, headings, origin_x, origin_y, cell, reach, score_min, best):
     """Best score over all headings and shifts -reach..reach, and how many boxes were looked at; -1 below score_min.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.slam.wall_candidates import WallCandidates
 
 Array = NDArray
@@ -90,7 +90,7 @@ def _filled(scaled: Array, is_heard: Array, gap_max: float) -> Array:
     return np.ascontiguousarray(np.concatenate(parts))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _count_rays(rays, ends, start):
     """Add one to every cell that a ray start -> ends[i] passes; all in cells."""
     rows, columns = rays.shape
@@ -106,7 +106,7 @@ def _count_rays(rays, ends, start):
                 rays[r, c] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sweep(swept, path, radius):
     rows, columns = swept.shape
     for i in range(path.shape[0]):
@@ -117,7 +117,7 @@ def _sweep(swept, path, radius):
                     swept[r, c] = True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _stamp(likely, ends, probability):
     """Cells whose centre lies within half a cell of a piece get its probability, the largest counts."""
     rows, columns = likely.shape

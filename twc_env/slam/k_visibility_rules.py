@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -113,7 +114,7 @@ def _draw_box(classes: Array, told: Array) -> None:
         line[line != FREE] = WALL
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _ray(start_row, start_column, row, column, path):
     """Cells from a place to the centre of a cell, both included; how many."""
     dr, dc = row + 0.5 - start_row, column + 0.5 - start_column
@@ -127,12 +128,12 @@ def _ray(start_row, start_column, row, column, path):
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _inside(path, j, rows, columns):
     return 0 <= path[j, 0] < rows and 0 <= path[j, 1] < columns
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _apply_rules(cells, walls, router_of, routers, known_k, equation, free, mu, variance):
     rows, columns = free.shape
     path = np.empty((4 * (rows + columns), 2), np.int64)
@@ -163,7 +164,7 @@ def _apply_rules(cells, walls, router_of, routers, known_k, equation, free, mu, 
                 _add_walls(path, low, high, more, equation, mu, variance)  # rule 3
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add_walls(path, low, high, more, equation, mu, variance):
     """Spread `more` walls over the cells between two cuts, and fuse with what is there (Eq. 4 and 5)."""
     rows, columns = mu.shape
@@ -195,7 +196,7 @@ def _add_walls(path, low, high, more, equation, mu, variance):
                 variance[r, c] = new * old / (new + old)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _algorithm_1(cells, focus, routers, known_k, step, levels):
     rows, columns = levels.shape
     path = np.empty((4 * (rows + columns), 2), np.int64)
@@ -222,7 +223,7 @@ def _algorithm_1(cells, focus, routers, known_k, step, levels):
             last, last_k = j, k
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mark_changes(k_map, router, walls):
     rows, columns = k_map.shape
     path = np.empty((4 * (rows + columns), 2), np.int64)

@@ -12,10 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.errors import DataError
+from twc_env.kernels import kernel
 from twc_env.slam.path_bins import PathBins
 
 Array = NDArray
@@ -194,7 +194,7 @@ def _fit(
     return _signal(parameters, everywhere, float(log_likelihood + prior))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _expectation_maximisation(
     decades, level, steps, weight, temper, iterations, has_walls, exponent_prior, stay, parameters, probability
 ):
@@ -247,7 +247,7 @@ def _expectation_maximisation(
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _forward_backward(log_emit, steps, stay, forward, probability):
     """Posterior of each state (count, states); gives the log-likelihood. The first bin prefers no state."""
     count, states = log_emit.shape
@@ -296,7 +296,7 @@ def _forward_backward(log_emit, steps, stay, forward, probability):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _transitions(step, stay, transition):
     """How k changes over one step of the path: rarely, and by one wall more often than by two."""
     states = transition.shape[0]

@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import OdometryFilterConfig, VerificationConfig
 from twc_env.geometry import beam_directions, between
+from twc_env.kernels import kernel
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.global_matching import match_globally
 from twc_env.slam.odometry_filter import invert_symmetric
@@ -39,7 +39,7 @@ MATCH_COVARIANCE_MIN = np.diag(np.square((0.03, 0.03, 0.01)))
 """No match is known better than this [m2, m2, rad2]."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _relative(base, pose, out):
     """The pose seen from base, both in one frame."""
     c, s = math.cos(base[2]), math.sin(base[2])
@@ -47,7 +47,7 @@ def _relative(base, pose, out):
     out[0], out[1], out[2] = c * dx + s * dy, c * dy - s * dx, pose[2] - base[2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _join(poses, scans, directions, range_max, points):
     """End points of scans (k, beams) taken at poses (k, 3), in the frame of the first; gives their number."""
     pose = np.empty(3)
@@ -64,7 +64,7 @@ def _join(poses, scans, directions, range_max, points):
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
     """Share of one scan's end points, seen from pose in another scan's frame, well inside that scan's free space."""
     beams = ranges.shape[0]
@@ -87,7 +87,7 @@ def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
     return through / max(compared, 1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _contradiction(target, source, directions, pose, range_max, margin):
     """The larger share of one scan's points that the other scan saw through; pose is the source's in the target."""
     back = np.empty(3)

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import MergingConfig
 from twc_env.geometry import between, compose, inverse
+from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint, GridMap
 
 Array = NDArray
@@ -93,7 +93,7 @@ def _walls_in_free_space(grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> f
     return standing / known if known >= KNOWN_MIN else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _is_near_wall(log_odds, row, column):
     """Whether a wall lies at most NEAR_CELLS steps up, down, left or right."""
     for r in range(max(row - NEAR_CELLS, 0), min(row + NEAR_CELLS + 1, log_odds.shape[0])):
@@ -104,7 +104,7 @@ def _is_near_wall(log_odds, row, column):
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _count_standing(walls, walls_origin, walls_cell, free, free_origin, free_cell, pose):
     """Certain walls of one grid that stand in certain free space of the other, and all that it is certain about."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -133,7 +133,7 @@ def fingerprint_matrix(fingerprints: Sequence[Fingerprint]) -> Array:
     return levels
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fingerprint_distance_db(a, b):
     """Rms difference over shared transmitters after removing its mean (the two receivers' offset); NaN below three."""
     count, total = 0, 0.0
@@ -150,7 +150,7 @@ def _fingerprint_distance_db(a, b):
     return math.sqrt(squares / count)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _compare_places(levels, positions, robots, travels, is_b, together, reference):
     """Write the distances of places brought together and of the yardstick's pairs; gives how many each are."""
     found = learned = 0

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.geometry import compose, inverse
+from twc_env.kernels import kernel
 from twc_env.slam import pose_graph
 from twc_env.slam.odometry_chains import Chains
 from twc_env.slam.pose_graph import GATE, Graph
@@ -166,14 +166,14 @@ def _inverse(matrix: Array) -> Array:
     return lower
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mirror(lower):
     for row in range(len(lower)):
         for column in range(row):
             lower[column, row] = lower[row, column]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add_edges(hessian, a, b, weight):
     """Add the Laplacian blocks of edges a - b (k,) with information (k, 3, 3) to (n, 3, n, 3)."""
     for e in range(len(a)):

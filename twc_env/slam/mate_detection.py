@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.geometry import beam_directions
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -31,7 +31,7 @@ MEMORY = 100
 """Discs remembered."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _is_disc(ranges, directions, first, count, cx, cy, radius):
     """Whether the end points of these beams lie on the disc."""
     beams = ranges.shape[0]
@@ -43,7 +43,7 @@ def _is_disc(ranges, directions, first, count, cx, cy, radius):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mark(ranges, range_max, radius, directions, out, discs):
     """Write the marked scan to out and a row (x, y, first beam, beams) for each disc; gives how many there are."""
     beams = ranges.shape[0]
@@ -96,7 +96,7 @@ def _mark(ranges, range_max, radius, directions, out, discs):
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mark_all(robots, ranges, range_max, radius, directions, marked, discs, counts):
     for a in range(robots.shape[0]):
         k = robots[a]
@@ -129,7 +129,7 @@ class MateMarker:
         return self._discs[robot, : self._counts[robot]]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _unmark(scan, discs, pose, seen, following, travel, time):
     """See `StillDiscs.unmark`; gives the row of `seen` that is overwritten next."""
     beams = scan.shape[0]

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.geometry import beam_directions
+from twc_env.kernels import kernel
 from twc_env.messages import GridMap
 
 Array = NDArray
@@ -25,7 +25,7 @@ FREE_MARGIN_CELLS = 0.5
 """Free space ends this far before the measured wall."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill_crossings(px, py, qx, qy, row_low, row_high, crossings, counts):
     """Note where the polygon edge p-q crosses the centre line of each row, sorted by column."""
     low, high = (py, qy) if qy > py else (qy, py)
@@ -47,7 +47,7 @@ def _fill_crossings(px, py, qx, qy, row_low, row_high, crossings, counts):
         counts[row - row_low] = n + 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _lower(levels):
     """Make these cells freer; in 16 bits throughout, which is twice as fast."""
     for i in range(levels.shape[0]):
@@ -55,7 +55,7 @@ def _lower(levels):
         levels[i] = np.int16(level + LOG_ODDS_FREE) if level >= LOG_ODDS_MIN - LOG_ODDS_FREE else np.int16(LOG_ODDS_MIN)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, crossings, counts):
     height, width = log_odds.shape
     beams = ranges.shape[0]
@@ -98,7 +98,7 @@ def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, pose, directions, r
         log_odds[row, column] = min(log_odds[row, column] + LOG_ODDS_HIT, LOG_ODDS_MAX)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _integrate_many(log_odds, origin_x, origin_y, inverse_m, poses, directions, scans, range_max, crossings, counts):
     for k in range(poses.shape[0]):
         _integrate_scan(
@@ -106,7 +106,7 @@ def _integrate_many(log_odds, origin_x, origin_y, inverse_m, poses, directions, 
         )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _extent(poses, scans, range_max):
     """Lowest x and y, highest x and y that the scans can touch [m]."""
     low_x = low_y = np.inf

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import OdometryFilterConfig
 from twc_env.geometry import wrap_angle
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -21,7 +21,7 @@ INFORMATION_MIN = 1e-6
 """Added to a match's information, so that a direction it does not fix has a variance at all."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _motion_noise(dx, dy, config, out):
     """Variances (along x, along y, heading) of one step's motion."""
     length = math.sqrt(dx * dx + dy * dy)
@@ -30,7 +30,7 @@ def _motion_noise(dx, dy, config, out):
     out[2] = config[2] ** 2
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _predict(x, p, odometry, turn_rate, dt, config):
     """Move by odometry with the gyro's heading; then learn the gyro's bias from the odometry's turn.
 
@@ -73,7 +73,7 @@ def _predict(x, p, odometry, turn_rate, dt, config):
             p[i, j] += gain[i] * dt * row[j]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _invert3(m, out):
     """Inverse of a symmetric 3 x 3 matrix by cofactors."""
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
@@ -84,7 +84,7 @@ def _invert3(m, out):
     out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _update_pose(x, p, pose, information):
     """Linear update of x (4,) and p (4, 4) with a measured pose (3,) and its information (3, 3)."""
     r, s, inverse, gain, old = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3)), p.copy()
@@ -123,7 +123,7 @@ def _process_values(config: OdometryFilterConfig) -> Array:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _motion_covariance(variance, heading, matched, std_min, out):
     """Covariance of a motion from odometry's variances (3,), sharpened by the information (3, 3) of its last match.
 
@@ -165,7 +165,7 @@ def invert_symmetric(matrix: Array) -> Array:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def squared_error(error, covariance):
     """e^T C^-1 e of an error (3,) with its symmetric covariance (3, 3)."""
     inverse = np.empty((3, 3))
@@ -177,7 +177,7 @@ def squared_error(error, covariance):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _predict_all(states, covariances, robots, odometry, turn_rates, dts, config):
     for a in range(robots.shape[0]):
         k = robots[a]
@@ -185,7 +185,7 @@ def _predict_all(states, covariances, robots, odometry, turn_rates, dts, config)
             _predict(states[k], covariances[k], odometry[k], turn_rates[k], dts[k], config)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _update_all(states, covariances, robots, poses, information, is_matched):
     for a in range(robots.shape[0]):
         k = robots[a]

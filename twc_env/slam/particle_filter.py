@@ -13,10 +13,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.geometry import beam_directions
+from twc_env.kernels import kernel
 from twc_env.messages import GridMap, SensorFrame
 
 Array = NDArray
@@ -55,12 +55,12 @@ class ParticleFilterSettings:
     turn_std_per_rad: float = 0.1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _is_wall(hits, visits, row, column):
     return hits[row, column] > 0 and hits[row, column] >= OCCUPIED_SHARE * visits[row, column]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _misfit(hits, visits, ends, inverse_m, points, n, x, y, heading):
     """Sum of the beams' squared distances from walls [cells^2], and how many ended near one."""
     rows, columns = hits.shape
@@ -87,7 +87,7 @@ def _misfit(hits, visits, ends, inverse_m, points, n, x, y, heading):
     return total, near
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _climb(hits, visits, ends, inverse_m, points, n, pose):
     """Move pose (3,) to the nearest minimum of the misfit; gives that, and how many beams end near walls."""
     step_m, step_rad = CLIMB_STEP_M, CLIMB_STEP_RAD
@@ -112,7 +112,7 @@ def _climb(hits, visits, ends, inverse_m, points, n, pose):
     return best, near
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _draw(hits, visits, ends, inverse_m, pose, ranges, range_max, directions):
     """Count the cells that the beams of a scan came through (visits) and ended in (hits, and where: ends [cells])."""
     rows, columns = hits.shape
@@ -141,7 +141,7 @@ def _draw(hits, visits, ends, inverse_m, pose, ranges, range_max, directions):
             ends[last_row, last_column, 1] += y0 + length * dy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _choose(hits, visits, ends, inverse_m, points, n, told, motion_std, scale, pick, tried, logs):
     """Number of the pose drawn from tried (samples, 3) by likelihood of scan and motion, and the log of their mean."""
     top = -np.inf
@@ -162,7 +162,7 @@ def _choose(hits, visits, ends, inverse_m, points, n, told, motion_std, scale, p
     return chosen, top + math.log(total / tried.shape[0])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _move(pose, motion, out):
     """`geometry.compose`, with the heading left unwrapped."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -171,7 +171,7 @@ def _move(pose, motion, out):
     out[2] = pose[2] + motion[2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _step(
     poses, log_weights, hits, visits, ends, inverse_m, odometry, motion_std, moves, offsets, picks, ranges, range_max,
     directions, hit_cells, correlation, is_first,

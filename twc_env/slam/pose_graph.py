@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import PoseGraphConfig
+from twc_env.kernels import kernel
 from twc_env.slam.block_cholesky import BlockCholesky
 
 Array = NDArray
@@ -190,12 +190,12 @@ def _arrays(poses: Array, edges: Array, measured: Array) -> tuple[Array, Array, 
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _wrap(angle):
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _residuals(poses, edges, measured):
     out = np.empty((len(edges), 3))
     for e in range(len(edges)):
@@ -207,7 +207,7 @@ def _residuals(poses, edges, measured):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _squared_errors(poses, edges, measured, information):
     out = np.empty(len(edges))
     r = _residuals(poses, edges, measured)
@@ -221,7 +221,7 @@ def _squared_errors(poses, edges, measured, information):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _linearise(poses, edges, measured, information, weight, block_of_edge, block_count, fixed):
     """Hessian blocks and gradient of half the weighted squared errors; block holds H[larger index, smaller index]."""
     diagonal, blocks = np.zeros((len(poses), 3, 3)), np.zeros((block_count, 3, 3))
@@ -270,7 +270,7 @@ def _linearise(poses, edges, measured, information, weight, block_of_edge, block
     return diagonal, blocks, gradient
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _damped(diagonal, damping):
     out = diagonal.copy()
     for i in range(len(out)):
@@ -279,7 +279,7 @@ def _damped(diagonal, damping):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _moved(poses, delta, fixed):
     """Poses after a step, and how far a pose went at most [m, rad]; the fixed pose keeps its bits."""
     out = poses.copy()

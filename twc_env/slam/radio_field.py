@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.geometry import wrap_angle
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -105,7 +105,7 @@ def _fit_all(feature, positions_m, travel_m, bandwidth_m, apart_m, together_m):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _planes(feature, positions, travel, bandwidth, apart, together):
     """Per place: sum of slope slope^T (n, 2, 2) and of slope * difference (n, 2); nearest of other visits (n, 3)."""
     count, width = feature.shape

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint, WifiScan
 
 Array = NDArray
@@ -73,7 +73,7 @@ def fingerprint(
     return window.fingerprint(-1.0, detection_min, std_mode, age_max_s)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _clipped_means(
     macs, levels, ages, counts, times, added, after, age_max, detection_min, std_mode, out_macs, out_levels
 ):  # fmt: skip
@@ -191,7 +191,7 @@ class FingerprintTable:
         return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _compare_rows(rows, ends, macs, levels, other_macs, other_levels, similarity, distance, shared):
     for r in range(rows.shape[0]):
         row = rows[r]

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint
 
 if TYPE_CHECKING:
@@ -185,7 +185,7 @@ def _doubled(values: Array) -> Array:
     return np.concatenate([values, np.zeros_like(values)])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _one_to_many(columns, weights, start, length, member, weight, out):
     for k in range(len(columns)):
         first, size, w = start[columns[k]], length[columns[k]], weights[k]
@@ -200,7 +200,7 @@ def _one_to_many(columns, weights, start, length, member, weight, out):
             out[member[at]] += w * weight[at]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _all_pairs(row_starts, columns, weights, starts, members, member_weights):
     count = len(row_starts) - 1
     out = np.zeros((count, count), np.float32)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint
 
 Array = NDArray
@@ -26,7 +26,7 @@ def radio_difference_db(a: Fingerprint, b: Fingerprint) -> float:
     return _radio_difference(a.macs, a.rssi_dbm, b.macs, b.rssi_dbm, FLOOR_DBM)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _radio_difference(macs_a, levels_a, macs_b, levels_b, floor):
     total = squares = 0.0
     i = j = count = 0

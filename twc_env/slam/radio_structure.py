@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import KVisibilityConfig
 from twc_env.geometry import compose, inverse, transform_points
+from twc_env.kernels import kernel
 from twc_env.messages import GridMap, SensorFrame
 
 Array = NDArray
@@ -158,7 +158,7 @@ class RadioStructure:
         return best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def update_reading(log_odds, origin, inverse_m, x, y, router_x, router_y, rssi, power, exponent, loss, noise):
     """One reading at (x, y) of a router: the probability that no wall lies between moves every cell on the ray."""
     rows, columns = log_odds.shape
@@ -196,7 +196,7 @@ def update_reading(log_odds, origin, inverse_m, x, y, router_x, router_y, rssi, 
             log_odds[r, c] = min(max(log_odds[r, c] + step, -_LEVEL_MAX), _LEVEL_MAX)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _update_all(log_odds, origin, inverse_m, places, routers, which, levels, power, exponent, loss, noise):
     for i in range(places.shape[0]):
         j = which[i]

@@ -9,11 +9,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import between
+from twc_env.kernels import kernel
 from twc_env.messages import Keyframe, SensorFrame, SignObservation, SignReading
 from twc_env.slam.mate_detection import MateMarker, StillDiscs
 from twc_env.slam.odometry_filter import make_filters, motion_covariance
@@ -29,7 +29,7 @@ REDRAW_SPACING_M = 0.9
 """When the local map moves on, of the older keyframes every one this far along the path is drawn again."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _arrive(
     robots, states, odometry, dts, keyframe_poses, explained, explained_min, distance, distance_new, turn, poses,
     travels, steps, is_new,

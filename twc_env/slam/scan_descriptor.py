@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -71,13 +72,13 @@ def scan_agreement(
     return ((a[0] + b[0]) / judged, (a[1] + b[1]) / judged) if judged else (0.0, 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _inverse(pose):
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return np.array([-c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _bin(ranges, range_max, neighbour_weight, descriptor):
     rings, sectors = descriptor.shape
     beams = ranges.shape[0]
@@ -101,7 +102,7 @@ def _bin(ranges, range_max, neighbour_weight, descriptor):
                 descriptor[ring, sector] /= math.sqrt(total)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _judge(points, pose, ranges, range_max, agree, through):
     """Points of one scan, seen from pose in the frame of another: on its walls, seen through, and judged at all."""
     beams = ranges.shape[0]

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import LocalMapConfig
 from twc_env.geometry import beam_directions
+from twc_env.kernels import kernel
 from twc_env.slam.wall_drawing import draw_scans
 
 Array = NDArray
@@ -39,7 +39,7 @@ MATCHED_SHARE_MIN = 0.3
 """Nor is one that explains fewer of the beams."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _points_of(ranges, range_max, directions, points):
     """End points of the beams that returned, in the robot frame; gives their number."""
     n = 0
@@ -51,7 +51,7 @@ def _points_of(ranges, range_max, directions, points):
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _normal_equations(walls, origin, inverse_m, points, n, x, y, heading, distance_max, h, g):
     """Sum J^T w J (h: 6 upper entries) and J^T w e (g: 3) over points near walls; gives the sum of w, and how many."""
     height, width = walls.shape[0], walls.shape[1]
@@ -94,7 +94,7 @@ def _normal_equations(walls, origin, inverse_m, points, n, x, y, heading, distan
     return total, near
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _weakest_direction(h):
     """Smallest eigenvalue of the translation part of h with the heading left free, and its direction."""
     t = max(h[5], 1e-9)
@@ -104,7 +104,7 @@ def _weakest_direction(h):
     return max(mean - half, 0.0), math.cos(angle), math.sin(angle)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _solve3(h, g, damping, out):
     a00, a01, a02, a11, a12, a22 = h[0] + damping, h[1], h[2], h[3] + damping, h[4], h[5] + damping
     m0, m1, m2 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
@@ -116,7 +116,7 @@ def _solve3(h, g, damping, out):
     out[2] = -(m2 * g[0] + n2 * g[1] + n3 * g[2]) / det
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _refine(
     walls, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad, pose, h
 ):
@@ -151,7 +151,7 @@ def _refine(
     return total, near, degenerate, vx, vy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _score(walls, origin, inverse_m, points, n, stride, x, y, c, s):
     height, width = walls.shape[0], walls.shape[1]
     total = 0.0
@@ -168,7 +168,7 @@ def _score(walls, origin, inverse_m, points, n, stride, x, y, c, s):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _correlate(walls, origin, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best):
     """Brute force over a window around guess, nearest first; writes the best pose, gives its mean score in [0, 1]."""
     best_score = -1.0
@@ -188,7 +188,7 @@ def _correlate(walls, origin, inverse_m, points, n, guess, window_m, window_rad,
     return best_score / max((n + stride - 1) // stride, 1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _share_near(walls, origin, inverse_m, points, n, pose, near_m):
     """Share of the points within near_m of a wall."""
     height, width = walls.shape[0], walls.shape[1]
@@ -205,7 +205,7 @@ def _share_near(walls, origin, inverse_m, points, n, pose, near_m):
     return count / max(n, 1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _information(h, degenerate, vx, vy, scale, out):
     """Fill out (3, 3) with h / scale, emptied along the direction (vx, vy) where that is degenerate."""
     out[0, 0], out[0, 1], out[0, 2], out[1, 1], out[1, 2], out[2, 2] = h[0], h[1], h[2], h[3], h[4], h[5]
@@ -221,7 +221,7 @@ def _information(h, degenerate, vx, vy, scale, out):
             out[i, 0], out[i, 1] = kxx * a + kxy * b, kxy * a + kyy * b
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _match_scans(
     walls, origins, inverse_m, robots, scans, directions, range_max, guesses, distance_max, iterations,
     degenerate_share, variance, share_min, jump_max_m, jump_max_rad, points, poses, information, is_matched, explained,

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.geometry import compose, inverse
+from twc_env.kernels import kernel
 from twc_env.messages import Keyframe, KnownSign, LoopClosure
 from twc_env.slam.growing import Growing
 from twc_env.slam.odometry_filter import invert_symmetric
@@ -21,7 +21,7 @@ ODOMETRY = -1
 SAME_SIGN_M = 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _places_of_signs(poses, readings, local, robots, text_count, same_m, texts, places):
     """Text and place (in the map) of each known sign, robot by robot; all of one text stand together.
 
@@ -65,7 +65,7 @@ def _places_of_signs(poses, readings, local, robots, text_count, same_m, texts, 
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _nearest(poses, nodes, travels, travel_max, x, y):
     best, best_squared = -1, np.inf
     for k in range(nodes.shape[0]):

@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -241,7 +242,7 @@ def _distance_to_path(ends: Array, vertices: Array) -> Array:
     return cKDTree(vertices).query(middles)[0] if len(ends) else np.zeros(0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _drop_repeated(ends, stretch, reach, keep):
     """Pieces that lie along one of an earlier line are the same wall."""
     for j in range(ends.shape[0]):
@@ -266,7 +267,7 @@ def _drop_repeated(ends, stretch, reach, keep):
                 break
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _opposite_tracks(vertices, tangent, reach, gaps, partners):
     """For each vertex and side: distance to the next track along the normal (inf: none), and which vertex it is."""
     count = vertices.shape[0]

@@ -7,8 +7,9 @@ prior knows which side of the path usually has the wall, and that neighbours alo
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -19,7 +20,7 @@ _TAIL = 4.0
 _RUN_MAX = 50
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_crossings(ends, near, far, is_heard, first, members):
     """Pieces (p, 4) met by each ray near[i] -> far[i]: count into first, or fill members when it has room.
 
@@ -55,12 +56,12 @@ def find_crossings(ends, near, far, is_heard, first, members):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cost(error, variance, weight):
     return weight * 0.5 * (_TAIL + 1.0) * np.log(1.0 + error * error / (_TAIL * variance))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def sample_walls(
     is_wall,
     summed,
@@ -157,7 +158,7 @@ def sample_walls(
                     on_count[j] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _boundary(neighbour, old, new):
     """How much better a run's end agrees with its neighbour after the flip (coupled as above)."""
     before = COUPLING if neighbour == old else -COUPLING

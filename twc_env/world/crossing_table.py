@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from twc_env.kernels import kernel
 from twc_env.world.wall_index import WallIndex
 
 Array = NDArray
@@ -77,7 +77,7 @@ class CrossingTable:
         return table
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sort_walls(walls, loss, points, x, y, half, counts, losses, first, members):
     """Walls that all of a square crosses are counted, walls that none of it crosses are dropped, the others listed.
 
@@ -117,7 +117,7 @@ def _sort_walls(walls, loss, points, x, y, half, counts, losses, first, members)
     first[points.shape[0]] = open_count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cross_open(walls, loss, points, px, py, sure_counts, sure_losses, first, members, counts, losses):
     """The test of `wall_index._cross` for the walls of a square that are neither surely crossed nor surely missed."""
     for k in range(points.shape[0]):

@@ -7,11 +7,11 @@ from collections.abc import Iterable
 
 import numpy as np
 import pymunk
-from numba import njit
 from numpy.typing import NDArray
 from pymunk import batch
 
 from twc_env.config import DynamicsConfig
+from twc_env.kernels import kernel
 from twc_env.world.wall_index import WallIndex
 
 Array = NDArray
@@ -124,7 +124,7 @@ def _add_robot(space: pymunk.Space, pose: Array, radius_m: float) -> None:
     space.add(body, pymunk.Circle(body, radius_m))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _drive(state, commands, limits, time_step, substeps, gaps, radius):
     """Wheel speeds towards the commands; then, if no robot can touch anything in this step, move them.
 
@@ -159,7 +159,7 @@ def _drive(state, commands, limits, time_step, substeps, gaps, radius):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
     """Distance of (x, y) to the nearest wall, cut at `reach`."""
     c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
@@ -179,7 +179,7 @@ def _gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
     return np.sqrt(nearest2)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _look_around(state, walls, origin, bucket, rows, columns, first, members, radius, reach, gaps, poses, contacts):
     """Poses of the robots, their distances to walls, and who touches something."""
     robots = poses.shape[0]
@@ -195,7 +195,7 @@ def _look_around(state, walls, origin, bucket, rows, columns, first, members, ra
                 contacts[i] = contacts[j] = True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _advance(
     state, commands, limits, time_step, substeps, walls, origin, bucket, rows, columns, first, members, radius, reach,
     gaps, poses, contacts,

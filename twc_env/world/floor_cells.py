@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.errors import MapError
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -66,7 +66,7 @@ def rasterise(name: str, walls_m: Array, interior_m: Array, resolution_m: float)
     return Cells(free, wall, origin, resolution_m)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _stamp_walls(walls, origin, resolution, wall):
     rows, columns = wall.shape
     reach = 0.5 * resolution * (1.0 + 1e-6)
@@ -97,7 +97,7 @@ def _stamp_walls(walls, origin, resolution, wall):
                     wall[r, c] = True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _flood(wall, seeds, free):
     """Grow free from the seeds (k, 2) column, row; True when it reaches the raster's edge."""
     rows, columns = wall.shape

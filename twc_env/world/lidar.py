@@ -6,10 +6,10 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import LidarConfig
+from twc_env.kernels import kernel
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.materials import MATERIALS
@@ -100,7 +100,7 @@ def _apart(index: WallIndex, glass: tuple[int, ...]) -> tuple[WallIndex, Array]:
     return index_walls(solid.reshape(-1, 2, 2), np.zeros(len(solid))), np.ascontiguousarray(index.walls_m[is_glass])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _rough_angle(x, y):
     """The angle of (x, y) in [-pi, pi] to 1e-5 rad, without a branch (Abramowitz and Stegun 4.4.49)."""
     ax, ay = abs(x), abs(y)
@@ -112,7 +112,7 @@ def _rough_angle(x, y):
     return -angle if y < 0.0 else angle
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _gather(walls, origin, bucket, rows, columns, first, members, x, y, c, s, far, robot, near, stamps):
     """Walls of the buckets around a robot that come within its range -> how many.
 
@@ -145,7 +145,7 @@ def _gather(walls, origin, bucket, rows, columns, first, members, x, y, c, s, fa
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sweep(
     walls, origin, bucket, rows, columns, first, members, poses, directions, radius, far, near, stamps, words,
     quantiles, std, ranges,
@@ -203,7 +203,7 @@ def _sweep(
         _add_noise(ranges, words, quantiles, std, far)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _turns_left(x, y, beam, directions):
     """Positive where a beam points to the left of the point (x, y), negative to the right, 0 within rounding."""
     b = beam % directions.shape[1]
@@ -212,7 +212,7 @@ def _turns_left(x, y, beam, directions):
     return 0.0 if abs(cross) <= 1e-9 * abs(x * dx + y * dy) else cross
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _draw_disc(px, py, radius, directions, far, ranges):
     """Another robot, its middle at (px, py) in the robot frame."""
     beams = directions.shape[1]
@@ -230,7 +230,7 @@ def _draw_disc(px, py, radius, directions, far, ranges):
             ranges[b] = min(ranges[b], ahead - np.sqrt(inside))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _see_glass(panes, poses, directions, chance, head_on, cos_max, incidence_max, ranges):
     """Put the panes that reflect into the ranges: the chance falls evenly from head-on to the largest incidence.
 
@@ -257,7 +257,7 @@ def _see_glass(panes, poses, directions, chance, head_on, cos_max, incidence_max
                     ranges[i, b] = offset / closing
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add_noise(ranges, words, quantiles, std, far):
     for i in range(ranges.shape[0]):
         for b in range(ranges.shape[1]):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import SignsConfig
+from twc_env.kernels import kernel
 from twc_env.world.ocr_table import GARBLED_RATE, MISS_LENGTH, OcrTable
 
 Array = NDArray
@@ -63,7 +63,7 @@ class TableReader:
         return out[:count].tobytes().decode("utf-32-le").strip()
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _place(axis, value):
     """Index of the grid line below a value and the weight of the next, held at the ends."""
     last = axis.shape[0] - 2
@@ -74,12 +74,12 @@ def _place(axis, value):
     return k, min(max(weight, 0.0), 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _uniform(z):
     return 0.5 * math.erfc(-z / math.sqrt(2.0))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _pick(cdf, u):
     k = 0
     while k < cdf.shape[0] - 1 and u >= cdf[k]:
@@ -87,7 +87,7 @@ def _pick(cdf, u):
     return k
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _misread(codes, is_hidden, height, narrowed, blur, draws, grid, lines, letters, out):
     heights, angles, blurs, miss_grid, fragment_grid, space_grid, level_grid = grid
     level_rate, edit_cdf, kept_quantiles, kept_begin, length_exponent, space_proneness, miss_length, garbled_rate = (

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import OdometryConfig
+from twc_env.kernels import kernel
 from twc_env.random_streams import random_stream
 from twc_env.world.noise import StepNoise
 
@@ -112,7 +112,7 @@ class Odometry:
         return odometry, turn_rates
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates):
     """Columns of noise: three normal deviates for odometry, one for the gyro, and two uniform ones for slip."""
     for i in range(now.shape[0]):

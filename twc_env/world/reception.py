@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import RadioConfig
+from twc_env.kernels import kernel
 from twc_env.messages import WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.world.noise import StepNoise
@@ -104,7 +104,7 @@ def mean_rssi_at(
     return mean
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _open_losses(x, y, boxes, walls, wall_loss, sure_losses, first, members, losses):
     """`CrossingTable.crossed` without the counts: sure losses, and those of the walls that must be tested."""
     for k in range(boxes.shape[1]):
@@ -126,7 +126,7 @@ def _open_losses(x, y, boxes, walls, wall_loss, sure_losses, first, members, los
                     losses[band, k] += wall_loss[band, w]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
     """Sum of cosines per source; the loop over sources is innermost, so that they are worked out side by side."""
     c, s = np.cos(pose_home_building[2]), np.sin(pose_home_building[2])
@@ -145,7 +145,7 @@ def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
         shadowing[a] *= boxes[3, a] * np.sqrt(2.0 / waves.shape[1])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, mean):
     shadowing, path_loss = scratch[0], scratch[1]
     _shadowing(x, y, pose_home_building, boxes, waves, shadowing)
@@ -157,7 +157,7 @@ def _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, di
         mean[t] = radios[0, t] - radios[1, t] * path_loss[a] - losses[parts[1, t], a] + shadowing[a]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _receive(rssi, fading, constants, draws, floors, all_macs, heard, macs, readings):
     """Turn mean strengths into readings, in place; what is heard is also listed in macs and readings -> how many.
 
@@ -177,7 +177,7 @@ def _receive(rssi, fading, constants, draws, floors, all_macs, heard, macs, read
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _listen(
     x, y, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, walls, wall_loss, sure_losses, first,
     members, fading, constants, draws, floors, all_macs, macs, readings,

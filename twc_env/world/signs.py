@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twc_env.config import DynamicsConfig, SignsConfig
+from twc_env.kernels import kernel
 from twc_env.messages import SignReading
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, Floorplan
@@ -90,7 +90,7 @@ class SignCamera:
         )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _is_blocked(walls, origin, bucket, rows, columns, first, members, px, py, qx, qy):
     """Whether a wall crosses the line from p to q; walls of the buckets around the line are tested."""
     c0 = max(int(np.floor((min(px, qx) - origin[0]) / bucket)), 0)
@@ -115,7 +115,7 @@ def _is_blocked(walls, origin, bucket, rows, columns, first, members, px, py, qx
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _look(
     signs, lengths, walls, origin, bucket, rows, columns, first, members, pose, previous, robots, constants, sights,
     hidden,
@@ -150,7 +150,7 @@ def _look(
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _hide(sign, x, y, robots, radius, pitch, is_hidden):
     """Which characters of a sign, from the reader's left to right, are behind a robot; the reader hides none."""
     count = is_hidden.shape[0]

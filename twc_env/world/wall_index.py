@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
 
 Array = NDArray
 
@@ -76,7 +77,7 @@ def index_walls(walls_m: Array, loss_db: Array) -> WallIndex:
     return WallIndex(flat, np.asarray(loss_db, float), low, bucket_m, (rows, columns), first, members)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill(walls, origin, bucket, rows, columns, slots, members):
     """Visit every (wall, bucket) pair that touches; count into slots, or write members when there is room."""
     half = 0.5 * bucket + 1e-9
@@ -98,7 +99,7 @@ def _fill(walls, origin, bucket, rows, columns, slots, members):
                 slots[b] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cross(walls, loss, origin, bucket, rows, columns, first, members, px, py, targets, counts, losses):
     stamp = np.full(walls.shape[0], -1, np.int32)
     for k in range(targets.shape[0]):
@@ -139,7 +140,7 @@ def _cross(walls, loss, origin, bucket, rows, columns, first, members, px, py, t
                 r += step_r
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _distance(walls, origin, bucket, rows, columns, first, members, points, reach, gaps):
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]

@@ -1,0 +1,53 @@
+"""Compiled kernels: how this package compiles loops over arrays, and when a kernel on disk is out of date.
+
+Numba keeps a compiled kernel on disk until its own file changes. A kernel may also call kernels of other files and read
+constants that stand there, taken by `from module import name`; `kernel` therefore marks what is on disk with all that
+its file imports in this way, so that a change of any of it compiles the callers anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numba.core.dispatcher import Dispatcher
+
+_CONSTANTS = (bool, int, float, str, bytes, tuple, np.generic)
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function at its first call; later processes read it from disk.
+
+    Division by zero gives what numpy gives (infinity or NaN). There are no bounds checks: clamp every index.
+    """
+    compiled: Any = njit(cache=True, error_model="numpy")(function)
+    file = getattr(compiled._cache, "_cache_file", None)
+    if file is None or not hasattr(file, "_source_stamp"):  # a numba that keeps it elsewhere: rather slow than wrong
+        return njit(error_model="numpy")(function)
+    file._source_stamp = _foundation(function, repr(file._source_stamp))
+    return compiled
+
+
+def _foundation(function: Callable[..., Any], own_file: str) -> bytes:
+    """Digest of all that a kernel may be made of: its file, and the kernels and constants that this file imports."""
+    digest = hashlib.sha256(own_file.encode())
+    for name, value in sorted(function.__globals__.items()):
+        if name.startswith("__"):
+            continue
+        if isinstance(value, Dispatcher):
+            digest.update(value._cache._cache_file._source_stamp)  # type: ignore[attr-defined]
+        elif isinstance(value, np.ndarray):
+            digest.update(f"{name} {value.dtype.str} {value.shape}".encode() + value.tobytes())
+        elif isinstance(value, _CONSTANTS):
+            digest.update(f"{name} {value!r}".encode())
+        elif name in function.__code__.co_names and _is_of_the_package(value):
+            raise TypeError(f"kernel {function.__name__}: import names from {value.__name__}, not the module")
+    return digest.digest()
+
+
+def _is_of_the_package(value: object) -> bool:
+    return isinstance(value, ModuleType) and value.__name__.startswith("twc_env.")
