@@ -1,0 +1,127 @@
+"""Configs from plain values, files and dotted keys, and back; unknown keys and wrong types are refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import hashlib
+import json
+import tomllib
+import typing
+from functools import lru_cache
+from pathlib import Path
+
+from twc_env.config.environment import EnvConfig
+from twc_env.config.radio_presets import RADIO_PRESETS
+from twc_env.config.world import RadioConfig
+from twc_env.errors import ConfigError
+
+
+def radio_preset(name: str) -> RadioConfig:
+    """Settings of the radio for one kind of place; ConfigError for an unknown name."""
+    if name not in RADIO_PRESETS:
+        known = ", ".join(RADIO_PRESETS)
+        raise ConfigError(f"radio.preset must be one of {known}; got {name!r}{_did_you_mean(name, RADIO_PRESETS)}")
+    return from_dict(RADIO_PRESETS[name], RadioConfig, "radio")
+
+
+@lru_cache(maxsize=16)
+def digest(config: EnvConfig) -> str:
+    """Twelve hex digits that change if and only if a value changes."""
+    text = json.dumps(dataclasses.asdict(config), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def to_dict(config: EnvConfig) -> dict:
+    """Nested plain values, ready for JSON; `from_dict` reads it back."""
+    return dataclasses.asdict(config)
+
+
+def from_dict(values: dict, cls: type = EnvConfig, where: str = "config"):
+    """Build a (nested) config from plain values; what is not named keeps its default.
+
+    Raises ConfigError for an unknown key (with the nearest known one), a wrong type or a value out of range.
+    """
+    if not isinstance(values, dict):
+        raise ConfigError(f"{where} must be a table of settings; got {values!r}")
+    types = typing.get_type_hints(cls)
+    arguments: dict = {}
+    if cls is RadioConfig and "preset" in values:
+        values = dict(values)
+        values = _merged(dataclasses.asdict(radio_preset(values.pop("preset"))), values)
+    for key, value in values.items():
+        if key not in types:
+            raise ConfigError(f"{where}.{key} is unknown{_did_you_mean(key, types)}")
+        arguments[key] = _value(types[key], value, f"{where}.{key}")
+    return cls(**arguments)
+
+
+def load(path: str | Path) -> EnvConfig:
+    """Read a TOML or JSON file that overrides the defaults it names."""
+    path = Path(path)
+    try:
+        text = path.read_text()
+        values = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except OSError as error:
+        raise ConfigError(f"cannot read the config file {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise ConfigError(f"{path} is not valid {path.suffix[1:].upper() or 'TOML'}: {error}") from error
+    return from_dict(values)
+
+
+def override(config: EnvConfig, assignments: dict[str, object]) -> EnvConfig:
+    """A copy with dotted keys replaced: `override(config, {"lidar.beam_count": 360})`.
+
+    Values given as text are read as the type of the field, so they can come straight from a command line.
+    """
+    values = to_dict(config)
+    for dotted, value in assignments.items():
+        if dotted == "radio.preset":
+            values["radio"] = dataclasses.asdict(radio_preset(str(value)))
+            continue
+        node, parts = values, dotted.split(".")
+        for depth, part in enumerate(parts):
+            if not isinstance(node, dict) or part not in node:
+                known = node if isinstance(node, dict) else ()
+                raise ConfigError(f"config.{'.'.join(parts[: depth + 1])} is unknown{_did_you_mean(part, known)}")
+            if depth < len(parts) - 1:
+                node = node[part]
+        node[parts[-1]] = _from_text(value, node[parts[-1]], dotted)
+    return from_dict(values)
+
+
+def _value(kind: type, value, where: str):
+    if dataclasses.is_dataclass(kind):
+        return value if isinstance(value, kind) else from_dict(value, kind, where)
+    if kind is float and type(value) is int:
+        return float(value)
+    if type(value) is not kind:
+        raise ConfigError(f"{where} must be of type {kind.__name__}; got {value!r}")
+    return value
+
+
+def _merged(base: dict, changes: dict) -> dict:
+    """`base` with the (nested) values that `changes` names."""
+    merged = dict(base)
+    for key, value in changes.items():
+        nested = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if nested else value
+    return merged
+
+
+def _from_text(value, old, where: str):
+    if not isinstance(value, str) or isinstance(old, str):
+        return value
+    if isinstance(old, bool):
+        if value.lower() in ("true", "false"):
+            return value.lower() == "true"
+        raise ConfigError(f"config.{where} must be true or false; got {value!r}")
+    try:
+        return type(old)(value)
+    except (TypeError, ValueError):
+        raise ConfigError(f"config.{where} must be of type {type(old).__name__}; got {value!r}") from None
+
+
+def _did_you_mean(key, known) -> str:
+    near = difflib.get_close_matches(str(key), list(known), n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}" if known else ""
