@@ -1,4 +1,4 @@
-"""The snippets of the README that show the environment in other tools run as they stand."""
+"""The snippets of the README and of docs/library.md run as they stand."""
 
 import importlib.util
 import os
@@ -14,7 +14,16 @@ import twc_env
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text()
 TEXT = TEXT[TEXT.index("## In other tools") : TEXT.index("## Where to go next")]
-SNIPPETS = dict(re.findall(r"^### ([^\n]+)\n(?:(?!^### ).)*?```python\n(.*?)```", TEXT, flags=re.DOTALL | re.MULTILINE))
+LIBRARY = (ROOT / "docs" / "library.md").read_text()
+
+
+def snippets(text: str) -> dict[str, str]:
+    """Heading to code."""
+    found = re.findall(r"^### ([^\n]+)\n(?:(?!^### ).)*?```python\n(.*?)```", text, flags=re.DOTALL | re.MULTILINE)
+    return dict(found)
+
+
+SNIPPETS = snippets(TEXT) | snippets(LIBRARY)
 NEEDS = {"stable-baselines3": "stable_baselines3", "TorchRL": "torchrl", "RLlib": "ray", "Seeing it": "PIL"}
 
 
@@ -35,5 +44,6 @@ def test_a_snippet_runs(heading, tmp_path):
 
 
 def test_the_page_names_every_tool_and_every_task():
-    assert {*NEEDS, "Gymnasium, vectorised", "Copies and moments"} == SNIPPETS.keys()
+    assert {*NEEDS, "Gymnasium, vectorised", "Copies and moments"} == snippets(TEXT).keys()
+    assert len(snippets(LIBRARY)) == LIBRARY.count("\n### ") == LIBRARY.count("```python")
     assert set(re.findall(r"`(twc/[\w-]+)`", TEXT)) == set(twc_env.TASKS)
