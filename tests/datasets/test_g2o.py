@@ -50,9 +50,19 @@ def test_vertex_numbers_may_have_gaps(tmp_path):
     assert graph["edges_ij"].tolist() == [[0, 1]]
 
 
+def test_nodes_of_a_file_of_edges_alone_lie_along_the_odometry(tmp_path):
+    lines = ["0 2 9 9 0", "1 0 -1 0 0", "1 2 1 0 1.5707963267948966", "7 2 -3 0 0"]
+    (tmp_path / "a.g2o").write_text("\n".join(f"EDGE_SE2 {line} 1 0 0 1 0 1" for line in lines))
+    graph = read_g2o(tmp_path / "a.g2o")
+    assert graph["vertex_ids"].tolist() == [0, 1, 2, 7]
+    quarter = np.pi / 2
+    assert np.allclose(graph["nodes"], [[0, 0, 0], [1, 0, 0], [2, 0, quarter], [2, 3, quarter]])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\n", "no edges lead from vertex 0 to 5"),
         ("VERTEX_SE2 0 0 0\n", "line 1: expected 4 finite numbers"),
         ("VERTEX_SE2 0 0 0 inf\n", "line 1: expected 4 finite numbers"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 9 1 0 0 1 0 0 1 0 1\n", "line 2: the edge names vertex 9"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import heapq
+import itertools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.errors import DataError
+from twc_env.geometry import compose, inverse
 
 Array = NDArray
 
@@ -38,8 +41,9 @@ def read_g2o(path: str | Path) -> dict[str, Any]:
     """Read a graph, with the keys of `write_g2o` and, besides:
 
     vertex_ids (k,): the numbers the file gives its vertices; edges_kind: "odometry" for edges between neighbours in
-    the file's numbering, else "closure". Lines of other kinds (FIX, switches, parameters) are left out.
-    Raises DataError naming the line for malformed numbers, edges to unknown vertices, or a file without VERTEX_SE2.
+    the file's numbering, else "closure". Lines of other kinds (FIX, switches, parameters) are left out. Where there are
+    edges alone, nodes are laid along them from the lowest number on, which is at (0, 0, 0).
+    Raises DataError naming the line for malformed numbers, edges to unknown vertices, or a file of neither kind.
     """
     vertices: dict[int, list[float]] = {}
     edges: list[tuple[int, int, list[float], int]] = []
@@ -58,9 +62,11 @@ def read_g2o(path: str | Path) -> dict[str, Any]:
                     edges.append((ids[0], ids[1], values, number))
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"cannot read the pose graph {path}: {error}; check the path and the format") from error
+    if edges and not vertices:
+        vertices = _laid_along(edges, path)
     if not vertices:
         found = f"it holds {', '.join(sorted(others)[:4])}" if others else "it is empty"
-        raise DataError(f"{path} has no VERTEX_SE2 line ({found}); only planar graphs can be read")
+        raise DataError(f"{path} has no VERTEX_SE2 or EDGE_SE2 line ({found}); only planar graphs can be read")
     return _graph(vertices, edges, path)
 
 
@@ -82,6 +88,27 @@ def _graph(vertices: dict[int, list[float]], edges: list[tuple[int, int, list[fl
         "edges_information": information,
         "edges_kind": ["odometry" if abs(i - j) == 1 else "closure" for i, j, _, _ in edges],
     }
+
+
+def _laid_along(edges: list[tuple[int, int, list[float], int]], path) -> dict[int, list[float]]:
+    """Poses of all vertices that edges name, by closures only where no odometry leads."""
+    ways: dict[int, list[tuple[int, Array]]] = {}
+    for i, j, values, _ in edges:
+        ways.setdefault(i, []).append((j, np.array(values[:3])))
+        ways.setdefault(j, []).append((i, inverse(values[:3])))
+    first, order = min(ways), itertools.count()
+    poses: dict[int, Array] = {}
+    waiting = [(False, next(order), first, np.zeros(3))]
+    while waiting:
+        *_, vertex, pose = heapq.heappop(waiting)
+        if vertex in poses:
+            continue
+        poses[vertex] = pose
+        for to, motion in ways[vertex]:
+            heapq.heappush(waiting, (abs(to - vertex) != 1, next(order), to, compose(pose, motion)))
+    if lacking := sorted(ways.keys() - poses.keys()):
+        raise DataError(f"{path} has no VERTEX_SE2 lines, and no edges lead from vertex {first} to {lacking[0]}")
+    return {vertex: poses[vertex].tolist() for vertex in sorted(poses)}
 
 
 def _parse(words: list[str], path, number: int) -> tuple[list[int], list[float]]:

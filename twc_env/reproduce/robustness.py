@@ -13,7 +13,6 @@ seconds. `ours` is judged over six seeds (ten take 12 minutes on two cores), the
 from __future__ import annotations
 
 import argparse
-import gzip
 import math
 import time
 from collections.abc import Iterable
@@ -175,19 +174,10 @@ def _clean(folder: Path, dataset: str) -> tuple[Array, Graph, Array]:
 
 
 def read_graph(path: Path) -> Graph:
-    """Edges of a g2o file, also of one without vertices; odometry are the edges from one vertex to the next."""
-    with gzip.open(path, "rt") as file:
-        words = [line.split() for line in file]
-    if any(line[:1] == ["VERTEX_SE2"] for line in words):
-        read = read_g2o(path)
-        edges, measured, information = read["edges_ij"], read["edges_z"], read["edges_information"]
-    else:
-        values = np.array([line[1:] for line in words if line[:1] == ["EDGE_SE2"]], float)
-        if not len(values):
-            raise DataError(f"{path} has no EDGE_SE2 line; only planar graphs can be read")
-        edges, measured = values[:, :2].astype(np.int64), values[:, 2:5]
-        information = values[:, 5:][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    return Graph(edges, measured, information, edges[:, 1] != edges[:, 0] + 1)
+    """Edges of a g2o file; odometry are the edges from one vertex to the next."""
+    read = read_g2o(path)
+    edges = read["edges_ij"]
+    return Graph(edges, read["edges_z"], read["edges_information"], edges[:, 1] != edges[:, 0] + 1)
 
 
 def dead_reckoning(graph: Graph) -> Array:
