@@ -75,10 +75,12 @@ def _workers(map_name: str, steps: int, seed: int, cores: list[int]) -> float:
 
 
 def _start(arguments: list[str], environment: dict[str, str] | None = None) -> subprocess.Popen:
+    """A process of one thread that keeps bytecode, as Python does unless it is told not to."""
+    inherited = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
     pinned = dict.fromkeys(_THREADS, "1")
     return subprocess.Popen(
         [sys.executable, "-m", __name__, *arguments],
-        env={**os.environ, **pinned, **(environment or {})},
+        env={**inherited, **pinned, **(environment or {})},
         stdout=subprocess.PIPE,
         text=True,
     )
