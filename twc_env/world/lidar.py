@@ -20,6 +20,8 @@ Array = NDArray
 
 _QUANTILE_BITS, _QUANTILES_PER_WORD = 12, 5
 """A random number that picks a quantile of the range noise: five of them come out of one 64-bit word."""
+_SPARE_M = 0.5
+"""Walls are looked up for so much more than the range, and anew when the robot has come so far."""
 _EDGE_BEAMS = 0.02
 """Ends of walls are looked up this far beyond where their rough angle says, and then tested exactly."""
 
@@ -45,7 +47,7 @@ class Lidar:
             self._solid = solid.buckets()
         angles = 2 * math.pi * np.arange(config.beam_count) / config.beam_count
         self._directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, beams)
-        self._near, self._stamps = np.empty((6, len(index.walls_m))), np.full(len(index.walls_m), -1, np.int64)
+        self._surroundings = _surroundings(robots, len(index.walls_m))
         self._words = -(-config.beam_count // _QUANTILES_PER_WORD)
         self._quantiles = normal_quantiles(1 << _QUANTILE_BITS)
         self._noise = StepBits([random_stream(seed, "lidar", robot) for robot in range(robots)], self._words)
@@ -61,7 +63,7 @@ class Lidar:
         config = self._config
         words, std_m = self._noise.next(), config.range_noise_std_m
         is_clear = len(self._glass_m) == 0
-        ranges = self._ranges(poses, self._solid, words, std_m if is_clear else 0.0)
+        ranges = self._ranges(poses, self._solid, self._surroundings, words, std_m if is_clear else 0.0)
         if not is_clear:
             _see_glass(
                 self._glass_m, poses, self._directions, self._chance["lidar-glass"].next(),
@@ -75,15 +77,25 @@ class Lidar:
 
     def true_ranges(self, poses: Array) -> Array:
         """True poses (n, 3) -> exact ranges (n, beams) [m], cut at the maximum range; glass counts as wall."""
-        return self._ranges(poses, self._walls, np.zeros((len(poses), self._words), np.uint64), 0.0)
+        words, near = np.zeros((len(poses), self._words), np.uint64), _surroundings(len(poses), len(self._walls[0]))
+        return self._ranges(poses, self._walls, near, words, 0.0)
 
-    def _ranges(self, poses: Array, walls: tuple, words: Array, std_m: float) -> Array:
+    def _ranges(self, poses: Array, walls: tuple, near: tuple, words: Array, std_m: float) -> Array:
         ranges = np.empty((len(poses), self._config.beam_count))
-        _sweep(
-            *walls, poses, self._directions, self._radius_m, self._config.range_max_m, self._near, self._stamps, words,
-            self._quantiles, std_m, ranges,
+        sweep(
+            *walls, poses, self._directions, self._radius_m, self._config.range_max_m, *near, words, self._quantiles,
+            std_m, ranges,
         )  # fmt: skip
         return ranges
+
+
+def _surroundings(robots: int, walls: int) -> tuple[Array, ...]:
+    """What `sweep` keeps of each robot's surroundings: walls near (robots, 4, walls), how many, and around what place;
+    then scratch."""
+    return (
+        np.empty((robots, 4, walls)), np.zeros(robots, np.int64), np.full((robots, 2), np.nan),
+        np.empty((8, walls)), np.empty(walls, np.bool_),
+    )  # fmt: skip
 
 
 def glass_walls(plan: Floorplan) -> tuple[int, ...]:
@@ -113,91 +125,111 @@ def _rough_angle(x, y):
 
 
 @kernel
-def _gather(walls, origin, bucket, rows, columns, first, members, x, y, c, s, far, robot, near, stamps):
-    """Walls of the buckets around a robot that come within its range -> how many.
+def _gather(walls, origin, bucket, rows, columns, first, members, x, y, reach, stamps, near):
+    """Walls of the buckets around a place that come within reach of it -> how many.
 
-    Columns of near: begin x, y and extent x, y in the robot frame, ends in counter-clockwise order.
+    Rows of near: begin x, y and extent x, y.
     """
-    c0 = max(int(np.floor((x - far - origin[0]) / bucket)), 0)
-    c1 = min(int(np.floor((x + far - origin[0]) / bucket)), columns - 1)
-    r0 = max(int(np.floor((y - far - origin[1]) / bucket)), 0)
-    r1 = min(int(np.floor((y + far - origin[1]) / bucket)), rows - 1)
+    c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
+    c1 = min(int(np.floor((x + reach - origin[0]) / bucket)), columns - 1)
+    r0 = max(int(np.floor((y - reach - origin[1]) / bucket)), 0)
+    r1 = min(int(np.floor((y + reach - origin[1]) / bucket)), rows - 1)
     count = 0
     if c0 > c1:
         return 0
+    stamps[:] = False
     for r in range(r0, r1 + 1):
         for m in range(first[r * columns + c0], first[r * columns + c1 + 1]):
             w = members[m]
-            if stamps[w] == robot:
+            if stamps[w]:
                 continue
-            stamps[w] = robot
+            stamps[w] = True
             ax, ay = walls[w, 0] - x, walls[w, 1] - y
             ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
             t = min(max(-(ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
             nx, ny = ax + t * ex, ay + t * ey
-            if nx * nx + ny * ny > far * far:
-                continue
-            if ax * ey - ay * ex < 0.0:
-                ax, ay, ex, ey = ax + ex, ay + ey, -ex, -ey
-            near[0, count], near[1, count] = c * ax + s * ay, c * ay - s * ax
-            near[2, count], near[3, count] = c * ex + s * ey, c * ey - s * ex
-            count += 1
+            if nx * nx + ny * ny <= reach * reach:
+                near[0, count], near[1, count], near[2, count], near[3, count] = walls[w, 0], walls[w, 1], ex, ey
+                count += 1
     return count
 
 
 @kernel
-def _sweep(
-    walls, origin, bucket, rows, columns, first, members, poses, directions, radius, far, near, stamps, words,
-    quantiles, std, ranges,
+def _lay_out(near, count, x, y, c, s, per_beam, edge, laid):
+    """How each wall lies before a robot; a plain loop, so that several walls are worked out side by side.
+
+    Rows of laid: begin x, y and extent x, y in the robot frame, the ends in counter-clockwise order; the first and last
+    beam it may cover, and by how little the first and the last are among them.
+    """
+    for w in range(count):
+        ax, ay, ex, ey = near[0, w] - x, near[1, w] - y, near[2, w], near[3, w]
+        is_turned = ax * ey - ay * ex < 0.0
+        bx, by = (ax + ex if is_turned else ax), (ay + ey if is_turned else ay)
+        ex, ey = (-ex if is_turned else ex), (-ey if is_turned else ey)
+        px, py, fx, fy = c * bx + s * by, c * by - s * bx, c * ex + s * ey, c * ey - s * ex
+        begin, end = _rough_angle(px, py), _rough_angle(px + fx, py + fy)
+        is_over = end < begin - 1.0
+        end = end + 2.0 * np.pi if is_over else end
+        begin = begin + 2.0 * np.pi if (not is_over) & (end > begin + 4.0) else begin  # edge-on, at the angles' cut
+        whole = 2.0 * np.pi if begin < 0.0 else 0.0
+        begin, end = (begin + whole) * per_beam, (end + whole) * per_beam
+        low, high = np.ceil(begin - edge), np.floor(end + edge)
+        laid[0, w], laid[1, w], laid[2, w], laid[3, w] = px, py, fx, fy
+        laid[4, w], laid[5, w], laid[6, w], laid[7, w] = low, high, low - begin, end - high
+
+
+@kernel
+def _draw(laid, count, directions, edge, buffer):
+    """Draw walls into the inverse ranges of the beams that they cover; the nearest wins."""
+    beams = directions.shape[1]
+    for w in range(count):
+        px, py, fx, fy = laid[0, w], laid[1, w], laid[2, w], laid[3, w]
+        offset = px * fy - py * fx
+        if offset < 1e-12:
+            continue
+        low = int(laid[4, w])
+        high = min(int(laid[5, w]), low + beams - 1)
+        if laid[6, w] <= edge and low <= high and _turns_left(px, py, low, directions) < 0.0:
+            low += 1
+        if laid[7, w] <= edge and low <= high and _turns_left(px + fx, py + fy, high, directions) > 0.0:
+            high -= 1
+        gx, gy = fx / offset, fy / offset
+        for b in range(low, min(high + 1, beams)):
+            buffer[b] = max(buffer[b], directions[0, b] * gy - directions[1, b] * gx)
+        for b in range(max(low - beams, 0), high + 1 - beams):
+            buffer[b] = max(buffer[b], directions[0, b] * gy - directions[1, b] * gx)
+
+
+@kernel
+def sweep(
+    walls, origin, bucket, rows, columns, first, members, poses, directions, radius, far, near, near_counts, anchors,
+    laid, stamps, words, quantiles, std, ranges,
 ):  # fmt: skip
     """Angular z-buffer: each wall near a robot is drawn into the beams it covers, the nearest wins.
 
     It holds inverse ranges, which are linear over a wall. Rough angles tell which beams a wall covers, and the
-    outermost of them are tested exactly.
+    outermost of them are tested exactly where that leaves a doubt. The walls near a robot are looked up for more than
+    its range around a place, its anchor, and serve until it has left that.
     """
     beams = directions.shape[1]
     per_beam = beams / (2.0 * np.pi)
     edge = _EDGE_BEAMS + 2e-5 * per_beam
-    stamps[:] = -1
     for i in range(poses.shape[0]):
-        c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-        count = _gather(
-            walls, origin, bucket, rows, columns, first, members, poses[i, 0], poses[i, 1], c, s, far, i, near, stamps
-        )
-        for w in range(count):
-            near[4, w] = _rough_angle(near[0, w], near[1, w])
-            near[5, w] = _rough_angle(near[0, w] + near[2, w], near[1, w] + near[3, w])
+        x, y, c, s = poses[i, 0], poses[i, 1], np.cos(poses[i, 2]), np.sin(poses[i, 2])
+        if not (x - anchors[i, 0]) ** 2 + (y - anchors[i, 1]) ** 2 < _SPARE_M * _SPARE_M:
+            anchors[i, 0], anchors[i, 1] = x, y
+            near_counts[i] = _gather(
+                walls, origin, bucket, rows, columns, first, members, x, y, far + _SPARE_M, stamps, near[i]
+            )
         buffer = ranges[i]
         buffer[:] = 1.0 / far
-        for w in range(count):
-            px, py, fx, fy = near[0, w], near[1, w], near[2, w], near[3, w]
-            offset = px * fy - py * fx
-            if offset < 1e-12:
-                continue
-            begin, end = near[4, w], near[5, w]
-            if end < begin - 1.0:
-                end += 2.0 * np.pi
-            elif end > begin + 4.0:  # edge-on, at the cut of the angles
-                begin += 2.0 * np.pi
-            if begin < 0.0:
-                begin += 2.0 * np.pi
-                end += 2.0 * np.pi
-            low = int(np.ceil(begin * per_beam - edge))
-            high = min(int(np.floor(end * per_beam + edge)), low + beams - 1)
-            if low <= high and _turns_left(px, py, low, directions) < 0.0:
-                low += 1
-            if low <= high and _turns_left(px + fx, py + fy, high, directions) > 0.0:
-                high -= 1
-            gx, gy = fx / offset, fy / offset
-            for b in range(low, min(high + 1, beams)):
-                buffer[b] = max(buffer[b], directions[0, b] * gy - directions[1, b] * gx)
-            for b in range(max(low - beams, 0), high + 1 - beams):
-                buffer[b] = max(buffer[b], directions[0, b] * gy - directions[1, b] * gx)
+        _lay_out(near[i], near_counts[i], x, y, c, s, per_beam, edge, laid)
+        _draw(laid, near_counts[i], directions, edge, buffer)
         for b in range(beams):
             buffer[b] = min(1.0 / buffer[b], far)
         for j in range(poses.shape[0]):
             if j != i:
-                wx, wy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
+                wx, wy = poses[j, 0] - x, poses[j, 1] - y
                 _draw_disc(c * wx + s * wy, c * wy - s * wx, radius, directions, far, buffer)
     if std > 0.0:
         _add_noise(ranges, words, quantiles, std, far)
