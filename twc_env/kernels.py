@@ -24,10 +24,10 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     Division by zero gives what numpy gives (infinity or NaN). There are no bounds checks: clamp every index.
     """
-    compiled: Any = njit(cache=True, error_model="numpy")(function)
+    compiled: Any = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     file = getattr(compiled._cache, "_cache_file", None)
     if file is None or not hasattr(file, "_source_stamp"):  # a numba that keeps it elsewhere: rather slow than wrong
-        return njit(error_model="numpy")(function)
+        return njit(error_model="numpy", no_cfunc_wrapper=True)(function)
     file._source_stamp = _foundation(function, repr(file._source_stamp))
     return compiled
 
