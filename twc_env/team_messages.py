@@ -89,10 +89,20 @@ class TeamFrames(_Team[SensorFrame]):
         return [SensorFrame(robot, self.step, self.time_s, *row) for robot, row in enumerate(rows)]
 
 
+NOBODY = -2
+"""In place of a robot's number, or of the step in which it was heard."""
+
+
+def nobody(robots: int) -> tuple[Array, Array, Array]:
+    """Mates, their poses and contact steps, as `TeamBeliefs` has them, of robots that know of no other."""
+    shape = robots, max(robots - 1, 0)
+    return np.full(shape, NOBODY), np.zeros((*shape, 3)), np.full(shape, NOBODY)
+
+
 class TeamBeliefs(_Team[Belief]):
     """The beliefs of all robots after one step."""
 
-    __slots__ = ("contact_steps", "grids", "mates", "poses", "signs", "since_closure_m")
+    __slots__ = ("contact_steps", "grids", "mate_poses", "mates", "poses", "signs", "since_closure_m")
 
     def __init__(
         self,
@@ -100,14 +110,30 @@ class TeamBeliefs(_Team[Belief]):
         since_closure_m: Array,
         grids: Sequence[GridMap],
         signs: Sequence[tuple[KnownSign, ...]],
-        mates: Sequence[dict[int, Array]],
-        contact_steps: Sequence[dict[int, int]],
+        mates: Array,
+        mate_poses: Array,
+        contact_steps: Array,
     ):
-        """poses (robots, 3, 3): `pose_map_robot`, `pose_std` and `pose_odom` of each robot, made read-only."""
+        """Arrays with a row for each robot, made read-only.
+
+        poses (robots, 3, 3): `pose_map_robot`, `pose_std` and `pose_odom`. mates (robots, robots - 1) int: the other
+        robots of the same map, then `NOBODY`; mate_poses (robots, robots - 1, 3): where these are. contact_steps
+        (robots, robots - 1) int: `Belief.contact_steps` of all other robots in their order; `NOBODY`: of none.
+        """
         super().__init__()
-        poses.flags.writeable = False  # beliefs show them to planners
+        poses.flags.writeable = mate_poses.flags.writeable = False  # beliefs show them to planners
         self.poses, self.since_closure_m, self.grids = poses, since_closure_m, grids
-        self.signs, self.mates, self.contact_steps = signs, mates, contact_steps
+        self.signs, self.mates, self.mate_poses, self.contact_steps = signs, mates, mate_poses, contact_steps
+
+    def mates_of(self, robot: int) -> dict[int, Array]:
+        """`Belief.mates` of a robot."""
+        return {m: pose for m, pose in zip(self.mates[robot].tolist(), self.mate_poses[robot], strict=True) if m >= 0}
+
+    def contact_steps_of(self, robot: int) -> dict[int, int]:
+        """`Belief.contact_steps` of a robot."""
+        others = [r for r in range(len(self)) if r != robot]
+        steps = zip(others, self.contact_steps[robot].tolist(), strict=True)
+        return {other: step for other, step in steps if step != NOBODY}
 
     @classmethod
     def of(cls, beliefs: Sequence[Belief]) -> TeamBeliefs:
@@ -115,13 +141,21 @@ class TeamBeliefs(_Team[Belief]):
         if isinstance(beliefs, TeamBeliefs):
             return beliefs
         rows = [pose for b in beliefs for pose in (b.pose_map_robot, b.pose_std, b.pose_odom)]
+        mates, mate_poses, contact_steps = nobody(len(beliefs))
+        for k, belief in enumerate(beliefs):
+            mates[k, : len(belief.mates)] = list(belief.mates)
+            for row, pose in zip(mate_poses[k], belief.mates.values(), strict=False):
+                row[:] = pose
+            for other, step in belief.contact_steps.items():
+                contact_steps[k, other if other < k else other - 1] = step
         team = TeamBeliefs(
             np.concatenate(rows).reshape(-1, 3, 3),
             np.array([belief.since_closure_m for belief in beliefs]),
             [belief.grid for belief in beliefs],
             [belief.signs for belief in beliefs],
-            [belief.mates for belief in beliefs],
-            [belief.contact_steps for belief in beliefs],
+            mates,
+            mate_poses,
+            contact_steps,
         )
         team._records = list(beliefs)
         return team

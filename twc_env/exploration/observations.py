@@ -18,7 +18,7 @@ from twc_env.kernels import kernel
 from twc_env.messages import Belief, KnownSign, SensorFrame, SignReading
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
 from twc_env.slam.dead_reckoning import DeadReckoning
-from twc_env.team_messages import TeamBeliefs, TeamFrames
+from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames
 
 Array = NDArray
 
@@ -57,11 +57,8 @@ class ObservationBuilder:
         self._path_counts, self._path_ends = np.zeros(robots, np.int64), np.full((robots, 2), math.inf)
         self._overviews: list[tuple[tuple[int, int], tuple[Array, Array, float]] | None] = [None] * robots
         mates = max(robots - 1, 1)
-        self._contact_steps, self._contact_counts = np.full((robots, mates), -1), np.zeros(robots, np.int64)
-        self._mate_rows, self._mate_counts = np.zeros((robots, mates), np.int64), np.zeros(robots, np.int64)
-        self._has_mates = [False] * robots
-        self._mates = np.zeros((robots, mates, 3))
-        """Scratch: when each mate was last heard of; row and pose, in the robot's frame, of each mate of the group."""
+        self._mate_places, self._mate_counts = np.zeros((robots, mates, 3)), np.zeros(robots, np.int64)
+        """Scratch: pose, in the robot's frame, of each mate of the group."""
         self._indexed_signs: list[tuple[KnownSign, ...]] = [()] * robots
         self._sign_places = [_NO_SIGNS] * robots
         self._text_counts: list[Counter[str]] = [Counter()] * robots
@@ -98,39 +95,25 @@ class ObservationBuilder:
         return [joined(own) for own in seen] if self._is_flat else seen
 
     def _small_blocks(self) -> dict[str, Sequence[Array] | Array]:
-        """Those that one compiled call fills; it also turns the mates' poses into each robot's frame."""
+        """Those that one compiled call fills; it also places the mates in each robot's frame."""
         beliefs, frames, config = self._beliefs, self._frames, self._config
-        robots, mates, slots = len(beliefs), self._mates.shape[1], self._readings.shape[1]
+        robots, mates, slots = len(beliefs), self._mate_places.shape[1], self._readings.shape[1]
         lidar, pose = np.empty(frames.ranges_m.shape, np.float32), np.empty((robots, len(POSE_LIMITS)), np.float32)
         wifi = self._slots_of_wifi.levels.copy()
         signs, team = np.empty((robots, slots, 5), np.float32), np.empty((robots, mates, 5), np.float32)
-        for robot, known in enumerate(beliefs.mates):
-            heard = beliefs.contact_steps[robot]
-            if known or heard or self._has_mates[robot]:
-                self._note_mates(robot, known, heard)
         _fill_small(
             frames.ranges_m, 1.0 / config.lidar.range_max_m, beliefs.poses, beliefs.since_closure_m, POSE_LIMITS,
             self._readings, self._reading_counts, frames.time_s, config.observation.sign_memory_s, frames.step,
-            config.dynamics.time_step_s, self._contact_steps, self._contact_counts, self._mate_rows, self._mates,
+            config.dynamics.time_step_s, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, self._mate_places,
             self._mate_counts, lidar, pose, signs, team,
         )  # fmt: skip
         return {"lidar": lidar, "pose": pose, "wifi": wifi, "signs": signs, "team": team}
-
-    def _note_mates(self, robot: int, known: dict[int, Array], heard: dict[int, int]) -> None:
-        steps, rows, poses = self._contact_steps[robot], self._mate_rows[robot], self._mates[robot]
-        for mate, step in heard.items():
-            steps[mate if mate < robot else mate - 1] = step
-        for k, (mate, pose_map_mate) in enumerate(known.items()):
-            rows[k] = mate if mate < robot else mate - 1
-            poses[k] = pose_map_mate
-        self._contact_counts[robot], self._mate_counts[robot] = len(heard), len(known)
-        self._has_mates[robot] = bool(heard or known)
 
     def _maps(self) -> Array:
         shape, beliefs = self._config.observation, self._beliefs
         return map_view.views(
             beliefs.grids, beliefs.poses, shape.map_cells, shape.map_cell_m, self._paths_odom, self._path_counts,
-            self._mates, self._mate_counts, self._sign_places,
+            self._mate_places, self._mate_counts, self._sign_places,
         )  # fmt: skip
 
     def _radio_maps(self) -> list[Array]:
@@ -241,48 +224,55 @@ def _fill_signs(readings, count, now_s, memory_s, pose, rows):
 
 
 @kernel
-def _as_seen_from(pose, others, count):
-    """`geometry.between` of a pose and each of the first of the others, written over these."""
+def _as_seen_from(pose, others, out):
+    """`geometry.between` of a pose and another (3,)."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    for k in range(count):
-        dx, dy, turn = others[k, 0] - pose[0], others[k, 1] - pose[1], others[k, 2] - pose[2]
-        others[k, 0], others[k, 1] = c * dx + s * dy, c * dy - s * dx
-        others[k, 2] = (turn + math.pi) % (2.0 * math.pi) - math.pi
+    dx, dy, turn = others[0] - pose[0], others[1] - pose[1], others[2] - pose[2]
+    out[0], out[1] = c * dx + s * dy, c * dy - s * dx
+    out[2] = (turn + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @kernel
-def _fill_team(now, time_step_s, contact_steps, contact_count, mate_rows, mates, mate_count, rows):
-    """The block `team`: the step in which each mate was last heard of; rows and poses of those of the same map."""
+def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, places, rows):
+    """The block `team`: the step in which each mate was last heard of, and where those of the same map are.
+
+    Also these places (m, 3) in the robot's frame; gives how many they are.
+    """
     for k in range(rows.shape[0]):
         for j in range(rows.shape[1]):
             rows[k, j] = 0.0
-    for row in range(contact_count):
-        step = contact_steps[row]
-        age_s = (now - step) * time_step_s
-        rows[row, 4] = 1.0 if step < 0 else age_s / (age_s + HALF_AGE_S)
-    for k in range(mate_count):
-        row = rows[mate_rows[k]]
-        away = math.sqrt(mates[k, 0] * mates[k, 0] + mates[k, 1] * mates[k, 1])
-        row[0], row[1] = 1.0, math.atan2(mates[k, 1], mates[k, 0]) / math.pi
-        row[2], row[3] = away / (away + HALF_WAY_M), mates[k, 2] / math.pi
+    count = 0
+    for k in range(contact_steps.shape[0]):
+        step = contact_steps[k]
+        if step != NOBODY:
+            age_s = (now - step) * time_step_s
+            rows[k, 4] = 1.0 if step < 0 else age_s / (age_s + HALF_AGE_S)
+        mate = mates[k]
+        if mate < 0:
+            continue
+        place, row = places[count], rows[mate if mate < robot else mate - 1]
+        _as_seen_from(pose, mate_poses[k], place)
+        away = math.sqrt(place[0] * place[0] + place[1] * place[1])
+        row[0], row[1] = 1.0, math.atan2(place[1], place[0]) / math.pi
+        row[2], row[3] = away / (away + HALF_WAY_M), place[2] / math.pi
+        count += 1
+    return count
 
 
 @kernel
 def _fill_small(
     ranges, per_metre, poses, since_m, limits, readings, reading_counts, now_s, memory_s, step, time_step_s,
-    contact_steps, contact_counts, mate_rows, mates, mate_counts, lidar, pose, signs, team,
+    contact_steps, mates, mate_poses, mate_places, mate_counts, lidar, pose, signs, team,
 ):  # fmt: skip
-    """The blocks `lidar`, `pose`, `signs` and `team` of all robots.
+    """The blocks `lidar`, `pose`, `signs` and `team` of all robots, and the places of mates in their frames.
 
-    poses (robots, 3, 3): in the map, its spread, in odom; mates (robots, m, 3) come in the map frame and leave in that
-    of the robot.
+    poses (robots, 3, 3): in the map, its spread, in odom; contact_steps, mates, mate_poses as in `TeamBeliefs`.
     """
     for i in range(ranges.shape[0]):
         for b in range(ranges.shape[1]):
             lidar[i, b] = min(max(ranges[i, b] * per_metre, 0.0), 1.0)
         _fill_pose(poses[i, 0], poses[i, 1], since_m[i], limits, pose[i])
         _fill_signs(readings[i], reading_counts[i], now_s, memory_s, poses[i, 2], signs[i])
-        _as_seen_from(poses[i, 0], mates[i], mate_counts[i])
-        _fill_team(
-            step, time_step_s, contact_steps[i], contact_counts[i], mate_rows[i], mates[i], mate_counts[i], team[i]
+        mate_counts[i] = _fill_team(
+            i, step, time_step_s, contact_steps[i], mates[i], poses[i, 0], mate_poses[i], mate_places[i], team[i]
         )

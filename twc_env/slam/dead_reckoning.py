@@ -13,7 +13,7 @@ from twc_env.kernels import kernel
 from twc_env.messages import Belief, Contacts, GridMap, Keyframe, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
-from twc_env.team_messages import TeamBeliefs, TeamFrames
+from twc_env.team_messages import TeamBeliefs, TeamFrames, nobody
 
 Array = NDArray
 
@@ -112,8 +112,8 @@ class _Alone(TeamBeliefs):
     __slots__ = ("_ranges_m", "_steps")
 
     def __init__(self, poses: Array, grid: GridMap, steps: Sequence[int], ranges_m: Sequence[Array] | Array):
-        count, nobody = len(steps), [_NOTHING] * len(steps)
-        super().__init__(poses, np.zeros(count), [grid] * count, [()] * count, nobody, nobody)
+        count = len(steps)
+        super().__init__(poses, np.zeros(count), [grid] * count, [()] * count, *nobody(count))
         self._steps, self._ranges_m = steps, ranges_m
 
     def _make(self) -> list[Belief]:
@@ -123,9 +123,6 @@ class _Alone(TeamBeliefs):
             belief = Belief(robot, step, in_map, grid, ranges_m=ranges_m, pose_odom=in_odom, pose_std=std)
             beliefs.append(belief)
         return beliefs
-
-
-_NOTHING: dict = {}
 
 
 @kernel

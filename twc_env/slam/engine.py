@@ -14,19 +14,22 @@ from twc_env.kernels import kernel
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
-from twc_env.slam.map_beliefs import Held, MapBeliefs
+from twc_env.slam.map_beliefs import HeldMaps, MapBeliefs
 from twc_env.slam.radio_structure import RadioPicture, RadioStructure
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
-from twc_env.team_messages import TeamBeliefs, TeamFrames
+from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
 
 Array = NDArray
 
 
 @kernel
-def _believed_poses(poses_map_odom, std, poses_odom, out):
-    """Of each robot, to out (robots, 3, 3): its pose in the map, how far that may be off, its pose in odom."""
+def _believed_poses(poses_map_odom, std, poses_odom, mates, are_heard_now, heard_poses, out, mate_poses):
+    """Of each robot, to out (robots, 3, 3): its pose in the map, how far that may be off, its pose in odom.
+
+    Also where its mates are in the map: now, or when they were heard of last.
+    """
     for k in range(out.shape[0]):
         c, s = math.cos(poses_map_odom[k, 2]), math.sin(poses_map_odom[k, 2])
         x, y, heading = poses_odom[k, 0], poses_odom[k, 1], poses_odom[k, 2]
@@ -35,6 +38,11 @@ def _believed_poses(poses_map_odom, std, poses_odom, out):
         out[k, 0, 2] = (poses_map_odom[k, 2] + heading + math.pi) % (2 * math.pi) - math.pi
         out[k, 1, 0], out[k, 1, 1], out[k, 1, 2] = std[k, 0], std[k, 1], std[k, 2]
         out[k, 2, 0], out[k, 2, 1], out[k, 2, 2] = x, y, heading
+    for k in range(mates.shape[0]):
+        for a in range(mates.shape[1]):
+            mate = max(mates[k, a], 0)
+            for j in range(3):
+                mate_poses[k, a, j] = out[mate, 0, j] if are_heard_now else heard_poses[k, a, j]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,9 +88,15 @@ class CooperativeSlam:
         self._poses_map_odom = np.zeros((robot_count, 3))
         self._since_closure_m, self._std = np.zeros(robot_count), np.zeros((robot_count, 3))
         """Of each robot: path length since its last closure, and what may have gone astray on it."""
-        self._contact_steps: list[dict[int, int]] = [{} for _ in range(robot_count)]
+        self._mates, self._mate_poses, self._contact_steps = nobody(robot_count)
+        """As `TeamBeliefs` has them."""
+        self._heard_poses = np.zeros_like(self._mate_poses)
+        """Where each robot has its own mapper: where its mates were when they were heard of last."""
+        self._maps: HeldMaps | None = None
+        """None: they are to be looked up anew."""
         self._located = [[-1] * robot_count for _ in self.mappers]
-        """The state of each mapper, by its counts of changes, that the five before were taken from."""
+        """The state of each mapper, by its counts of changes, that these were taken from."""
+        self._group_counts = [0] * len(self.mappers)
         self._beliefs: TeamBeliefs | None = None
         """Once asked for, until something changes."""
         self._last_step = 0
@@ -149,25 +163,38 @@ class CooperativeSlam:
         deliveries = self._exchange.deliver(contacts, [mapper.wanted for mapper in self.mappers])
         for mapper, delivery in zip(self.mappers, deliveries, strict=True):
             mapper.update(step, delivery.keyframes, delivery.scans)
+            if delivery.scans:
+                self._maps = None
         self._locate()
 
     def _locate(self) -> None:
         for number, mapper in enumerate(self.mappers):
-            if mapper.changes != self._located[number]:
-                for robot in range(len(self.robots)) if self._is_central else (number,):
-                    if mapper.changes[robot] != self._located[number][robot]:
-                        self._relocate(robot, mapper)
-                    heard = {mate: step for mate, step in enumerate(mapper.last_steps) if mate != robot}
-                    self._contact_steps[robot] = heard
-                self._located[number] = mapper.changes.copy()
-        self._poses, self._beliefs = np.empty_like(self._poses), None
-        _believed_poses(self._poses_map_odom, self._std, self._front_ends.poses_odom, self._poses)
+            if mapper.changes != self._located[number] or len(mapper.groups) != self._group_counts[number]:
+                self._relocate(number, mapper)
+        self._poses, self._mate_poses = np.empty_like(self._poses), np.empty_like(self._mate_poses)
+        self._beliefs = None
+        _believed_poses(
+            self._poses_map_odom, self._std, self._front_ends.poses_odom, self._mates, self._is_central,
+            self._heard_poses, self._poses, self._mate_poses,
+        )  # fmt: skip
         self._poses.flags.writeable = False  # beliefs show them to planners
 
-    def _relocate(self, robot: int, mapper: TeamMapper) -> None:
-        """What its mapper says of a robot has changed."""
-        self._poses_map_odom[robot] = mapper.pose_map_odom(robot)
-        self._since_closure_m[robot], self._std[robot] = mapper.since_closure(robot)
+    def _relocate(self, number: int, mapper: TeamMapper) -> None:
+        """What a mapper says of robots has changed; beliefs hold what it said before."""
+        since_m, mates = self._since_closure_m.copy(), self._mates.copy()
+        heard, self._maps = self._contact_steps.copy(), None
+        for robot in range(len(self.robots)) if self._is_central else (number,):
+            if mapper.changes[robot] != self._located[number][robot]:
+                self._poses_map_odom[robot] = mapper.pose_map_odom(robot)
+                since_m[robot], self._std[robot] = mapper.since_closure(robot)
+            heard[robot] = [step for other, step in enumerate(mapper.last_steps) if other != robot]
+            others = [mate for mate in mapper.groups[mapper.group_index(robot)].robots if mate != robot]
+            mates[robot] = others + [NOBODY] * (mates.shape[1] - len(others))
+            if not self._is_central:
+                for k, mate in enumerate(others):
+                    self._heard_poses[robot, k] = mapper.poses_of(mate)[-1]
+        self._since_closure_m, self._mates, self._contact_steps = since_m, mates, heard
+        self._located[number], self._group_counts[number] = mapper.changes.copy(), len(mapper.groups)
 
     def finish(self) -> None:
         """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""
@@ -206,26 +233,30 @@ class CooperativeSlam:
     def beliefs(self) -> TeamBeliefs:
         """What all robots know now."""
         if self._beliefs is None:
-            held = [self._held_by(robot) for robot in range(len(self.robots))]
-            since_m, contact_steps = self._since_closure_m.copy(), self._contact_steps.copy()
-            self._beliefs = MapBeliefs(self._poses, since_m, contact_steps, held, self._steps, self._ranges_m)
+            self._beliefs = MapBeliefs(
+                self._poses, self._since_closure_m, self._held_maps(), self._mates, self._mate_poses,
+                self._contact_steps, self._steps, self._ranges_m,
+            )  # fmt: skip
         return self._beliefs
 
-    def _held_by(self, robot: int) -> Held:
-        """The map that a robot believes in."""
-        mapper = self.mapper_of(robot)
-        number = mapper.group_index(robot)
-        group = mapper.groups[number]
-        mates = {mate: self._pose_of_mate(mapper, mate) for mate in group.robots if mate != robot}
-        radio = None if self._radio is None else self._radio_picture(self._radio, mapper, number, robot)
-        return Held(group.grid.snapshot(), mapper.signs_of(number), mates, group.version, radio)
+    def _held_maps(self) -> HeldMaps:
+        """The maps that the robots believe in."""
+        if self._maps is None or self._radio is not None:
+            maps = self._maps = HeldMaps([], [], [], [])
+            for robot in range(len(self.robots)):
+                mapper = self.mapper_of(robot)
+                number = mapper.group_index(robot)
+                group = mapper.groups[number]
+                maps.grids.append(group.grid.snapshot())
+                maps.signs.append(mapper.signs_of(number))
+                maps.versions.append(group.version)
+                maps.radio.append(
+                    None if self._radio is None else self._radio_picture(self._radio, mapper, number, robot)
+                )
+        return self._maps
 
     def _radio_picture(self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int) -> RadioPicture | None:
         """What the readings of all robots of the group say; with a mapper on each robot, of its own."""
         robots = mapper.groups[group].robots if self._is_central else (robot,)
         poses = np.array([mapper.pose_map_odom(r) for r in robots])
         return radio.picture_of(robots, poses, mapper.groups[group].version)
-
-    def _pose_of_mate(self, mapper: TeamMapper, mate: int) -> Array:
-        """(3,) where a mate is, as far as this mapper has heard: now, or at its last keyframe that came."""
-        return self._poses[mate, 0] if self._is_central else mapper.poses_of(mate)[-1]

@@ -19,54 +19,53 @@ _NO_PLACES.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Held:
-    """The map that one robot believes in."""
+class HeldMaps:
+    """The maps that robots believe in: of each robot the one of its group."""
 
-    grid: GridMap
-    signs: tuple[KnownSign, ...]
-    mates: dict[int, Array]
-    """Other robots of the map -> (3,) where they are in it."""
-    version: int
-    radio: RadioPicture | None
+    grids: list[GridMap]
+    signs: list[tuple[KnownSign, ...]]
+    versions: list[int]
+    radio: list[RadioPicture | None]
 
 
 class MapBeliefs(TeamBeliefs):
-    """`poses` and `since_closure_m` as in `TeamBeliefs`; the step and scan that each robot saw last, and its map."""
+    """Arrays as in `TeamBeliefs`; the map of each robot, the step and the scan that it saw last."""
 
-    __slots__ = ("_held", "_ranges_m", "_steps")
+    __slots__ = ("_maps", "_ranges_m", "_steps")
 
     def __init__(
         self,
         poses: Array,
         since_closure_m: Array,
-        contact_steps: Sequence[dict[int, int]],
-        held: Sequence[Held],
+        maps: HeldMaps,
+        mates: Array,
+        mate_poses: Array,
+        contact_steps: Array,
         steps: Sequence[int],
-        ranges_m: Sequence[Array],
+        ranges_m: Sequence[Array] | Array,
     ):
-        grids, signs, mates = [h.grid for h in held], [h.signs for h in held], [h.mates for h in held]
-        super().__init__(poses, since_closure_m, grids, signs, mates, contact_steps)
-        self._held, self._steps, self._ranges_m = held, steps, ranges_m
+        super().__init__(poses, since_closure_m, maps.grids, maps.signs, mates, mate_poses, contact_steps)
+        self._maps, self._steps, self._ranges_m = maps, steps, ranges_m
 
     def _make(self) -> list[Belief]:
-        beliefs, since_m = [], self.since_closure_m.tolist()
-        for robot, held in enumerate(self._held):
+        beliefs, since_m, maps = [], self.since_closure_m.tolist(), self._maps
+        for robot, radio in enumerate(maps.radio):
             in_map, std, in_odom = self.poses[robot]
             belief = Belief(
                 robot,
                 self._steps[robot],
                 in_map,
-                held.grid,
-                held.mates,
-                held.signs,
+                maps.grids[robot],
+                self.mates_of(robot),
+                maps.signs[robot],
                 self._ranges_m[robot],
-                held.version,
+                maps.versions[robot],
                 in_odom,
                 std,
                 since_m[robot],
-                self.contact_steps[robot],
-                None if held.radio is None else held.radio.grid,
-                _NO_PLACES if held.radio is None else held.radio.transmitter_m,
+                self.contact_steps_of(robot),
+                None if radio is None else radio.grid,
+                _NO_PLACES if radio is None else radio.transmitter_m,
             )
             beliefs.append(belief)
         return beliefs
