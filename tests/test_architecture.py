@@ -16,6 +16,7 @@ LEAVES = {
     "twc_env.team_messages",
     "twc_env.geometry",
     "twc_env.kernels",
+    "twc_env.cell_rows",
     "twc_env.config",
     "twc_env._version",
 }
@@ -29,6 +30,7 @@ ALLOWED = {
     "twc_env.random_streams": set(),
     "twc_env.threads": set(),
     "twc_env.kernels": set(),
+    "twc_env.cell_rows": {"twc_env.kernels"},
     "twc_env.geometry": {"twc_env.errors"},
     "twc_env.messages": {"twc_env.errors", "twc_env.geometry"},
     "twc_env.team_messages": {"twc_env.messages"},

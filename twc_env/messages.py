@@ -174,6 +174,8 @@ class GridMap:
     origin_m: Array
     """(2,) lower left corner of cell [0, 0] in the map frame."""
     resolution_m: float
+    kinds: Array | None = None
+    """(rows, columns) uint8, what stands there in short (`slam.cell_kinds`); None: whoever needs it works it out."""
 
     def cell_of(self, points_m: Array) -> Array:
         """(..., 2) points in the map frame -> (..., 2) integer (row, column); may lie outside."""

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twc_env.slam.cell_kinds import kinds_of
 from twc_env.slam.occupancy_grid import LOG_ODDS_FREE, LOG_ODDS_HIT, LOG_ODDS_MAX, LOG_ODDS_MIN, OccupancyGrid
 
 BEAMS, RANGE_MAX_M, CELL_M = 720, 10.0, 0.1
@@ -159,3 +160,13 @@ def test_cells_and_points_are_inverse_to_each_other(room, scan):
     grid = map_of([np.zeros(3)], [scan(room, np.zeros(3), BEAMS)])
     cells = np.stack(np.indices(grid.log_odds.shape), axis=-1).reshape(-1, 2)
     assert np.array_equal(grid.cell_of(grid.centre_of(cells)), cells)
+
+
+def test_what_stands_there_in_short_keeps_up_with_scans_growth_and_redrawing(room, scan):
+    grid, poses = OccupancyGrid(CELL_M, RANGE_MAX_M, BEAMS), [(0.0, 0.0, 0.0), (1.2, -0.7, 0.4), (9.0, 6.0, 1.0)]
+    for turn in range(2):
+        for pose in poses:
+            grid.integrate(np.array([pose]), scan(room, pose, BEAMS)[None] + 0.1 * turn)
+            seen = grid.snapshot()
+            assert np.array_equal(seen.kinds, kinds_of(seen.log_odds)) and set(np.unique(seen.kinds)) >= {0, 1}
+        grid.clear()

@@ -8,8 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up_row, span_inside
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap
+from twc_env.slam.cell_kinds import FREE as FREE_CELL
+from twc_env.slam.cell_kinds import UNKNOWN as UNKNOWN_CELL
+from twc_env.slam.cell_kinds import WALL as WALL_CELL
+from twc_env.slam.cell_kinds import kinds_of
 
 Array = NDArray
 
@@ -17,19 +22,18 @@ FREE, WALL, UNKNOWN, FRONTIER, PATH, MATES, SIGNS = range(7)
 CHANNELS = 7
 OVERVIEW_CHANNELS = 4
 """Free, wall, this robot, mates."""
-FIXED_BITS = 32
-FIXED_POINT = 2.0**FIXED_BITS
-"""Cell numbers are stepped in whole parts of a cell, so that a step is an addition and a shift, no conversion."""
 
 
 def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float) -> Array:
     """(7, cells, cells) uint8, 0 or 255: the robot in the middle looks along +column; the last three stay empty.
 
-    A crop cell is a frontier when it is free and has an unknown neighbour in the crop.
+    A cell shows what stands in the square of four cells of the map around its middle. It is a frontier when it is free
+    and has an unknown neighbour in the crop.
     """
     out = np.zeros((CHANNELS, cells, cells), np.uint8)
     x, y = (pose_map_robot[:2] - grid.origin_m).tolist()
-    _crop(grid.log_odds, x, y, float(pose_map_robot[2]), 1.0 / grid.resolution_m, cell_m, out)
+    levels = np.empty(cells * cells, np.uint8)
+    _crop(_kinds(grid), x, y, float(pose_map_robot[2]), 1.0 / grid.resolution_m, cell_m, levels, out)
     return out
 
 
@@ -50,11 +54,15 @@ def views(
         if end < len(grids) and grids[end].log_odds is grid.log_odds and signs[end] is places:
             continue
         _crop_and_mark(
-            grid.log_odds, grid.origin_m, 1.0 / grid.resolution_m, poses, cell_m, paths_odom, path_counts,
+            _kinds(grid), grid.origin_m, 1.0 / grid.resolution_m, poses, cell_m, paths_odom, path_counts,
             mates, mate_counts, places, first, end, out,
         )  # fmt: skip
         first = end
     return out
+
+
+def _kinds(grid: GridMap) -> Array:
+    return kinds_of(grid.log_odds) if grid.kinds is None else grid.kinds
 
 
 def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
@@ -111,107 +119,66 @@ def _shrink(log_odds, out):
 
 
 @kernel
-def _stays_inside(x, y, dx, dy, count, height, width):
-    """Whether a row of samples from cell (x, y) on, in fixed point, lies inside the grid."""
-    k0, k1 = x >> FIXED_BITS, (x + dx * (count - 1)) >> FIXED_BITS
-    r0, r1 = y >> FIXED_BITS, (y + dy * (count - 1)) >> FIXED_BITS
-    return min(k0, k1) >= 0 and min(r0, r1) >= 0 and max(k0, k1) < width and max(r0, r1) < height
-
-
-@kernel
-def _misses(x, y, dx, dy, count, height, width):
-    """Whether a row of samples lies beside the grid, so that it meets none of its cells."""
-    k0, k1 = x >> FIXED_BITS, (x + dx * (count - 1)) >> FIXED_BITS
-    r0, r1 = y >> FIXED_BITS, (y + dy * (count - 1)) >> FIXED_BITS
-    return max(k0, k1) < 0 or max(r0, r1) < 0 or min(k0, k1) >= width or min(r0, r1) >= height
-
-
-@kernel
-def _look_up_two(cells, width, xa, ya, xb, yb, dx, dy, a, b):
-    """Write the levels of two rows of samples that lie inside the grid; unsigned numbers index without a check."""
-    bits, width = np.uint64(FIXED_BITS), np.uint64(width)
-    xa, ya, xb, yb, dx, dy = np.uint64(xa), np.uint64(ya), np.uint64(xb), np.uint64(yb), np.uint64(dx), np.uint64(dy)
-    for j in range(a.shape[0]):
-        a[j] = cells[(ya >> bits) * width + (xa >> bits)]
-        b[j] = cells[(yb >> bits) * width + (xb >> bits)]
-        xa += dx
-        ya += dy
-        xb += dx
-        yb += dy
-
-
-@kernel
-def _look_up(cells, height, width, x, y, dx, dy, levels):
-    """Write the levels of a row of samples; 0 outside the grid."""
-    for j in range(levels.shape[0]):
-        k, r = x >> FIXED_BITS, y >> FIXED_BITS
-        levels[j] = cells[r * width + k] if 0 <= r < height and 0 <= k < width else 0
-        x += dx
-        y += dy
-
-
-@kernel
-def _crop(log_odds, x, y, heading, inverse_m, cell_m, out):
-    """Egocentric view, robot in the middle and looking along +column: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0).
-
-    Each cell takes two samples on one of its diagonals, by turns, so that a thin wall hardly slips through. Looking up
-    stands apart from comparing, because only the latter gains from being done for many cells at once.
-    """
-    height, width = log_odds.shape
-    size = out.shape[1]
-    if height == 0:
-        out[:UNKNOWN], out[UNKNOWN], out[FRONTIER] = 0, 255, 0
-        return
-    step = 0.5 * cell_m * inverse_m
+def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, levels):
+    """The kinds of cells around a place, robot in the middle and looking along +column: to levels (size * size,)."""
+    height, width = kinds.shape
+    step = cell_m * inverse_m
     c, s = math.cos(heading) * step, math.sin(heading) * step
-    first = 0.5 - 2 * (size // 2)  # in samples, two to a cell
-    x0 = x * inverse_m + first * (c - s)
-    y0 = y * inverse_m + first * (s + c)
-    cells = log_odds.reshape(-1)
-    dx, dy = int(2 * c * FIXED_POINT), int(2 * s * FIXED_POINT)
-    levels, is_known = np.empty((2, size), np.int16), np.empty(size, np.bool_)
+    first = 0.5 - size // 2
+    x0, y0 = x * inverse_m + first * (c - s) - 0.5, y * inverse_m + first * (s + c) - 0.5
+    cells = kinds.reshape(-1)
+    dx, dy = int(c * FIXED_POINT), int(s * FIXED_POINT)
+    rows, columns = height << FIXED_BITS, width << FIXED_BITS
     for i in range(size):
-        line, shift = 2 * i, i & 1
-        xa = int(math.floor((x0 - s * line + c * shift) * FIXED_POINT))
-        ya = int(math.floor((y0 + c * line + s * shift) * FIXED_POINT))
-        line, shift = line + 1, 1 - shift
-        xb = int(math.floor((x0 - s * line + c * shift) * FIXED_POINT))
-        yb = int(math.floor((y0 + c * line + s * shift) * FIXED_POINT))
-        if _misses(xa, ya, dx, dy, size, height, width) and _misses(xb, yb, dx, dy, size, height, width):
-            out[0, i], out[1, i], out[2, i], is_known[i] = 0, 0, 255, False
+        k, r = int(math.floor((x0 - s * i) * FIXED_POINT)), int(math.floor((y0 + c * i) * FIXED_POINT))
+        out = levels[i * size : (i + 1) * size]
+        last_k, last_r = k + dx * (size - 1), r + dy * (size - 1)
+        if min(k, last_k) >= 0 and min(r, last_r) >= 0 and max(k, last_k) < columns and max(r, last_r) < rows:
+            look_up_row(cells, width, r, k, dy, dx, size, out)
             continue
-        is_known[i] = True
-        is_inside = _stays_inside(xa, ya, dx, dy, size, height, width)
-        if is_inside and _stays_inside(xb, yb, dx, dy, size, height, width):
-            _look_up_two(cells, width, xa, ya, xb, yb, dx, dy, levels[0], levels[1])
-        else:
-            _look_up(cells, height, width, xa, ya, dx, dy, levels[0])
-            _look_up(cells, height, width, xb, yb, dx, dy, levels[1])
-        free, wall, unknown = out[0, i], out[1, i], out[2, i]
-        for j in range(size):
-            is_wall = (levels[0, j] > 0) | (levels[1, j] > 0)
-            is_free = ((levels[0, j] < 0) | (levels[1, j] < 0)) & (not is_wall)
-            wall[j], free[j] = np.uint8(is_wall) * np.uint8(255), np.uint8(is_free) * np.uint8(255)
-            unknown[j] = np.uint8(not (is_wall | is_free)) * np.uint8(255)
-    out[3] = 0
-    for i in range(1, size - 1):
-        if not is_known[i]:
-            continue
-        above, here, below = out[2, i - 1], out[2, i], out[2, i + 1]
-        free, frontier = out[0, i], out[3, i]
-        for j in range(1, size - 1):
-            frontier[j] = free[j] & (above[j] | below[j] | here[j - 1] | here[j + 1])
+        out[:] = UNKNOWN_CELL
+        first_k, end_k = span_inside(k, dx, columns, size)
+        first_r, end_r = span_inside(r, dy, rows, size)
+        begin, end = max(first_k, first_r), min(end_k, end_r)
+        if begin < end:
+            look_up_row(cells, width, r + begin * dy, k + begin * dx, dy, dx, end - begin, out[begin:])
+
+
+@kernel
+def _crop(kinds, x, y, heading, inverse_m, cell_m, levels, out):
+    """Egocentric view: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0).
+
+    Looking up stands apart from comparing, because only the latter gains from being done for many cells at once.
+    """
+    size = out.shape[1]
+    _look_around(kinds, x, y, heading, inverse_m, cell_m, size, levels)
+    flat = out.reshape(-1)
+    count = size * size
+    free, wall, unknown = flat[:count], flat[count : 2 * count], flat[2 * count : 3 * count]
+    for j in range(count):
+        free[j] = np.uint8(255) if levels[j] == FREE_CELL else np.uint8(0)
+        wall[j] = np.uint8(255) if levels[j] == WALL_CELL else np.uint8(0)
+        unknown[j] = np.uint8(255) if levels[j] == UNKNOWN_CELL else np.uint8(0)
+    out[FRONTIER, 0] = 0
+    out[FRONTIER, size - 1] = 0
+    frontier, here = flat[3 * count + size : 4 * count - size], free[size:]
+    below, above, left, right = unknown, unknown[2 * size :], unknown[size - 1 :], unknown[size + 1 :]
+    for j in range(count - 2 * size):
+        frontier[j] = here[j] & (below[j] | above[j] | left[j] | right[j])
+    for i in range(1, size - 1):  # neighbours of the first and last column lie in other rows
+        out[FRONTIER, i, 0] = out[FRONTIER, i, size - 1] = 0
 
 
 @kernel
 def _crop_and_mark(
-    log_odds, origin, inverse_grid_m, poses, cell_m, paths, path_counts, mates, mate_counts, signs, first, end, out
+    kinds, origin, inverse_grid_m, poses, cell_m, paths, path_counts, mates, mate_counts, signs, first, end, out
 ):
     """All channels of the robots from `first` to before `end`: what lies around each, its path, mates and signs."""
     inverse_m = 1.0 / cell_m
+    levels = np.empty(out.shape[2] * out.shape[3], np.uint8)
     for i in range(first, end):
         here, odom = poses[i, 0], poses[i, 2]
-        _crop(log_odds, here[0] - origin[0], here[1] - origin[1], here[2], inverse_grid_m, cell_m, out[i])
+        _crop(kinds, here[0] - origin[0], here[1] - origin[1], here[2], inverse_grid_m, cell_m, levels, out[i])
         out[i, 4:] = 0
         _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m)
         _mark(out[i, 5], mates[i], mate_counts[i], 0.0, 0.0, 0.0, inverse_m)

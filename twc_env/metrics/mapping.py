@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up_row, span_inside
 from twc_env.geometry import transform_points
 from twc_env.kernels import kernel
 
@@ -15,9 +16,6 @@ Array = NDArray
 
 STRETCH_M, SAMPLE_M = 0.25, 0.05
 """Walls are known or not by stretches of the first length; the second is how finely they are sampled."""
-FIXED_BITS = 32
-FIXED_POINT = 2.0**FIXED_BITS
-"""Cell numbers are stepped in whole parts of a cell, so that a step is an addition and a shift, no conversion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,43 +166,26 @@ def _sampling_back(pose_building_map: Array, origin_m, resolution_m, truth_origi
 
 
 @kernel
-def _inside(start, step, limit, count):
-    """First and last + 1 of the j in 0..count-1 with 0 <= start + j step < limit; whole numbers."""
-    if step == 0:
-        return (0, count) if 0 <= start < limit else (0, 0)
-    if step < 0:  # mirrored: limit - 1 - value grows with j
-        start, step = limit - 1 - start, -step
-    first = 0 if start >= 0 else (-start + step - 1) // step
-    last = 0 if start >= limit else (limit - 1 - start) // step + 1
-    return first, min(last, count)
-
-
-@kernel
 def _count_free(log_odds, box, row0, column0, step, truth_free, free_below):
     """True free cells whose centre falls into a free cell in a box of the map; steps in fixed point."""
     columns = log_odds.shape[1]
     bottom, left, rows_above, columns_right = box[0], box[1], box[2] - box[0], box[3] - box[1]
     width = truth_free.shape[1]
     cells, levels = log_odds.reshape(-1), np.empty(width, log_odds.dtype)
-    bits, stride, below = np.uint64(FIXED_BITS), np.uint64(columns), levels.dtype.type(free_below)
+    below = levels.dtype.type(free_below)
     c, s = step[0], step[1]
     dk, dr = int(np.rint(c * FIXED_POINT)), int(np.rint(s * FIXED_POINT))
-    right, up = np.uint64(dk), np.uint64(dr)
     count = 0
     for i in range(truth_free.shape[0]):
         r = int(np.floor((row0 - bottom + c * i) * FIXED_POINT))
         k = int(np.floor((column0 - left - s * i) * FIXED_POINT))
-        first_r, last_r = _inside(r, dr, rows_above << FIXED_BITS, width)
-        first_k, last_k = _inside(k, dk, columns_right << FIXED_BITS, width)
+        first_r, last_r = span_inside(r, dr, rows_above << FIXED_BITS, width)
+        first_k, last_k = span_inside(k, dk, columns_right << FIXED_BITS, width)
         first, last = max(first_r, first_k), min(last_r, last_k)
         if first >= last:
             continue
-        row = np.uint64(r + first * dr + (bottom << FIXED_BITS))
-        column = np.uint64(k + first * dk + (left << FIXED_BITS))
-        for j in range(last - first):  # all of them lie in the map: unsigned numbers index without a check
-            levels[j] = cells[(row >> bits) * stride + (column >> bits)]
-            row += up
-            column += right
+        row, column = r + first * dr + (bottom << FIXED_BITS), k + first * dk + (left << FIXED_BITS)
+        look_up_row(cells, columns, row, column, dr, dk, last - first, levels)
         free = truth_free[i, first:last]
         for j in range(last - first):  # apart from the look-ups, because many cells are compared at once
             count += free[j] & (levels[j] < below)

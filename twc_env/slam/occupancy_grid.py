@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from twc_env.geometry import beam_directions
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap
+from twc_env.slam.cell_kinds import note_kinds
 
 Array = NDArray
 
+NOWHERE_M = (math.inf, math.inf, -math.inf, -math.inf)
+"""A box that holds nothing: left, bottom, right and top end."""
 LOG_ODDS_FREE = -4
 LOG_ODDS_HIT = 10
 LOG_ODDS_MIN = -60
@@ -137,10 +140,9 @@ class OccupancyGrid:
         """Forget everything."""
         self.log_odds = np.zeros((0, 0), np.int16)
         self.origin_m = np.zeros(2)
-        self._bounds_m = (math.inf, math.inf, -math.inf, -math.inf)
-        """Left, bottom, right and top end."""
-        self._reached_m = self._bounds_m
-        """The same of what scans can have touched."""
+        self._kinds = np.zeros((0, 0), np.uint8)
+        self._bounds_m = self._reached_m = self._changed_m = NOWHERE_M
+        """The box of all cells; of those that scans can have touched; and of these since `kinds` were noted."""
         self._snapshot: GridMap | None = None
 
     def integrate(self, poses: Array, scans: Array) -> None:
@@ -152,8 +154,9 @@ class OccupancyGrid:
         if low_x < left or low_y < bottom or high_x > right or high_y > top:
             self._grow(np.array([low_x, low_y]), np.array([high_x, high_y]))
             left, bottom, _, _ = self._bounds_m
-        was = self._reached_m
+        was, new = self._reached_m, self._changed_m
         self._reached_m = min(was[0], low_x), min(was[1], low_y), max(was[2], high_x), max(was[3], high_y)
+        self._changed_m = min(new[0], low_x), min(new[1], low_y), max(new[2], high_x), max(new[3], high_y)
         _integrate_many(
             self.log_odds, left, bottom, 1.0 / self.resolution_m, poses, beam_directions(scans.shape[1]), scans,
             self.range_max_m, self._crossings, self._counts,
@@ -161,16 +164,24 @@ class OccupancyGrid:
 
     def snapshot(self) -> GridMap:
         """A read-only view of the cells as they are now; valid until the next `integrate`."""
+        if self._changed_m is not NOWHERE_M:
+            first_row, first_column, end_row, end_column = self._cells_of(self._changed_m)
+            note_kinds(self.log_odds, first_row - 1, first_column - 1, end_row, end_column, self._kinds)
+            self._changed_m = NOWHERE_M
         if self._snapshot is None:
-            views = self.log_odds.view(), self.origin_m.view()
+            views = self.log_odds.view(), self.origin_m.view(), self._kinds.view()
             for view in views:
                 view.flags.writeable = False
-            self._snapshot = GridMap(*views, self.resolution_m)
+            self._snapshot = GridMap(*views[:2], self.resolution_m, views[2])
         return self._snapshot
 
     def known_box(self) -> tuple[int, int, int, int]:
         """First row and column, end row and column of the box of cells outside which nothing is known."""
-        left, bottom, right, top = self._reached_m
+        return self._cells_of(self._reached_m)
+
+    def _cells_of(self, box_m: tuple[float, float, float, float]) -> tuple[int, int, int, int]:
+        """The same of the cells in a box."""
+        left, bottom, right, top = box_m
         if left > right:
             return 0, 0, 0, 0
         (x, y), cell = self.origin_m.tolist(), self.resolution_m
@@ -193,11 +204,13 @@ class OccupancyGrid:
             first = np.where(low_m < old_low, first, np.round(old_low / self.resolution_m))
             last = np.where(high_m > old_high, last, np.round(old_high / self.resolution_m))
         shape = (last - first).astype(int)[::-1]
-        grown = np.zeros(shape, np.int16)
+        grown, kinds = np.zeros(shape, np.int16), np.zeros(shape, np.uint8)
         if rows:
             c, r = np.round(self.origin_m / self.resolution_m - first).astype(int)
             grown[r : r + rows, c : c + columns] = self.log_odds
-        self.log_odds, self.origin_m, self._snapshot = grown, first * self.resolution_m, None
+            kinds[r : r + rows, c : c + columns] = self._kinds
+        self.log_odds, self._kinds, self._snapshot = grown, kinds, None
+        self.origin_m = first * self.resolution_m
         self._crossings = np.zeros((shape[0] + 4, self._crossings.shape[1]), np.int32)
         self._counts = np.zeros(shape[0] + 4, np.int32)
         high = self.origin_m + shape[::-1] * self.resolution_m

@@ -1,0 +1,74 @@
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.exploration import map_view
+from twc_env.messages import GridMap
+from twc_env.slam.cell_kinds import kinds_of
+
+CELLS, CELL_M = 32, 0.25
+HALF = CELLS // 2
+
+
+@pytest.fixture
+def room() -> GridMap:
+    """10 m by 8 m of free floor within walls, unknown outside; its middle at (5, 4)."""
+    log_odds = np.zeros((120, 140), np.int16)
+    log_odds[20:102, 20:122] = 10
+    log_odds[21:101, 21:121] = -4
+    return GridMap(log_odds, np.array([-2.1, -2.1]), 0.1)
+
+
+def seen(grid: GridMap, x_m: float, y_m: float, heading_rad: float) -> np.ndarray:
+    return map_view.crop_around(grid, np.array([x_m, y_m, heading_rad]), CELLS, CELL_M)
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, 0.5 * math.pi, -0.5 * math.pi, math.pi])
+def test_a_wall_ahead_stands_at_its_distance_along_the_columns(room, heading_rad):
+    x_m, y_m = 5.0 + 3.0 * math.cos(heading_rad), 4.0 + 2.0 * math.sin(heading_rad)
+    picture = seen(room, x_m, y_m, heading_rad)
+    wall = np.flatnonzero(picture[map_view.WALL, HALF, HALF:])
+    assert np.abs(wall * CELL_M - 2.0).min() <= CELL_M and not picture[map_view.WALL, HALF, HALF : HALF + 6].any()
+    assert picture[map_view.FREE, HALF, HALF : HALF + 6].all() and picture[map_view.UNKNOWN, HALF, -4:].all()
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, 0.4, 1.1, -2.3])
+@pytest.mark.parametrize("place_m", [(5.0, 4.0), (0.4, 7.5), (9.8, 0.2), (-30.0, 4.0), (5.0, 40.0)])
+def test_every_cell_is_free_or_wall_or_unknown_as_the_map_says_at_its_middle(room, place_m, heading_rad):
+    picture = seen(room, *place_m, heading_rad)
+    assert (picture[: map_view.FRONTIER].astype(int).sum(axis=0) == 255).all()
+    at = (np.indices((CELLS, CELLS))[::-1] + 0.5 - HALF) * CELL_M  # ahead, left of each cell's middle
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    points = np.array(place_m) + np.stack([c * at[0] - s * at[1], s * at[0] + c * at[1]], axis=-1)
+    column, row = np.moveaxis(np.floor((points - room.origin_m) / room.resolution_m - 0.5).astype(int), -1, 0)
+    rows, columns = room.log_odds.shape
+    is_inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    kinds = kinds_of(room.log_odds)[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
+    expected = np.where(is_inside, np.array([map_view.UNKNOWN, map_view.FREE, map_view.WALL])[kinds], map_view.UNKNOWN)
+    assert np.mean(np.argmax(picture[: map_view.FRONTIER], axis=0) == expected) > 0.999  # but for rounding
+
+
+def test_frontiers_are_free_cells_beside_unknown_ones(room):
+    room.log_odds[20:60, 110:] = 0  # a corner of the room is not known yet
+    picture = seen(room, 8.0, 3.0, 0.3).astype(bool)
+    free, unknown, frontier = (picture[k] for k in (map_view.FREE, map_view.UNKNOWN, map_view.FRONTIER))
+    expected = np.zeros_like(free)
+    beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
+    expected[1:-1, 1:-1] = free[1:-1, 1:-1] & beside
+    assert frontier.any() and np.array_equal(frontier, expected)
+
+
+def test_a_wall_one_cell_thick_is_seen_all_along_from_almost_everywhere(room):
+    room.log_odds[60, 21:121] = 10
+    gaps = []
+    for k in range(50):
+        wall = seen(room, 5.0, 2.5 + 0.01 * k, 0.02 * k)[map_view.WALL]
+        gaps.append(np.mean(~wall[HALF:, HALF - 4 : HALF + 4].any(axis=0)))
+    assert np.mean(gaps) < 0.25
+
+
+def test_an_empty_map_is_all_unknown():
+    empty = GridMap(np.zeros((0, 0), np.int16), np.zeros(2), 0.1)
+    picture = seen(empty, 1.0, 2.0, 0.3)
+    assert (picture[map_view.UNKNOWN] == 255).all() and picture.any(axis=(1, 2)).sum() == 1

@@ -1,0 +1,40 @@
+"""Rows of evenly spaced samples of a grid that lies askew.
+
+Cell numbers are stepped in whole parts of a cell, so that a step is an addition and a shift, no conversion.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twc_env.kernels import kernel
+
+FIXED_BITS = 32
+FIXED_POINT = 2.0**FIXED_BITS
+"""Parts of a cell."""
+
+
+@kernel
+def span_inside(start, step, limit, count):
+    """First and last + 1 of the j in 0..count-1 with 0 <= start + j step < limit; whole numbers."""
+    if step == 0:
+        return (0, count) if 0 <= start < limit else (0, 0)
+    if step < 0:  # mirrored: limit - 1 - value grows with j
+        start, step = limit - 1 - start, -step
+    first = 0 if start >= 0 else (-start + step - 1) // step
+    last = 0 if start >= limit else (limit - 1 - start) // step + 1
+    return first, min(last, count)
+
+
+@kernel
+def look_up_row(cells, width, row, column, row_step, column_step, count, levels):
+    """Write to levels the first `count` samples from (row, column) on, in fixed point; all of them lie in the grid.
+
+    cells: the grid (rows, width) as one row. Unsigned numbers index without a check for negative ones.
+    """
+    bits, stride = np.uint64(FIXED_BITS), np.uint64(width)
+    r, k, up, right = np.uint64(row), np.uint64(column), np.uint64(row_step), np.uint64(column_step)
+    for j in range(count):
+        levels[j] = cells[(r >> bits) * stride + (k >> bits)]
+        r += up
+        k += right
