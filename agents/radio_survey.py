@@ -48,7 +48,7 @@ class Walked:
     iou: list[float]
     """Free floor; unknown floor counts as missed."""
     iou_published: list[float]
-    """Free floor among known cells (SPEC K18)."""
+    """Free floor among known cells (papers.md K18)."""
     coverage: list[float]
     is_finished: bool
 

@@ -70,7 +70,7 @@ class KeyframeConfig(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceRecognitionConfig(Checked):
-    """Which keyframes look like one place. The thresholds are those of TWC-SLAM's Algorithm 1 (SPEC T4-T9)."""
+    """Which keyframes look like one place. The thresholds are those of TWC-SLAM's Algorithm 1 (papers.md T4-T9)."""
 
     recogniser: str = choice("twc", "text", "wifi", "lidar", "fused")
     """`twc`: Algorithm 1; `text`, `wifi`: its halves; `lidar`: like scans; `fused`: all cues weighed as log-odds."""
@@ -166,7 +166,7 @@ class RadioSlamConfig(Checked):
     bin_width: float = number(0.05, 0.001, 1.0)
     """r of Eq. 3."""
     window_wifi_m: float = number(60.0, 1.0, 10_000.0)
-    """Pairs within this path length teach the model (SPEC R5)."""
+    """Pairs within this path length teach the model (papers.md R5)."""
     window_lte_m: float = number(150.0, 1.0, 10_000.0)
     smoothing_wifi_m: float = number(5.0, 0.0, 100.0)
     """Scans this near along the path are averaged into one fingerprint."""

@@ -74,7 +74,7 @@ class HighBandConfig(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellConfig(Checked):
-    """LTE cells on masts outside the building (SPEC R14-R15): three sectors per mast, heard beside the WiFi."""
+    """LTE cells on masts outside the building (papers.md R14-R15): three sectors per mast, heard beside the WiFi."""
 
     count: int = number(0, 0, 1000)
     distance_min_m: float = number(150.0, 1.0, 100_000.0)

@@ -1,4 +1,4 @@
-"""How right a map from signal strength is (SPEC K1, K2, K17-K19): walls crossed, free and wall overlap, calibration.
+"""How right a map from signal is (papers.md K1, K2, K17-K19): walls crossed, free and wall overlap, calibration.
 
 Maps hold 255 where free, 0 where wall and 127 where nothing is known, one cell per element, truth and estimate on the
 same grid.
@@ -81,7 +81,7 @@ def calibration_error(probability: Array, is_wall: Array, bins: int = 10) -> flo
 def walls_crossed_in_raster(wall: Array, start_cell: Array, target_cells: Array, gap_cells: float = 0.0) -> Array:
     """(targets,) walls on the line from a place (row, column) to each target (targets, 2), in cells and parts of them.
 
-    A wall is a run of occupied cells, whatever its thickness (SPEC K1). Runs nearer to each other than `gap_cells` are
+    A wall is a run of occupied cells, whatever its thickness (papers.md K1). Runs nearer than `gap_cells` are
     one: a ray that grazes along the rough wall of a measured map crosses it once.
     """
     crossed = np.empty(len(target_cells), np.int64)
@@ -91,7 +91,7 @@ def walls_crossed_in_raster(wall: Array, start_cell: Array, target_cells: Array,
 
 
 def walls_crossed_map(wall: Array, free: Array, start_cell: Array) -> Array:
-    """(rows, columns) walls between a place (row, column) and every free cell, -1 elsewhere (SPEC K2)."""
+    """(rows, columns) walls between a place (row, column) and every free cell, -1 elsewhere (papers.md K2)."""
     cells = np.argwhere(free)
     k_map = np.full(wall.shape, -1, np.int64)
     k_map[tuple(cells.T)] = walls_crossed_in_raster(wall, start_cell, cells + 0.5)

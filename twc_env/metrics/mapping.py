@@ -107,7 +107,7 @@ def wall_thickness_m(
     reach_m: float = 1.0,
     wall_above: int = 0,
 ) -> float:
-    """Mean width of what a map shows as wall, along the walls that it shows: ghosts make it grow (SPEC T21).
+    """Mean width of what a map shows as wall, along the walls that it shows: ghosts make it grow (papers.md T21).
 
     Each occupied cell belongs to the nearest true wall, if one is at most `reach_m` away; the area of these cells is
     divided by the length of all stretches of wall that own one. walls_m (k, 2, 2) are segments in the building frame;

@@ -73,7 +73,7 @@ def mean_rssi_by_walls(walls: Array, rssi_dbm: Array, walls_max: int) -> Array:
 
 
 def cosine_similarity(rssi_dbm: Array, offset_db: float = 100.0) -> Array:
-    """(s, s) cosine of fingerprints (s, t), NaN where not heard; strengths count from -offset_db (SPEC R4)."""
+    """(s, s) cosine of fingerprints (s, t), NaN where not heard; strengths count from -offset_db (papers.md R4)."""
     levels = np.maximum(np.nan_to_num(rssi_dbm + np.float32(offset_db), nan=0.0), 0.0).astype(np.float32)
     norms = np.linalg.norm(levels, axis=1)
     unit = levels / np.where(norms > 0, norms, 1.0)[:, None]
@@ -83,7 +83,7 @@ def cosine_similarity(rssi_dbm: Array, offset_db: float = 100.0) -> Array:
 def distance_at_similarity(
     position_m: Array, similarity: Array, is_pair: Array, at: float, width: float = 0.05
 ) -> tuple[float, float]:
-    """Mean and standard deviation [m] of the distance of the pairs whose similarity lies within width/2 (SPEC R6).
+    """Mean and standard deviation [m] of the distance of the pairs whose similarity lies within width/2 (papers.md R6).
 
     Positions (s, 2), similarity and is_pair (s, s), of which the upper half counts. NaN with fewer than ten pairs.
     """

@@ -79,7 +79,7 @@ def absolute_trajectory_error_m(estimated: ArrayLike, true: ArrayLike, alignment
 
 
 def end_point_error_m(estimated: ArrayLike, true: ArrayLike) -> float:
-    """Distance between the estimated and the true last position, both seen from the first pose (EPE, SPEC T18).
+    """Distance between the estimated and the true last position, both seen from the first pose (EPE, papers.md T18).
 
     Both (t, 3). Where a path truly ends where it began this is the start-to-end gap that the paper prints.
     """

@@ -3,7 +3,7 @@
 Held-out texts (the bundled twins' and the test split's) are seen from distances within half a metre of each band, from
 all directions the camera may read from, by a robot that often turns. The real OCR reads a picture of each; the fast
 model draws from the measured table for the same views. Reported are the share of texts read exactly and the mean
-Levenshtein similarity (SPEC T4) to the truth, case aside; what was not read at all counts as similarity 0.
+Levenshtein similarity (papers.md T4) to the truth, case aside; what was not read at all counts as similarity 0.
 """
 
 from __future__ import annotations

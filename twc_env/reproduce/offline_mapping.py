@@ -122,7 +122,7 @@ def build(walks: Sequence[Walk], matched: Sequence[Matched], backend: str, is_ve
 
 
 def common_frames(odometry: Sequence[Array], closures: Sequence[LoopClosure]) -> list[Array]:
-    """(3,) where each robot's odom frame lies in that of robot 0 (SPEC T14); its own where nothing ties it.
+    """(3,) where each robot's odom frame lies in that of robot 0 (papers.md T14); its own where nothing ties it.
 
     Along a spanning tree whose links are the pairs of robots with most closures that agree on one relative frame.
     """

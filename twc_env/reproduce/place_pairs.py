@@ -49,12 +49,12 @@ class Counts:
 
 
 def all_pairs(accepted: Array, pairs: Pairs) -> Counts:
-    """Every accepted pair counts (SPEC T10, the default)."""
+    """Every accepted pair counts (papers.md T10, the default)."""
     return Counts(int(accepted.sum()), int((accepted & pairs.is_same).sum()), int(pairs.is_same.sum()))
 
 
 def best_match(accepted: Array, score: Array, pairs: Pairs) -> Counts:
-    """Each place is matched with its best accepted partner on each other robot; only that match counts (SPEC T10)."""
+    """Each place is matched with its best accepted partner on each other robot; only that counts (papers.md T10)."""
     matches = right = true = 0
     for mine, other in ((0, 1), (1, 0)):
         place = pairs.first if mine == 0 else pairs.second

@@ -1,6 +1,6 @@
 """What two papers print about their signals, beside the radio model in twins of their places.
 
-Radio fingerprint SLAM (SPEC R14-R15): transmitters per scan, and distance at cosine 0.8. Inverse k-visibility: the
+Radio fingerprint SLAM (papers.md R14-R15): transmitters per scan, and distance at cosine 0.8. Inverse k-visibility: the
 strengths along the walks of its experiments E3 and E5, cut into classes by the thresholds of the authors' program.
 """
 
@@ -24,9 +24,9 @@ Array = NDArray
 
 _PHONES = 5
 _STROLL_M, _STROLL_SPEED_M_S, _STROLL_STEP_M = 1072.6, 0.42, 1.5
-"""The robot of SPEC R14 at NTU: path and speed, and how far it came between two scans."""
+"""The robot of papers.md R14 at NTU: path and speed, and how far it came between two scans."""
 _WINDOW_M = {"wifi": 60.0, "lte": 150.0}
-"""Pairs closer than this along the path teach the similarity model (SPEC R5)."""
+"""Pairs closer than this along the path teach the similarity model (papers.md R5)."""
 _OFFSET_DB = {"wifi": 100.0, "lte": 120.0}
 
 _PRINTED = {
@@ -109,7 +109,7 @@ def _cells(name: str) -> int:
 _THRESHOLDS_DBM = (-41.0, -56.0)
 """Of the authors' program: above the first no wall is counted, between them one, below two."""
 _WALKS = {"E3": (100.0, 0.0166, 25), "E5": (79.0, 0.16, 1)}
-"""Metres walked, metres between samples, and samples averaged (E3 was smoothed by the authors; SPEC K6)."""
+"""Metres walked, metres between samples, and samples averaged (E3 was smoothed by the authors; papers.md K6)."""
 _WALK_SPEED_M_S = 0.3
 
 

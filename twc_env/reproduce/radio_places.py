@@ -174,7 +174,7 @@ def stroll(plan: Floorplan, length_m: float, spacing_m: float, speed_m_s: float,
 
 
 def merged(surveys: Sequence[RadioSurvey]) -> RadioSurvey:
-    """Scans that several phones took side by side: the mean of all that heard a transmitter (SPEC R3)."""
+    """Scans that several phones took side by side: the mean of all that heard a transmitter (papers.md R3)."""
     readings = np.stack([survey.rssi_dbm for survey in surveys])
     count = np.isfinite(readings).sum(axis=0)
     total = np.nansum(readings, axis=0)

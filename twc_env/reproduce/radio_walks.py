@@ -1,4 +1,4 @@
-"""Long walks of one robot with five phones and wheel odometry through the places of the radio SLAM paper (SPEC R14).
+"""Walks of a robot with five phones and wheel odometry through the places of the radio SLAM paper (papers.md R14).
 
 The printed table tells lengths, durations and how far off odometry was; each walk's odometry is as far off as printed.
 The robot stops nowhere: it moves along shortest ways between random places.

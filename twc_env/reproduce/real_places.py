@@ -1,7 +1,7 @@
 """Place recognition on two real floors: surveyed phone traces as robots, real WiFi, real place names as signs.
 
 A place is where a WiFi scan ended (rows at most 4 s old) and at least one place name could be read along the surveyed
-trace; names are misread as SPEC T3 says. All methods judge all pairs of places of different traces; right are those at
+trace; names are misread as papers.md T3 says. All methods judge all pairs of places of two traces; right are those at
 most 5 m apart. What a method has to learn (WiFi tolerance, weights) it learns on the other floor; what it may learn on
 the spot (how common a name is, how far fingerprints of one trace differ with distance) it learns without any position
 of other traces. Each seed draws the misreadings and four fifths of the traces; `sd` is the spread over the seeds.

@@ -36,7 +36,7 @@ AIM_AHEAD_M = 0.5
 PASS_GAP_S = 3.0
 """A sign that was out of view for longer is passed anew."""
 SIGHTING_RANGE_M = 3.0
-"""A pass counts as a sighting when the sign was read from this near (SPEC T3)."""
+"""A pass counts as a sighting when the sign was read from this near (papers.md T3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,7 +25,7 @@ FIGURES = ("k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier")
 RESOLUTION_M = 0.1
 _FREE_SPACE_EXPONENT = 2.0
 _DENSE_READINGS = 1000
-"""With more readings than this the paper's window is 25 wide, else 7 (SPEC K6)."""
+"""With more readings than this the paper's window is 25 wide, else 7 (papers.md K6)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

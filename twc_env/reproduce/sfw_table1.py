@@ -1,6 +1,6 @@
 """Table I of inverse k-visibility (Kim et al.): six experiments on twin plans, the published method and ours.
 
-Plans, routers, numbers of readings and areas follow the print (SPEC K20); the radio preset is
+Plans, routers, numbers of readings and areas follow the print (papers.md K20); the radio preset is
 `sfw`. `paper` chooses its number of clusters in hindsight, the best for it; `paper, distance` does so on readings
 compensated for distance. `ours, SLAM` is told where the engine believes the robot was, from odometry and scans.
 Coverage stands beside every IoU, for what a map leaves unknown is excused by the paper's IoU. Settings are chosen on

@@ -1,4 +1,4 @@
-"""Walks for structure-from-WiFi tables: a route along all walls, and what a receiver reads on it (SPEC K21)."""
+"""Walks for structure-from-WiFi tables: a route along all walls, and what a receiver reads on it (papers.md K21)."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ TEXT, WIFI = (0.5, 0.8, 1.0), (0.5, 0.8, 1.0)
 COMBINED = ((0.5, 0.8), (0.8, 0.8), (0.5, 1.0))
 SAME_PLACE_M = 3.0
 PLACE_STEP_M = 6.0
-"""Where WiFi alone is sampled along the way (SPEC T10)."""
+"""Where WiFi alone is sampled along the way (papers.md T10)."""
 METHODS = ("text", "wifi", "twc", "lidar", "fused")
 GUESS_OF = {"text": "sign", "twc": "sign", "fused": "memory", "wifi": "none", "lidar": "none"}
 """Where each method's guess of the pose between the robots comes from: the sign as seen, as remembered, nowhere."""

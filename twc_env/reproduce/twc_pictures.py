@@ -1,4 +1,4 @@
-"""Pictures of the maps of TWC-SLAM's scenes: trajectories, merged maps, believed and refused closures (SPEC T21)."""
+"""Pictures of maps of TWC-SLAM's scenes: trajectories, merged maps, believed and refused closures (papers.md T21)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Table I of TWC-SLAM: precision and recall of place recognition on twins of its two scenes.
 
 Robots walk scripted routes through all rooms; each pass by a sign is a sighting. All methods judge the same pairs of
-sightings of different robots, and the same pairs are right: one physical sign, sensors at most 3 m apart (SPEC T11;
+sightings of different robots, and the same are right: one physical sign, sensors at most 3 m apart (papers.md T11;
 pairs of one sign from further apart count neither way). `recall_absolute` is of all right pairs; `recall_conditional`
 is of those the text threshold alone lets through, which is how the print's combined recall can exceed that of text.
 `precision_best_match` counts one match per sighting and other robot, `precision_places` is of WiFi alone at places
@@ -46,7 +46,7 @@ PRINT = {
 }  # fmt: skip
 """Precision and recall as printed [%]."""
 NUMBERED, FITTED_TOLERANCE_DB = "numbered", 6.0
-"""Signs like those that the print implies, and tau of SPEC T8 with them, by the columns of twc on #01."""
+"""Signs like those that the print implies, and tau of papers.md T8 with them, by the columns of twc on #01."""
 EQ7_AS_PRINTED, AS_PRINTED = "eq7", "as printed"
 """Eq. 7 without its division, alone and with Eq. 10 as a distance."""
 
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="likeness of strengths, Eq. 10; paper: accept distances of at least gamma (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument("--alternatives", action="store_true", help="add rows for the other readings of Eq. 7 and 10")
-    parser.add_argument("--tolerance-db", type=float, default=5.0, help="tau of SPEC T8 (default: %(default)s)")
+    parser.add_argument("--tolerance-db", type=float, default=5.0, help="tau of papers.md T8 (default: %(default)s)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
@@ -167,7 +167,7 @@ READINGS = {
     "after scan matching": ("precision_verified", "recall_verified"),
     "WiFi at places along the way": ("precision_places", "recall_places"),
 }
-"""Ways to count, each as the columns of precision and recall: the print does not say which is meant (SPEC T10-T11)."""
+"""Ways to count, each as the columns of precision and recall: the print does not say which (papers.md T10-T11)."""
 
 
 def remarks(table: list[dict]) -> list[str]:

@@ -187,7 +187,7 @@ def _rounded(values: Array, statistic) -> float:
 
 
 def remarks(table: list[dict]) -> list[str]:
-    """The order of the methods beside the printed one, and the paper's claim recomputed (SPEC T20)."""
+    """The order of the methods beside the printed one, and the paper's claim recomputed (papers.md T20)."""
     lines = []
     for scene in dict.fromkeys(row["scene"] for row in table):
         printed = sorted(PRINT[scene], key=PRINT[scene].__getitem__)

@@ -1,4 +1,4 @@
-"""Where along a path the number of walls changes, reading by reading (SPEC K24d).
+"""Where along a path the number of walls changes, reading by reading (papers.md K24d).
 
 A map of walls tells in which order the numbers come and nearly where they change. Where exactly the readings tell: they
 drop by a wall's loss from one reading to the next, while shadowing changes slowly. A reading is

@@ -1,4 +1,4 @@
-"""Wall probabilities on a grid, and the classes free, unknown and wall (255, 127 and 0, SPEC K13)."""
+"""Wall probabilities on a grid, and the classes free, unknown and wall (255, 127 and 0, papers.md K13)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inverse k-visibility as published: dense inverse, geometric rules, Eq. 4 and 5, and Algorithm 1 (SPEC K3, K7-K15).
+"""Inverse k-visibility as published: dense inverse, rules, Eq. 4 and 5, and Algorithm 1 (papers.md K3, K7-K15).
 
 Grids are coded 255 free, 127 unknown, 0 wall. Where the paper leaves a choice open, it is an argument.
 """

@@ -1,4 +1,4 @@
-"""How many walls lie between a router and each reading, from signal strength along a path (SPEC K24d).
+"""How many walls lie between a router and each reading, from signal strength along a path (papers.md K24d).
 
 A hidden Markov model along the path whose state is the number of walls k and whose reading is
 
@@ -139,7 +139,7 @@ def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
 
 
 def locate_router(bins: PathBins, router: int, margin_m: float = 1.0, step_m: float = 0.5) -> tuple[Array, SignalFit]:
-    """Where a router stands (2,), from signal alone (SPEC K24g): the place whose model explains the readings best.
+    """Where a router stands (2,), from signal alone (papers.md K24g): the place whose model explains the readings best.
 
     Tried are places within 4 m of the strongest readings and `margin_m` around the path; the best is refined.
     """

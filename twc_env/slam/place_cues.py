@@ -22,7 +22,7 @@ class Similarities:
     macs: float
     """Eq. 9."""
     rssi: float
-    """SPEC T8; in the printed mode the distance itself (Eq. 10)."""
+    """papers.md T8; in the printed mode the distance itself (Eq. 10)."""
 
     def passes(self, alpha: float, beta: float, gamma: float) -> bool:
         """Algorithm 1: all three reach their thresholds."""

@@ -17,7 +17,7 @@ SUPPORT_MIN = 2
 
 
 def alike_pairs(similarity: Array, travel_m: Array, similarity_min: float, apart_m: float) -> tuple[Array, Array]:
-    """Pairs i < j at least this alike and this far apart along the path (SPEC R7: the path, not the displacement)."""
+    """Pairs i < j at least this alike and far apart along the path (papers.md R7: the path, not the displacement)."""
     i, j = np.nonzero(similarity > similarity_min)
     kept = travel_m[j] - travel_m[i] > apart_m
     return i[kept], j[kept]

@@ -1,4 +1,4 @@
-"""The radio signature of a place, and how alike two of them are (TWC-SLAM Eq. 7-10, repaired as in SPEC T6-T8)."""
+"""The radio signature of a place, and how alike two of them are (TWC-SLAM Eq. 7-10, repaired as in papers.md T6-T8)."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def rssi_distance_db(a: Fingerprint, b: Fingerprint) -> tuple[float, int]:
 
 
 def rssi_similarity(distance_db: float, shared: int, tolerance_db: float) -> float:
-    """min(1, tolerance / rms difference): 1 within the tolerance, falling beyond (SPEC T8); 0 with nothing shared."""
+    """min(1, tolerance / rms difference): 1 within the tolerance, falling after (papers.md T8); 0 if none is shared."""
     if shared == 0:
         return 0.0
     rms = distance_db / np.sqrt(shared)

@@ -1,6 +1,6 @@
 """Where a fingerprint was heard, by a map of fingerprints at known places: nearest neighbours, or a Gaussian process.
 
-A radio map is what radio SLAM leaves behind (SPEC R10): its optimised places with what was heard there.
+A radio map is what radio SLAM leaves behind (papers.md R10): its optimised places with what was heard there.
 """
 
 from __future__ import annotations

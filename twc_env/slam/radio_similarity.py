@@ -24,7 +24,7 @@ CELL_ID_MIN = 1 << 48
 """LTE cells have numbers from here on, beyond all MAC addresses."""
 MODES = ("shifted", "raw", "linear")
 WIFI_OFFSET_DB, CELL_OFFSET_DB = 100.0, 120.0
-"""`shifted` counts strength from these levels up (SPEC R4): what is not heard then equals what is hardly heard."""
+"""`shifted` counts strength from these levels up (papers.md R4): what is not heard then equals what is hardly heard."""
 _SHORTEST = 1e-12
 
 

@@ -1,4 +1,4 @@
-"""Walls and free floor beyond what the robots have seen, from signal strength while they walk (SPEC X5, K24c).
+"""Walls and free floor beyond what the robots have seen, from signal strength while they walk (papers.md X5, K24c).
 
 Incremental inverse k-visibility: every reading casts one ray to its router and updates the cells on it. A router counts
 as located once some robot has passed it nearly; how many walls a reading has crossed follows from its excess loss.

@@ -1,4 +1,4 @@
-"""How alike the strengths of two fingerprints are: readings of TWC-SLAM's Eq. 10 (SPEC T8).
+"""How alike the strengths of two fingerprints are: readings of TWC-SLAM's Eq. 10 (papers.md T8).
 
 In the print a distance d [dB] is compared with gamma from the wrong side: `paper` accepts d >= gamma. All others turn
 d over p shared transmitters, or its root mean square d / sqrt(p), into a similarity. Only those that reach 1 for real,

@@ -49,7 +49,7 @@ class SimilarityModel:
         return mean, np.maximum(np.interp(similarity, self.centre, self.variance_m2), VARIANCE_MIN_M2)
 
     def is_truncated(self, similarity_min: float) -> bool:
-        """Whether a bin in use tells more than its window allows (SPEC R5)."""
+        """Whether a bin in use tells more than its window allows (papers.md R5)."""
         used = self.mean_m[self.centre >= similarity_min]
         return bool(len(used) and used.max() * WINDOW_PER_MEAN > self.window_m)
 

@@ -13,7 +13,7 @@ from rapidfuzz.process import cdist
 Array = NDArray
 
 FRAGMENT_PROBABILITY, CHARACTER_ERROR_PROBABILITY = 0.07, 0.03
-"""How often OCR gives a fragment, and how often it gets a character wrong (SPEC T3)."""
+"""How often OCR gives a fragment, and how often it gets a character wrong (papers.md T3)."""
 INDEPENDENT_READINGS_MAX = 2
 """More readings that agree prove no more: the mistakes of one reader with one sign stay the same."""
 WRONG_CHARACTERS = 6.0
@@ -25,7 +25,7 @@ LANGUAGE_CHARACTERS = 12.0
 def log_text_likelihood(reading: str, others: Sequence[str], reading_count: int, other_counts: Array) -> Array:
     """(others,) log probability of a reading if the sign is the one that gave each of the others.
 
-    A noisy channel twice: characters go wrong singly, or only a fragment is left (SPEC T3). Counts say how many
+    A noisy channel twice: characters go wrong singly, or only a fragment is left (papers.md T3). Counts say how many
     readings agreed on a text: the more, the less likely it is wrong.
     """
     if not others:

@@ -1,4 +1,4 @@
-"""How alike two readings of a sign are (TWC-SLAM Eq. 5, SPEC T4)."""
+"""How alike two readings of a sign are (TWC-SLAM Eq. 5, papers.md T4)."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ SAME_SIGN_M = 1.0
 
 
 class TextWifiRecogniser:
-    """Algorithm 1 of TWC-SLAM: like text, then shared transmitters, then like strengths (SPEC T9).
+    """Algorithm 1 of TWC-SLAM: like text, then shared transmitters, then like strengths (papers.md T9).
 
     Every text that was ever read is kept with its keyframe; a new keyframe is compared with all of them, of its own
     robot (when enough path lies between) and of the others.

@@ -1,4 +1,4 @@
-"""Where walls may stand, told by a path alone: short pieces beside it, and midway between two tracks (SPEC K7, K10).
+"""Where walls may stand, by a path alone: short pieces beside it, and midway between two tracks (papers.md K7, K10).
 
 A robot that walks a building along its walls never crosses one, and has one beside it. Pieces on both sides of the path
 are offered; which of them are walls is for the radio to say (`k_visibility`).

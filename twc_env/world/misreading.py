@@ -1,4 +1,4 @@
-"""What OCR makes of a text: drawn from the measured table, or by the two plain numbers of SPEC T3."""
+"""What OCR makes of a text: drawn from the measured table, or by the two plain numbers of papers.md T3."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ _ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"
 
 
 def misread(text: str, config: SignsConfig, random: np.random.Generator) -> str:
-    """One OCR reading of a text: sometimes a fragment, else single characters changed, lost or added (SPEC T3)."""
+    """One OCR reading of a text: sometimes a fragment, else single characters changed, lost or added (papers.md T3)."""
     if random.random() < config.fragment_probability:
         length = max(1, round(len(text) * random.uniform(_FRAGMENT_MIN, _FRAGMENT_MAX)))
         begin = int(random.integers(0, len(text) - length + 1))

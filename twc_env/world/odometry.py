@@ -1,4 +1,4 @@
-"""What wheels, legs or a swaying hand report of the true motion, and what the gyro adds: both drift (SPEC T1)."""
+"""What wheels, legs or a swaying hand report of the true motion, and what the gyro adds: both drift (papers.md T1)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ PRESETS = {
     "wheeled": OdometryPreset(0.025, 0.004, 0.02, 0.03, 0.010, 0.02, 0.02, 0.5, 0.004, 0.002),
     "legged": OdometryPreset(0.035, 0.006, 0.025, 0.05, 0.015, 0.025, 0.05, 0.5, 0.006, 0.003),
     "handheld": OdometryPreset(0.045, 0.009, 0.03, 0.07, 0.022, 0.03, 0.0, 0.0, 0.008, 0.004),
-    # Four wheels that slide sideways in every turn (SPEC R14's Husky): calibration errors far outweigh noise.
+    # Four wheels that slide sideways in every turn (papers.md R14's Husky): calibration errors far outweigh noise.
     "skid-steer": OdometryPreset(0.02, 0.004, 0.05, 0.03, 0.003, 0.01, 0.0, 0.0, 0.004, 0.002),
     # Raw odometry of the Intel Research Lab log: it curls steadily to the right. `reproduce odometry` shows how near.
     "pioneer-intel": OdometryPreset(

@@ -1,8 +1,8 @@
-"""Received strength of WiFi and LTE: path loss, walls and ceilings, shadowing, fading, device, noise (SPEC T5, X2).
+"""Received strength of WiFi and LTE: path loss, walls, ceilings, shadowing, fading, device, noise (papers.md T5, X2).
 
 rssi = P(1 m) - 10 n log10(max(d, d0)) - wall losses + shadowing(place) + fading(visit) + device(robot) + noise(scan),
 heard with probability 1 / (1 + exp((floor - rssi) / slope)) and reported in whole dB. Power, exponent, wall loss and
-floor belong to the band: 2.4 GHz, 5 GHz, or LTE cells on masts outside (SPEC R14-R15).
+floor belong to the band: 2.4 GHz, 5 GHz, or LTE cells on masts outside (papers.md R14-R15).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where routers should stand in a floor plan to see the most of it (SPEC K24f)."""
+"""Where routers should stand in a floor plan to see the most of it (papers.md K24f)."""
 
 from __future__ import annotations
 

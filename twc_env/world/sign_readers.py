@@ -87,7 +87,7 @@ def _shipped() -> TableReader:
 
 
 class _Simple:
-    """The same two probabilities for every sign, however it is seen (SPEC T3)."""
+    """The same two probabilities for every sign, however it is seen (papers.md T3)."""
 
     def __init__(self, config: SignsConfig, texts: Sequence[str], robot: int, seed: int):
         self._config, self._texts = config, texts

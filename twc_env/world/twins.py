@@ -1,4 +1,4 @@
-"""Places of the radio SLAM paper by their printed size and number of transmitters (SPEC R14).
+"""Places of the radio SLAM paper by their printed size and number of transmitters (papers.md R14).
 
 The paper prints areas, path lengths and counts, no plans: the layouts are our own.
 """
