@@ -1,4 +1,4 @@
-"""Command line: python -m twc_env maps | ocr | bench | soak | record | replay | reproduce."""
+"""Command line: python -m twc_env maps | settings | record | replay | bench | soak | ocr | reproduce."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from twc_env.log_cli import add_log_parsers
 from twc_env.maps_cli import add_maps_parser
 from twc_env.ocr_cli import add_ocr_parser
 from twc_env.reproduce.runner import add_parser
+from twc_env.settings_cli import add_settings_parser
 from twc_env.soak_cli import add_soak_parser
 
 
@@ -29,10 +30,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m twc_env",
-        description="Look at maps, measure speed, record and replay sensor logs, reproduce tables.",
+        description="Look at maps and settings, record and replay sensor logs, measure speed, reproduce tables.",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for add in (add_maps_parser, add_ocr_parser, add_bench_parser, add_soak_parser, add_log_parsers, add_parser):
+    for add in (
+        add_maps_parser,
+        add_settings_parser,
+        add_log_parsers,
+        add_bench_parser,
+        add_soak_parser,
+        add_ocr_parser,
+        add_parser,
+    ):
         add(commands)
     return parser
 

@@ -1,0 +1,57 @@
+"""`python -m twc_env settings` prints a config file that says what every setting means."""
+
+import dataclasses
+
+import pytest
+
+from twc_env import TASKS
+from twc_env.__main__ import main
+from twc_env.config import EnvConfig, load, override
+from twc_env.config.manual import as_toml
+from twc_env.errors import ConfigError
+from twc_env.tasks import task_config
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_printed_settings_read_back_as_they_are(task, tmp_path):
+    (tmp_path / "settings.toml").write_text(as_toml(task_config(task)))
+    assert load(tmp_path / "settings.toml") == task_config(task)
+
+
+def test_every_setting_stands_there_once_with_its_range_and_what_is_said_of_it():
+    lines = as_toml(EnvConfig()).splitlines()
+
+    def count(section) -> int:
+        values = [getattr(section, field.name) for field in dataclasses.fields(section)]
+        return sum(count(value) if dataclasses.is_dataclass(value) else 1 for value in values)
+
+    assert sum(" = " in line and not line.startswith("#") for line in lines) == count(EnvConfig())
+    at = lines.index("drift = 1.0                           # number from 0 to 10")
+    assert lines[at - 1].startswith("# Multiplies every error of the platform's preset")
+    assert max(map(len, lines)) <= 200
+
+
+def test_what_differs_from_its_default_is_marked(tmp_path, capsys):
+    assert main(["settings", "slam.merging", "--set", "slam.merging.undo=false"]) == 0
+    printed = capsys.readouterr().out
+    assert "undo = false                          # true or false; default true" in printed
+    assert printed.count("; default") == 1
+    assert printed.count("\n[") == 1
+    (tmp_path / "mine.toml").write_text("[slam.merging]\nundo = false\n")
+    assert main(["settings", "slam.merging", "--config", str(tmp_path / "mine.toml")]) == 0
+    assert capsys.readouterr().out == printed
+
+
+def test_an_unknown_section_is_refused_with_the_nearest(capsys):
+    with pytest.raises(
+        ConfigError, match=r"no section 'slam\.mergin' among the settings; did you mean 'slam\.merging'"
+    ):
+        as_toml(EnvConfig(), ["slam.mergin"])
+    assert main(["settings", "--task", "twc/ExploreHard-v0", "--config", "a.toml"]) == 2
+    assert "not with both" in capsys.readouterr().err
+
+
+def test_a_changed_setting_reads_back(tmp_path):
+    config = override(EnvConfig(), {"map": 'odd "name" with \\ in it', "radio.preset": "lte"})
+    (tmp_path / "settings.toml").write_text(as_toml(config))
+    assert load(tmp_path / "settings.toml") == config

@@ -1,0 +1,93 @@
+"""All settings as one commented TOML text: what each means, what may stand in it and what stands there now."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import difflib
+import inspect
+import json
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from twc_env.config.environment import EnvConfig
+from twc_env.errors import ConfigError
+
+_WIDTH = 118
+
+
+def as_toml(config: EnvConfig, sections: Sequence[str] = ()) -> str:
+    """The settings as TOML that `load` reads back, those that differ from their default marked.
+
+    sections: dotted names, to show these and what is in them alone ("slam.merging"); none shows all. Raises ConfigError
+    for a section that is not there.
+    """
+    parts = list(_sections(config, EnvConfig(), ""))
+    for name in sections:
+        if name not in [part[0] for part in parts]:
+            names = [part[0] for part in parts if part[0]]
+            near = difflib.get_close_matches(name, names, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"sections are {', '.join(names)}"
+            raise ConfigError(f"there is no section {name!r} among the settings; {hint}")
+    is_wanted = [not sections or any(f"{part[0]}.".startswith(f"{name}.") for name in sections) for part in parts]
+    chosen = [_text(*part) for part, wanted in zip(parts, is_wanted, strict=True) if wanted]
+    return "\n\n".join(chosen) + "\n"
+
+
+def _sections(values: Any, defaults: Any, name: str) -> Iterator[tuple[str, Any, Any]]:
+    """(dotted name, values, defaults) of a section and of all inside it."""
+    yield name, values, defaults
+    for field in dataclasses.fields(values):
+        inner = getattr(values, field.name)
+        if dataclasses.is_dataclass(inner):
+            yield from _sections(inner, getattr(defaults, field.name), f"{name}.{field.name}".lstrip("."))
+
+
+def _text(name: str, values: Any, defaults: Any) -> str:
+    lines = [f"# {line}" for line in textwrap.wrap(_summary(type(values)), _WIDTH)]
+    lines += [f"[{name}]"] if name else []
+    explained = _explained(type(values))
+    for field in dataclasses.fields(values):
+        value, default = getattr(values, field.name), getattr(defaults, field.name)
+        if dataclasses.is_dataclass(value):
+            continue
+        lines += [f"# {line}" for line in textwrap.wrap(explained.get(field.name, ""), _WIDTH)]
+        was = "" if value == default else f"; default {_literal(default)}"
+        lines.append(f"{field.name} = {_literal(value)}".ljust(36) + f"  # {_allowed(field, value)}{was}")
+    return "\n".join(lines)
+
+
+def _literal(value: Any) -> str:
+    return json.dumps(value)
+
+
+def _allowed(field: dataclasses.Field, value: Any) -> str:
+    if choices := field.metadata.get("choices"):
+        return "one of " + ", ".join(choices)
+    if "minimum" not in field.metadata:
+        return "true or false" if isinstance(value, bool) else "text"
+    low, high = field.metadata["minimum"], field.metadata["maximum"]
+    kind = "whole number" if isinstance(value, int) else "number"
+    return kind if math.isinf(low) and math.isinf(high) else f"{kind} from {_short(low)} to {_short(high)}"
+
+
+def _short(limit: float) -> str:
+    return f"{limit:,.0f}" if limit == round(limit) else f"{limit:.6g}"
+
+
+def _summary(section: type) -> str:
+    return " ".join((section.__doc__ or "").split())
+
+
+def _explained(section: type) -> dict[str, str]:
+    """What the text below each field of a section says of it."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(section))).body[0]
+    assert isinstance(body, ast.ClassDef)
+    found = {}
+    for field, below in zip(body.body, body.body[1:], strict=False):
+        is_text = isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and is_text:
+            found[field.target.id] = " ".join(str(below.value.value).split())  # type: ignore[attr-defined]
+    return found

@@ -1,0 +1,41 @@
+"""`python -m twc_env settings`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twc_env.command_line import assignments
+
+
+def add_settings_parser(commands: argparse._SubParsersAction) -> None:
+    """Arguments of the command."""
+    parser = commands.add_parser(
+        "settings",
+        help="print every setting with its meaning, range and value, as a TOML file to start from",
+        description="Print settings as TOML with comments; what differs from its default is marked. The text is a "
+        "config file: save it, change it, and give it to --config or to twc_env.config.load.",
+        epilog="examples: python -m twc_env settings lidar slam.keyframe | python -m twc_env settings --task "
+        "twc/ExploreHard-v0 > hard.toml",
+    )
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help="show these alone, e.g. radio or slam.merging")
+    parser.add_argument("--task", metavar="ID", help="begin with the settings of a standard task")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="begin with a TOML or JSON file of settings")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change one setting")
+    parser.set_defaults(run=_print)
+
+
+def _print(options: argparse.Namespace) -> None:
+    from twc_env.config import EnvConfig, load, override
+    from twc_env.config.manual import as_toml
+    from twc_env.errors import ConfigError
+    from twc_env.tasks import task_config
+
+    if options.task is not None and options.config is not None:
+        raise ConfigError("settings begin with a task or with a file, not with both: leave out --task or --config")
+    config = EnvConfig()
+    if options.task is not None:
+        config = task_config(options.task)
+    if options.config is not None:
+        config = load(options.config)
+    print(as_toml(override(config, assignments(options.set)), options.sections), end="")
