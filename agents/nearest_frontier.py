@@ -241,12 +241,9 @@ class NearestFrontier:
         penalty = np.where(sizes < explorer.frontier_cells_min, explorer.small_penalty_m, 0.0)
         penalty[sizes < explorer.frontier_cells_last] = np.inf
         centres = terrain.frontier_centres_m
-        for other, mate_belief in beliefs.items():
-            mate = self._robots[other]
-            if other == agent or mate_belief.robot not in belief.mates or mate.goal_kind != "frontier":
-                continue
-            claimed = np.hypot(*(centres - mate.goal_m).T) < explorer.claim_radius_m
-            claimed[terrain.label_near(mate.goal_m, 0.3)] = True
+        for goal_m in self.goals_of_mates_m(agent, beliefs):
+            claimed = np.hypot(*(centres - goal_m).T) < explorer.claim_radius_m
+            claimed[terrain.label_near(goal_m, 0.3)] = True
             penalty[claimed] += explorer.claim_penalty_m
         for place in self._banned(robot, belief, beliefs):
             label = terrain.label_near(place, explorer.forget_radius_m / 2)
@@ -259,12 +256,17 @@ class NearestFrontier:
             penalty[np.arange(len(penalty)) != own] += explorer.change_penalty_m if own else 0.0
         if not np.isfinite(penalty[1:]).any():
             return None
-        penalty = penalty + self.extra_penalty_m(belief, centres)
+        penalty = penalty + self.extra_penalty_m(agent, beliefs, terrain)
         return self._finder.cheapest(terrain, robot.pose[:2], terrain.labels, penalty, discs)
 
-    def extra_penalty_m(self, belief: Belief, centres_m: Array) -> Array:
-        """(frontiers,) metres of detour by which frontiers at centres (frontiers, 2) are less wanted; none here."""
-        return np.zeros(len(centres_m))
+    def extra_penalty_m(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> Array:
+        """(frontiers,) metres of detour by which each frontier of the terrain is less wanted; none here."""
+        return np.zeros(len(terrain.frontier_sizes))
+
+    def goals_of_mates_m(self, agent: str, beliefs: dict[str, Belief]) -> list[Array]:
+        """(2,) frontiers that robots of the same group are bound for."""
+        mates = [other for other, b in beliefs.items() if other != agent and b.robot in beliefs[agent].mates]
+        return [self._robots[mate].goal_m for mate in mates if self._robots[mate].goal_kind == "frontier"]
 
     def _banned(self, robot: ExplorerRobot, belief: Belief, beliefs: dict[str, Belief]) -> list[Array]:
         """Places of goals that failed lately: the robot's own, and its mates' after repeated failure."""

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from numpy.typing import NDArray
 
+from agents.frontier_teams import Assignment, CostUtility, Voronoi
 from agents.nearest_frontier import NearestFrontier
 from agents.radio_frontier import RadioFrontier
 from agents.radio_walk import RadioWalk
@@ -33,6 +34,9 @@ class Policy(Protocol):
 
 _POLICIES: dict[str, type[Policy]] = {
     "nearest-frontier": NearestFrontier,
+    "cost-utility": CostUtility,
+    "assignment": Assignment,
+    "voronoi": Voronoi,
     "radio-frontier": RadioFrontier,
     "radio-walk": RadioWalk,
     "random": RandomWalk,

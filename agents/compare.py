@@ -1,0 +1,173 @@
+"""Which team explores faster? Several agents in the same buildings with the same seeds, compared in pairs."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import twc_env
+from agents.policy import make_policy
+from twc_env.config import EnvConfig, digest, override
+
+Array = NDArray
+
+GOAL = 0.9
+"""Share of the floor that is to be mapped rightly."""
+DRAWS = 4000
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One episode of one agent."""
+
+    goal_s: float
+    """Simulated time until `GOAL` was reached; the whole episode's where it never was."""
+    is_reached: bool
+    coverage: float
+    """Rightly mapped at the end, by the largest group without a wrong merge."""
+    coverage_mean: float
+    """The same, averaged over the longest that an episode may last."""
+    path_m: float
+    """Of all robots together."""
+    team_ate_m: float
+    merged_robots: int
+    wrong_merges: int
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """One agent over all buildings, beside the first agent."""
+
+    agent: str
+    outcomes: tuple[Outcome, ...]
+    sooner_s: tuple[float, float, float]
+    """How much sooner than the first agent it reaches `GOAL`: mean, and ends of its 95 % bootstrap interval."""
+    more: tuple[float, float, float]
+    """How much more is covered on the way (`coverage_mean`), likewise."""
+
+
+def compare(
+    config: EnvConfig,
+    maps: Sequence[str],
+    agents: Sequence[str],
+    folder: Path,
+    processes: int = 1,
+    tell: Callable[[str], None] = lambda text: None,
+) -> list[Standing]:
+    """Every agent on every map, seed = place in the list; finished episodes are read back from the folder."""
+    for agent in agents:
+        make_policy(agent, config)  # a misspelt name fails now
+    parts = [(name, agent, seed) for seed, name in enumerate(maps) for agent in agents]
+    found: dict[tuple[str, str, int], Outcome] = {}
+    run = partial(_once, config, folder)
+    if processes <= 1:
+        done = ((part, run(*part)) for part in parts)
+        for part, outcome in done:
+            found[part] = outcome
+            tell(_line(len(found), len(parts), part, outcome))
+    else:
+        with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
+            running = {pool.submit(run, *part): part for part in parts}
+            for future in as_completed(running):
+                found[running[future]] = future.result()
+                tell(_line(len(found), len(parts), running[future], future.result()))
+    outcomes = {agent: tuple(found[name, agent, seed] for seed, name in enumerate(maps)) for agent in agents}
+    return [_standing(agent, outcomes[agent], outcomes[agents[0]]) for agent in agents]
+
+
+def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
+    """One episode, until the agent is finished or time is over."""
+    env, policy = twc_env.parallel_env(config=config), make_policy(agent, config)
+    env.reset(seed=seed)
+    policy.reset(seed, env.possible_agents)
+    covered = [0.0]
+    while env.agents:
+        beliefs = {name: env.belief(name) for name in env.agents}
+        if policy.finished(beliefs):
+            break
+        rewards = env.step(policy.act(beliefs))[1]
+        covered.append(covered[-1] + next(iter(rewards.values())))
+    figures = env.result().figures
+    env.close()
+    curve = np.array(covered[1:] + covered[-1:] * (config.max_cycles - len(covered) + 1))
+    reached = np.flatnonzero(curve >= GOAL)
+    steps = int(reached[0]) + 1 if len(reached) else config.max_cycles
+    return Outcome(
+        steps * config.dynamics.time_step_s, bool(len(reached)), float(figures["coverage_correct"]),
+        float(curve.mean()), float(figures["path_length_m"]), float(figures["team_ate_m"]),
+        int(figures["merged_robots"]), int(figures["wrong_merges"]),
+    )  # fmt: skip
+
+
+def table_of(standings: Sequence[Standing]) -> str:
+    """One line an agent: means over the buildings (time also as interquartile mean), and what it gains on the first."""
+    head = f"{'agent':<18}{'reached':>8}{'to 90 % s':>11}{'IQM s':>8}{'on the way':>12}{'at the end':>12}"
+    head += f"{'path m':>9}{'ATE m':>8}{'wrong':>7}   sooner s (95 %)          more on the way (95 %)"
+    lines = [head]
+    for s in standings:
+        of = {key: np.array([getattr(o, key) for o in s.outcomes], float) for key in Outcome.__slots__}
+        lines.append(
+            f"{s.agent:<18}{of['is_reached'].mean():>8.0%}{of['goal_s'].mean():>11.1f}{_iqm(of['goal_s']):>8.1f}"
+            f"{of['coverage_mean'].mean():>12.3f}{of['coverage'].mean():>12.3f}{of['path_m'].mean():>9.0f}"
+            f"{of['team_ate_m'].mean():>8.3f}{int(of['wrong_merges'].sum()):>7d}   "
+            + ("" if s is standings[0] else f"{_interval(s.sooner_s, '.1f'):<24} {_interval(s.more, '.3f')}")
+        )
+    return "\n".join(lines)
+
+
+def as_json(standings: Sequence[Standing]) -> dict:
+    """The same, with every episode."""
+    return {
+        s.agent: {"sooner_s": s.sooner_s, "more": s.more, "episodes": [asdict(outcome) for outcome in s.outcomes]}
+        for s in standings
+    }
+
+
+def _standing(agent: str, mine: Sequence[Outcome], first: Sequence[Outcome]) -> Standing:
+    sooner = np.array([b.goal_s - a.goal_s for a, b in zip(mine, first, strict=True)])
+    more = np.array([a.coverage_mean - b.coverage_mean for a, b in zip(mine, first, strict=True)])
+    return Standing(agent, tuple(mine), _bootstrap(sooner), _bootstrap(more))
+
+
+def _bootstrap(gained: Array) -> tuple[float, float, float]:
+    draws = np.random.default_rng(0).integers(0, len(gained), (DRAWS, len(gained)))
+    low, high = np.quantile(gained[draws].mean(axis=1), [0.025, 0.975])
+    return float(gained.mean()), float(low), float(high)
+
+
+def _iqm(values: Array) -> float:
+    """Mean of the middle half."""
+    ordered = np.sort(values)
+    cut = len(ordered) // 4
+    return float(ordered[cut : len(ordered) - cut].mean())
+
+
+def _interval(triple: tuple[float, float, float], form: str) -> str:
+    mean, low, high = triple
+    return f"{mean:{form}} ({low:{form}} to {high:{form}})"
+
+
+def _line(count: int, total: int, part: tuple[str, str, int], outcome: Outcome) -> str:
+    name, agent, _ = part
+    reached = f"{outcome.goal_s:.0f} s" if outcome.is_reached else "not reached"
+    return f"[{count}/{total}] {name} {agent}: {GOAL:.0%} {reached}, at the end {outcome.coverage:.3f}"
+
+
+def _once(config: EnvConfig, folder: Path, name: str, agent: str, seed: int) -> Outcome:
+    config = override(config, {"map": name})
+    stem = "-".join([name.replace("/", "-").replace(":", "-"), agent, str(seed), digest(config), twc_env.__version__])
+    path = folder / f"{stem}.json"
+    if path.is_file():
+        return Outcome(**json.loads(path.read_text()))
+    outcome = explore(config, agent, seed)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(asdict(outcome)))
+    return outcome

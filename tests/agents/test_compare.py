@@ -1,0 +1,54 @@
+"""Teams are compared in pairs, and what is finished is not run again."""
+
+import json
+
+import pytest
+
+from agents import compare
+from agents.__main__ import main
+from agents.compare import Outcome
+from twc_env.config import EnvConfig, override
+
+SMALL = override(EnvConfig(), {"max_cycles": 60, "robots": 2, "lidar.beam_count": 60})
+
+
+def outcome(goal_s: float, coverage_mean: float = 0.5) -> Outcome:
+    return Outcome(goal_s, True, 0.95, coverage_mean, 100.0, 0.02, 2, 0)
+
+
+def test_pairs_are_resumed_and_compared_with_the_first_agent(tmp_path, monkeypatch):
+    calls = []
+
+    def run(config, agent, seed):
+        calls.append((config.map, agent, seed))
+        return outcome(50.0, 0.6) if agent == "voronoi" else outcome(60.0 + seed)
+
+    monkeypatch.setattr(compare, "explore", run)
+    maps, agents = ["test/0000", "test/0001"], ["nearest-frontier", "voronoi"]
+    first, second = compare.compare(SMALL, maps, agents, tmp_path)
+    again = compare.compare(SMALL, maps, agents, tmp_path)
+    assert calls == [(name, agent, seed) for seed, name in enumerate(maps) for agent in agents]
+    assert first.sooner_s == (0.0, 0.0, 0.0)
+    mean, low, high = second.sooner_s
+    assert (mean, again[1].sooner_s[0]) == (10.5, 10.5)
+    assert 10.0 <= low <= high <= 11.0
+    assert second.more == pytest.approx((0.1, 0.1, 0.1))
+    assert "10.5 (10.0 to 11.0)" in compare.table_of(again)
+
+
+def test_an_episode_is_covered_on_the_way_by_what_its_rewards_sum_up_to():
+    found = compare.explore(SMALL, "nearest-frontier", 0)
+    assert 0.0 < found.coverage_mean < found.coverage
+    assert not found.is_reached
+    assert found.goal_s == pytest.approx(6.0)
+
+
+def test_the_command_prints_and_writes_every_episode(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(compare, "explore", lambda config, agent, seed: outcome(50.0))
+    json_file = tmp_path / "out.json"
+    arguments = ["compare", "--buildings", "2", "--agents", "random", "voronoi", "--out", str(tmp_path / "done")]
+    assert main([*arguments, "--json", str(json_file)]) == 0
+    assert len(json.loads(json_file.read_text())["voronoi"]["episodes"]) == 2
+    assert capsys.readouterr().out.count("\n") == 3
+    assert main(["compare", "--agents", "voronoy", "--out", str(tmp_path / "done")]) == 2
+    assert "did you mean 'voronoi'?" in capsys.readouterr().err
