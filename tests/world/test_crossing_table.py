@@ -72,4 +72,4 @@ def test_a_square_gives_the_same_bits_whatever_was_asked_before(monkeypatch):
     forgetful = CrossingTable(plan.wall_index, points, plan.wall_loss_db[None])
     for k in np.random.default_rng(2).permutation(60):
         assert crossed(forgetful, places[k], len(points))[1].tobytes() == first[k]
-        assert len(forgetful._squares) <= 3
+        assert forgetful.square_count <= 3

@@ -117,9 +117,6 @@ class RememberingModel(RadioModel):
             self._known[key] = super().mean_rssi_dbm(position_m)
         return self._known[key].copy()
 
-    def walls_around(self, x: float, y: float) -> None:
-        """Nothing: strengths come from `mean_rssi_dbm`."""
-
 
 def simulate(
     survey: RadioSurvey,

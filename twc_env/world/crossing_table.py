@@ -7,13 +7,11 @@ for, and kept for as long as the building is.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.kernels import kernel
-from twc_env.world.wall_index import WallIndex
+from twc_env.world.wall_index import WallIndex, cross, is_crossed
 
 Array = NDArray
 
@@ -23,6 +21,9 @@ _TESTS_MAX = 500_000
 is cheaper than testing all of them for a square that may be seen once."""
 _ENTRIES_MAX = 1_000_000
 """Squares times points that are kept (some 40 MB at most); beyond it all are forgotten and worked out anew."""
+_SQUARES_MAX = 1_000_000
+"""Of a building's floor, for all of which a number is kept."""
+MISSING, _OUTSIDE = -1, -2
 
 
 class CrossingTable:
@@ -30,64 +31,110 @@ class CrossingTable:
 
     def __init__(self, index: WallIndex, points_m: Array, loss_db: Array):
         """`loss_db` (bands, walls): what one crossing costs."""
-        self._walls_m, self._loss_db = index.walls_m, np.ascontiguousarray(loss_db)
-        self._points_m = np.ascontiguousarray(points_m, float)
-        self._direct: tuple[WallIndex, ...] = ()
-        if len(points_m) * len(index.walls_m) > _TESTS_MAX:
-            self._direct = tuple(replace(index, loss_db=band) for band in self._loss_db)
-        self._squares: dict[tuple[int, int], tuple[Array, Array, Array, Array]] = {}
+        self._walls = index.buckets()
+        points_m, loss_db = np.ascontiguousarray(points_m, float), np.ascontiguousarray(loss_db)
+        squares = np.floor(index.walls_m.reshape(-1, 2) / _SQUARE_M).astype(np.int64)
+        low, shape = squares.min(axis=0), np.ptp(squares, axis=0) + 1
+        if len(points_m) * len(index.walls_m) > _TESTS_MAX or shape.prod() > _SQUARES_MAX:
+            shape[:] = 0
         self._squares_max = max(_ENTRIES_MAX // max(len(points_m), 1), 1)
+        self._square_count = self._member_count = 0
+        points, bands = len(points_m), len(loss_db)
+        self._fixed = loss_db, points_m, low, np.full(shape, MISSING, np.int32)
+        self._keep(
+            np.zeros((1, points), np.int32), np.zeros((1, bands, points)), np.zeros((1, points + 1), np.int32),
+            np.zeros(points, np.int32),
+        )  # fmt: skip
+
+    def _keep(self, *kept: Array) -> None:
+        self._kept = kept
+        self.arrays = self._fixed + kept
+        """What `crossed_at` needs beside the walls; others once `prepare` has grown them."""
+
+    @property
+    def square_count(self) -> int:
+        """Squares that are kept now."""
+        return self._square_count
 
     def crossed(self, x: float, y: float, counts: Array, losses_db: Array) -> None:
         """Fill counts (k,) int64 and losses_db (bands, k) for the place (x, y)."""
-        if self._direct:
-            for band, index in enumerate(self._direct):
-                counts[:], losses_db[band] = index.crossing(np.array([x, y]), self._points_m)
+        self.prepare(x, y)
+        crossed_at(x, y, *self._walls, *self.arrays, counts, losses_db)
+
+    def prepare(self, x: float, y: float) -> None:
+        """Work out the square around a place, if that is still to be done."""
+        loss_db, points_m, low, numbers = self._fixed
+        if square_at(x, y, low, numbers) != MISSING:
             return
-        table = self._table(x, y)
-        _cross_open(self._walls_m, self._loss_db, self._points_m, x, y, *table, counts, losses_db)
+        if self._square_count == self._squares_max:
+            numbers[:] = MISSING
+            self._square_count = self._member_count = 0
+        square, begin = self._square_count, self._member_count
+        corner = np.floor(np.array([x, y]) / _SQUARE_M).astype(np.int64)
+        middle = ((corner + 0.5) * _SQUARE_M).tolist()
+        self._keep(*(_grown(kept, square + 1) for kept in self._kept[:3]), self._kept[3])
+        while True:
+            counts, losses, first, members = self._kept
+            end = _sort_walls(
+                self._walls[0], loss_db, points_m, *middle, 0.5 * _SQUARE_M, counts[square], losses[square],
+                first[square], members, begin,
+            )  # fmt: skip
+            if end <= len(members):
+                break
+            self._keep(counts, losses, first, _grown(members, end))
+        numbers[tuple(corner - low)] = square
+        self._square_count, self._member_count = square + 1, end
 
-    def walls_around(self, x: float, y: float) -> tuple[Array, ...] | None:
-        """All walls (w, 4) and their losses (bands, w); then, for the square around (x, y), the losses between it and
-        each point that are sure (bands, k), and the walls that must be tested for point i: members[first[i] :
-        first[i + 1]]. None for a building that is too large for squares."""
-        if self._direct:
-            return None
-        return (self._walls_m, self._loss_db, *self._table(x, y)[1:])
 
-    def _table(self, x: float, y: float) -> tuple[Array, Array, Array, Array]:
-        square = (int(x // _SQUARE_M), int(y // _SQUARE_M))
-        table = self._squares.get(square)
-        return self._work_out(square) if table is None else table
-
-    def _work_out(self, square: tuple[int, int]) -> tuple[Array, Array, Array, Array]:
-        if len(self._squares) >= self._squares_max:
-            self._squares.clear()
-        counts = np.zeros(len(self._points_m), np.int64)
-        losses = np.zeros((len(self._loss_db), len(self._points_m)))
-        first = np.zeros(len(self._points_m) + 1, np.int64)
-        middle = [(k + 0.5) * _SQUARE_M for k in square]
-        members = np.empty(0, np.int32)
-        for _ in range(2):  # count the walls that are open, then list them
-            _sort_walls(
-                self._walls_m, self._loss_db, self._points_m, *middle, 0.5 * _SQUARE_M, counts, losses, first, members
-            )
-            members = members if len(members) else np.empty(int(first[-1]), np.int32)
-        table = self._squares[square] = (counts, losses, first, members)
-        return table
+def _grown(array: Array, count: int) -> Array:
+    """The array with room for `count` rows, and then for as many again."""
+    if count <= len(array):
+        return array
+    return np.concatenate([array, np.zeros((2 * count - len(array), *array.shape[1:]), array.dtype)])
 
 
 @kernel
-def _sort_walls(walls, loss, points, x, y, half, counts, losses, first, members):
+def square_at(x, y, low, numbers):
+    """Number of the square around a place; -1 where it must be worked out, -2 outside of the building."""
+    i, j = int(np.floor(x / _SQUARE_M)) - low[0], int(np.floor(y / _SQUARE_M)) - low[1]
+    return numbers[i, j] if 0 <= i < numbers.shape[0] and 0 <= j < numbers.shape[1] else _OUTSIDE
+
+
+@kernel
+def crossed_at(
+    x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts, sure_losses,
+    first_open, open_walls, counts, losses,
+):  # fmt: skip
+    """Fill counts (k,) and losses (bands, k) between a place, whose square is worked out, and the points."""
+    square = square_at(x, y, low, numbers)
+    if square < 0:
+        cross(walls, origin, bucket, rows, columns, first, members, loss, x, y, points, counts, losses)
+        return
+    for k in range(points.shape[0]):
+        counts[k] = sure_counts[square, k]
+        for band in range(loss.shape[0]):
+            losses[band, k] = sure_losses[square, band, k]
+        for m in range(first_open[square, k], first_open[square, k + 1]):
+            w = open_walls[m]
+            if is_crossed(walls, w, x, y, points[k, 0], points[k, 1]):
+                counts[k] += 1
+                for band in range(loss.shape[0]):
+                    losses[band, k] += loss[band, w]
+
+
+@kernel
+def _sort_walls(walls, loss, points, x, y, half, counts, losses, first, members, begin):
     """Walls that all of a square crosses are counted, walls that none of it crosses are dropped, the others listed.
 
-    Each side of a line that the test of `_cross_open` asks for is linear in the place: it is the same all over the
+    Listed from `begin` on; returns where the list ends, were there room.
+
+    Each side of a line that `is_crossed` asks for is linear in the place: it is the same all over the
     square when its value in the middle exceeds what the half-width can change.
     """
-    open_count = 0
+    end = begin
     for k in range(points.shape[0]):
         qx, qy = points[k, 0], points[k, 1]
-        counts[k], losses[:, k], first[k] = 0, 0.0, open_count
+        counts[k], losses[:, k], first[k] = 0, 0.0, end
         for w in range(walls.shape[0]):
             ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
             ex, ey = bx - ax, by - ay
@@ -111,31 +158,8 @@ def _sort_walls(walls, loss, points, x, y, half, counts, losses, first, members)
                     for band in range(loss.shape[0]):
                         losses[band, k] += loss[band, w]
                     continue
-            if open_count < members.shape[0]:
-                members[open_count] = w
-            open_count += 1
-    first[points.shape[0]] = open_count
-
-
-@kernel
-def _cross_open(walls, loss, points, px, py, sure_counts, sure_losses, first, members, counts, losses):
-    """The test of `wall_index._cross` for the walls of a square that are neither surely crossed nor surely missed."""
-    for k in range(points.shape[0]):
-        counts[k] = sure_counts[k]
-        for band in range(loss.shape[0]):
-            losses[band, k] = sure_losses[band, k]
-        qx, qy = points[k, 0], points[k, 1]
-        dx, dy = qx - px, qy - py
-        for m in range(first[k], first[k + 1]):
-            w = members[m]
-            ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
-            side_a = dx * (ay - py) - dy * (ax - px)
-            side_b = dx * (by - py) - dy * (bx - px)
-            if (side_a >= 0.0) == (side_b >= 0.0):
-                continue
-            side_p = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
-            side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
-            if (side_p >= 0.0) != (side_q >= 0.0):
-                counts[k] += 1
-                for band in range(loss.shape[0]):
-                    losses[band, k] += loss[band, w]
+            if end < members.shape[0]:
+                members[end] = w
+            end += 1
+    first[points.shape[0]] = end
+    return end

@@ -12,7 +12,7 @@ from pymunk import batch
 
 from twc_env.config import DynamicsConfig
 from twc_env.kernels import kernel
-from twc_env.world.wall_index import WallIndex
+from twc_env.world.wall_index import WallIndex, gap
 
 Array = NDArray
 
@@ -160,33 +160,13 @@ def _drive(state, commands, limits, time_step, substeps, gaps, radius):
 
 
 @kernel
-def _gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
-    """Distance of (x, y) to the nearest wall, cut at `reach`."""
-    c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
-    c1 = min(int(np.floor((x + reach - origin[0]) / bucket)), columns - 1)
-    r0 = max(int(np.floor((y - reach - origin[1]) / bucket)), 0)
-    r1 = min(int(np.floor((y + reach - origin[1]) / bucket)), rows - 1)
-    nearest2 = reach * reach
-    for r in range(r0, r1 + 1):
-        for c in range(c0, c1 + 1):
-            for m in range(first[r * columns + c], first[r * columns + c + 1]):
-                w = members[m]
-                ax, ay = x - walls[w, 0], y - walls[w, 1]
-                ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
-                t = min(max((ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
-                dx, dy = ax - t * ex, ay - t * ey
-                nearest2 = min(nearest2, dx * dx + dy * dy)
-    return np.sqrt(nearest2)
-
-
-@kernel
 def _look_around(state, walls, origin, bucket, rows, columns, first, members, radius, reach, gaps, poses, contacts):
     """Poses of the robots, their distances to walls, and who touches something."""
     robots = poses.shape[0]
     for i in range(robots):
         poses[i, 0], poses[i, 1] = state[i, 0], state[i, 1]
         poses[i, 2] = (state[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
-        gaps[i] = _gap(walls, origin, bucket, rows, columns, first, members, state[i, 0], state[i, 1], reach)
+        gaps[i] = gap(walls, origin, bucket, rows, columns, first, members, state[i, 0], state[i, 1], reach)
         contacts[i] = gaps[i] < radius
     for i in range(robots):
         for j in range(i):

@@ -40,17 +40,24 @@ class Lidar:
     ):
         """`glass` names the walls of the index that a beam may pass."""
         self._config, self._radius_m = config, robot_radius_m
-        self._walls = self._solid = index.buckets()
+        self._all_walls = self._solid = index.buckets()
         self._glass_m = index.walls_m[:0]
-        if glass and config.glass_return_probability < 1.0:
+        self._sees_through = bool(glass) and config.glass_return_probability < 1.0
+        if self._sees_through:
             solid, self._glass_m = _apart(index, glass)
             self._solid = solid.buckets()
         angles = 2 * math.pi * np.arange(config.beam_count) / config.beam_count
         self._directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, beams)
-        self._surroundings = _surroundings(robots, len(index.walls_m))
-        self._words = -(-config.beam_count // _QUANTILES_PER_WORD)
         self._quantiles = normal_quantiles(1 << _QUANTILE_BITS)
-        self._noise = StepBits([random_stream(seed, "lidar", robot) for robot in range(robots)], self._words)
+        words = -(-config.beam_count // _QUANTILES_PER_WORD)
+        self._noise = StepBits([random_stream(seed, "lidar", robot) for robot in range(robots)], words)
+        self._words = np.zeros((robots, words), np.uint64)
+        self._fixed = (
+            self._directions, robot_radius_m, config.range_max_m, *_surroundings(robots, len(index.walls_m)),
+            self._quantiles, 0.0 if self._sees_through else config.range_noise_std_m,
+        )  # fmt: skip
+        self.is_plain = not self._sees_through and not config.dropout_probability
+        """Whether `sweep` alone gives what `scan` does: there is no glass to see through and no beam is lost."""
         self._chance = {
             source: StepNoise(
                 [random_stream(seed, source, robot) for robot in range(robots)], config.beam_count, "random"
@@ -60,31 +67,36 @@ class Lidar:
 
     def scan(self, poses: Array) -> Array:
         """True poses (n, 3) of all robots -> measured ranges (n, beams) [m]; no return reads the maximum range."""
-        config = self._config
-        words, std_m = self._noise.next(), config.range_noise_std_m
-        is_clear = len(self._glass_m) == 0
-        ranges = self._ranges(poses, self._solid, self._surroundings, words, std_m if is_clear else 0.0)
-        if not is_clear:
+        self.begin_step()
+        config, ranges = self._config, np.empty((len(poses), self._config.beam_count))
+        sweep(*self._solid, poses, *self.arguments, ranges)
+        if self._sees_through:
             _see_glass(
                 self._glass_m, poses, self._directions, self._chance["lidar-glass"].next(),
                 config.glass_return_probability, math.cos(config.glass_incidence_max_rad),
                 config.glass_incidence_max_rad, ranges,
             )  # fmt: skip
-            _add_noise(ranges, words, self._quantiles, std_m, config.range_max_m)
+            _add_noise(ranges, self._words, self._quantiles, config.range_noise_std_m, config.range_max_m)
         if config.dropout_probability > 0.0:
             ranges[self._chance["lidar-dropout"].next() < config.dropout_probability] = config.range_max_m
         return ranges
 
+    def begin_step(self) -> None:
+        """Draw the noise of the next scan."""
+        self._words = self._noise.next()
+
+    @property
+    def arguments(self) -> tuple:
+        """What `sweep` needs beside the walls, the poses and where the ranges go."""
+        return *self._fixed, self._words
+
     def true_ranges(self, poses: Array) -> Array:
         """True poses (n, 3) -> exact ranges (n, beams) [m], cut at the maximum range; glass counts as wall."""
-        words, near = np.zeros((len(poses), self._words), np.uint64), _surroundings(len(poses), len(self._walls[0]))
-        return self._ranges(poses, self._walls, near, words, 0.0)
-
-    def _ranges(self, poses: Array, walls: tuple, near: tuple, words: Array, std_m: float) -> Array:
-        ranges = np.empty((len(poses), self._config.beam_count))
+        ranges, config = np.empty((len(poses), self._config.beam_count)), self._config
         sweep(
-            *walls, poses, self._directions, self._radius_m, self._config.range_max_m, *near, words, self._quantiles,
-            std_m, ranges,
+            *self._all_walls, poses, self._directions, self._radius_m, config.range_max_m,
+            *_surroundings(len(poses), len(self._all_walls[0])), self._quantiles, 0.0,
+            np.zeros((len(poses), 0), np.uint64), ranges,
         )  # fmt: skip
         return ranges
 
@@ -203,7 +215,7 @@ def _draw(laid, count, directions, edge, buffer):
 @kernel
 def sweep(
     walls, origin, bucket, rows, columns, first, members, poses, directions, radius, far, near, near_counts, anchors,
-    laid, stamps, words, quantiles, std, ranges,
+    laid, stamps, quantiles, std, words, ranges,
 ):  # fmt: skip
     """Angular z-buffer: each wall near a robot is drawn into the beams it covers, the nearest wins.
 

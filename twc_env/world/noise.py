@@ -37,6 +37,11 @@ class StepNoise:
         self._used += 1
         return self._numbers[self._used - 1]
 
+    @property
+    def is_fresh(self) -> bool:
+        """Whether the last numbers were the first of many that were drawn together."""
+        return self._used == 1
+
     def _draw(self) -> None:
         first = 0
         for streams, count, kind in self._sources:
@@ -44,6 +49,26 @@ class StepNoise:
                 self._numbers[:, robot, first : first + count] = getattr(stream, kind)((_STEPS, count))
             first += count
         self._used = 0
+
+
+class StepQueue:
+    """Normal deviates from one stream per robot for a kernel that takes a row of them now and then, at most one a step.
+
+    `numbers` (steps, robots, count); `used` (robots,): the rows that the kernel has taken, which it counts itself.
+    """
+
+    def __init__(self, streams: Sequence[np.random.Generator], count: int):
+        self._streams = streams
+        self.numbers = np.empty((_STEPS, len(streams), count))
+        self.used = np.full(len(streams), _STEPS)
+
+    def refill(self) -> None:
+        """Draw anew what was taken; to be called before the first step and every 64 steps."""
+        for robot, (stream, used) in enumerate(zip(self._streams, self.used.tolist(), strict=True)):
+            rows = self.numbers[:, robot]
+            rows[: _STEPS - used] = rows[used:].copy()
+            rows[_STEPS - used :] = stream.standard_normal((used, rows.shape[1]))
+        self.used[:] = 0
 
 
 class StepBits:

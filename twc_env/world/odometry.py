@@ -105,15 +105,17 @@ class Odometry:
     def measure(self, poses_before: Array, poses: Array) -> tuple[Array, Array]:
         """True poses (n, 3) at the last frame and now -> odometry (n, 3), gyro turn rate (n,) [rad/s]."""
         odometry, turn_rates = np.empty((len(poses), 3)), np.empty(len(poses))
-        _measure(
-            poses_before, poses, self._biases, self._white, self._slips_per_m, self._time_step_s,
-            self._noise.next(), odometry, turn_rates,
-        )  # fmt: skip
+        measure(poses_before, poses, *self.arguments, odometry, turn_rates)
         return odometry, turn_rates
+
+    @property
+    def arguments(self) -> tuple:
+        """What `measure` needs beside the poses, with the noise of one more step."""
+        return self._biases, self._white, self._slips_per_m, self._time_step_s, self._noise.next()
 
 
 @kernel
-def _measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates):
+def measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates):
     """Columns of noise: three normal deviates for odometry, one for the gyro, and two uniform ones for slip."""
     for i in range(now.shape[0]):
         c, s = np.cos(before[i, 2]), np.sin(before[i, 2])

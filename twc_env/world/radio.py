@@ -111,9 +111,10 @@ class RadioModel:
         self._levels_dbm = self._power_dbm - self._floor_losses_db + self._power_offsets_db
         used = 3 if self.band_of.any() else 1
         losses_db = [i.loss_db if i is not None else np.zeros(len(plan.walls_m)) for i in self._index_of_band[:used]]
-        self._crossings = CrossingTable(
+        self.crossings = CrossingTable(
             self._index, self._sources.position_m[: len(access_points)], np.array(losses_db)
         )
+        """Walls between any place and the access points."""
         self._crossed = np.zeros(len(access_points), np.int64), np.zeros((used, len(access_points)))
         sources = self._sources
         boxes = np.column_stack([sources.position_m, sources.height_m, sources.shadowing_std_db]).T.copy()
@@ -140,14 +141,15 @@ class RadioModel:
             mean[self.band_of == CELL_BAND] -= self._sector_loss_db(np.array([x, y]))
         return mean
 
-    def walls_around(self, x: float, y: float) -> tuple[Array, ...] | None:
-        """`CrossingTable.walls_around`; None with cells too, whose signals come from afar."""
-        return None if self._has_cells else self._crossings.walls_around(x, y)
+    @property
+    def is_indoor(self) -> bool:
+        """Whether all signals come from the building itself, so that `crossings` tells their walls."""
+        return not self._has_cells
 
     def _wall_losses_db(self, x: float, y: float) -> Array:
         """(bands, sources); bands that nobody sends on stay empty."""
         counts, losses = self._crossed
-        self._crossings.crossed(x, y, counts, losses)
+        self.crossings.crossed(x, y, counts, losses)
         if not self._has_cells:
             return losses
         position, count = np.array([x, y]), len(counts)

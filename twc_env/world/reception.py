@@ -12,7 +12,8 @@ from twc_env.config import RadioConfig
 from twc_env.kernels import kernel
 from twc_env.messages import WifiScan
 from twc_env.random_streams import random_stream
-from twc_env.world.noise import StepNoise
+from twc_env.world.crossing_table import crossed_at
+from twc_env.world.noise import StepNoise, StepQueue
 
 if TYPE_CHECKING:
     from twc_env.world.radio import RadioModel
@@ -27,17 +28,21 @@ class WifiReceiver:
         self._config, self._model = config, model
         count = len(model.macs)
         noise, detection = random_stream(seed, "wifi-noise", robot), random_stream(seed, "wifi-detection", robot)
+        self.streams = noise, detection, random_stream(seed, "wifi-fading", robot)
+        """What its noise, what it misses and its fading are drawn from."""
         self._draws = StepNoise([noise], count).beside([detection], count, "random")
-        self._fading = random_stream(seed, "wifi-fading", robot)
         self._sweep = random_stream(seed, "wifi-sweep", robot)
         self._is_partial = config.sweep_share < 1.0 or config.sweep_share_std > 0.0
+        self.is_plain = model.is_indoor and not self._is_partial and not config.stale_age_max_s
+        """Whether all that it hears comes from this building, and now: then `hear` can stand in for `scan`."""
         device = random_stream(seed, "wifi-device", robot)
         device_offset_db = config.device_offset_std_db * device.standard_normal() + offset_db
-        self._floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
-        self._constants = np.array(
+        self.floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
+        self.constants = np.array(
             [device_offset_db, config.noise_std_db, config.detection_slope_db, 1.0 - config.miss_probability,
-             config.quantisation_db]
+             config.quantisation_db, config.fading_length_m, config.fading_std_db]
         )  # fmt: skip
+        self.is_fading_shared = config.fading_shared
         self._fading_db = np.zeros(count)
         self._fading_x, self._fading_y = np.inf, np.inf
         self._kept_dbm, self._kept_time_s = np.zeros(count), np.full(count, -np.inf)
@@ -49,13 +54,11 @@ class WifiReceiver:
         if (x - self._fading_x) ** 2 + (y - self._fading_y) ** 2 >= config.fading_length_m**2:
             self._refresh_fading(x, y)
         count = len(model.macs)
-        macs, readings, table = np.empty(count, np.int64), np.empty(count), model.walls_around(x, y)
-        own = self._fading_db, self._constants, self._draws.next()[0], self._floors_dbm, model.macs
-        if table is not None and not self._is_partial and not config.stale_age_max_s:
-            heard_count = _listen(x, y, *model.signal, *table, *own, macs, readings)
-            return WifiScan(macs[:heard_count], readings[:heard_count])
         rssi, heard = model.mean_rssi_dbm(np.array([x, y])), np.empty(count, np.bool_)
-        _receive(rssi, *own, heard, macs, readings)
+        _receive(
+            rssi, self._fading_db, self.constants, self._draws.next()[0], self.floors_dbm, model.macs, heard,
+            np.empty(count, np.int64), np.empty(count),
+        )  # fmt: skip
         if self._is_partial:
             share = config.sweep_share + config.sweep_share_std * self._sweep.standard_normal()
             heard &= (model.sweep_place - self._sweep.random()) % 1.0 < share
@@ -75,11 +78,44 @@ class WifiReceiver:
 
     def _refresh_fading(self, x: float, y: float) -> None:
         self._fading_x, self._fading_y = x, y
-        if self._config.fading_shared:
-            self._fading_db = self._fading.standard_normal(self._model.radio_count)[self._model.radio_of]
+        if self.is_fading_shared:
+            self._fading_db = self.streams[2].standard_normal(self._model.radio_count)[self._model.radio_of]
             self._fading_db *= self._config.fading_std_db
         else:
-            self._fading_db = self._config.fading_std_db * self._fading.standard_normal(len(self._fading_db))
+            self._fading_db = self._config.fading_std_db * self.streams[2].standard_normal(len(self._fading_db))
+
+
+class WifiReceivers:
+    """The radio devices of all robots, for one compiled call: each hears what a `WifiReceiver` of its own would."""
+
+    def __init__(self, model: RadioModel, devices: Sequence[WifiReceiver]):
+        robots, count = len(devices), len(model.macs)
+        noise, detection, fading = zip(*(device.streams for device in devices), strict=True)
+        self._noise = StepNoise(noise, count).beside(detection, count, "random")
+        self._is_fading_shared = devices[0].is_fading_shared
+        self._fading = StepQueue(fading, model.radio_count if self._is_fading_shared else count)
+        self._model, self._crossings = model, model.crossings
+        self._own = (
+            np.stack([device.floors_dbm for device in devices]), np.stack([device.constants for device in devices]),
+            np.zeros((robots, count)), np.full((robots, 2), np.inf), self._fading.numbers, self._fading.used,
+            model.radio_of if self._is_fading_shared else np.arange(count), model.macs,
+        )  # fmt: skip
+        self._draws = np.zeros((robots, 2 * count))
+
+    def begin_round(self) -> None:
+        """Draw the numbers for a scan of each robot."""
+        self._draws = self._noise.next()
+        if self._noise.is_fresh:
+            self._fading.refill()
+
+    @property
+    def arguments(self) -> tuple:
+        """What `hear` needs beside the robot, its place, the walls and where the readings go."""
+        return *self._crossings.arrays, *self._model.signal, *self._own, self._draws
+
+    def prepare(self, place: Sequence[float]) -> None:
+        """Work out the walls around a place (x, y, ...), which `hear` needs there."""
+        self._crossings.prepare(place[0], place[1])
 
 
 def shadowing_at(x: float, y: float, pose_home_building: Array, boxes: Array, waves: Array) -> Array:
@@ -102,28 +138,6 @@ def mean_rssi_at(
     mean = np.empty(radios.shape[1])
     _mean_rssi(x, y, losses_db, pose_home_building, boxes, waves, radios, parts, distance_min_m, scratch, mean)
     return mean
-
-
-@kernel
-def _open_losses(x, y, boxes, walls, wall_loss, sure_losses, first, members, losses):
-    """`CrossingTable.crossed` without the counts: sure losses, and those of the walls that must be tested."""
-    for k in range(boxes.shape[1]):
-        for band in range(wall_loss.shape[0]):
-            losses[band, k] = sure_losses[band, k]
-        qx, qy = boxes[0, k], boxes[1, k]
-        dx, dy = qx - x, qy - y
-        for m in range(first[k], first[k + 1]):
-            w = members[m]
-            ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
-            side_a = dx * (ay - y) - dy * (ax - x)
-            side_b = dx * (by - y) - dy * (bx - x)
-            if (side_a >= 0.0) == (side_b >= 0.0):
-                continue
-            side_p = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-            side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
-            if (side_p >= 0.0) != (side_q >= 0.0):
-                for band in range(wall_loss.shape[0]):
-                    losses[band, k] += wall_loss[band, w]
 
 
 @kernel
@@ -178,12 +192,24 @@ def _receive(rssi, fading, constants, draws, floors, all_macs, heard, macs, read
 
 
 @kernel
-def _listen(
-    x, y, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, walls, wall_loss, sure_losses, first,
-    members, fading, constants, draws, floors, all_macs, macs, readings,
+def hear(
+    robot, x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts,
+    sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, floors,
+    constants, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, draws, macs, readings,
 ):  # fmt: skip
-    """A whole scan at one place, inside a building whose walls around are sorted -> how many are heard."""
-    rssi, heard = np.empty(parts.shape[1]), np.empty(parts.shape[1], np.bool_)
-    _open_losses(x, y, boxes, walls, wall_loss, sure_losses, first, members, scratch[2:])
-    _mean_rssi(x, y, scratch[2:], pose_home_building, boxes, waves, radios, parts, distance_min, scratch, rssi)
-    return _receive(rssi, fading, constants, draws, floors, all_macs, heard, macs, readings)
+    """A whole scan of one robot at a place whose walls around are worked out -> how many are heard."""
+    own, losses = constants[robot], scratch[2:]
+    crossed, rssi = np.empty(points.shape[0], np.int64), np.empty(parts.shape[1])
+    heard = np.empty(parts.shape[1], np.bool_)
+    if (x - fading_places[robot, 0]) ** 2 + (y - fading_places[robot, 1]) ** 2 >= own[5] ** 2:
+        fading_places[robot, 0], fading_places[robot, 1] = x, y
+        number = min(fading_used[robot], fading_numbers.shape[0] - 1)
+        fading_used[robot] = number + 1
+        for t in range(fading.shape[1]):
+            fading[robot, t] = own[6] * fading_numbers[number, robot, fading_of[t]]
+    crossed_at(
+        x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts,
+        sure_losses, first_open, open_walls, crossed, losses,
+    )  # fmt: skip
+    _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, rssi)
+    return _receive(rssi, fading[robot], own, draws[robot], floors[robot], all_macs, heard, macs, readings)

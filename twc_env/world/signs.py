@@ -13,6 +13,7 @@ from twc_env.messages import SignReading
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, Floorplan
 from twc_env.world.sign_readers import Sight, make_reader
+from twc_env.world.wall_index import is_blocked
 
 Array = NDArray
 
@@ -32,9 +33,10 @@ class SignCamera:
         normals = np.array([(math.cos(s.facing_rad), math.sin(s.facing_rad)) for s in plan.signs]).reshape(-1, 2)
         faces = np.array([s.position_m for s in plan.signs]).reshape(-1, 2) + SIGN_FACE_M * normals
         self._signs = np.column_stack([faces, normals])  # (signs, 4)
-        self._lengths = np.array([len(text) for text in texts], np.int64)
+        self._text_lengths = [len(text) for text in texts]
+        self._lengths = np.array(self._text_lengths, np.int64)
         self._sights = np.empty((len(texts), _SIGHT_COLUMNS))
-        self._hidden = np.zeros((len(texts), max(self._lengths, default=0)), np.bool_)
+        self._hidden = np.zeros((len(texts), max(self._text_lengths, default=0)), np.bool_)
         self._constants = np.array(
             [
                 min(config.range_max_m, config.focal_length_px * config.character_height_m / config.height_min_px),
@@ -61,19 +63,21 @@ class SignCamera:
         One time step before, the camera was at `previous`; without it, it stands still. `robots` (k, 3), itself among
         them or not, may hide part of a text.
         """
-        config = self._config
-        hiding = robots if config.robots_hide and robots is not None and len(robots) > 1 else _NOBODY
+        hiding = robots if self._config.robots_hide and robots is not None else _NOBODY
         count = self._look(pose, pose if previous is None else previous, hiding)
-        if count == 0:
-            return (), ()
-        sights = []
-        for k, (sign, distance, bearing, height, incidence, blur) in enumerate(self._sights[:count].tolist()):
+        return self.read_sights(self._sights[:count], self._hidden) if count else ((), ())
+
+    def read_sights(self, sights: Array, hidden: Array) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
+        """The same from what `look` found: sights (k, 6), hidden (at least k, characters)."""
+        config = self._config
+        seen = []
+        for k, (sign, distance, bearing, height, incidence, blur) in enumerate(sights.tolist()):
             number = int(sign)
-            is_hidden = self._hidden[k, : self._lengths[number]]
-            sights.append(Sight(number, distance, bearing, height, incidence, blur, is_hidden))
+            is_hidden = hidden[k, : self._text_lengths[number]]
+            seen.append(Sight(number, distance, bearing, height, incidence, blur, is_hidden))
         readings, sources = [], []
-        noise = self._noise.standard_normal(2 * count).tolist()
-        for k, (sight, text) in enumerate(zip(sights, self._reader.read(sights), strict=True)):
+        noise = self._noise.standard_normal(2 * len(seen)).tolist()
+        for k, (sight, text) in enumerate(zip(seen, self._reader.read(seen), strict=True)):
             if not text:
                 continue
             bearing = sight.bearing_rad + config.bearing_noise_std_rad * noise[2 * k]
@@ -82,42 +86,26 @@ class SignCamera:
             sources.append(sight.sign)
         return tuple(readings), tuple(sources)
 
+    @property
+    def arguments(self) -> tuple[Array, Array, Array, bool]:
+        """What `look` needs beside the walls and the poses, and whether robots hide texts; the same for all robots."""
+        return self._signs, self._lengths, self._constants, self._config.robots_hide
+
+    def make_room(self, robots: int) -> tuple[Array, Array]:
+        """Where `look` writes the sights of each robot and what of them is hidden."""
+        return np.empty((robots, *self._sights.shape)), np.zeros((robots, *self._hidden.shape), np.bool_)
+
     def _look(self, pose: Array, previous: Array, robots: Array) -> int:
         """Fill the sights of the signs in view -> how many."""
-        return _look(
-            self._signs, self._lengths, *self._walls, pose, previous, robots, self._constants, self._sights,
+        return look(
+            *self._walls, self._signs, self._lengths, self._constants, pose, previous, robots, self._sights,
             self._hidden,
         )  # fmt: skip
 
 
 @kernel
-def _is_blocked(walls, origin, bucket, rows, columns, first, members, px, py, qx, qy):
-    """Whether a wall crosses the line from p to q; walls of the buckets around the line are tested."""
-    c0 = max(int(np.floor((min(px, qx) - origin[0]) / bucket)), 0)
-    c1 = min(int(np.floor((max(px, qx) - origin[0]) / bucket)), columns - 1)
-    r0 = max(int(np.floor((min(py, qy) - origin[1]) / bucket)), 0)
-    r1 = min(int(np.floor((max(py, qy) - origin[1]) / bucket)), rows - 1)
-    if c0 > c1:
-        return False
-    dx, dy = qx - px, qy - py
-    for r in range(r0, r1 + 1):
-        for m in range(first[r * columns + c0], first[r * columns + c1 + 1]):
-            w = members[m]
-            ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
-            side_a = dx * (ay - py) - dy * (ax - px)
-            side_b = dx * (by - py) - dy * (bx - px)
-            if (side_a >= 0.0) == (side_b >= 0.0):
-                continue
-            side_p = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
-            side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
-            if (side_p >= 0.0) != (side_q >= 0.0):
-                return True
-    return False
-
-
-@kernel
-def _look(
-    signs, lengths, walls, origin, bucket, rows, columns, first, members, pose, previous, robots, constants, sights,
+def look(
+    walls, origin, bucket, rows, columns, first, members, signs, lengths, constants, pose, previous, robots, sights,
     hidden,
 ):  # fmt: skip
     """Fill a row of sights, as the fields of `Sight`, for each sign in view, and one of hidden -> how many."""
@@ -136,7 +124,7 @@ def _look(
         bearing = math.atan2(dy, dx) - heading
         if abs((bearing + math.pi) % (2.0 * math.pi) - math.pi) > half_view:
             continue
-        if _is_blocked(walls, origin, bucket, rows, columns, first, members, x, y, signs[i, 0], signs[i, 1]):
+        if is_blocked(walls, origin, bucket, rows, columns, first, members, x, y, signs[i, 0], signs[i, 1]):
             continue
         swing = turn + (dx * moved_y - dy * moved_x) / distance2
         sights[count, 0], sights[count, 1], sights[count, 2] = i, distance, bearing

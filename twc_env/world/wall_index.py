@@ -42,21 +42,15 @@ class WallIndex:
 
         A line through the joint of two walls that continue each other crosses once.
         """
-        counts = np.empty(len(targets_m), np.int64)
-        losses = np.empty(len(targets_m))
-        _cross(
-            self.walls_m, self.loss_db, self.origin_m, self.bucket_m, *self.shape, self.first, self.members,
-            point_m[0], point_m[1], targets_m, counts, losses,
-        )  # fmt: skip
-        return counts, losses
+        counts, losses = np.empty(len(targets_m), np.int64), np.empty((1, len(targets_m)))
+        targets_m = np.ascontiguousarray(targets_m, float)
+        cross(*self.buckets(), self.loss_db[None], float(point_m[0]), float(point_m[1]), targets_m, counts, losses)
+        return counts, losses[0]
 
     def distance_m(self, points_m: Array, reach_m: float) -> Array:
         """(k, 2) points -> (k,) distance to the nearest wall, cut at `reach_m`."""
         gaps = np.empty(len(points_m))
-        _distance(
-            self.walls_m, self.origin_m, self.bucket_m, *self.shape, self.first, self.members,
-            np.ascontiguousarray(points_m, float), reach_m, gaps,
-        )  # fmt: skip
+        _gaps(*self.buckets(), np.ascontiguousarray(points_m, float), reach_m, gaps)
         return gaps
 
 
@@ -100,12 +94,27 @@ def _fill(walls, origin, bucket, rows, columns, slots, members):
 
 
 @kernel
-def _cross(walls, loss, origin, bucket, rows, columns, first, members, px, py, targets, counts, losses):
+def is_crossed(walls, w, px, py, qx, qy):
+    """Whether the line from p to q crosses wall w; where two walls continue each other, one of them."""
+    ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
+    dx, dy = qx - px, qy - py
+    side_a = dx * (ay - py) - dy * (ax - px)
+    side_b = dx * (by - py) - dy * (bx - px)
+    if (side_a >= 0.0) == (side_b >= 0.0):
+        return False
+    side_p = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+    side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
+    return (side_p >= 0.0) != (side_q >= 0.0)
+
+
+@kernel
+def cross(walls, origin, bucket, rows, columns, first, members, losses_db, px, py, targets, counts, losses):
+    """Walls between p and each target (k, 2): counts (k,), and losses (bands, k) summed from losses_db (bands, walls)."""
     stamp = np.full(walls.shape[0], -1, np.int32)
     for k in range(targets.shape[0]):
         qx, qy = targets[k, 0], targets[k, 1]
         dx, dy = qx - px, qy - py
-        counts[k], losses[k] = 0, 0.0
+        counts[k], losses[:, k] = 0, 0.0
         # Walk the buckets from p to q; t is the share of the way.
         gx, gy = (px - origin[0]) / bucket, (py - origin[1]) / bucket
         c, r = int(np.floor(gx)), int(np.floor(gy))
@@ -122,16 +131,10 @@ def _cross(walls, loss, origin, bucket, rows, columns, first, members, px, py, t
                     if stamp[w] == k:
                         continue
                     stamp[w] = k
-                    ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
-                    side_a = dx * (ay - py) - dy * (ax - px)
-                    side_b = dx * (by - py) - dy * (bx - px)
-                    if (side_a >= 0.0) == (side_b >= 0.0):
-                        continue
-                    side_p = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
-                    side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
-                    if (side_p >= 0.0) != (side_q >= 0.0):
+                    if is_crossed(walls, w, px, py, qx, qy):
                         counts[k] += 1
-                        losses[k] += loss[w]
+                        for band in range(losses.shape[0]):
+                            losses[band, k] += losses_db[band, w]
             if next_x < next_y:
                 next_x += rate_x
                 c += step_c
@@ -141,21 +144,42 @@ def _cross(walls, loss, origin, bucket, rows, columns, first, members, px, py, t
 
 
 @kernel
-def _distance(walls, origin, bucket, rows, columns, first, members, points, reach, gaps):
+def is_blocked(walls, origin, bucket, rows, columns, first, members, px, py, qx, qy):
+    """Whether a wall crosses the line from p to q, a short one: all walls of the buckets around it are tested."""
+    c0 = max(int(np.floor((min(px, qx) - origin[0]) / bucket)), 0)
+    c1 = min(int(np.floor((max(px, qx) - origin[0]) / bucket)), columns - 1)
+    r0 = max(int(np.floor((min(py, qy) - origin[1]) / bucket)), 0)
+    r1 = min(int(np.floor((max(py, qy) - origin[1]) / bucket)), rows - 1)
+    if c0 > c1:
+        return False
+    for r in range(r0, r1 + 1):
+        for m in range(first[r * columns + c0], first[r * columns + c1 + 1]):
+            if is_crossed(walls, members[m], px, py, qx, qy):
+                return True
+    return False
+
+
+@kernel
+def gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
+    """Distance of (x, y) to the nearest wall, cut at `reach`."""
+    c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
+    c1 = min(int(np.floor((x + reach - origin[0]) / bucket)), columns - 1)
+    r0 = max(int(np.floor((y - reach - origin[1]) / bucket)), 0)
+    r1 = min(int(np.floor((y + reach - origin[1]) / bucket)), rows - 1)
+    nearest2 = reach * reach
+    for r in range(r0, r1 + 1):
+        for c in range(c0, c1 + 1):
+            for m in range(first[r * columns + c], first[r * columns + c + 1]):
+                w = members[m]
+                ax, ay = x - walls[w, 0], y - walls[w, 1]
+                ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
+                t = min(max((ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
+                dx, dy = ax - t * ex, ay - t * ey
+                nearest2 = min(nearest2, dx * dx + dy * dy)
+    return np.sqrt(nearest2)
+
+
+@kernel
+def _gaps(walls, origin, bucket, rows, columns, first, members, points, reach, gaps):
     for i in range(points.shape[0]):
-        x, y = points[i, 0], points[i, 1]
-        nearest2 = reach * reach
-        c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
-        c1 = min(int(np.floor((x + reach - origin[0]) / bucket)), columns - 1)
-        r0 = max(int(np.floor((y - reach - origin[1]) / bucket)), 0)
-        r1 = min(int(np.floor((y + reach - origin[1]) / bucket)), rows - 1)
-        for r in range(r0, r1 + 1):
-            for c in range(c0, c1 + 1):
-                for m in range(first[r * columns + c], first[r * columns + c + 1]):
-                    w = members[m]
-                    ax, ay = x - walls[w, 0], y - walls[w, 1]
-                    ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
-                    t = min(max((ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
-                    dx, dy = ax - t * ex, ay - t * ey
-                    nearest2 = min(nearest2, dx * dx + dy * dy)
-        gaps[i] = np.sqrt(nearest2)
+        gaps[i] = gap(walls, origin, bucket, rows, columns, first, members, points[i, 0], points[i, 1], reach)

@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig, RadioConfig
 from twc_env.errors import ConfigError, MapError
 from twc_env.geometry import compose, inverse
+from twc_env.kernels import kernel
 from twc_env.messages import SignReading, WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.team_messages import TeamFrames
+from twc_env.world.crossing_table import MISSING, square_at
 from twc_env.world.dynamics import Dynamics
 from twc_env.world.floorplan import Floorplan
-from twc_env.world.lidar import Lidar, glass_walls
-from twc_env.world.odometry import Odometry
+from twc_env.world.lidar import Lidar, glass_walls, sweep
+from twc_env.world.odometry import Odometry, measure
 from twc_env.world.radio import RadioModel
-from twc_env.world.reception import WifiReceiver
-from twc_env.world.signs import SignCamera
+from twc_env.world.reception import WifiReceiver, WifiReceivers, hear
+from twc_env.world.signs import SignCamera, look
 
 Array = NDArray
 
@@ -31,6 +33,7 @@ START_SPACING_M = 1.5
 """Distance between drawn starts."""
 START_SPACING_MIN_M = 0.6
 _PLACES_MAX = 2000
+_NOBODY = range(1 << 30, 1 << 30)
 _START_TRIES = 20
 """Sets of places tried, each with less distance between the robots, before a map counts as too small."""
 
@@ -66,7 +69,11 @@ class World:
             WifiReceiver(config.radio, self._radio, robot, seed, offset_db)
             for robot, offset_db in enumerate(offsets_db)
         ]
+        self._wifi = WifiReceivers(self._radio, self._receivers)
+        self._hears_at_once = self._receivers[0].is_plain
         self._cameras = [SignCamera(config.signs, self._home, robot, seed, config.dynamics) for robot in range(robots)]
+        self._sights, self._hidden = self._cameras[0].make_room(robots)
+        self._heard_counts, self._sight_counts = np.zeros(robots, np.int64), np.zeros(robots, np.int64)
         self._sensed_poses = self._dynamics.poses
         self._step = 0
         self._note_poses()
@@ -107,20 +114,47 @@ class World:
 
     def sense(self) -> TeamFrames:
         """One frame per robot: all that leaves the world. Its arrays are read-only."""
-        poses, step, robots = self._dynamics.poses, self._step, self.config.robots
-        odometry, turn_rates = self._odometry.measure(self._sensed_poses, poses)
-        ranges = self._lidar.scan(poses)
+        poses, before, step, robots = self._dynamics.poses, self._sensed_poses, self._step, self.config.robots
+        odometry, turn_rates = np.empty((robots, 3)), np.empty(robots)
+        ranges = np.empty((robots if self._lidar.is_plain else 0, self.config.lidar.beam_count))
+        hearing, looking = self._due(self._wifi_period), self._due(self._camera_period)
+        at_once = hearing if self._hears_at_once else _NOBODY
+        macs = np.empty((len(at_once), len(self._radio.macs)), np.int64)
+        readings = np.empty(macs.shape)
+        if self._hears_at_once and step % self._wifi_period == 0:
+            self._wifi.begin_round()
+        if self._lidar.is_plain:
+            self._lidar.begin_step()
+        odometer, missing = self._odometry.arguments, -1
+        while missing != robots:
+            if missing >= 0:
+                self._wifi.prepare(poses[missing])
+            missing = _sense(
+                before, poses, *self._home.wall_index.buckets(), *odometer, odometry, turn_rates,
+                *self._lidar.arguments, ranges, at_once.start, at_once.step, *self._wifi.arguments, macs, readings,
+                self._heard_counts, looking.start, looking.step, *self._cameras[0].arguments, self._sights,
+                self._hidden, self._sight_counts,
+            )  # fmt: skip
+        if not self._lidar.is_plain:
+            ranges = self._lidar.scan(poses)
         if step == 0:
-            odometry, turn_rates = np.zeros_like(odometry), np.zeros_like(turn_rates)
+            odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self.config.dynamics.time_step_s
         wifi: list[WifiScan | None] = [None] * robots
-        places = poses.tolist()
-        for robot in self._due(self._wifi_period):
-            wifi[robot] = self._receivers[robot].scan(places[robot], time_s)
+        if self._hears_at_once:
+            counts = self._heard_counts.tolist()
+            for k, robot in enumerate(hearing):
+                wifi[robot] = WifiScan(macs[k, : counts[robot]], readings[k, : counts[robot]])
+        else:
+            for robot in hearing:
+                wifi[robot] = self._receivers[robot].scan(poses[robot], time_s)
         signs: list[tuple[SignReading, ...]] = [()] * robots
         sighted: list[tuple[int, ...]] = [()] * robots
-        for robot in self._due(self._camera_period):
-            signs[robot], sighted[robot] = self._cameras[robot].read(poses[robot], self._sensed_poses[robot], poses)
+        counts = self._sight_counts.tolist()
+        for robot in looking:
+            if counts[robot]:
+                sights = self._sights[robot, : counts[robot]]
+                signs[robot], sighted[robot] = self._cameras[robot].read_sights(sights, self._hidden[robot])
         self._sensed_poses, self.sighted_signs = poses, tuple(sighted)
         return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs)
 
@@ -199,3 +233,43 @@ def _period_steps(period_s: float, config: EnvConfig) -> int:
 @lru_cache(maxsize=8)
 def _radio_model(config: RadioConfig, plan: Floorplan) -> RadioModel:
     return RadioModel(config, plan)
+
+
+@kernel
+def _sense(
+    before, now, walls, origin, bucket, rows, columns, first, members,
+    biases, white, slips_per_m, time_step, odometry_noise, odometry, turn_rates,
+    directions, radius, far, near, near_counts, anchors, laid, stamps, quantiles, range_std, words, ranges,
+    first_hearing, hearing_step, loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
+    pose_home_building, boxes, waves, radios, parts, distance_min, scratch, floors, devices, fading, fading_places,
+    fading_numbers, fading_used, fading_of, all_macs, draws, macs, readings, heard_counts,
+    first_looking, looking_step, signs, lengths, optics, does_hide, sights, hidden, sight_counts,
+):  # fmt: skip
+    """One reading of all robots: `measure`, `sweep`, `hear` and `look`, the last two where they are due.
+
+    Nothing is read, and the number of a robot returned, where the walls around it are still to be worked out; else how
+    many robots there are. Scans need a row of ranges for each robot.
+    """
+    robots = now.shape[0]
+    for i in range(first_hearing, robots, hearing_step):
+        if square_at(now[i, 0], now[i, 1], low, numbers) == MISSING:
+            return i
+    measure(before, now, biases, white, slips_per_m, time_step, odometry_noise, odometry, turn_rates)
+    if ranges.shape[0] == robots:
+        sweep(
+            walls, origin, bucket, rows, columns, first, members, now, directions, radius, far, near, near_counts,
+            anchors, laid, stamps, quantiles, range_std, words, ranges,
+        )  # fmt: skip
+    for k, i in enumerate(range(first_hearing, robots, hearing_step)):
+        heard_counts[i] = hear(
+            i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
+            sure_counts, sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts,
+            distance_min, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
+            all_macs, draws, macs[k], readings[k],
+        )  # fmt: skip
+    for i in range(first_looking, robots, looking_step):
+        sight_counts[i] = look(
+            walls, origin, bucket, rows, columns, first, members, signs, lengths, optics, now[i], before[i],
+            now if does_hide else now[:0], sights[i], hidden[i],
+        )  # fmt: skip
+    return robots
