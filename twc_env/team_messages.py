@@ -19,13 +19,19 @@ Array = NDArray
 _Record = TypeVar("_Record")
 
 
+def read_only(array: Array) -> Array:
+    """A view that cannot be written to. Those who fill or compute take the array itself: kernels know it at once."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
 class _Team(Sequence[_Record]):
     """Records that are made when the first of them is asked for."""
 
     __slots__ = ("_records",)
 
-    def __init__(self) -> None:
-        self._records: list[_Record] | None = None
+    _records: list[_Record] | None
 
     def _make(self) -> list[_Record]:
         raise NotImplementedError
@@ -57,9 +63,8 @@ class TeamFrames(_Team[SensorFrame]):
         wifi: Sequence[WifiScan | None],
         signs: Sequence[tuple[SignReading, ...]],
     ):
-        """A row for each robot, with what the fields of `SensorFrame` mean; the arrays are made read-only."""
-        super().__init__()
-        odometry.flags.writeable = ranges_m.flags.writeable = False  # beliefs and logs share them
+        """A row for each robot, with what the fields of `SensorFrame` mean; records show read-only views of the arrays."""
+        self._records = None
         self.step, self.time_s = step, time_s
         self.odometry, self.turn_rates_rad_s, self.ranges_m = odometry, turn_rates_rad_s, ranges_m
         self.wifi, self.signs = wifi, signs
@@ -85,7 +90,8 @@ class TeamFrames(_Team[SensorFrame]):
         return len(self.wifi)
 
     def _make(self) -> list[SensorFrame]:
-        rows = zip(self.odometry, self.turn_rates_rad_s.tolist(), self.ranges_m, self.wifi, self.signs, strict=True)
+        odometry, ranges_m = read_only(self.odometry), read_only(self.ranges_m)
+        rows = zip(odometry, self.turn_rates_rad_s.tolist(), ranges_m, self.wifi, self.signs, strict=True)
         return [SensorFrame(robot, self.step, self.time_s, *row) for robot, row in enumerate(rows)]
 
 
@@ -120,8 +126,9 @@ class TeamBeliefs(_Team[Belief]):
         robots of the same map, then `NOBODY`; mate_poses (robots, robots - 1, 3): where these are. contact_steps
         (robots, robots - 1) int: `Belief.contact_steps` of all other robots in their order; `NOBODY`: of none.
         """
-        super().__init__()
-        poses.flags.writeable = mate_poses.flags.writeable = False  # beliefs show them to planners
+        self._records = None
+        poses.setflags(write=False)  # beliefs show them to planners
+        mate_poses.setflags(write=False)
         self.poses, self.since_closure_m, self.grids = poses, since_closure_m, grids
         self.signs, self.mates, self.mate_poses, self.contact_steps = signs, mates, mate_poses, contact_steps
 

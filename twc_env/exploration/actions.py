@@ -25,6 +25,8 @@ def velocity_space() -> spaces.Box:
 
 def check_agents(actions: Any, agents: Sequence[str]) -> None:
     """Raises ActionError unless there is one action for each agent, and none for anybody else."""
+    if type(actions) is dict and len(actions) == len(agents) and all(map(actions.__contains__, agents)):
+        return
     if not isinstance(actions, Mapping):
         raise ActionError(
             f"step() needs a dict with one action for each of {list(agents)}; got {type(actions).__name__} {actions!r}"

@@ -193,6 +193,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         HELPER.join(lambda: first_observations(self.config, frames))
         self._think(frames)
         self._notice()
+        self._bytes_judged = self.bytes_sent
         return self._observe(), self._infos(self.agents)
 
     def step(self, actions: Mapping[str, Any]):
@@ -333,12 +334,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._world.step(commands)
         self._steps += 1
         is_last = self._steps >= self.config.max_cycles
-        sent_before = self.bytes_sent
         self._think(self._world.sense())
         if is_last:
             self.engine.finish()
         self._notice()
-        return self._judge(is_last, self.bytes_sent - sent_before)
+        return self._judge(is_last)
 
     def _fly(self) -> list[dict[str, float]]:
         """Time steps until the next decision: the sums of the reward terms of each robot."""
@@ -373,12 +373,13 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if self._viewer is not None:
             self._viewer.follow(self)
 
-    def _judge(self, is_last: bool, bytes_sent: int) -> list[dict[str, float]]:
-        before = self._standing
+    def _judge(self, is_last: bool) -> list[dict[str, float]]:
+        before, sent_before = self._standing, self._bytes_judged
+        self._bytes_judged = self.bytes_sent
         if is_last or self._steps % self.config.reward.period_steps == 0:
             self._standing = verdicts.standing(self.engine, self._record, self._cells)
         config = self.config
-        sent = bytes_sent / config.robots
+        sent = (self._bytes_judged - sent_before) / config.robots
         transition = rewards.Transition(before, self._standing, self._world.contacts, sent, config.max_cycles)
         return rewards.terms(transition, config.reward.sharing)
 

@@ -27,9 +27,7 @@ class EpisodeRecord:
         if self.count == len(self._poses):
             self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
             self._contacts = np.concatenate([self._contacts, np.zeros_like(self._contacts)])
-        now = self._poses[self.count]
-        now[0], now[1], now[2] = true_poses, odom_poses, motions
-        self._contacts[self.count] = contacts
+        _note(true_poses, odom_poses, motions, contacts, self.count, self._poses, self._contacts)
         self.count += 1
 
     @property
@@ -53,6 +51,15 @@ class EpisodeRecord:
         poses = self.true_poses.copy()
         _reckon(self._poses[: self.count, 2], poses)
         return poses
+
+
+@kernel
+def _note(true_poses, odom_poses, motions, contacts, step, poses, all_contacts):
+    for r in range(contacts.shape[0]):
+        all_contacts[step, r] = contacts[r]
+        for k in range(3):
+            poses[step, 0, r, k], poses[step, 1, r, k] = true_poses[r, k], odom_poses[r, k]
+            poses[step, 2, r, k] = motions[r, k]
 
 
 @kernel

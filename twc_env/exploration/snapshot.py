@@ -23,7 +23,7 @@ Array = NDArray
 
 _STATE = (
     "_episode_config", "_plan", "_world", "_engine", "_link", "_builder", "_pilot", "_scout", "_record", "_standing",
-    "_steps", "_seed", "_frames", "_beliefs", "agents",
+    "_bytes_judged", "_steps", "_seed", "_frames", "_beliefs", "agents",
 )  # fmt: skip
 """What of an environment changes during an episode."""
 _PLAN = "floorplan"

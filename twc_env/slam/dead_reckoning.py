@@ -13,7 +13,7 @@ from twc_env.kernels import kernel
 from twc_env.messages import Belief, Contacts, GridMap, Keyframe, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
-from twc_env.team_messages import TeamBeliefs, TeamFrames, nobody
+from twc_env.team_messages import TeamBeliefs, TeamFrames, nobody, read_only
 
 Array = NDArray
 
@@ -33,8 +33,11 @@ class DeadReckoning:
         self._poses = np.zeros((robot_count, 3, 3))
         """(robots, 3, 3) as `TeamBeliefs.poses`."""
         self._ranges_m: list[Array] | Array = [np.zeros(0)] * robot_count
-        self._steps = [0] * robot_count
-        """The latest scan of each robot, and when it was taken."""
+        self._steps: Sequence[int] | int = 0
+        """The latest scan of each robot, and when it was taken: one number for all that sensed together."""
+        grids = [self._grid] * robot_count
+        self._rest = np.zeros(robot_count), grids, [()] * robot_count, *nobody(robot_count)
+        """What all beliefs have in common."""
         self._alone: _Alone | None = None
 
     def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
@@ -48,10 +51,10 @@ class DeadReckoning:
         team = TeamFrames.of(frames)
         robots = self._everyone
         if len(team) == len(robots):
-            self._ranges_m, self._steps = team.ranges_m, [team.step] * len(robots)
+            self._ranges_m, self._steps = team.ranges_m, team.step
         else:
             robots = np.array([frame.robot for frame in frames])
-            self._ranges_m = list(self._ranges_m)
+            self._ranges_m, self._steps = list(self._ranges_m), self._steps_of_all()
             for robot, ranges_m in zip(robots.tolist(), team.ranges_m, strict=True):
                 self._ranges_m[robot], self._steps[robot] = ranges_m, team.step
         self._poses = self._poses.copy()
@@ -98,8 +101,12 @@ class DeadReckoning:
     def beliefs(self) -> TeamBeliefs:
         """Where dead reckoning places the robots, each on an empty map, with no mates and no signs."""
         if self._alone is None:
-            self._alone = _Alone(self._poses, self._grid, self._steps, self._ranges_m)
+            self._alone = _Alone(self._poses, self._rest, self._steps, self._ranges_m)
         return self._alone
+
+    def _steps_of_all(self) -> list[int]:
+        steps = self._steps
+        return [steps] * len(self._everyone) if isinstance(steps, int) else list(steps)
 
     def belief(self, robot: int) -> Belief:
         """The same of one robot."""
@@ -111,14 +118,16 @@ class _Alone(TeamBeliefs):
 
     __slots__ = ("_ranges_m", "_steps")
 
-    def __init__(self, poses: Array, grid: GridMap, steps: Sequence[int], ranges_m: Sequence[Array] | Array):
-        count = len(steps)
-        super().__init__(poses, np.zeros(count), [grid] * count, [()] * count, *nobody(count))
+    def __init__(self, poses: Array, rest: tuple, steps: Sequence[int] | int, ranges_m: Sequence[Array] | Array):
+        super().__init__(poses, *rest)
         self._steps, self._ranges_m = steps, ranges_m
 
     def _make(self) -> list[Belief]:
-        beliefs = []
-        for robot, (step, ranges_m, grid) in enumerate(zip(self._steps, self._ranges_m, self.grids, strict=True)):
+        beliefs, all_ranges_m = [], self._ranges_m
+        steps = [self._steps] * len(self) if isinstance(self._steps, int) else self._steps
+        if isinstance(all_ranges_m, np.ndarray):
+            all_ranges_m = read_only(all_ranges_m)
+        for robot, (step, ranges_m, grid) in enumerate(zip(steps, all_ranges_m, self.grids, strict=True)):
             in_map, std, in_odom = self.poses[robot]
             belief = Belief(robot, step, in_map, grid, ranges_m=ranges_m, pose_odom=in_odom, pose_std=std)
             beliefs.append(belief)

@@ -60,6 +60,7 @@ class World:
         config, robots = self.config, self.config.robots
         start_poses_home = self._start_poses(seed, starts)
         self.start_poses = self._in_building(start_poses_home)
+        self._walls = self._home.wall_index.buckets()
         self._dynamics = Dynamics(config.dynamics, self._home.wall_index, start_poses_home)
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
         radius = config.dynamics.robot_radius_m
@@ -76,13 +77,12 @@ class World:
         self._heard_counts, self._sight_counts = np.zeros(robots, np.int64), np.zeros(robots, np.int64)
         self._sensed_poses = self._dynamics.poses
         self._step = 0
-        self._note_poses()
         self.sighted_signs = ((),) * robots
 
     @property
     def poses(self) -> Array:
-        """(n, 3) true poses in the building frame; read-only."""
-        return self._poses
+        """(n, 3) true poses in the building frame; for readers only, as all that holds the truth."""
+        return self._in_building(self._dynamics.poses)
 
     @property
     def poses_home(self) -> Array:
@@ -110,7 +110,6 @@ class World:
         """Move all robots for one time step; commands (n, 2) [m/s, rad/s]."""
         self._dynamics.step(commands)
         self._step += 1
-        self._note_poses()
 
     def sense(self) -> TeamFrames:
         """One frame per robot: all that leaves the world. Its arrays are read-only."""
@@ -130,7 +129,7 @@ class World:
             if missing >= 0:
                 self._wifi.prepare(poses[missing])
             missing = _sense(
-                before, poses, *self._home.wall_index.buckets(), *odometer, odometry, turn_rates,
+                before, poses, *self._walls, *odometer, odometry, turn_rates,
                 *self._lidar.arguments, ranges, at_once.start, at_once.step, *self._wifi.arguments, macs, readings,
                 self._heard_counts, looking.start, looking.step, *self._cameras[0].arguments, self._sights,
                 self._hidden, self._sight_counts,
@@ -162,12 +161,8 @@ class World:
         """The robots whose sensor of that period reads in this step; they take turns."""
         return range(-self._step % period, self.config.robots, period)
 
-    def _note_poses(self) -> None:
-        self._poses = self._in_building(self._dynamics.poses)
-        self._poses.flags.writeable = False
-
     def _in_building(self, poses_home: Array) -> Array:
-        return compose(self.plan.pose_building_home, poses_home) if self._is_moved else poses_home.view()
+        return compose(self.plan.pose_building_home, poses_home) if self._is_moved else poses_home
 
     def _start_poses(self, seed: int, starts: str | Array) -> Array:
         """(n, 3) in the home frame."""
