@@ -63,7 +63,7 @@ class TeamFrames(_Team[SensorFrame]):
         wifi: Sequence[WifiScan | None],
         signs: Sequence[tuple[SignReading, ...]],
     ):
-        """A row for each robot, with what the fields of `SensorFrame` mean; records show read-only views of the arrays."""
+        """A row for each robot, with what the fields of `SensorFrame` mean; records show read-only views of them."""
         self._records = None
         self.step, self.time_s = step, time_s
         self.odometry, self.turn_rates_rad_s, self.ranges_m = odometry, turn_rates_rad_s, ranges_m

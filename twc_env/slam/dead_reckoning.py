@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.kernels import kernel
-from twc_env.messages import Belief, Contacts, GridMap, Keyframe, SensorFrame
+from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
 from twc_env.team_messages import TeamBeliefs, TeamFrames, nobody, read_only

@@ -111,9 +111,7 @@ class RadioModel:
         self._levels_dbm = self._power_dbm - self._floor_losses_db + self._power_offsets_db
         used = 3 if self.band_of.any() else 1
         losses_db = [i.loss_db if i is not None else np.zeros(len(plan.walls_m)) for i in self._index_of_band[:used]]
-        self.crossings = CrossingTable(
-            self._index, self._sources.position_m[: len(access_points)], np.array(losses_db)
-        )
+        self.crossings = CrossingTable(self._index, self._sources.position_m[: len(access_points)], np.array(losses_db))
         """Walls between any place and the access points."""
         self._crossed = np.zeros(len(access_points), np.int64), np.zeros((used, len(access_points)))
         sources = self._sources

@@ -109,7 +109,7 @@ def is_crossed(walls, w, px, py, qx, qy):
 
 @kernel
 def cross(walls, origin, bucket, rows, columns, first, members, losses_db, px, py, targets, counts, losses):
-    """Walls between p and each target (k, 2): counts (k,), and losses (bands, k) summed from losses_db (bands, walls)."""
+    """Walls between p and targets (k, 2): counts (k,), losses (bands, k) summed from losses_db (bands, walls)."""
     stamp = np.full(walls.shape[0], -1, np.int32)
     for k in range(targets.shape[0]):
         qx, qy = targets[k, 0], targets[k, 1]
