@@ -59,6 +59,7 @@ class ObservationBuilder:
         mates = max(robots - 1, 1)
         self._mate_places, self._mate_counts = np.zeros((robots, mates, 3)), np.zeros(robots, np.int64)
         """Scratch: pose, in the robot's frame, of each mate of the group."""
+        self._signs_of_team: Sequence[tuple[KnownSign, ...]] = ()
         self._indexed_signs: list[tuple[KnownSign, ...]] = [()] * robots
         self._sign_places = [_NO_SIGNS] * robots
         self._text_counts: list[Counter[str]] = [Counter()] * robots
@@ -80,9 +81,11 @@ class ObservationBuilder:
         """The observation of each robot after the step that was noticed last; `masks`: its choices that count."""
         beliefs, names = self._beliefs, self._names
         robots = range(len(beliefs))
-        for robot, signs in enumerate(beliefs.signs):
-            if signs is not self._indexed_signs[robot]:
-                self._index_signs(robot, signs)
+        if beliefs.signs is not self._signs_of_team:
+            self._signs_of_team = beliefs.signs
+            for robot, signs in enumerate(beliefs.signs):
+                if signs is not self._indexed_signs[robot]:
+                    self._index_signs(robot, signs)
         blocks: dict[str, Sequence[Array] | Array] = self._small_blocks()
         for name, make in self._makers:
             blocks[name] = make()
@@ -91,7 +94,8 @@ class ObservationBuilder:
             blocks["frontiers"] = [features_of(lists[r], beliefs[r].pose_map_robot, slots) for r in robots]
         if "action_mask" in names:
             blocks["action_mask"] = [np.zeros(0, np.int8) if masks is None else masks[r].copy() for r in robots]
-        seen = [{name: blocks[name][robot] for name in names} for robot in robots]
+        columns = [blocks[name] for name in names]
+        seen = [dict(zip(names, [column[robot] for column in columns], strict=True)) for robot in robots]
         return [joined(own) for own in seen] if self._is_flat else seen
 
     def _small_blocks(self) -> dict[str, Sequence[Array] | Array]:
@@ -145,15 +149,18 @@ class ObservationBuilder:
 
     def _remember(self, robot: int, signs: Sequence[SignReading]) -> None:
         """Take in the texts that one robot read in this step."""
-        readings, time_s = self._readings[robot], self._frames.time_s
+        readings, time_s, fresh = self._readings[robot], self._frames.time_s, []
         x, y, heading = self._beliefs.poses[robot, 2].tolist()
-        for sign in signs:
+        for sign in reversed(signs):
             angle, away = heading + sign.bearing_rad, sign.range_m
-            readings[1:] = readings[:-1].copy()
-            readings[0, :3] = time_s, x + away * math.cos(angle), y + away * math.sin(angle)
-            self._texts[robot] = [sign.text, *self._texts[robot][: len(readings) - 1]]
+            fresh.append((time_s, x + away * math.cos(angle), y + away * math.sin(angle), 0.0))
+        texts = [*[sign.text for sign in reversed(signs)], *self._texts[robot]]
+        count, self._texts[robot] = min(len(fresh), len(readings)), texts[: len(readings)]
+        readings[count:] = readings[: len(readings) - count].copy()
+        readings[:count] = fresh[:count]
         self._reading_counts[robot] = len(self._texts[robot])
-        self._count_elsewhere(robot)
+        if self._text_counts[robot]:
+            self._count_elsewhere(robot)
 
     def _index_signs(self, robot: int, signs: tuple[KnownSign, ...]) -> None:
         self._indexed_signs[robot] = signs

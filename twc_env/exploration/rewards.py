@@ -30,7 +30,6 @@ Array = NDArray
 
 POTENTIALS = ("coverage", "merge", "localisation")
 TERMS = (*POTENTIALS, "collision", "time", "bytes")
-NO_GAINS = [0.0, 0.0, 0.0]
 _NOTHING = dict.fromkeys(TERMS, 0.0)
 ERROR_MAX_M = 1.0
 BYTES_MAX = 10_000.0
@@ -80,17 +79,16 @@ class Transition(NamedTuple):
 def terms(transition: Transition, sharing: str) -> list[dict[str, float]]:
     """The terms of each robot, by name; the names are those of the weights in RewardConfig."""
     before, after, contacts, bytes_per_robot, step_count_max = transition
-    gains: list[list[float]] = [NO_GAINS]
-    if after is not before:
-        gains = [(after.team - before.team).tolist()] if sharing == "team" else (after.own - before.own).tolist()
-    each = []
-    for coverage, merge, localisation in gains:
-        own = dict(_NOTHING)
-        own["coverage"], own["merge"], own["localisation"] = coverage, merge, localisation
-        own["time"], own["bytes"] = 1.0 / step_count_max, min(bytes_per_robot / BYTES_MAX, 1.0)
-        each.append(own)
-    each = each if len(gains) == len(contacts) else [dict(each[0]) for _ in range(len(contacts))]
-    for own, touches in zip(each, contacts.tolist(), strict=True):
+    touching = contacts.tolist()
+    common = _NOTHING.copy()
+    common["time"], common["bytes"] = 1.0 / step_count_max, min(bytes_per_robot / BYTES_MAX, 1.0)
+    if after is not before and sharing == "team":
+        common["coverage"], common["merge"], common["localisation"] = (after.team - before.team).tolist()
+    each = [common.copy() for _ in touching]
+    if after is not before and sharing != "team":
+        for own, gains in zip(each, (after.own - before.own).tolist(), strict=True):
+            own["coverage"], own["merge"], own["localisation"] = gains
+    for own, touches in zip(each, touching, strict=True):
         if touches:
             own["collision"] = 1.0
     return each

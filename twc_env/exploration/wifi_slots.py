@@ -22,20 +22,20 @@ class WifiSlots:
         self._macs = np.full((robots, count), -1, np.int64)
         self._last_scan = np.zeros((robots, count), np.int64)
         """The scan in which each slot's transmitter was last among the strongest."""
-        self._scans = [0] * robots
+        self._scans = np.zeros(robots, np.int64)
 
     def update(self, robot: int, scan: WifiScan) -> None:
         """Take in a scan of one robot."""
-        self._scans[robot] += 1
-        _place(scan.macs, scan.rssi_dbm, self._scans[robot], robot, self._macs, self._last_scan, self.levels)
+        _place(robot, scan.macs, scan.rssi_dbm, self._scans, self._macs, self._last_scan, self.levels)
 
 
 @kernel
-def _place(macs, rssi_dbm, scan, robot, slot_macs_of, last_scan_of, levels_of):
+def _place(robot, macs, rssi_dbm, scans, slot_macs_of, last_scan_of, levels_of):
     """The strongest transmitters take, or keep, the slots. Those longest out of the strongest give way."""
-    slot_macs, last_scan, levels = slot_macs_of[robot], last_scan_of[robot], levels_of[robot]
+    scans[robot] += 1
+    scan, slot_macs, last_scan, levels = scans[robot], slot_macs_of[robot], last_scan_of[robot], levels_of[robot]
     slots, heard = slot_macs.shape[0], rssi_dbm.shape[0]
-    strongest = np.empty(slots, np.int64)
+    strongest, is_waiting, at_slot = np.empty(slots, np.int64), np.zeros(heard, np.bool_), np.empty(slots, np.int64)
     count = 0
     for k in range(heard):  # inserted in falling order; of equals, the first stays ahead
         at = count
@@ -46,22 +46,21 @@ def _place(macs, rssi_dbm, scan, robot, slot_macs_of, last_scan_of, levels_of):
             for i in range(count - 1, at, -1):
                 strongest[i] = strongest[i - 1]
             strongest[at] = k
-    is_new = np.ones(slots, np.bool_)
-    for k in range(count):
-        for slot in range(slots):
-            if slot_macs[slot] == macs[strongest[k]]:
-                is_new[k] = False
-                last_scan[slot] = scan
-    for k in range(count):
-        if is_new[k]:
+    for i in range(count):
+        is_waiting[strongest[i]] = True
+    for slot in range(slots):
+        k = np.searchsorted(macs, slot_macs[slot])
+        at_slot[slot] = k if k < heard and macs[k] == slot_macs[slot] else -1
+        if at_slot[slot] >= 0 and is_waiting[k]:
+            is_waiting[k] = False
+            last_scan[slot] = scan
+    for i in range(count):
+        if is_waiting[strongest[i]]:
             oldest = 0
             for slot in range(1, slots):
                 if last_scan[slot] < last_scan[oldest]:
                     oldest = slot
-            slot_macs[oldest], last_scan[oldest] = macs[strongest[k]], scan
+            slot_macs[oldest], last_scan[oldest], at_slot[oldest] = macs[strongest[i]], scan, strongest[i]
     for slot in range(slots):
-        levels[slot] = 0.0
-        for k in range(heard):
-            if macs[k] == slot_macs[slot]:
-                levels[slot] = min(max((rssi_dbm[k] - RSSI_ZERO_DBM) / RSSI_SPAN_DB, 0.0), 1.0)
-                break
+        level = 0.0 if at_slot[slot] < 0 else (rssi_dbm[at_slot[slot]] - RSSI_ZERO_DBM) / RSSI_SPAN_DB
+        levels[slot] = min(max(level, 0.0), 1.0)
