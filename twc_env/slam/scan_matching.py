@@ -31,8 +31,10 @@ ROBUST_SCALE_M = 0.08
 """Residual at which a beam has lost half of its weight (Cauchy)."""
 STOP_M, STOP_RAD = 1e-3, 5e-4
 """A smaller step ends a match ..."""
-TRACKING_STOP_M, TRACKING_STOP_RAD = 2e-3, 1e-3
+TRACKING_STOP_M, TRACKING_STOP_RAD = 5e-3, 2.5e-3
 """... or one smaller than this where the robot is only tracked: the next would be lost in the noise of the scan."""
+TRACKING_STRIDE = 4
+"""There the first step, which only has to come near, is taken with every so manieth point."""
 INNOVATION_MAX_M, INNOVATION_MAX_RAD = 0.4, 0.25
 """A match that jumps further than this from the prediction is not believed."""
 MATCHED_SHARE_MIN = 0.3
@@ -52,15 +54,18 @@ def _points_of(ranges, range_max, directions, points):
 
 
 @kernel
-def _normal_equations(walls, origin, inverse_m, points, n, x, y, heading, distance_max, h, g):
-    """Sum J^T w J (h: 6 upper entries) and J^T w e (g: 3) over points near walls; gives the sum of w, and how many."""
+def _normal_equations(walls, origin, inverse_m, points, n, stride, x, y, heading, distance_max, h, g):
+    """Sum J^T w J (h: 6 upper entries) and J^T w e (g: 3) over points near walls; gives the sum of w, and how many.
+
+    Of the first n points every `stride`-th is taken.
+    """
     height, width = walls.shape[0], walls.shape[1]
     c, s = math.cos(heading), math.sin(heading)
     x -= origin[0]
     y -= origin[1]
     near = 0
     total = h0 = h1 = h2 = h3 = h4 = h5 = g0 = g1 = g2 = 0.0
-    for i in range(n):
+    for i in range(0, n, stride):
         rx, ry = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         qx, qy = x + rx, y + ry
         if qx < 0.0 or qy < 0.0:
@@ -118,11 +123,13 @@ def _solve3(h, g, damping, out):
 
 @kernel
 def _refine(
-    walls, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad, pose, h
-):
+    walls, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, first_stride, stop_m,
+    stop_rad, pose, h,
+):  # fmt: skip
     """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
 
-    Writes the pose and the final h. Gives (sum of weights, points near walls, is_degenerate, direction x, direction y).
+    The first step is taken with every `first_stride`-th point, unless it is the only one. Writes the pose and the
+    final h. Gives (sum of weights, points near walls, is_degenerate, direction x, direction y).
     """
     g = np.zeros(3)
     delta = np.zeros(3)
@@ -130,11 +137,12 @@ def _refine(
     total, near = 0.0, 0
     vx = vy = 0.0
     degenerate = False
+    stride = first_stride if iterations > 1 else 1
     for _ in range(iterations):
         total, near = _normal_equations(
-            walls, origin, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, h, g
+            walls, origin, inverse_m, points, n, stride, pose[0], pose[1], pose[2], distance_max, h, g
         )  # fmt: skip
-        if total < WEIGHT_MIN:
+        if total * stride < WEIGHT_MIN:
             break
         weakest, vx, vy = _weakest_direction(h)
         degenerate = weakest < degenerate_share * total
@@ -146,8 +154,9 @@ def _refine(
         pose[0] += delta[0]
         pose[1] += delta[1]
         pose[2] += delta[2]
-        if abs(delta[0]) < stop_m and abs(delta[1]) < stop_m and abs(delta[2]) < stop_rad:
+        if stride == 1 and abs(delta[0]) < stop_m and abs(delta[1]) < stop_m and abs(delta[2]) < stop_rad:
             break
+        stride = 1
     return total, near, degenerate, vx, vy
 
 
@@ -233,7 +242,7 @@ def _match_scans(
         n = _points_of(scans[k], range_max, directions, points)
         total, near, degenerate, vx, vy = _refine(
             walls[k], origins[k], inverse_m, points, n, guesses[k], distance_max, iterations, degenerate_share,
-            TRACKING_STOP_M, TRACKING_STOP_RAD, poses[k], h,
+            TRACKING_STRIDE, TRACKING_STOP_M, TRACKING_STOP_RAD, poses[k], h,
         )  # fmt: skip
         explained[k] = near / max(n, 1)
         jump_x, jump_y = poses[k, 0] - guesses[k, 0], poses[k, 1] - guesses[k, 1]
@@ -308,8 +317,8 @@ class LineField:
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
         pose, h = np.empty(3), np.zeros(6)
         weight, _, degenerate, vx, vy = _refine(
-            *self._field, points, len(points), guess, distance_max_m, iterations, degenerate_share, STOP_M, STOP_RAD,
-            pose, h,
+            *self._field, points, len(points), guess, distance_max_m, iterations, degenerate_share, 1, STOP_M,
+            STOP_RAD, pose, h,
         )  # fmt: skip
         hessian = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
         return Match(pose, hessian, weight, degenerate, np.array([vx, vy]))
