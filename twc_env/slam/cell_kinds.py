@@ -25,15 +25,19 @@ def note_kinds(log_odds, first_row, first_column, end_row, end_column, kinds):
     Cells of the last row and column stand for themselves and for what is beside them.
     """
     rows, columns = log_odds.shape
+    first, end = max(first_column, 0), min(end_column, columns - 1)
     for r in range(max(first_row, 0), min(end_row, rows)):
-        here, above, out = log_odds[r], log_odds[min(r + 1, rows - 1)], kinds[r]
-        for c in range(max(first_column, 0), min(end_column, columns - 1)):
-            highest = max(max(here[c], here[c + 1]), max(above[c], above[c + 1]))
-            lowest = min(min(here[c], here[c + 1]), min(above[c], above[c + 1]))
-            out[c] = _kind(highest, lowest)
+        above = min(r + 1, rows - 1)
+        if first < end:
+            a, b, out = log_odds[r, first : end + 1], log_odds[above, first : end + 1], kinds[r, first:end]
+            for c in range(out.shape[0]):  # many cells at once
+                highest = max(max(a[c], a[c + 1]), max(b[c], b[c + 1]))
+                lowest = min(min(a[c], a[c + 1]), min(b[c], b[c + 1]))
+                out[c] = _kind(highest, lowest)
         if end_column >= columns > 0:
-            c = columns - 1
-            out[c] = _kind(max(here[c], above[c]), min(here[c], above[c]))
+            last = columns - 1
+            here, there = log_odds[r, last], log_odds[above, last]
+            kinds[r, last] = _kind(max(here, there), min(here, there))
 
 
 def kinds_of(log_odds: Array) -> Array:
