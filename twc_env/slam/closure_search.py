@@ -89,6 +89,11 @@ class ClosureSearch:
         for robot in robots:
             self._tied_m[robot] = -np.inf
 
+    @property
+    def has_waiting(self) -> bool:
+        """Whether a candidate may have its turn."""
+        return any(self._waiting.values())
+
     def next_closure(self) -> LoopClosure | None:
         """Verify the first candidate that is needed and whose scans are here; None when none waits.
 

@@ -37,6 +37,10 @@ class Delivery:
     """(robot, keyframe index) of scans that came on request."""
 
 
+_NOTHING = [Delivery()]
+"""To the one mapper, where nobody has anything new to tell; never written to."""
+
+
 class Exchange:
     """Who holds which keyframes and scans; contacts in, deliveries out. Lost messages are repeated, and cost again."""
 
@@ -49,12 +53,12 @@ class Exchange:
         """Keyframes of all robots ..."""
         self._heard = 0
         """... and those that mappers hold, summed over the mappers."""
-        self._held = np.zeros((mappers, robot_count), np.int64)
+        self._held = [[0] * robot_count for _ in range(mappers)]
         """How many keyframes of each robot a mapper holds."""
         self._scans: list[set[tuple[int, int]]] = [set() for _ in range(mappers)]
         """Scans of others that a mapper asked for and got."""
-        self._told = np.full((mappers, mappers, robot_count), -1)
-        """What a peer was last told of another's holdings: (teller, told, robots)."""
+        self._told: list[list[list[int]]] = [[[] for _ in range(mappers)] for _ in range(mappers)]
+        """What a peer was last told of another's holdings: by teller, told and robot."""
         self._pairs_of: Contacts | None = None
         self._pairs: list[tuple[int, int, bool]] = []
         """Listener, sender and whether it is heard, of every pair in touch, of these contacts."""
@@ -71,13 +75,13 @@ class Exchange:
 
         A keyframe travels one hop per step. Where several can tell a listener the same, the first one does.
         """
+        if self._is_central and self._made == self._heard and not wanted[0]:
+            return _NOTHING
         deliveries = [Delivery() for _ in self._held]
-        if self._is_central and not wanted[0] and self._made == self._heard:
-            return deliveries
         if not self._is_central:
             for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
                 self._hand_over(delivery, robot, robot, len(self._paths[robot]))
-        before = self._held.copy()
+        before = [held.copy() for held in self._held]
         if contacts is not self._pairs_of:
             self._pairs_of = contacts
             self._pairs = [(i, k, bool(contacts.heard[i, k])) for i, k in np.argwhere(contacts.tried).tolist()]
@@ -90,25 +94,27 @@ class Exchange:
 
     def _tell_holdings(self, listener: int, sender: int, is_heard: bool) -> None:
         """The listener says what it holds, when that changed since it last told this sender."""
-        if np.array_equal(self._told[listener, sender], self._held[listener]):
+        if self._told[listener][sender] == self._held[listener]:
             return
         self.bytes_sent["inventory"] += BYTES_PER_COUNT * len(self._paths)
         if is_heard:
-            self._told[listener, sender] = self._held[listener]
+            self._told[listener][sender] = self._held[listener].copy()
 
     def _tell_keyframes(self, delivery: Delivery, listener: int, sender: int, before, is_heard: bool) -> None:
         for robot in (sender,) if self._is_central else range(len(self._paths)):
-            end = len(self._paths[robot]) if robot == sender else int(before[sender, robot])
-            for keyframe in self._paths[robot][self._held[listener, robot] : end]:
+            end = len(self._paths[robot]) if robot == sender else before[sender][robot]
+            if end <= self._held[listener][robot]:
+                continue
+            for keyframe in self._paths[robot][self._held[listener][robot] : end]:
                 self._count(keyframe)
             if is_heard:
                 self._hand_over(delivery, listener, robot, end)
 
     def _hand_over(self, delivery: Delivery, listener: int, robot: int, end: int) -> None:
-        first = int(self._held[listener, robot])
+        first = self._held[listener][robot]
         if end > first:
             delivery.keyframes += self._paths[robot][first:end]
-            self._held[listener, robot] = end
+            self._held[listener][robot] = end
             self._heard += end - first
 
     def _tell_scans(self, delivery: Delivery, listener: int, sender: int, wanted, is_heard: bool) -> None:

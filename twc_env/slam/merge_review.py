@@ -51,6 +51,8 @@ class MergeReview:
     def __init__(self, config: MergingConfig, graph: TeamGraph, maps: GroupMaps, judge: MergeJudge):
         self._rule, self._graph, self._maps, self._judge = config, graph, maps, judge
         self.merges: list[Merge] = []
+        self._next_step, self._refusals_seen = 0, 0
+        """When the first of them is due, and closures that had been refused when `wrong` last found nothing."""
         self._undone: list[tuple[int, int, Array]] = []
         """Two robots that were torn apart, and where the odom frame of the second had been put in that of the first."""
 
@@ -62,6 +64,7 @@ class MergeReview:
     def note(self, a: tuple[int, ...], b: tuple[int, ...], step: int) -> None:
         """Two groups became one."""
         self.merges.append(Merge(a, b, step + FIRST_STEPS))
+        self._next_step = min(self._next_step, step + FIRST_STEPS)
 
     def closures_needed(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> int:
         """Agreeing closures that a merge needs: twice as many for every time that nearly the same one was undone."""
@@ -73,12 +76,21 @@ class MergeReview:
                 again += bool(np.hypot(*(now - before)[:2]) < SAME_PLACE_M)
         return self._rule.closures_min * 2**again
 
+    def is_due(self, step: int) -> bool:
+        """Whether `wrong` may find anything at this step."""
+        if not self.merges or not self._rule.undo:
+            return False
+        return step >= self._next_step or self._graph.refusals != self._refusals_seen
+
     def wrong(self, step: int) -> tuple[Merge, str] | None:
         """The first merge that turns out to be wrong, and why; None while all stand."""
         for merge in self.merges:
             why = self._objection(merge, step)
             if why:
+                self._next_step = step  # the others have not been looked at
                 return merge, why
+        self._next_step = min((merge.due_step for merge in self.merges), default=0)
+        self._refusals_seen = self._graph.refusals
         return None
 
     def forget(self, merge: Merge, sides: tuple[tuple[int, ...], tuple[int, ...]]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,21 +72,17 @@ class TeamMapper:
         if self._given_starts is not None:
             self._merge_given(self._given_starts)
         self._step = step
-        for _ in range(self._config.verification.backlog_per_step):
-            if not self._verify_one():
-                break
-        if self._config.merging.undo and self._given_starts is None:
+        if self._search.has_waiting:
+            for _ in range(self._config.verification.backlog_per_step):
+                if not self._verify_one():
+                    break
+        if self._review.is_due(step) and self._given_starts is None:
             self._undo_wrong_merge()
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
-        waited = step - self._last_optimised_step
-        period = self._config.pose_graph.period_steps
-        if waited >= period and (any(self._dirty.values()) or (self._dirty and waited >= PATIENCE_PERIODS * period)):
-            self._last_optimised_step = step
-            for group in sorted({self.group_index(robot) for robot in self._dirty}):
-                self._optimise(group)
-            self._dirty.clear()
+        if self._dirty:
+            self._optimise_in_time()
 
     def give_starts(self, poses: Array) -> None:
         """Tell the mapper where all robots started (robots, 3), in any one frame: an oracle, for comparison only."""
@@ -132,9 +128,9 @@ class TeamMapper:
         return self._review.undone_count
 
     @property
-    def wanted(self) -> list[tuple[int, int]]:
-        """(robot, keyframe index) of scans to ask for."""
-        return list(self._maps.wanted)
+    def wanted(self) -> Collection[tuple[int, int]]:
+        """(robot, keyframe index) of scans to ask for, as they are now."""
+        return self._maps.wanted
 
     def group_index(self, robot: int) -> int:
         """Which of `groups` the robot belongs to."""
@@ -297,6 +293,15 @@ class TeamMapper:
         self._retry_merges()
 
     # --- optimisation ---
+
+    def _optimise_in_time(self) -> None:
+        """Optimise the groups with new closures, unless that was done just before or none of them is urgent."""
+        waited, period = self._step - self._last_optimised_step, self._config.pose_graph.period_steps
+        if waited >= period and (any(self._dirty.values()) or waited >= PATIENCE_PERIODS * period):
+            self._last_optimised_step = self._step
+            for group in sorted({self.group_index(robot) for robot in self._dirty}):
+                self._optimise(group)
+            self._dirty.clear()
 
     def _optimise(self, group: int, is_thorough: bool = False) -> None:
         robots = self.groups[group].robots
