@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import compose, wrap_angle
+from twc_env.geometry import compose
+from twc_env.kernels import kernel
 from twc_env.messages import GridMap, Keyframe
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.team_graph import TeamGraph
@@ -30,6 +32,17 @@ class Group:
     """Grows when the map was drawn anew."""
 
 
+@kernel
+def _have_moved(poses, drawn):
+    """Whether any pose is so far from where it was drawn that the map shows it."""
+    for k in range(drawn.shape[0]):
+        if abs(poses[k, 0] - drawn[k, 0]) > MOVED_M or abs(poses[k, 1] - drawn[k, 1]) > MOVED_M:
+            return True
+        if abs((poses[k, 2] - drawn[k, 2] + math.pi) % (2 * math.pi) - math.pi) > MOVED_RAD:
+            return True
+    return False
+
+
 class GroupMaps:
     """Groups of robots and their grids. `home`: the robot this runs on; None for the one mapper of all."""
 
@@ -43,6 +56,8 @@ class GroupMaps:
         """Where each node stands in the map as drawn."""
         self._scan_here = np.zeros(64, bool)
         """Which nodes' scans have come; the others may be drawn by their own robot only."""
+        self._sides: dict[tuple[int, ...], tuple[OccupancyGrid, Array, Array]] = {}
+        """Robots of a part of a group -> what they have seen, the nodes (n,) drawn in it, and where (n, 3)."""
         self.wanted: dict[tuple[int, int], None] = {}
         """Scans to ask for, in order."""
 
@@ -83,8 +98,13 @@ class GroupMaps:
             return self.groups[group].grid.snapshot()
         nodes = self._graph.nodes_of(robots)
         nodes = nodes[self._scan_here[nodes]]
-        grid = self._new_grid()
-        grid.integrate(self._graph.poses[nodes], self._graph.scans[nodes])
+        poses = self._graph.poses[nodes]
+        grid, held, drawn = self._sides.get(tuple(robots), (self._new_grid(), nodes[:0], poses[:0]))
+        count = len(held)
+        if not np.array_equal(held, nodes[:count]) or _have_moved(poses[:count], drawn):
+            grid, count, drawn = self._new_grid(), 0, poses[:0]
+        grid.integrate(poses[count:], self._graph.scans[nodes[count:]])
+        self._sides[tuple(robots)] = grid, nodes, np.concatenate([drawn, poses[count:]])
         return grid.snapshot()
 
     def merge(self, a: int, b: int, pose_a_b: Array) -> None:
@@ -111,6 +131,7 @@ class GroupMaps:
             self.redraw(self.group_of[one.robots[0]])
 
     def _renumber(self) -> None:
+        self._sides.clear()
         for index, group in enumerate(self.groups):
             for robot in group.robots:
                 self.group_of[robot] = index
@@ -118,8 +139,7 @@ class GroupMaps:
     def redraw_if_moved(self, group: int) -> None:
         """Draw the map anew where keyframes have moved enough to show."""
         nodes = self._graph.nodes_of(self.groups[group].robots)
-        moved = np.abs(self._graph.poses[nodes] - self._drawn[nodes])
-        if len(nodes) and (moved[:, :2].max() > MOVED_M or np.abs(wrap_angle(moved[:, 2])).max() > MOVED_RAD):
+        if _have_moved(self._graph.poses[nodes], self._drawn[nodes]):
             self.redraw(group)
 
     def redraw(self, group: int) -> None:

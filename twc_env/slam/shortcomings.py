@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.messages import Keyframe
-from twc_env.slam.map_merging import fingerprint_matrix
 from twc_env.slam.team import TeamMapper
 
 Array = NDArray
@@ -124,9 +123,9 @@ def _odd_devices(paths: Sequence[Sequence[Keyframe]]) -> list[str]:
 
 def _offset_db(first: Keyframe, second: Keyframe) -> float:
     """How much stronger the second heard what both heard; NaN with too little in common."""
-    levels = fingerprint_matrix((first.fingerprint, second.fingerprint))
-    both = np.isfinite(levels).all(axis=0)
-    return float(np.median(levels[1, both] - levels[0, both])) if both.sum() >= TRANSMITTERS_MIN else math.nan
+    a, b = first.fingerprint, second.fingerprint
+    shared, in_a, in_b = np.intersect1d(a.macs, b.macs, assume_unique=True, return_indices=True)
+    return float(np.median(b.rssi_dbm[in_b] - a.rssi_dbm[in_a])) if len(shared) >= TRANSMITTERS_MIN else math.nan
 
 
 def _apart(mapper: TeamMapper) -> list[str]:
