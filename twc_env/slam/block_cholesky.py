@@ -216,55 +216,72 @@ def _factorise(order, start, node_of, block_of, target_start, target, diagonal, 
     """Eliminate in order: diagonal becomes 3 x 3 Cholesky factors, lower the columns, right the forward solution."""
     for step in range(len(order)):
         p = order[step]
-        d = diagonal[p]
-        if not d[0, 0] > 0.0:
+        if not diagonal[p, 0, 0] > 0.0:
             return False
-        l00 = np.sqrt(d[0, 0])
-        l10, l20 = d[1, 0] / l00, d[2, 0] / l00
-        rest = d[1, 1] - l10 * l10
+        l00 = np.sqrt(diagonal[p, 0, 0])
+        i00 = 1.0 / l00
+        l10, l20 = diagonal[p, 1, 0] * i00, diagonal[p, 2, 0] * i00
+        rest = diagonal[p, 1, 1] - l10 * l10
         if not rest > 0.0:
             return False
         l11 = np.sqrt(rest)
-        l21 = (d[2, 1] - l20 * l10) / l11
-        rest = d[2, 2] - l20 * l20 - l21 * l21
+        i11 = 1.0 / l11
+        l21 = (diagonal[p, 2, 1] - l20 * l10) * i11
+        rest = diagonal[p, 2, 2] - l20 * l20 - l21 * l21
         if not rest > 0.0:
             return False
         l22 = np.sqrt(rest)
-        d[0, 0], d[1, 0], d[2, 0], d[1, 1], d[2, 1], d[2, 2] = l00, l10, l20, l11, l21, l22
-        y0 = right[p, 0] / l00
-        y1 = (right[p, 1] - l10 * y0) / l11
-        y2 = (right[p, 2] - l20 * y0 - l21 * y1) / l22
+        diagonal[p, 0, 0], diagonal[p, 1, 0], diagonal[p, 2, 0] = l00, l10, l20
+        diagonal[p, 1, 1], diagonal[p, 2, 1], diagonal[p, 2, 2] = l11, l21, l22
+        i22 = 1.0 / l22
+        y0 = right[p, 0] * i00
+        y1 = (right[p, 1] - l10 * y0) * i11
+        y2 = (right[p, 2] - l20 * y0 - l21 * y1) * i22
         right[p, 0], right[p, 1], right[p, 2] = y0, y1, y2
         begin, end = start[step], start[step + 1]
         for k in range(begin, end):
-            q, block, w = node_of[k], blocks[block_of[k]], lower[k]
+            q, block = node_of[k], block_of[k]
             for i in range(3):
                 if q > p:
-                    b0, b1, b2 = block[i, 0], block[i, 1], block[i, 2]
+                    b0, b1, b2 = blocks[block, i, 0], blocks[block, i, 1], blocks[block, i, 2]
                 else:
-                    b0, b1, b2 = block[0, i], block[1, i], block[2, i]
-                w0 = b0 / l00
-                w1 = (b1 - w0 * l10) / l11
-                w2 = (b2 - w0 * l20 - w1 * l21) / l22
-                w[i, 0], w[i, 1], w[i, 2] = w0, w1, w2
+                    b0, b1, b2 = blocks[block, 0, i], blocks[block, 1, i], blocks[block, 2, i]
+                w0 = b0 * i00
+                w1 = (b1 - w0 * l10) * i11
+                w2 = (b2 - w0 * l20 - w1 * l21) * i22
+                lower[k, i, 0], lower[k, i, 1], lower[k, i, 2] = w0, w1, w2
                 right[q, i] -= w0 * y0 + w1 * y1 + w2 * y2
         t = target_start[step]
         for a in range(begin, end):
-            q, w = node_of[a], lower[a]
-            for i in range(3):
-                for j in range(i + 1):
-                    diagonal[q, i, j] -= w[i, 0] * w[j, 0] + w[i, 1] * w[j, 1] + w[i, 2] * w[j, 2]
+            q = node_of[a]
+            a00, a01, a02 = lower[a, 0, 0], lower[a, 0, 1], lower[a, 0, 2]
+            a10, a11, a12 = lower[a, 1, 0], lower[a, 1, 1], lower[a, 1, 2]
+            a20, a21, a22 = lower[a, 2, 0], lower[a, 2, 1], lower[a, 2, 2]
+            diagonal[q, 0, 0] -= a00 * a00 + a01 * a01 + a02 * a02
+            diagonal[q, 1, 0] -= a10 * a00 + a11 * a01 + a12 * a02
+            diagonal[q, 1, 1] -= a10 * a10 + a11 * a11 + a12 * a12
+            diagonal[q, 2, 0] -= a20 * a00 + a21 * a01 + a22 * a02
+            diagonal[q, 2, 1] -= a20 * a10 + a21 * a11 + a22 * a12
+            diagonal[q, 2, 2] -= a20 * a20 + a21 * a21 + a22 * a22
             for b in range(a + 1, end):
-                v, block = lower[b], blocks[target[t]]
+                block = target[t]
                 t += 1
-                if q > node_of[b]:
-                    for i in range(3):
-                        for j in range(3):
-                            block[i, j] -= w[i, 0] * v[j, 0] + w[i, 1] * v[j, 1] + w[i, 2] * v[j, 2]
-                else:
-                    for i in range(3):
-                        for j in range(3):
-                            block[i, j] -= v[i, 0] * w[j, 0] + v[i, 1] * w[j, 1] + v[i, 2] * w[j, 2]
+                is_below = q > node_of[b]
+                for j in range(3):
+                    v0, v1, v2 = lower[b, j, 0], lower[b, j, 1], lower[b, j, 2]
+                    m0, m1, m2 = (
+                        a00 * v0 + a01 * v1 + a02 * v2,
+                        a10 * v0 + a11 * v1 + a12 * v2,
+                        a20 * v0 + a21 * v1 + a22 * v2,
+                    )
+                    if is_below:
+                        blocks[block, 0, j] -= m0
+                        blocks[block, 1, j] -= m1
+                        blocks[block, 2, j] -= m2
+                    else:
+                        blocks[block, j, 0] -= m0
+                        blocks[block, j, 1] -= m1
+                        blocks[block, j, 2] -= m2
     return True
 
 
@@ -293,13 +310,12 @@ def _substitute_back(order, start, node_of, diagonal, lower, solution):
         p = order[step]
         x0, x1, x2 = solution[p, 0], solution[p, 1], solution[p, 2]
         for k in range(start[step], start[step + 1]):
-            w, q = lower[k], node_of[k]
+            q = node_of[k]
             s0, s1, s2 = solution[q, 0], solution[q, 1], solution[q, 2]
-            x0 -= w[0, 0] * s0 + w[1, 0] * s1 + w[2, 0] * s2
-            x1 -= w[0, 1] * s0 + w[1, 1] * s1 + w[2, 1] * s2
-            x2 -= w[0, 2] * s0 + w[1, 2] * s1 + w[2, 2] * s2
-        d = diagonal[p]
-        x2 = x2 / d[2, 2]
-        x1 = (x1 - d[2, 1] * x2) / d[1, 1]
-        x0 = (x0 - d[1, 0] * x1 - d[2, 0] * x2) / d[0, 0]
+            x0 -= lower[k, 0, 0] * s0 + lower[k, 1, 0] * s1 + lower[k, 2, 0] * s2
+            x1 -= lower[k, 0, 1] * s0 + lower[k, 1, 1] * s1 + lower[k, 2, 1] * s2
+            x2 -= lower[k, 0, 2] * s0 + lower[k, 1, 2] * s1 + lower[k, 2, 2] * s2
+        x2 = x2 / diagonal[p, 2, 2]
+        x1 = (x1 - diagonal[p, 2, 1] * x2) / diagonal[p, 1, 1]
+        x0 = (x0 - diagonal[p, 1, 0] * x1 - diagonal[p, 2, 0] * x2) / diagonal[p, 0, 0]
         solution[p, 0], solution[p, 1], solution[p, 2] = x0, x1, x2

@@ -8,25 +8,28 @@ map from the surest closures outwards (`closure_growth`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import PoseGraphConfig
 from twc_env.geometry import between, compose
+from twc_env.kernels import kernel
 from twc_env.slam import pose_graph
 from twc_env.slam.closure_agreement import pairwise_consistent
 from twc_env.slam.closure_growth import ClosureGrowth
 from twc_env.slam.graduated_non_convexity import graduated
 from twc_env.slam.map_prediction import KEYS_MAX
-from twc_env.slam.pose_graph import Graph
+from twc_env.slam.pose_graph import Graph, NormalEquations
 
 Array = NDArray
 
 REVOKED_ABOVE, RETURNS_BELOW = 12.5, 5.5
 """Squared errors above which a closure is taken back, and below which it returns; far apart: none flickers."""
 ROUNDS_MAX = 3
+EPISODE_STEP_M, EPISODE_STEP_RAD = 0.03, 0.006
+"""Inside an episode a step below both ends an optimisation: the next would be ten times shorter."""
 EPISODE_KEYS_MAX = 80
 """Poses of which `ours` keeps the joint covariance inside an episode, where a step must not take long."""
 
@@ -81,17 +84,44 @@ def revise(
 
 def _second_thoughts(poses: Array, graph: Graph, is_used: Array, config: PoseGraphConfig, fixed: int) -> BackendResult:
     used = is_used | ~graph.is_closure
-    weighing = replace(config, robust="dcs")
+    equations = NormalEquations(graph.edges, graph.measured, graph.information, len(poses), fixed)
     for _ in range(ROUNDS_MAX):
-        poses = pose_graph.optimise(poses, *graph.of(used).parts, weighing, fixed)
-        squared = graph.squared_errors(poses)
-        changed = graph.is_closure & np.where(used, squared > REVOKED_ABOVE, squared < RETURNS_BELOW)
-        if not changed.any():
+        poses = equations.minimise(
+            poses,
+            lambda squared, used=used: _weights_of_used(squared, graph.is_closure, used, config.robust_scale),
+            config.iterations_max,
+            EPISODE_STEP_M,
+            EPISODE_STEP_RAD,
+        )
+        squared = equations.squared_errors(poses)
+        if not _reconsider(squared, graph.is_closure, used):
             break
-        used = used ^ changed
+    if used.all():
+        return BackendResult(poses, used, ())
     reasons = {int(e): f"contradicts the map (squared error {squared[e]:.1f})" for e in np.flatnonzero(~used)}
     group = np.full(len(used), -1)
     return BackendResult(poses, used, _rejections(graph, poses, used, group, reasons, "ours"))
+
+
+@kernel
+def _weights_of_used(squared, is_closure, used, scale):
+    """(edges,) dynamic covariance scaling of closures that are used; odometry always 1."""
+    weight = np.empty(squared.shape[0])
+    for e in range(squared.shape[0]):
+        root = min(1.0, 2 * scale / (scale + squared[e])) if is_closure[e] else 1.0
+        weight[e] = root * root if used[e] else 0.0
+    return weight
+
+
+@kernel
+def _reconsider(squared, is_closure, used):
+    """Drop used closures that the fit contradicts and take in those that agree with it; whether there were any."""
+    is_changed = False
+    for e in range(squared.shape[0]):
+        if is_closure[e] and (squared[e] > REVOKED_ABOVE if used[e] else squared[e] < RETURNS_BELOW):
+            used[e] = not used[e]
+            is_changed = True
+    return is_changed
 
 
 def solve(

@@ -77,6 +77,38 @@ def _nearest(poses, nodes, travels, travel_max, x, y):
     return best, math.sqrt(best_squared)
 
 
+@kernel
+def _part(is_inside, robot_of_node, ends, measured, information, closure_of_edge, is_used):
+    """See `TeamGraph.part`; is_inside (robots,) bool."""
+    local = np.full(robot_of_node.shape[0], -1)
+    count = edge_count = 0
+    for n in range(robot_of_node.shape[0]):
+        if is_inside[robot_of_node[n]]:
+            local[n] = count
+            count += 1
+    for e in range(ends.shape[0]):
+        edge_count += local[ends[e, 0]] >= 0 and local[ends[e, 1]] >= 0
+    nodes, edges, inner = np.empty(count, np.int64), np.empty(edge_count, np.int64), np.empty((edge_count, 2), np.int64)
+    motions, weights = np.empty((edge_count, 3)), np.empty((edge_count, 3, 3))
+    closures, used = np.empty(edge_count, np.bool_), np.empty(edge_count, np.bool_)
+    for n in range(robot_of_node.shape[0]):
+        if local[n] >= 0:
+            nodes[local[n]] = n
+    k = 0
+    for e in range(ends.shape[0]):
+        a, b = local[ends[e, 0]], local[ends[e, 1]]
+        if a < 0 or b < 0:
+            continue
+        edges[k], inner[k, 0], inner[k, 1] = e, a, b
+        closures[k], used[k] = closure_of_edge[e] != ODOMETRY, is_used[e]
+        for i in range(3):
+            motions[k, i] = measured[e, i]
+            for j in range(3):
+                weights[k, i, j] = information[e, i, j]
+        k += 1
+    return nodes, edges, inner, motions, weights, closures, used
+
+
 class TeamGraph:
     """Nodes are keyframes in the order of their arrival, edges odometry and closures; everything is kept in arrays.
 
@@ -155,7 +187,13 @@ class TeamGraph:
 
     def nodes_of(self, robots: Sequence[int]) -> Array:
         """(k,) nodes of some robots, ascending."""
-        return np.flatnonzero(np.isin(self._robot_of_node.rows, robots))
+        return np.flatnonzero(self._are(robots)[self._robot_of_node.rows])
+
+    def _are(self, robots: Sequence[int]) -> Array:
+        """(robots,) bool: which of all robots these are."""
+        chosen = np.zeros(len(self.keyframes), bool)
+        chosen[list(robots)] = True
+        return chosen
 
     def node(self, key: tuple[int, int]) -> int:
         """The node of a robot's keyframe."""
@@ -292,17 +330,11 @@ class TeamGraph:
 
     def part(self, robots: Sequence[int]) -> tuple[Array, Array, Graph, Array]:
         """Nodes (n,) and edges (e,) among some robots, these as a graph of their own, and which edges are used (e,)."""
-        inside = np.isin(self._robot_of_node.rows, robots)
-        local = np.cumsum(inside) - 1
-        ends = self._ends.rows
-        edges = np.flatnonzero(inside[ends[:, 0]] & inside[ends[:, 1]])
-        graph = Graph(
-            local[ends[edges]],
-            self._measured.rows[edges],
-            self._information.rows[edges],
-            self._closure_of_edge.rows[edges] != ODOMETRY,
-        )
-        return np.flatnonzero(inside), edges, graph, self._is_used.rows[edges]
+        nodes, edges, local, measured, information, is_closure, is_used = _part(
+            self._are(robots), self._robot_of_node.rows, self._ends.rows, self._measured.rows, self._information.rows,
+            self._closure_of_edge.rows, self._is_used.rows,
+        )  # fmt: skip
+        return nodes, edges, Graph(local, measured, information, is_closure), is_used
 
     def places_among(self, robots: Sequence[int], nodes: Array) -> dict[tuple[int, int], int]:
         """Where among ascending nodes (n,) each keyframe (robot, index) of some robots is."""
@@ -314,12 +346,12 @@ class TeamGraph:
 
     def mark(self, edges: Array, is_used: Array, reasons: dict[int, str]) -> None:
         """Note which edges (e,) are used now; `reasons` by position in `edges` say why closures are not."""
-        for k in np.flatnonzero(self._closure_of_edge.rows[edges] != ODOMETRY):
+        for k in np.flatnonzero(self._is_used.rows[edges] != is_used).tolist():
             closure = self.closures[self._closure_of_edge.rows[edges[k]]]
-            if is_used[k] and not self._is_used.rows[edges[k]]:
+            if is_used[k]:
                 self.accept(closure)
-            elif not is_used[k] and self._is_used.rows[edges[k]]:
-                self.refuse(closure, reasons[int(k)])
+            else:
+                self.refuse(closure, reasons[k])
 
     def signs(self, robots: Sequence[int]) -> tuple[KnownSign, ...]:
         """The texts read by some robots of one group, each once per place."""
