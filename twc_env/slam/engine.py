@@ -185,8 +185,7 @@ class CooperativeSlam:
         heard, self._maps = self._contact_steps.copy(), None
         for robot in range(len(self.robots)) if self._is_central else (number,):
             if mapper.changes[robot] != self._located[number][robot]:
-                self._poses_map_odom[robot] = mapper.pose_map_odom(robot)
-                since_m[robot], self._std[robot] = mapper.since_closure(robot)
+                since_m[robot] = mapper.locate(robot, self._poses_map_odom[robot], self._std[robot])
             heard[robot] = [step for other, step in enumerate(mapper.last_steps) if other != robot]
             others = [mate for mate in mapper.groups[mapper.group_index(robot)].robots if mate != robot]
             mates[robot] = others + [NOBODY] * (mates.shape[1] - len(others))

@@ -74,7 +74,7 @@ def _predict(x, p, odometry, turn_rate, dt, config):
 
 
 @kernel
-def _invert3(m, out):
+def invert3(m, out):
     """Inverse of a symmetric 3 x 3 matrix by cofactors."""
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
     c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
@@ -92,11 +92,11 @@ def _update_pose(x, p, pose, information):
         for j in range(3):
             s[i, j] = information[i, j]
         s[i, i] += INFORMATION_MIN
-    _invert3(s, r)
+    invert3(s, r)
     for i in range(3):
         for j in range(3):
             s[i, j] = p[i, j] + r[i, j]
-    _invert3(s, inverse)
+    invert3(s, inverse)
     innovation = np.empty(3)
     for i in range(3):
         innovation[i] = pose[i] - x[i]
@@ -140,7 +140,7 @@ def _motion_covariance(variance, heading, matched, std_min, out):
         information[1, j] = c * turned[1, j] - s * turned[0, j]
         information[2, j] = turned[2, j]
         information[j, j] += 1.0 / max(variance[j], 1e-9)
-    _invert3(information, out)
+    invert3(information, out)
     for j in range(3):
         out[j, j] += std_min[j] ** 2
 
@@ -161,7 +161,7 @@ def motion_covariance(
 def invert_symmetric(matrix: Array) -> Array:
     """Inverse of a symmetric (3, 3) matrix, without the overhead of LAPACK."""
     out = np.empty((3, 3))
-    _invert3(matrix, out)
+    invert3(matrix, out)
     return out
 
 
@@ -169,7 +169,7 @@ def invert_symmetric(matrix: Array) -> Array:
 def squared_error(error, covariance):
     """e^T C^-1 e of an error (3,) with its symmetric covariance (3, 3)."""
     inverse = np.empty((3, 3))
-    _invert3(covariance, inverse)
+    invert3(covariance, inverse)
     total = 0.0
     for i in range(3):
         for j in range(3):

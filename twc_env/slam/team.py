@@ -23,7 +23,7 @@ Array = NDArray
 
 URGENT_SQUARED_ERROR = 1.0
 """A closure that the estimate already meets this well can wait for the next optimisation but `patience` ones."""
-PATIENCE_PERIODS = 8
+PATIENCE_PERIODS = 16
 DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
 """A closure inside one map may disagree with the present estimate by this much."""
 REFUSED_MIN = 3
@@ -157,9 +157,12 @@ class TeamMapper:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
         return self._graph.pose_map_odom(robot)
 
-    def since_closure(self, robot: int) -> tuple[float, Array]:
-        """Path length since the robot's last closure [m], and (3,) how far it may have strayed [m, m, rad]."""
-        return self._graph.since_closure(robot)
+    def locate(self, robot: int, pose_map_odom: Array, std: Array) -> float:
+        """Path length since the robot's last closure [m].
+
+        Writes `pose_map_odom` (3,), and how far the robot may have strayed since (3,) [m, m, rad].
+        """
+        return self._graph.locate(robot, pose_map_odom, std)
 
     def grid_of(self, group: int) -> GridMap:
         """The merged map of a group, as it is now."""

@@ -11,70 +11,38 @@ from numpy.typing import NDArray
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import kernel
 from twc_env.messages import Keyframe, KnownSign, LoopClosure
+from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays
 from twc_env.slam.growing import Growing
-from twc_env.slam.odometry_filter import invert_symmetric
 from twc_env.slam.pose_graph import Graph
+from twc_env.slam.sign_readings import SignReadings
 
 Array = NDArray
-
-ODOMETRY = -1
-SAME_SIGN_M = 1.0
-
-
-@kernel
-def _places_of_signs(poses, readings, local, robots, text_count, same_m, texts, places):
-    """Text and place (in the map) of each known sign, robot by robot; all of one text stand together.
-
-    readings (n, 3): robot, node, text; local (n, 2): place in the frame of the node. Gives how many there are.
-    """
-    found_text, found = np.empty(readings.shape[0], np.int64), np.empty((readings.shape[0], 2))
-    latest, earlier = np.full(text_count, -1), np.empty(readings.shape[0], np.int64)
-    order, texts_found, count = np.empty(text_count, np.int64), 0, 0
-    for a in range(robots.shape[0]):
-        for k in range(readings.shape[0]):
-            if readings[k, 0] != robots[a]:
-                continue
-            x, y, heading = poses[readings[k, 1], 0], poses[readings[k, 1], 1], poses[readings[k, 1], 2]
-            c, s = math.cos(heading), math.sin(heading)
-            x, y = x + c * local[k, 0] - s * local[k, 1], y + s * local[k, 0] + c * local[k, 1]
-            text = readings[k, 2]
-            other = latest[text]
-            while other >= 0 and math.sqrt((found[other, 0] - x) ** 2 + (found[other, 1] - y) ** 2) >= same_m:
-                other = earlier[other]
-            if other >= 0:
-                continue
-            if latest[text] < 0:
-                order[texts_found] = text
-                texts_found += 1
-            found_text[count], found[count, 0], found[count, 1] = text, x, y
-            earlier[count] = latest[text]
-            latest[text] = count
-            count += 1
-    end = 0
-    for t in range(texts_found):
-        first = end
-        sign = latest[order[t]]
-        while sign >= 0:  # from the latest to the first, then turned round
-            texts[end], places[end, 0], places[end, 1] = order[t], found[sign, 0], found[sign, 1]
-            end += 1
-            sign = earlier[sign]
-        for k in range((end - first) // 2):
-            i, j = first + k, end - 1 - k
-            for axis in range(2):
-                places[i, axis], places[j, axis] = places[j, axis], places[i, axis]
-    return count
 
 
 @kernel
 def _nearest(poses, nodes, travels, travel_max, x, y):
     best, best_squared = -1, np.inf
     for k in range(nodes.shape[0]):
-        if travels[k] >= travel_max:
+        if travels[nodes[k]] >= travel_max:
             break
         dx, dy = poses[nodes[k], 0] - x, poses[nodes[k], 1] - y
         if dx * dx + dy * dy < best_squared:
             best, best_squared = k, dx * dx + dy * dy
     return best, math.sqrt(best_squared)
+
+
+@kernel
+def _locate(poses, travels, strains, pose_odom, node, tied, pose_map_odom, std):
+    """See `TeamGraph.locate`; tied is the node of the robot's last closure."""
+    c, s = math.cos(pose_odom[2]), math.sin(pose_odom[2])
+    x, y = -c * pose_odom[0] - s * pose_odom[1], s * pose_odom[0] - c * pose_odom[1]
+    c, s = math.cos(poses[node, 2]), math.sin(poses[node, 2])
+    pose_map_odom[0] = poses[node, 0] + c * x - s * y
+    pose_map_odom[1] = poses[node, 1] + s * x + c * y
+    pose_map_odom[2] = (poses[node, 2] - pose_odom[2] + math.pi) % (2 * math.pi) - math.pi
+    for axis in range(3):
+        std[axis] = math.sqrt(max(strains[node, axis] - strains[tied, axis], 0.0))
+    return travels[node] - travels[tied]
 
 
 @kernel
@@ -127,67 +95,59 @@ class TeamGraph:
         self.keyframes: list[list[Keyframe]] = [[] for _ in range(robot_count)]
         self.closures: list[LoopClosure] = []
         """Every closure that was ever verified, with what became of it."""
-        self._poses, self._scans = Growing(3), Growing(beam_count)
-        self._robot_of_node, self._step_of_node = Growing(dtype=np.int64), Growing(dtype=np.int64)
+        self._arrays = GraphArrays(beam_count)
         self._nodes: list[list[int]] = [[] for _ in range(robot_count)]
         self._node_rows = [Growing(dtype=np.int64) for _ in range(robot_count)]
         """The same once more, to index with."""
-        self._steps = [Growing(dtype=np.int64) for _ in range(robot_count)]
-        self._travels = [Growing() for _ in range(robot_count)]
-        self._ends, self._measured, self._information = Growing(2, dtype=np.int64), Growing(3), Growing(3, 3)
-        self._closure_of_edge, self._is_used = Growing(dtype=np.int64), Growing(dtype=bool)
-        self._strains = [Growing(3) for _ in range(robot_count)]
-        """Variances [m2, m2, rad2] gathered along each robot's path, keyframe by keyframe."""
         self._tied = [0] * robot_count
         """Each robot's last keyframe with a closure that is used."""
-        self.signs_read = [0] * robot_count
-        """Texts read by each robot."""
-        self._text_numbers: dict[str, int] = {}
-        """Each text that was ever read and its number, in order."""
-        self._readings, self._reading_places = Growing(3, dtype=np.int64), Growing(2)
-        """Robot, node and text of each reading; where it is in the frame of its keyframe."""
+        self._readings = SignReadings(robot_count)
         self._edge_of_closure: dict[int, int] = {}
-        self._map_odom: list[Array | None] = [np.zeros(3) for _ in range(robot_count)]
 
     @property
     def poses(self) -> Array:
         """(nodes, 3) of all keyframes, each in its group's map frame."""
-        return self._poses.rows
+        return self._arrays.poses
 
     @property
     def scans(self) -> Array:
         """(nodes, beams) of all keyframes [m]."""
-        return self._scans.rows
+        return self._arrays.scans
 
     @property
     def robot_of_node(self) -> Array:
         """(nodes,) whose keyframe each is."""
-        return self._robot_of_node.rows
+        return self._arrays.robot_of_node
 
     @property
     def step_of_node(self) -> Array:
         """(nodes,) the step at which each was taken."""
-        return self._step_of_node.rows
+        return self._arrays.step_of_node
+
+    @property
+    def travels_m(self) -> Array:
+        """(nodes,) path length of its robot up to each."""
+        return self._arrays.travels_m
 
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) of one robot."""
-        return self._poses.rows[self._node_rows[robot].rows]
+        return self.poses[self._node_rows[robot].rows]
 
     def scans_of(self, robot: int) -> Array:
         """(keyframes, beams) of one robot [m]."""
-        return self._scans.rows[self._node_rows[robot].rows]
+        return self.scans[self._node_rows[robot].rows]
 
     def steps_of(self, robot: int) -> Array:
         """(keyframes,) the step at which each was taken."""
-        return self._steps[robot].rows
+        return self.step_of_node[self._node_rows[robot].rows]
 
     def travels_of(self, robot: int) -> Array:
         """(keyframes,) path length up to each [m]."""
-        return self._travels[robot].rows
+        return self.travels_m[self._node_rows[robot].rows]
 
     def nodes_of(self, robots: Sequence[int]) -> Array:
         """(k,) nodes of some robots, ascending."""
-        return np.flatnonzero(self._are(robots)[self._robot_of_node.rows])
+        return np.flatnonzero(self._are(robots)[self.robot_of_node])
 
     def _are(self, robots: Sequence[int]) -> Array:
         """(robots,) bool: which of all robots these are."""
@@ -203,57 +163,38 @@ class TeamGraph:
         """A robot's keyframe."""
         return self.keyframes[key[0]][key[1]]
 
-    def since_closure(self, robot: int) -> tuple[float, Array]:
-        """Path length from the robot's last closure to its last keyframe [m], and (3,) what may have gone astray on it.
+    def locate(self, robot: int, pose_map_odom: Array, std: Array) -> float:
+        """Path length from the robot's last closure to its last keyframe [m]; without any closure, since its start.
 
-        Standard deviations [m, m, rad] by the front end's own covariances; without any closure, since its start.
+        Writes (3,) where its odom frame lies in its group's map, and (3,) what may have gone astray on that path:
+        standard deviations [m, m, rad] by the front end's own covariances. A robot without keyframes is its own map.
         """
-        if not self.keyframes[robot]:
-            return 0.0, np.zeros(3)
-        travels, strains, tied = self._travels[robot].rows, self._strains[robot].rows, self._tied[robot]
-        x, y, heading = (strains[-1] - strains[tied]).tolist()  # three numbers: root by root, without array functions
-        std = math.sqrt(max(x, 0.0)), math.sqrt(max(y, 0.0)), math.sqrt(max(heading, 0.0))
-        return float(travels[-1] - travels[tied]), np.array(std)
+        nodes, arrays = self._nodes[robot], self._arrays
+        if not nodes:
+            pose_map_odom[:] = std[:] = 0.0
+            return 0.0
+        pose_odom, tied = self.keyframes[robot][-1].pose_odom, nodes[self._tied[robot]]
+        return _locate(
+            arrays.poses, arrays.travels_m, arrays.strains, pose_odom, nodes[-1], tied, pose_map_odom, std
+        )  # fmt: skip
 
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
-        held = self._map_odom[robot]
-        if held is None:
-            held = compose(self._poses.rows[self._nodes[robot][-1]], inverse(self.keyframes[robot][-1].pose_odom))
-            self._map_odom[robot] = held
-        return held
+        if not self._nodes[robot]:
+            return np.zeros(3)
+        return compose(self.poses[self._nodes[robot][-1]], inverse(self.keyframes[robot][-1].pose_odom))
 
     def add_keyframe(self, keyframe: Keyframe) -> int:
         """The node of a new keyframe, put where odometry leads from the robot's last one."""
         robot, nodes = keyframe.robot, self._nodes[keyframe.robot]
         self.changes[robot] += 1
         self.last_steps[robot] = keyframe.step
-        node = self._poses.count
-        self._poses.append(compose(self._poses.rows[nodes[-1]], keyframe.motion) if nodes else np.zeros(3))
-        self._scans.append(keyframe.ranges_m)
-        self._robot_of_node.append(robot)
-        self._step_of_node.append(keyframe.step)
-        if nodes:
-            self._add_edge(nodes[-1], node, keyframe.motion, keyframe.motion_covariance, ODOMETRY, True)
+        node = self._arrays.add_node(keyframe, nodes[-1] if nodes else -1)
         nodes.append(node)
         self._node_rows[robot].append(node)
-        self._map_odom[robot] = None
         self.keyframes[robot].append(keyframe)
-        self._steps[robot].append(keyframe.step)
-        self._travels[robot].append(keyframe.travel_m)
-        self._add_strain(robot, keyframe.motion_covariance)
-        self.signs_read[robot] += len(keyframe.signs)
-        for sign in keyframe.signs:
-            text = self._text_numbers.setdefault(sign.text, len(self._text_numbers))
-            self._readings.append((robot, node, text))
-            self._reading_places.append(sign.position_m)
+        self._readings.add(keyframe, node)
         return node
-
-    def _add_strain(self, robot: int, motion_covariance: Array) -> None:
-        (xx, _, _), (_, yy, _), (_, _, heading) = motion_covariance.tolist()
-        before = self._strains[robot].rows[-1].tolist() if self._strains[robot].count else (0.0, 0.0, 0.0)
-        across = 0.5 * (xx + yy)
-        self._strains[robot].append((before[0] + across, before[1] + across, before[2] + heading))
 
     def add_closure(self, closure: LoopClosure) -> None:
         """Note a verified closure."""
@@ -288,11 +229,11 @@ class TeamGraph:
     def _tie(self, closure: LoopClosure, is_used: bool) -> None:
         number = closure.number
         if number in self._edge_of_closure:
-            self._is_used.rows[self._edge_of_closure[number]] = is_used
+            self._arrays.is_used[self._edge_of_closure[number]] = is_used
             return
-        self._edge_of_closure[number] = self._ends.count
+        self._edge_of_closure[number] = self._arrays.edge_count
         ends = self.node(closure.candidate.target), self.node(closure.candidate.source)
-        self._add_edge(*ends, closure.pose_target_source, closure.covariance, number, is_used)
+        self._arrays.add_edge(ends, closure.pose_target_source, closure.covariance, number, is_used)
 
     def closures_between(self, a: Sequence[int], b: Sequence[int], status: str) -> list[LoopClosure]:
         """Closures of one status with one end among robots a and the other among b; none that failed verification."""
@@ -305,34 +246,25 @@ class TeamGraph:
                 out.append(closure)
         return out
 
-    def _add_edge(self, first: int, second: int, measured: Array, covariance: Array, closure: int, used: bool) -> None:
-        self._ends.append((first, second))
-        self._measured.append(measured)
-        self._information.append(invert_symmetric(covariance))
-        self._closure_of_edge.append(closure)
-        self._is_used.append(used)
-
     def nearest(self, robot: int, pose: Array, travel_max_m: float = math.inf) -> tuple[int, float]:
         """The robot's keyframe nearest to a pose among those up to a path length, and how far away it is [m].
 
         (-1, inf) where there is none.
         """
-        return _nearest(
-            self._poses.rows, self._node_rows[robot].rows, self._travels[robot].rows, travel_max_m, pose[0], pose[1]
-        )
+        return _nearest(self.poses, self._node_rows[robot].rows, self.travels_m, travel_max_m, pose[0], pose[1])
 
     def place(self, nodes: Sequence[int] | Array, poses: Array, robots: Sequence[int]) -> None:
         """Move nodes, all of these robots, to new poses."""
-        self._poses.rows[nodes] = poses
+        self.poses[nodes] = poses
         for robot in robots:
             self.changes[robot] += 1
-            self._map_odom[robot] = None
 
     def part(self, robots: Sequence[int]) -> tuple[Array, Array, Graph, Array]:
         """Nodes (n,) and edges (e,) among some robots, these as a graph of their own, and which edges are used (e,)."""
+        arrays = self._arrays
         nodes, edges, local, measured, information, is_closure, is_used = _part(
-            self._are(robots), self._robot_of_node.rows, self._ends.rows, self._measured.rows, self._information.rows,
-            self._closure_of_edge.rows, self._is_used.rows,
+            self._are(robots), arrays.robot_of_node, arrays.ends, arrays.measured, arrays.information,
+            arrays.closure_of_edge, arrays.is_used,
         )  # fmt: skip
         return nodes, edges, Graph(local, measured, information, is_closure), is_used
 
@@ -346,37 +278,33 @@ class TeamGraph:
 
     def mark(self, edges: Array, is_used: Array, reasons: dict[int, str]) -> None:
         """Note which edges (e,) are used now; `reasons` by position in `edges` say why closures are not."""
-        for k in np.flatnonzero(self._is_used.rows[edges] != is_used).tolist():
-            closure = self.closures[self._closure_of_edge.rows[edges[k]]]
+        for k in np.flatnonzero(self._arrays.is_used[edges] != is_used).tolist():
+            closure = self.closures[self._arrays.closure_of_edge[edges[k]]]
             if is_used[k]:
                 self.accept(closure)
             else:
                 self.refuse(closure, reasons[k])
 
+    @property
+    def signs_read(self) -> list[int]:
+        """Texts read by each robot."""
+        return self._readings.counts
+
     def signs(self, robots: Sequence[int]) -> tuple[KnownSign, ...]:
         """The texts read by some robots of one group, each once per place."""
-        texts, places = np.empty(self._readings.count, np.int64), np.empty((self._readings.count, 2))
-        count = _places_of_signs(
-            self._poses.rows, self._readings.rows, self._reading_places.rows, np.array(robots, np.int64),
-            len(self._text_numbers), SAME_SIGN_M, texts, places,
-        )  # fmt: skip
-        names = list(self._text_numbers)
-        places.flags.writeable = False  # beliefs show it to planners
-        return tuple(
-            [KnownSign(names[k], place) for k, place in zip(texts[:count].tolist(), places[:count], strict=True)]
-        )
+        return self._readings.known(self.poses, robots)
 
     def as_arrays(self) -> dict[str, Array | list[str]]:
         """The graph of what is used: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
-        ids = np.zeros((self._poses.count, 2), np.int64)
+        ids = np.zeros((self._arrays.node_count, 2), np.int64)
         for robot, nodes in enumerate(self._nodes):
             ids[nodes] = np.stack([np.full(len(nodes), robot), np.arange(len(nodes))], axis=1)
-        used = self._is_used.rows
+        arrays, used = self._arrays, self._arrays.is_used
         return {
-            "nodes": self._poses.rows.copy(),
+            "nodes": arrays.poses.copy(),
             "node_ids": ids,
-            "edges_ij": self._ends.rows[used],
-            "edges_z": self._measured.rows[used],
-            "edges_information": self._information.rows[used],
-            "edges_kind": ["odometry" if c == ODOMETRY else "closure" for c in self._closure_of_edge.rows[used]],
+            "edges_ij": arrays.ends[used],
+            "edges_z": arrays.measured[used],
+            "edges_information": arrays.information[used],
+            "edges_kind": ["odometry" if c == ODOMETRY else "closure" for c in arrays.closure_of_edge[used]],
         }

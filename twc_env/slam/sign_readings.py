@@ -1,0 +1,95 @@
+"""Every text that was read, by whom and where, and the signs that a group of robots knows from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
+from twc_env.messages import Keyframe, KnownSign
+from twc_env.slam.growing import Growing
+
+Array = NDArray
+
+SAME_SIGN_M = 1.0
+"""Readings of one text nearer to each other than this are of one sign."""
+
+
+@kernel
+def _places_of_signs(poses, readings, local, robots, text_count, same_m, texts, places):
+    """Text and place (in the map) of each known sign, robot by robot; all of one text stand together.
+
+    readings (n, 3): robot, node, text; local (n, 2): place in the frame of the node. Gives how many there are.
+    """
+    found_text, found = np.empty(readings.shape[0], np.int64), np.empty((readings.shape[0], 2))
+    latest, earlier = np.full(text_count, -1), np.empty(readings.shape[0], np.int64)
+    order, texts_found, count = np.empty(text_count, np.int64), 0, 0
+    for a in range(robots.shape[0]):
+        for k in range(readings.shape[0]):
+            if readings[k, 0] != robots[a]:
+                continue
+            x, y, heading = poses[readings[k, 1], 0], poses[readings[k, 1], 1], poses[readings[k, 1], 2]
+            c, s = math.cos(heading), math.sin(heading)
+            x, y = x + c * local[k, 0] - s * local[k, 1], y + s * local[k, 0] + c * local[k, 1]
+            text = readings[k, 2]
+            other = latest[text]
+            while other >= 0 and math.sqrt((found[other, 0] - x) ** 2 + (found[other, 1] - y) ** 2) >= same_m:
+                other = earlier[other]
+            if other >= 0:
+                continue
+            if latest[text] < 0:
+                order[texts_found] = text
+                texts_found += 1
+            found_text[count], found[count, 0], found[count, 1] = text, x, y
+            earlier[count] = latest[text]
+            latest[text] = count
+            count += 1
+    end = 0
+    for t in range(texts_found):
+        first = end
+        sign = latest[order[t]]
+        while sign >= 0:  # from the latest to the first, then turned round
+            texts[end], places[end, 0], places[end, 1] = order[t], found[sign, 0], found[sign, 1]
+            end += 1
+            sign = earlier[sign]
+        for k in range((end - first) // 2):
+            i, j = first + k, end - 1 - k
+            for axis in range(2):
+                places[i, axis], places[j, axis] = places[j, axis], places[i, axis]
+    return count
+
+
+class SignReadings:
+    """The readings of all robots, in the order of their arrival."""
+
+    def __init__(self, robot_count: int):
+        self.counts = [0] * robot_count
+        """Texts read by each robot."""
+        self._numbers: dict[str, int] = {}
+        """Each text that was ever read and its number, in order."""
+        self._readings, self._places = Growing(3, dtype=np.int64), Growing(2)
+        """Robot, node and text of each reading; where it is in the frame of its keyframe."""
+
+    def add(self, keyframe: Keyframe, node: int) -> None:
+        """Take in what was read at a keyframe, which is a node of the pose graph."""
+        for sign in keyframe.signs:
+            text = self._numbers.setdefault(sign.text, len(self._numbers))
+            self._readings.append((keyframe.robot, node, text))
+            self._places.append(sign.position_m)
+            self.counts[keyframe.robot] += 1
+
+    def known(self, poses: Array, robots: Sequence[int]) -> tuple[KnownSign, ...]:
+        """The texts read by some robots of one group, each once per place; poses (nodes, 3) of all nodes."""
+        texts, places = np.empty(self._readings.count, np.int64), np.empty((self._readings.count, 2))
+        count = _places_of_signs(
+            poses, self._readings.rows, self._places.rows, np.array(robots, np.int64), len(self._numbers), SAME_SIGN_M,
+            texts, places,
+        )  # fmt: skip
+        names = list(self._numbers)
+        places.flags.writeable = False  # beliefs show it to planners
+        return tuple(
+            [KnownSign(names[k], place) for k, place in zip(texts[:count].tolist(), places[:count], strict=True)]
+        )
