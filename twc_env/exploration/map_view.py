@@ -151,9 +151,13 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, levels, out):
     Looking up stands apart from comparing, because only the latter gains from being done for many cells at once.
     """
     size = out.shape[1]
+    flat, count = out.reshape(-1), size * size
+    if kinds.shape[0] == 0:
+        flat[: 2 * count] = 0
+        flat[2 * count : 3 * count] = 255
+        flat[3 * count : 4 * count] = 0
+        return
     _look_around(kinds, x, y, heading, inverse_m, cell_m, size, levels)
-    flat = out.reshape(-1)
-    count = size * size
     free, wall, unknown = flat[:count], flat[count : 2 * count], flat[2 * count : 3 * count]
     for j in range(count):
         free[j] = np.uint8(255) if levels[j] == FREE_CELL else np.uint8(0)
