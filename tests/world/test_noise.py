@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from twc_env.world.noise import StepBits, StepNoise, normal_quantiles
+from twc_env.world.noise import StepNoise, normal_quantiles
 
 
 def streams(*seeds):
@@ -19,7 +19,7 @@ def test_numbers_in_blocks_are_those_drawn_step_by_step():
 
 
 def test_words_differ_between_steps_and_robots_and_repeat_with_the_seed():
-    first, second = StepBits(streams(1, 2), 4), StepBits(streams(1, 2), 4)
+    first, second = StepNoise(streams(1, 2), 4, "bits"), StepNoise(streams(1, 2), 4, "bits")
     seen = set()
     for _ in range(100):
         words = first.next().copy()

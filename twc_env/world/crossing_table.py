@@ -72,7 +72,8 @@ class CrossingTable:
         square, begin = self._square_count, self._member_count
         corner = np.floor(np.array([x, y]) / _SQUARE_M).astype(np.int64)
         middle = ((corner + 0.5) * _SQUARE_M).tolist()
-        self._keep(*(_grown(kept, square + 1) for kept in self._kept[:3]), self._kept[3])
+        if square == len(self._kept[0]):
+            self._keep(*(_grown(kept, square + 1) for kept in self._kept[:3]), self._kept[3])
         while True:
             counts, losses, first, members = self._kept
             end = _sort_walls(

@@ -13,7 +13,7 @@ from twc_env.kernels import kernel
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.materials import MATERIALS
-from twc_env.world.noise import StepBits, StepNoise, normal_quantiles
+from twc_env.world.noise import StepNoise, normal_quantiles
 from twc_env.world.wall_index import WallIndex, index_walls
 
 Array = NDArray
@@ -50,8 +50,7 @@ class Lidar:
         self._directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, beams)
         self._quantiles = normal_quantiles(1 << _QUANTILE_BITS)
         words = -(-config.beam_count // _QUANTILES_PER_WORD)
-        self._noise = StepBits([random_stream(seed, "lidar", robot) for robot in range(robots)], words)
-        self._words = np.zeros((robots, words), np.uint64)
+        self.noise = StepNoise([random_stream(seed, "lidar", robot) for robot in range(robots)], words, "bits")
         self._fixed = (
             self._directions, robot_radius_m, config.range_max_m, *_surroundings(robots, len(index.walls_m)),
             self._quantiles, 0.0 if self._sees_through else config.range_noise_std_m,
@@ -67,28 +66,24 @@ class Lidar:
 
     def scan(self, poses: Array) -> Array:
         """True poses (n, 3) of all robots -> measured ranges (n, beams) [m]; no return reads the maximum range."""
-        self.begin_step()
         config, ranges = self._config, np.empty((len(poses), self._config.beam_count))
-        sweep(*self._solid, poses, *self.arguments, ranges)
+        words = self.noise.next()
+        sweep(*self._solid, poses, *self._fixed, words, ranges)
         if self._sees_through:
             _see_glass(
                 self._glass_m, poses, self._directions, self._chance["lidar-glass"].next(),
                 config.glass_return_probability, math.cos(config.glass_incidence_max_rad),
                 config.glass_incidence_max_rad, ranges,
             )  # fmt: skip
-            _add_noise(ranges, self._words, self._quantiles, config.range_noise_std_m, config.range_max_m)
+            _add_noise(ranges, words, self._quantiles, config.range_noise_std_m, config.range_max_m)
         if config.dropout_probability > 0.0:
             ranges[self._chance["lidar-dropout"].next() < config.dropout_probability] = config.range_max_m
         return ranges
 
-    def begin_step(self) -> None:
-        """Draw the noise of the next scan."""
-        self._words = self._noise.next()
-
     @property
     def arguments(self) -> tuple:
-        """What `sweep` needs beside the walls, the poses and where the ranges go."""
-        return *self._fixed, self._words
+        """What `sweep` needs beside the walls, the poses and where the ranges go; of the last, the row of a step."""
+        return *self._fixed, self.noise.numbers
 
     def true_ranges(self, poses: Array) -> Array:
         """True poses (n, 3) -> exact ranges (n, beams) [m], cut at the maximum range; glass counts as wall."""

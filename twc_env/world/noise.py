@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from statistics import NormalDist
 
 import numpy as np
@@ -18,35 +18,37 @@ class StepNoise:
     """Numbers for each step from one stream per robot; the same numbers as if drawn step by step."""
 
     def __init__(self, streams: Sequence[np.random.Generator], count: int, kind: str = "standard_normal"):
-        """`count` numbers per robot and step; kind: "standard_normal" or "random" (uniform in [0, 1))."""
+        """`count` numbers per robot and step; kind: "standard_normal", "random" (uniform in [0, 1)), or "bits" (random
+        words of 64 bits, for noise that a kernel makes out of them)."""
         self._sources = [(streams, count, kind)]
-        self._numbers = np.empty((_STEPS, len(streams), count))
+        self.numbers = np.empty((_STEPS, len(streams), count), np.uint64 if kind == "bits" else np.float64)
+        """(steps, robots, count)."""
         self._used = _STEPS
 
     def beside(self, streams: Sequence[np.random.Generator], count: int, kind: str = "standard_normal") -> StepNoise:
         """The same with further numbers of other streams in the columns behind."""
         self._sources.append((streams, count, kind))
-        steps, robots, columns = self._numbers.shape
-        self._numbers, self._used = np.empty((steps, robots, columns + count)), _STEPS
+        steps, robots, columns = self.numbers.shape
+        self.numbers, self._used = np.empty((steps, robots, columns + count)), _STEPS
         return self
 
     def next(self) -> Array:
         """(robots, count) numbers of the next step; valid until the call after."""
+        return self.numbers[self.next_row()]
+
+    def next_row(self) -> int:
+        """The row of `numbers` for the next step."""
         if self._used == _STEPS:
             self._draw()
         self._used += 1
-        return self._numbers[self._used - 1]
-
-    @property
-    def is_fresh(self) -> bool:
-        """Whether the last numbers were the first of many that were drawn together."""
-        return self._used == 1
+        return self._used - 1
 
     def _draw(self) -> None:
         first = 0
         for streams, count, kind in self._sources:
             for robot, stream in enumerate(streams):
-                self._numbers[:, robot, first : first + count] = getattr(stream, kind)((_STEPS, count))
+                draw = partial(stream.integers, 0, 2**64, dtype=np.uint64) if kind == "bits" else getattr(stream, kind)
+                self.numbers[:, robot, first : first + count] = draw(size=(_STEPS, count))
             first += count
         self._used = 0
 
@@ -69,24 +71,6 @@ class StepQueue:
             rows[: _STEPS - used] = rows[used:].copy()
             rows[_STEPS - used :] = stream.standard_normal((used, rows.shape[1]))
         self.used[:] = 0
-
-
-class StepBits:
-    """Random 64-bit words for each step from one stream per robot, for noise that a kernel makes out of them."""
-
-    def __init__(self, streams: Sequence[np.random.Generator], count: int):
-        self._streams = streams
-        self._words = np.empty((_STEPS, len(streams), count), np.uint64)
-        self._used = _STEPS
-
-    def next(self) -> Array:
-        """(robots, count) uint64 of the next step; valid until the call after."""
-        if self._used == _STEPS:
-            for robot, stream in enumerate(self._streams):
-                self._words[:, robot] = stream.integers(0, 2**64, self._words.shape[::2], np.uint64)
-            self._used = 0
-        self._used += 1
-        return self._words[self._used - 1]
 
 
 @cache

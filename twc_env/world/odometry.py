@@ -99,19 +99,19 @@ class Odometry:
                 drift * preset.gyro_std_rad,
             ]
         )
-
-        self._noise = StepNoise(streams, 3).beside(gyro_streams, 1).beside(slip_streams, 2, "random")
+        self.noise = StepNoise(streams, 3).beside(gyro_streams, 1).beside(slip_streams, 2, "random")
 
     def measure(self, poses_before: Array, poses: Array) -> tuple[Array, Array]:
         """True poses (n, 3) at the last frame and now -> odometry (n, 3), gyro turn rate (n,) [rad/s]."""
         odometry, turn_rates = np.empty((len(poses), 3)), np.empty(len(poses))
-        measure(poses_before, poses, *self.arguments, odometry, turn_rates)
+        *arguments, numbers = self.arguments
+        measure(poses_before, poses, *arguments, numbers[self.noise.next_row()], odometry, turn_rates)
         return odometry, turn_rates
 
     @property
     def arguments(self) -> tuple:
-        """What `measure` needs beside the poses, with the noise of one more step."""
-        return self._biases, self._white, self._slips_per_m, self._time_step_s, self._noise.next()
+        """What `measure` needs beside the poses; of the last, the row of a step."""
+        return self._biases, self._white, self._slips_per_m, self._time_step_s, self.noise.numbers
 
 
 @kernel

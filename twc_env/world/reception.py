@@ -100,21 +100,22 @@ class WifiReceivers:
             np.zeros((robots, count)), np.full((robots, 2), np.inf), self._fading.numbers, self._fading.used,
             model.radio_of if self._is_fading_shared else np.arange(count), model.macs,
         )  # fmt: skip
-        self._draws = np.zeros((robots, 2 * count))
+        self.row = 0
+        """Of the numbers drawn, for a scan of each robot."""
 
     def begin_round(self) -> None:
-        """Draw the numbers for a scan of each robot."""
-        self._draws = self._noise.next()
-        if self._noise.is_fresh:
+        """Draw the numbers for a further scan of each robot."""
+        self.row = self._noise.next_row()
+        if self.row == 0:
             self._fading.refill()
 
     @property
     def arguments(self) -> tuple:
-        """What `hear` needs beside the robot, its place, the walls and where the readings go."""
-        return *self._crossings.arrays, *self._model.signal, *self._own, self._draws
+        """What `hear` needs beside the robot, its place, the walls and where the readings go; of the last, a row."""
+        return *self._crossings.arrays, *self._model.signal, *self._own, self._noise.numbers
 
     def prepare(self, place: Sequence[float]) -> None:
-        """Work out the walls around a place (x, y, ...), which `hear` needs there."""
+        """Work out the walls around a place (x, y, ...), which `hear` needs there; then `arguments` have changed."""
         self._crossings.prepare(place[0], place[1])
 
 

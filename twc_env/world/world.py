@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig, RadioConfig
 from twc_env.errors import ConfigError, MapError
 from twc_env.geometry import compose, inverse
-from twc_env.kernels import kernel
+from twc_env.kernels import Pack, kernel, pack
 from twc_env.messages import SignReading, WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.team_messages import TeamFrames
@@ -33,7 +33,7 @@ START_SPACING_M = 1.5
 """Distance between drawn starts."""
 START_SPACING_MIN_M = 0.6
 _PLACES_MAX = 2000
-_NOBODY = range(1 << 30, 1 << 30)
+_NO_RANGES = np.empty((0, 0))
 _START_TRIES = 20
 """Sets of places tried, each with less distance between the robots, before a map counts as too small."""
 
@@ -75,6 +75,8 @@ class World:
         self._cameras = [SignCamera(config.signs, self._home, robot, seed, config.dynamics) for robot in range(robots)]
         self._sights, self._hidden = self._cameras[0].make_room(robots)
         self._heard_counts, self._sight_counts = np.zeros(robots, np.int64), np.zeros(robots, np.int64)
+        self._apparatus: Pack | None = None
+        self._apparatus_crossings: tuple[Array, ...] = ()
         self._sensed_poses = self._dynamics.poses
         self._step = 0
         self.sighted_signs = ((),) * robots
@@ -113,27 +115,13 @@ class World:
 
     def sense(self) -> TeamFrames:
         """One frame per robot: all that leaves the world. Its arrays are read-only."""
-        poses, before, step, robots = self._dynamics.poses, self._sensed_poses, self._step, self.config.robots
+        poses, step, robots = self._dynamics.poses, self._step, self.config.robots
         odometry, turn_rates = np.empty((robots, 3)), np.empty(robots)
-        ranges = np.empty((robots if self._lidar.is_plain else 0, self.config.lidar.beam_count))
+        ranges = np.empty((robots, self.config.lidar.beam_count)) if self._lidar.is_plain else _NO_RANGES
         hearing, looking = self._due(self._wifi_period), self._due(self._camera_period)
-        at_once = hearing if self._hears_at_once else _NOBODY
-        macs = np.empty((len(at_once), len(self._radio.macs)), np.int64)
-        readings = np.empty(macs.shape)
-        if self._hears_at_once and step % self._wifi_period == 0:
-            self._wifi.begin_round()
-        if self._lidar.is_plain:
-            self._lidar.begin_step()
-        odometer, missing = self._odometry.arguments, -1
-        while missing != robots:
-            if missing >= 0:
-                self._wifi.prepare(poses[missing])
-            missing = _sense(
-                before, poses, *self._walls, *odometer, odometry, turn_rates,
-                *self._lidar.arguments, ranges, at_once.start, at_once.step, *self._wifi.arguments, macs, readings,
-                self._heard_counts, looking.start, looking.step, *self._cameras[0].arguments, self._sights,
-                self._hidden, self._sight_counts,
-            )  # fmt: skip
+        heard = (len(hearing) if self._hears_at_once else 0), len(self._radio.macs)
+        macs, readings = np.empty(heard, np.int64), np.empty(heard)
+        self._read(poses, odometry, turn_rates, ranges, macs, readings, hearing.start, looking.start)
         if not self._lidar.is_plain:
             ranges = self._lidar.scan(poses)
         if step == 0:
@@ -147,15 +135,53 @@ class World:
         else:
             for robot in hearing:
                 wifi[robot] = self._receivers[robot].scan(poses[robot], time_s)
+        self._sensed_poses = poses
+        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, self._read_signs(looking))
+
+    def _read(
+        self, poses: Array, odometry: Array, turn_rates: Array, ranges: Array, macs: Array, readings: Array,
+        first_hearing: int, first_looking: int,
+    ) -> None:  # fmt: skip
+        """Let `_sense` fill all arrays but the poses."""
+        crossings, missing = self._radio.crossings, -1
+        if self._hears_at_once and self._step % self._wifi_period == 0:
+            self._wifi.begin_round()
+        odometry_row = self._odometry.noise.next_row()
+        lidar_row = self._lidar.noise.next_row() if self._lidar.is_plain else 0
+        while missing != len(poses):
+            if missing >= 0:
+                crossings.prepare(*poses[missing, :2].tolist())
+            if self._apparatus is None or self._apparatus_crossings is not crossings.arrays:
+                self._apparatus, self._apparatus_crossings = self._packed(), crossings.arrays
+            missing = _sense(
+                self._apparatus, self._sensed_poses, poses, odometry_row, lidar_row, self._wifi.row, first_hearing,
+                first_looking, odometry, turn_rates, ranges, macs, readings,
+            )  # fmt: skip
+
+    def _packed(self) -> Pack:
+        """What `_sense` needs in every step."""
+        return pack(
+            (
+                *self._walls, *self._odometry.arguments, *self._lidar.arguments, *self._wifi.arguments,
+                *self._cameras[0].arguments, self._sights, self._hidden, self._heard_counts, self._sight_counts,
+                self._wifi_period, self._camera_period,
+            )
+        )  # fmt: skip
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_apparatus": None}
+
+    def _read_signs(self, looking: range) -> list[tuple[SignReading, ...]]:
+        """What OCR makes of the signs that `_sense` has found in view."""
+        robots, counts = self.config.robots, self._sight_counts.tolist()
         signs: list[tuple[SignReading, ...]] = [()] * robots
         sighted: list[tuple[int, ...]] = [()] * robots
-        counts = self._sight_counts.tolist()
         for robot in looking:
             if counts[robot]:
                 sights = self._sights[robot, : counts[robot]]
                 signs[robot], sighted[robot] = self._cameras[robot].read_sights(sights, self._hidden[robot])
-        self._sensed_poses, self.sighted_signs = poses, tuple(sighted)
-        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs)
+        self.sighted_signs = tuple(sighted)
+        return signs
 
     def _due(self, period: int) -> range:
         """The robots whose sensor of that period reads in this step; they take turns."""
@@ -232,37 +258,43 @@ def _radio_model(config: RadioConfig, plan: Floorplan) -> RadioModel:
 
 @kernel
 def _sense(
-    before, now, walls, origin, bucket, rows, columns, first, members,
-    biases, white, slips_per_m, time_step, odometry_noise, odometry, turn_rates,
-    directions, radius, far, near, near_counts, anchors, laid, stamps, quantiles, range_std, words, ranges,
-    first_hearing, hearing_step, loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
-    pose_home_building, boxes, waves, radios, parts, distance_min, scratch, floors, devices, fading, fading_places,
-    fading_numbers, fading_used, fading_of, all_macs, draws, macs, readings, heard_counts,
-    first_looking, looking_step, signs, lengths, optics, does_hide, sights, hidden, sight_counts,
+    apparatus, before, now, odometry_row, lidar_row, wifi_row, first_hearing, first_looking, odometry, turn_rates,
+    ranges, macs, readings,
 ):  # fmt: skip
     """One reading of all robots: `measure`, `sweep`, `hear` and `look`, the last two where they are due.
 
     Nothing is read, and the number of a robot returned, where the walls around it are still to be worked out; else how
-    many robots there are. Scans need a row of ranges for each robot.
+    many robots there are. Lasers and radios need a row each for what they read, or none at all is used.
     """
+    (
+        walls, origin, bucket, rows, columns, first, members,
+        biases, white, slips_per_m, time_step, odometry_noise,
+        directions, radius, far, near, near_counts, anchors, laid, stamps, quantiles, range_std, words,
+        loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
+        pose_home_building, boxes, waves, radios, parts, distance_min, scratch,
+        floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, draws,
+        signs, lengths, optics, does_hide, sights, hidden, heard_counts, sight_counts, wifi_period, camera_period,
+    ) = apparatus.parts  # fmt: skip
     robots = now.shape[0]
-    for i in range(first_hearing, robots, hearing_step):
+    hearing = range(first_hearing, robots, wifi_period) if macs.shape[0] > 0 else range(0)
+    for i in hearing:
         if square_at(now[i, 0], now[i, 1], low, numbers) == MISSING:
             return i
-    measure(before, now, biases, white, slips_per_m, time_step, odometry_noise, odometry, turn_rates)
+    noise = odometry_noise[odometry_row]
+    measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates)
     if ranges.shape[0] == robots:
         sweep(
             walls, origin, bucket, rows, columns, first, members, now, directions, radius, far, near, near_counts,
-            anchors, laid, stamps, quantiles, range_std, words, ranges,
+            anchors, laid, stamps, quantiles, range_std, words[lidar_row], ranges,
         )  # fmt: skip
-    for k, i in enumerate(range(first_hearing, robots, hearing_step)):
+    for k, i in enumerate(hearing):
         heard_counts[i] = hear(
             i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
             sure_counts, sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts,
             distance_min, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
-            all_macs, draws, macs[k], readings[k],
+            all_macs, draws[wifi_row], macs[k], readings[k],
         )  # fmt: skip
-    for i in range(first_looking, robots, looking_step):
+    for i in range(first_looking, robots, camera_period):
         sight_counts[i] = look(
             walls, origin, bucket, rows, columns, first, members, signs, lengths, optics, now[i], before[i],
             now if does_hide else now[:0], sights[i], hidden[i],
