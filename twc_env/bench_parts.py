@@ -57,20 +57,17 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
     from twc_env.slam.exchange import Exchange
     from twc_env.slam.group_maps import GroupMaps
     from twc_env.slam.loop_verification import LoopVerifier
-    from twc_env.slam.mate_detection import MateMarker
     from twc_env.slam.occupancy_grid import OccupancyGrid
-    from twc_env.slam.odometry_filter import CompiledFilters
     from twc_env.slam.robot import FrontEnds, RobotFrontEnd
     from twc_env.slam.team import TeamMapper
     from twc_env.slam.team_graph import TeamGraph
+    from twc_env.slam.tracking import Tracker
     from twc_env.world.world import World
 
     return [
         ("world: motion", False, World, "step"),
         ("world: sensors", False, World, "sense"),
-        ("front end: filter", True, CompiledFilters, "predict"),
-        ("front end: mates in the scan", True, MateMarker, "mark"),
-        ("front end: scan match", True, FrontEnds, "_match"),
+        ("front end: tracking", True, Tracker, "update"),
         ("front end: signs and radio", True, FrontEnds, "_remember"),
         ("keyframe: making", True, RobotFrontEnd, "make_keyframe"),
         ("keyframe: local map", True, RobotFrontEnd, "_extend_local_map"),

@@ -123,7 +123,7 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     contacts = read_contacts(log)
     for count, frames in enumerate(steps):
         engine.update(frames, contacts[count] if contacts else None)
-        odom_poses.append([front_end.pose_odom for front_end in engine.robots])
+        odom_poses.append(engine.poses_odom)
         _progress(count + 1, len(steps))
     if steps[-1][0].step >= config.max_cycles:  # the episode was played to its end, where the mapper clears its desk
         engine.finish()

@@ -37,7 +37,7 @@ def replay(config, frames) -> CooperativeSlam:
 def digest_of(engine) -> str:
     """Every pose and every cell."""
     robots = range(len(engine.robots))
-    parts = [engine.robots[r].pose_odom for r in robots] + [engine.team.poses_of(r) for r in robots]
+    parts = [engine.poses_odom] + [engine.team.poses_of(r) for r in robots]
     for group in range(len(engine.team.groups)):
         grid = engine.team.grid_of(group)
         parts += [grid.log_odds, grid.origin_m]
@@ -89,7 +89,7 @@ def test_a_front_end_does_not_depend_on_its_mates(recorded):
     for step in frames[:200]:
         alone.track(step[:1])
         together.track(step[::-1])
-        assert alone.robots[0].pose_odom.tobytes() == together.robots[0].pose_odom.tobytes()
+        assert alone.poses_odom[0].tobytes() == together.poses_odom[0].tobytes()
 
 
 def test_three_robots_find_each_other_and_agree_with_the_truth(recorded, engine):
@@ -148,7 +148,7 @@ def test_perfect_sensors_give_a_trajectory_without_drift(record):
     engine = CooperativeSlam(config, 1)
     for t, step in enumerate(frames):
         engine.track(step)
-        error = between(between(true_poses[0, 0], true_poses[t, 0]), engine.robots[0].pose_odom)
+        error = between(between(true_poses[0, 0], true_poses[t, 0]), engine.poses_odom[0])
         assert np.hypot(error[0], error[1]) < 0.03
         assert abs(error[2]) < 0.005
 
@@ -161,7 +161,7 @@ def test_scan_matching_beats_dead_reckoning(recorded):
         engine.track(step)
         reckoned = compose(reckoned, np.array([frame.odometry for frame in step]))
     true = between(true_poses[0], true_poses[-1])
-    matched = np.array([robot.pose_odom for robot in engine.robots])
+    matched = engine.poses_odom
     error_matched, error_reckoned = (np.hypot(*(p - true)[:, :2].T).mean() for p in (matched, reckoned))
     assert error_matched < 0.5 * error_reckoned
 

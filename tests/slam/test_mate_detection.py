@@ -1,16 +1,16 @@
 import numpy as np
 import pytest
 
-from twc_env.slam.mate_detection import MateMarker, StillDiscs
+from twc_env.geometry import beam_directions
+from twc_env.slam.mate_detection import DISCS_MAX, StillDiscs, mark_mates
 
 RANGE_MAX_M, RADIUS_M = 10.0, 0.2
 
 
 def marked(ranges: np.ndarray, radius_m: float = RADIUS_M) -> np.ndarray:
-    """The scan as a marker of two robots gives it for the second."""
-    marker = MateMarker(2, len(ranges), RANGE_MAX_M, radius_m)
-    marker.mark(np.array([1]), np.stack([np.zeros_like(ranges), ranges]))
-    return marker.marked_m[1]
+    out = np.empty_like(ranges)
+    mark_mates(ranges, RANGE_MAX_M, radius_m, beam_directions(len(ranges)), out, np.zeros((DISCS_MAX, 4)))
+    return out
 
 
 def disc(scan: np.ndarray, centre, radius_m: float = RADIUS_M, pose=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:

@@ -29,9 +29,7 @@ class Single:
         return self._filters.covariances[1]
 
     def predict(self, odometry, turn_rate_rad_s, dt_s) -> None:
-        self._filters.predict(
-            self._robots, np.stack([odometry, odometry]), np.full(2, turn_rate_rad_s), np.full(2, dt_s)
-        )
+        self._filters.predict(self._robots, odometry[None], np.array([turn_rate_rad_s]), np.array([dt_s]))
 
     def update(self, pose, information) -> None:
         self._filters.update(

@@ -142,7 +142,7 @@ def place_frames(engine: CooperativeSlam, paths: Sequence[Sequence[SensorFrame]]
         frames = [path[step] for path in paths if step < len(path)]
         engine.update(frames)
         for frame in frames:
-            poses_odom[frame.robot].append(engine.robots[frame.robot].pose_odom.copy())
+            poses_odom[frame.robot].append(engine.poses_odom[frame.robot].copy())
     engine.finish()
     return [_in_map(engine, robot, np.array(path)) for robot, path in enumerate(poses_odom)]
 

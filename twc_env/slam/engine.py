@@ -150,7 +150,7 @@ class CooperativeSlam:
         keyframes = self._front_ends.update(frames)
         if self._radio is not None:
             for frame in frames:
-                self._radio.add(frame, self.robots[frame.robot].pose_odom)
+                self._radio.add(frame, self.poses_odom[frame.robot])
         for keyframe in keyframes:
             self._exchange.add(keyframe)
         return keyframes

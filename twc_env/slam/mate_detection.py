@@ -12,7 +12,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.geometry import beam_directions
 from twc_env.kernels import kernel
 
 Array = NDArray
@@ -25,6 +24,7 @@ SHAPE_TOLERANCE_M = 0.035
 FEW_BEAMS = 4
 """With fewer beams than this the shape is not judged."""
 DISCS_MAX = 32
+"""In one scan."""
 STILL_M, STILL_S, STILL_TRAVEL_M = 0.2, 5.0, 2.0
 """A disc met again this near after so long, from that much further along the path, stands there for good."""
 MEMORY = 100
@@ -44,13 +44,18 @@ def _is_disc(ranges, directions, first, count, cx, cy, radius):
 
 
 @kernel
-def _mark(ranges, range_max, radius, directions, out, discs):
-    """Write the marked scan to out and a row (x, y, first beam, beams) for each disc; gives how many there are."""
+def mark_mates(ranges, range_max, radius, directions, out, discs):
+    """Write the marked scan to out and a row (x, y, first beam, beams) for each disc; gives how many there are.
+
+    radius is that of a robot; 0 marks nothing.
+    """
     beams = ranges.shape[0]
     step = 2 * math.pi / beams
     found = 0
     for i in range(beams):
         out[i] = ranges[i]
+    if radius <= 0.0:
+        return found
     start = -1
     for i in range(beams):  # begin behind a jump, so that no disc is cut in two
         if abs(ranges[i] - ranges[i - 1]) > STEP_MAX_M:
@@ -94,39 +99,6 @@ def _mark(ranges, range_max, radius, directions, out, discs):
             discs[found, 0], discs[found, 1], discs[found, 2], discs[found, 3] = cx, cy, first % beams, count
             found += 1
     return found
-
-
-@kernel
-def _mark_all(robots, ranges, range_max, radius, directions, marked, discs, counts):
-    for a in range(robots.shape[0]):
-        k = robots[a]
-        counts[k] = _mark(ranges[k], range_max, radius, directions, marked[k], discs[k])
-
-
-class MateMarker:
-    """Finds mates in the scans of all robots at once."""
-
-    def __init__(self, count: int, beam_count: int, range_max_m: float, radius_m: float):
-        """radius_m is that of a robot; 0 marks nothing."""
-        self._range_max_m, self._radius_m = range_max_m, radius_m
-        self._directions = beam_directions(beam_count)
-        self.marked_m = np.zeros((count, beam_count))
-        """(n, beams) the scans, in which the beams that met a mate are negative: free up to there, but no wall."""
-        self._discs, self._counts = np.zeros((count, DISCS_MAX, 4)), np.zeros(count, np.int64)
-
-    def mark(self, robots: Array, ranges_m: Array) -> None:
-        """Mark the scans (n, beams) of these robots (k,)."""
-        if self._radius_m > 0:
-            _mark_all(
-                robots, ranges_m, self._range_max_m, self._radius_m, self._directions, self.marked_m, self._discs,
-                self._counts,
-            )  # fmt: skip
-        else:
-            self.marked_m[robots] = ranges_m[robots]
-
-    def discs_of(self, robot: int) -> Array:
-        """A row (x [m], y [m], first beam, beams) for each mate last seen, its centre in the robot frame."""
-        return self._discs[robot, : self._counts[robot]]
 
 
 @kernel

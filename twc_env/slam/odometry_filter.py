@@ -31,7 +31,7 @@ def _motion_noise(dx, dy, config, out):
 
 
 @kernel
-def _predict(x, p, odometry, turn_rate, dt, config):
+def predict_state(x, p, odometry, turn_rate, dt, config):
     """Move by odometry with the gyro's heading; then learn the gyro's bias from the odometry's turn.
 
     x (4,) and p (4, 4) are changed in place. config: position_std_per_m, position_std_m, turn_std_rad,
@@ -85,7 +85,7 @@ def invert3(m, out):
 
 
 @kernel
-def _update_pose(x, p, pose, information):
+def update_state(x, p, pose, information):
     """Linear update of x (4,) and p (4, 4) with a measured pose (3,) and its information (3, 3)."""
     r, s, inverse, gain, old = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3)), p.copy()
     for i in range(3):
@@ -181,8 +181,8 @@ def squared_error(error, covariance):
 def _predict_all(states, covariances, robots, odometry, turn_rates, dts, config):
     for a in range(robots.shape[0]):
         k = robots[a]
-        if dts[k] > 0.0:
-            _predict(states[k], covariances[k], odometry[k], turn_rates[k], dts[k], config)
+        if dts[a] > 0.0:
+            predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], config)
 
 
 @kernel
@@ -190,25 +190,27 @@ def _update_all(states, covariances, robots, poses, information, is_matched):
     for a in range(robots.shape[0]):
         k = robots[a]
         if is_matched[k]:
-            _update_pose(states[k], covariances[k], poses[k], information[k])
+            update_state(states[k], covariances[k], poses[k], information[k])
 
 
 class CompiledFilters:
     """One filter per robot, all in one compiled call: those of the hot path."""
 
+    believes_scans = True
+
     def __init__(self, config: OdometryFilterConfig, count: int):
-        self._values = _process_values(config)
+        self.noise = _process_values(config)
         self.states = np.zeros((count, 4))
         """(n, 4) x [m], y [m], heading [rad], gyro bias [rad/s] in its odom frame; the heading is not wrapped."""
         self.covariances = np.tile(np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2]), (count, 1, 1))
         """(n, 4, 4)."""
 
     def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
-        """Move these robots (k,) by one frame: odometry (n, 3), gyro (n,) and time since the last one (n,).
+        """Move these robots (k,) by one frame: odometry (k, 3), gyro (k,) and time since the last one (k,).
 
         Where no time has passed nothing moves.
         """
-        _predict_all(self.states, self.covariances, robots, odometry, turn_rates_rad_s, dts_s, self._values)
+        _predict_all(self.states, self.covariances, robots, odometry, turn_rates_rad_s, dts_s, self.noise)
 
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
         """Correct these robots (k,) where they were matched (n,).
@@ -243,9 +245,9 @@ class FilterpyFilters:
 
     def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
         """See `CompiledFilters`."""
-        for k in robots:
-            if dts_s[k] > 0.0:
-                self._predict(self._filters[k], odometry[k], float(turn_rates_rad_s[k]), float(dts_s[k]))
+        for k, motion, turn_rate, dt_s in zip(robots, odometry, turn_rates_rad_s, dts_s, strict=True):
+            if dt_s > 0.0:
+                self._predict(self._filters[k], motion, float(turn_rate), float(dt_s))
 
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
         """See `CompiledFilters`."""
@@ -288,6 +290,8 @@ def _pose_difference(a: Array, b: Array) -> Array:
 
 class OdometryAlone(CompiledFilters):
     """Believes odometry as it is; for perfect odometry (`slam.oracle`)."""
+
+    believes_scans = False
 
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
         """What scans say is left out."""

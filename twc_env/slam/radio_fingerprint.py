@@ -15,6 +15,7 @@ Array = NDArray
 
 STD_MODES = {"population": 0, "sample": 1, "paper": 2}
 EMPTY = Fingerprint(np.zeros(0, np.int64), np.zeros(0))
+_NO_AGES = np.zeros(0)
 
 
 class ScanWindow:
@@ -27,12 +28,13 @@ class ScanWindow:
 
     def add(self, time_s: float, scan: WifiScan) -> None:
         """Keep a scan; the oldest gives way."""
-        count, row = len(scan.macs), self._added % len(self._counts)
-        if count > self._macs.shape[1]:
-            self._widen(count)
-        self._macs[row, :count], self._rssi_dbm[row, :count] = scan.macs, scan.rssi_dbm
-        self._ages_s[row, :count] = 0.0 if scan.age_s is None else scan.age_s
-        self._counts[row], self._times_s[row] = count, time_s
+        if len(scan.macs) > self._macs.shape[1]:
+            self._widen(len(scan.macs))
+        _keep(
+            self._added % len(self._counts), time_s, scan.macs, scan.rssi_dbm,
+            _NO_AGES if scan.age_s is None else scan.age_s, self._macs, self._rssi_dbm, self._ages_s, self._counts,
+            self._times_s,
+        )  # fmt: skip
         self._added += 1
 
     def fingerprint(
@@ -56,6 +58,15 @@ class ScanWindow:
 
 def _rows(scans: int, width: int) -> tuple[Array, Array, Array]:
     return np.zeros((scans, width), np.int64), np.zeros((scans, width)), np.zeros((scans, width))
+
+
+@kernel
+def _keep(row, time, macs, levels, ages, kept_macs, kept_levels, kept_ages, counts, times):
+    """Write a scan to a row of the ring; without ages all of it is new."""
+    for k in range(macs.shape[0]):
+        kept_macs[row, k], kept_levels[row, k] = macs[k], levels[k]
+        kept_ages[row, k] = ages[k] if k < ages.shape[0] else 0.0
+    counts[row], times[row] = macs.shape[0], time
 
 
 def fingerprint(

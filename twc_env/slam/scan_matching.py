@@ -231,31 +231,32 @@ def _information(h, degenerate, vx, vy, scale, out):
 
 
 @kernel
-def _match_scans(
-    walls, origins, inverse_m, robots, scans, directions, range_max, guesses, distance_max, iterations,
-    degenerate_share, variance, share_min, jump_max_m, jump_max_rad, points, poses, information, is_matched, explained,
-):  # fmt: skip
-    """Each robot's scan against its own field; see `LineFields.match`."""
-    h = np.zeros(6)
-    for a in range(robots.shape[0]):
-        k = robots[a]
-        n = _points_of(scans[k], range_max, directions, points)
-        total, near, degenerate, vx, vy = _refine(
-            walls[k], origins[k], inverse_m, points, n, guesses[k], distance_max, iterations, degenerate_share,
-            TRACKING_STRIDE, TRACKING_STOP_M, TRACKING_STOP_RAD, poses[k], h,
-        )  # fmt: skip
-        explained[k] = near / max(n, 1)
-        jump_x, jump_y = poses[k, 0] - guesses[k, 0], poses[k, 1] - guesses[k, 1]
-        is_matched[k] = (
-            total >= WEIGHT_MIN
-            and total >= share_min * n
-            and math.sqrt(jump_x * jump_x + jump_y * jump_y) <= jump_max_m
-            and abs(poses[k, 2] - guesses[k, 2]) <= jump_max_rad
-        )
-        if is_matched[k]:
-            _information(h, degenerate, vx, vy, variance, information[k])
-        else:
-            information[k] = 0.0
+def match_scan(walls, origin, scan, directions, rule, guess, points, h, pose, information):
+    """Lay a scan (beams,) on a field near a guess: writes the pose (3,) and its information (3, 3), zeros for none.
+
+    rule: as `LineFields` has it; points (beams, 2) and h (6,) are scratch. Gives whether the pose is to be believed (it
+    is near the guess, and enough beams speak for it), and the share of the beams that returned which end near walls.
+    """
+    range_max, inverse_m, distance_max, degenerate_share, variance = rule[0], rule[1], rule[2], rule[3], rule[4]
+    n = _points_of(scan, range_max, directions, points)
+    total, near, degenerate, vx, vy = _refine(
+        walls, origin, inverse_m, points, n, guess, distance_max, int(rule[5]), degenerate_share, TRACKING_STRIDE,
+        TRACKING_STOP_M, TRACKING_STOP_RAD, pose, h,
+    )  # fmt: skip
+    jump_x, jump_y = pose[0] - guess[0], pose[1] - guess[1]
+    is_matched = (
+        total >= WEIGHT_MIN
+        and total >= MATCHED_SHARE_MIN * n
+        and math.sqrt(jump_x * jump_x + jump_y * jump_y) <= INNOVATION_MAX_M
+        and abs(pose[2] - guess[2]) <= INNOVATION_MAX_RAD
+    )
+    if is_matched:
+        _information(h, degenerate, vx, vy, variance, information)
+    else:
+        for i in range(3):
+            for j in range(3):
+                information[i, j] = 0.0
+    return is_matched, near / max(n, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -358,44 +359,24 @@ class LineField:
 class LineFields:
     """One field per robot in common memory, so that all their scans are matched in one compiled call."""
 
-    def __init__(self, count: int, size_m: float, resolution_m: float, range_max_m: float, beam_count: int):
-        self._range_max_m = range_max_m
-        self._inverse_m = 1.0 / resolution_m
-        self._walls, self._origins_m = field_storage(size_m, resolution_m, count)
-        self._directions, self._points = beam_directions(beam_count), np.empty((beam_count, 2))
+    def __init__(self, count: int, rule: LocalMapConfig, range_max_m: float, variance_m2: float):
+        """variance_m2: the squared error of one beam, times how many beams count as one."""
+        self.walls, self.origins_m = field_storage(rule.size_m, rule.resolution_m, count)
+        self.rule = np.array(
+            [
+                range_max_m,
+                1.0 / rule.resolution_m,
+                rule.match_distance_max_m,
+                rule.degenerate_share,
+                variance_m2,
+                rule.match_iterations_max,
+            ]
+        )
+        """What `match_scan` goes by."""
         self.fields = [
-            LineField(size_m, resolution_m, range_max_m, storage)
-            for storage in zip(self._walls, self._origins_m, strict=True)
+            LineField(rule.size_m, rule.resolution_m, range_max_m, storage)
+            for storage in zip(self.walls, self.origins_m, strict=True)
         ]
-
-    def match(
-        self, robots: Array, scans: Array, guesses: Array, rule: LocalMapConfig, variance_m2: float, matches: Matches
-    ) -> None:
-        """Fill in the rows of `matches` for these robots (k,).
-
-        scans (n, beams) and guesses (n, >= 3) have a row per robot; variance_m2 is the squared error of one beam, times
-        how many beams count as one.
-        """
-        _match_scans(
-            self._walls, self._origins_m, self._inverse_m, robots, scans, self._directions, self._range_max_m, guesses,
-            rule.match_distance_max_m, rule.match_iterations_max, rule.degenerate_share, variance_m2,
-            MATCHED_SHARE_MIN, INNOVATION_MAX_M, INNOVATION_MAX_RAD, self._points, matches.poses, matches.information,
-            matches.is_matched, matches.explained,
-        )  # fmt: skip
-
-
-class Matches:
-    """What scan matching says of each robot's pose."""
-
-    def __init__(self, count: int):
-        self.poses = np.zeros((count, 3))
-        """(n, 3) in the frame of the robot's field."""
-        self.information = np.zeros((count, 3, 3))
-        """(n, 3, 3) of the poses; zeros where nothing was matched."""
-        self.is_matched = np.zeros(count, bool)
-        """(n,) whether the pose is to be believed: near the guess, and enough beams speak for it."""
-        self.explained = np.zeros(count)
-        """(n,) share of the beams that returned which end near walls of the field; 0 where nothing is matched."""
 
 
 def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Array, Array]:

@@ -1,0 +1,148 @@
+"""Track all robots from one set of frames to the next: odometry and gyro, mates out of the scan, scan match, arrival.
+
+One compiled call does it for all of them; no robot's estimate depends on another's.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import beam_directions
+from twc_env.kernels import kernel
+from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
+from twc_env.slam.odometry_filter import CompiledFilters, make_filters, predict_state, update_state
+from twc_env.slam.scan_matching import LineFields, match_scan
+from twc_env.team_messages import TeamFrames
+
+Array = NDArray
+
+
+@kernel
+def _see(
+    robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, walls, origins, rule, has_lidar,
+    matched, information, is_matched, explained,
+):  # fmt: skip
+    """Mark the mates in the scans and lay what is left on the fields, near the robots' states."""
+    points, h = np.empty((ranges.shape[1], 2)), np.empty(6)
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        disc_counts[k] = mark_mates(ranges[a], rule[0], mate_radius, directions, marked[k], discs[k])
+        if has_lidar:
+            is_matched[k], explained[k] = match_scan(
+                walls[k], origins[k], marked[k], directions, rule, states[k], points, h, matched[k], information[k]
+            )
+
+
+@kernel
+def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, poses, travels, steps, is_new):
+    """Poses after the step, path lengths, and whether each robot has come to a new place.
+
+    rule: share of explained beams from which a place is known; then how far a new one is, how far where little is
+    known, and how far turned.
+    """
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        poses[k, 0], poses[k, 1] = states[k, 0], states[k, 1]
+        poses[k, 2] = (states[k, 2] + math.pi) % (2 * math.pi) - math.pi
+        if dts[a] > 0.0:
+            travels[k] += math.sqrt(odometry[a, 0] ** 2 + odometry[a, 1] ** 2)
+            steps[k] += 1
+        dx, dy = poses[k, 0] - keyframe_poses[k, 0], poses[k, 1] - keyframe_poses[k, 1]
+        turned = (poses[k, 2] - keyframe_poses[k, 2] + math.pi) % (2 * math.pi) - math.pi
+        share = 1.0 if explained[k] >= rule[0] else rule[2] / rule[1]
+        is_new[k] = not (math.sqrt(dx * dx + dy * dy) < share * rule[1] and abs(turned) < share * rule[3])
+
+
+@kernel
+def _track(
+    robots, ranges, odometry, turn_rates, now_s, poses, states, covariances, noise, believes_scans, directions,
+    mate_radius, marked, discs, disc_counts, walls, origins, match_rule, has_lidar, information, keyframe_rule,
+    keyframe_poses, times, travels, steps, is_new,
+):  # fmt: skip
+    """A whole step with the compiled filters."""
+    count = states.shape[0]
+    dts, matched, explained = np.empty(count), np.empty((count, 3)), np.zeros(count)
+    is_matched = np.zeros(count, np.bool_)
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        dts[a] = now_s - times[k]
+        times[k] = now_s
+        if dts[a] > 0.0:
+            predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
+    _see(
+        robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, walls, origins, match_rule,
+        has_lidar, matched, information, is_matched, explained,
+    )  # fmt: skip
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        if is_matched[k] and believes_scans:
+            update_state(states[k], covariances[k], matched[k], information[k])
+    _arrive(robots, odometry, dts, states, explained, keyframe_rule, keyframe_poses, poses, travels, steps, is_new)
+
+
+class Tracker:
+    """Where all robots are, each in its own odom frame (it starts at 0, 0, 0), matched against their local maps."""
+
+    def __init__(self, config: EnvConfig, count: int):
+        noise, beams, rule = config.slam.odometry_filter, config.lidar.beam_count, config.slam.keyframe
+        self._filters = make_filters(noise, count, config.slam.oracle != "poses")
+        variance_m2 = noise.match_std_m**2 * noise.match_correlation
+        fields = LineFields(count, config.slam.local_map, config.lidar.range_max_m, variance_m2)
+        self.fields = fields.fields
+        """The local map of each robot."""
+        self.poses_odom = np.zeros((count, 3))
+        """(n, 3) the estimates after the latest frames; a new array with every update."""
+        self.marked_m = np.zeros((count, beams))
+        """(n, beams) the scans, in which the beams that met a mate are negative: free up to there, but no wall."""
+        self._discs, self._disc_counts = np.zeros((count, DISCS_MAX, 4)), np.zeros(count, np.int64)
+        self.information = np.zeros((count, 3, 3))
+        """(n, 3, 3) of the latest matches; zeros where nothing was matched."""
+        self.keyframe_poses = np.full((count, 3), np.nan)
+        """(n, 3) where each robot's last keyframe was taken; NaN before the first. Whoever takes one notes it here."""
+        self.times_s, self.travels_m, self.steps = np.zeros(count), np.zeros(count), np.zeros(count, np.int64)
+        """(n,) of each robot: time of its latest frame, length of its path, steps since its last keyframe."""
+        self.is_new = np.zeros(count, bool)
+        """(n,) whether it has come to a new place."""
+        masks = rule.mask_mates and config.robots > 1
+        mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
+        self._marking = (beam_directions(beams), mate_radius_m, self.marked_m, self._discs, self._disc_counts)
+        self._matching = (fields.walls, fields.origins_m, fields.rule, config.slam.cues.lidar)
+        self._keyframe_rule = np.array([rule.explained_min, rule.distance_m, rule.distance_new_m, rule.turn_rad])
+
+    def update(self, robots: Array, frames: TeamFrames) -> None:
+        """Take in the frames of these robots (k,), a row for each."""
+        self.poses_odom, filters = self.poses_odom.copy(), self._filters
+        if not isinstance(filters, CompiledFilters):
+            self._update_stepwise(robots, frames)
+            return
+        _track(
+            robots, frames.ranges_m, frames.odometry, frames.turn_rates_rad_s, frames.time_s, self.poses_odom,
+            filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
+            *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
+            self.travels_m, self.steps, self.is_new,
+        )  # fmt: skip
+
+    def discs_of(self, robot: int) -> Array:
+        """A row (x [m], y [m], first beam, beams) for each mate last seen, its centre in the robot frame."""
+        return self._discs[robot, : self._disc_counts[robot]]
+
+    def _update_stepwise(self, robots: Array, frames: TeamFrames) -> None:
+        """The same, with filters that are not compiled."""
+        count = len(self.poses_odom)
+        matched, is_matched, explained = np.empty((count, 3)), np.zeros(count, bool), np.zeros(count)
+        dts_s = frames.time_s - self.times_s[robots]
+        self.times_s[robots] = frames.time_s
+        self._filters.predict(robots, frames.odometry, frames.turn_rates_rad_s, dts_s)
+        _see(
+            robots, frames.ranges_m, self._filters.states, *self._marking, *self._matching, matched,
+            self.information, is_matched, explained,
+        )  # fmt: skip
+        self._filters.update(robots, matched, self.information, is_matched)
+        _arrive(
+            robots, frames.odometry, dts_s, self._filters.states, explained, self._keyframe_rule,
+            self.keyframe_poses, self.poses_odom, self.travels_m, self.steps, self.is_new,
+        )  # fmt: skip
