@@ -60,15 +60,17 @@ def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config:
         commands = _one_by_one(actions, agents)
     if commands.shape != (len(agents), 2) or commands.dtype.kind not in "fiu":
         commands = _one_by_one(actions, agents)
-    commands = commands.astype(np.float64)
-    if not _scale(commands, config.speed_max_m_s, config.turn_rate_max_rad_s):
+    if commands.dtype != np.float32:
+        commands = commands.astype(np.float64)
+    scaled = np.empty(commands.shape)
+    if not _scale(commands, config.speed_max_m_s, config.turn_rate_max_rad_s, scaled):
         commands = np.array([actions[agent] for agent in agents], np.float64)
         row = int(np.argmax(~np.all(np.abs(commands) <= 1.0 + TOLERANCE, axis=1)))
         raise ActionError(
             f"action of {agents[row]!r} must be finite and in [-1, 1]; got {actions[agents[row]]!r}: "
             "clip it, or use an agent whose output is squashed"
         )
-    return commands
+    return scaled
 
 
 def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
@@ -85,12 +87,12 @@ def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
 
 
 @kernel
-def _scale(commands, speed_max, turn_rate_max):
-    """Shares (n, 2) -> commands, in place, cut to the maxima; False when one of them is no share."""
-    for i in range(commands.shape[0]):
+def _scale(shares, speed_max, turn_rate_max, commands):
+    """Shares (n, 2) of the maxima -> commands (n, 2); False when one of them is no share."""
+    for i in range(shares.shape[0]):
         for k in range(2):
-            if not abs(commands[i, k]) <= 1.0 + TOLERANCE:  # also true for NaN
+            if not abs(shares[i, k]) <= 1.0 + TOLERANCE:  # also true for NaN
                 return False
-        commands[i, 0] = min(max(commands[i, 0], -1.0), 1.0) * speed_max
-        commands[i, 1] = min(max(commands[i, 1], -1.0), 1.0) * turn_rate_max
+            share = min(max(float(shares[i, k]), -1.0), 1.0)
+            commands[i, k] = share * (speed_max if k == 0 else turn_rate_max)
     return True

@@ -94,8 +94,8 @@ class ObservationBuilder:
             blocks["frontiers"] = [features_of(lists[r], beliefs[r].pose_map_robot, slots) for r in robots]
         if "action_mask" in names:
             blocks["action_mask"] = [np.zeros(0, np.int8) if masks is None else masks[r].copy() for r in robots]
-        columns = [blocks[name] for name in names]
-        seen = [dict(zip(names, [column[robot] for column in columns], strict=True)) for robot in robots]
+        columns = [(name, blocks[name]) for name in names]
+        seen = [{name: column[robot] for name, column in columns} for robot in robots]
         return [joined(own) for own in seen] if self._is_flat else seen
 
     def _small_blocks(self) -> dict[str, Sequence[Array] | Array]:

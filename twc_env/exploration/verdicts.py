@@ -97,18 +97,18 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells) -> Standing:
     whole_m2, true, maps = floor_m2(cells), record.true_poses[-1, :, :2].tolist(), []
     errors_m = [0.0] * len(true)
     for view in engine.views():
-        x, y, turn, share, is_right = 0.0, 0.0, 0.0, 0.0, True
-        if any(view.mapper.keyframes[robot] for robot in view.robots):
+        x, y, c, s = 0.0, 0.0, 1.0, 0.0
+        if any([view.mapper.keyframes[robot] for robot in view.robots]):
             verdict = judge_view(view, record, cells)
             record.wrong_pairs.update(verdict.wrong_pairs)
             x, y, turn = verdict.pose_building_map.tolist()
+            c, s = math.cos(turn), math.sin(turn)
             share, is_right = verdict.correct_area_m2 / whole_m2, not verdict.wrong_pairs
-        c, s = math.cos(turn), math.sin(turn)
+            maps.append(JudgedMap(view.viewers, len(view.robots), is_right, share))
         for robot in view.viewers:
             ahead, left, _ = engine.pose_map_robot(robot).tolist()
             believed = x + c * ahead - s * left, y + s * ahead + c * left
             errors_m[robot] = math.dist(believed, true[robot])
-        maps.append(JudgedMap(view.viewers, len(view.robots), is_right, share))
     return standing_of(maps, errors_m)
 
 

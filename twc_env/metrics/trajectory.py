@@ -106,12 +106,8 @@ def stuck_share(true_poses: ArrayLike, window: int, radius_m: float) -> float:
     count = len(positions_m) - window
     if window < 1 or count < 1:
         return 0.0
-    x_m, y_m = np.ascontiguousarray(positions_m[..., 0]), np.ascontiguousarray(positions_m[..., 1])
-    reach2_m2 = np.zeros((count, positions_m.shape[1]))
-    for back in range(1, window + 1):
-        dx_m, dy_m = (v[window:] - v[window - back : len(v) - back] for v in (x_m, y_m))
-        np.maximum(reach2_m2, dx_m * dx_m + dy_m * dy_m, out=reach2_m2)
-    starts_stuck = reach2_m2 < radius_m**2  # (count, n): the stretch that begins at this step
+    starts_stuck = np.empty((count, positions_m.shape[1]), np.bool_)  # the stretch that begins at this step
+    _find_stuck(positions_m, window, radius_m**2, starts_stuck)
     change = np.zeros((len(positions_m) + 1, positions_m.shape[1]), int)
     change[:count] += starts_stuck
     change[window + 1 : window + 1 + count] -= starts_stuck
@@ -128,3 +124,17 @@ def _position_pairs(estimated: ArrayLike, true: ArrayLike) -> tuple[Array, Array
 def _check_pairs(estimated: Array, true: Array) -> None:
     if estimated.shape[:-1] != true.shape[:-1] or true.size == 0:
         raise DataError(f"need as many estimated as true poses, at least one; got {estimated.shape} and {true.shape}")
+
+
+@kernel
+def _find_stuck(positions, window, radius2, starts_stuck):
+    """Whether each robot stays near the end of the stretch of `window` steps that begins at each step."""
+    for i in range(positions.shape[1]):
+        for t in range(starts_stuck.shape[0]):
+            x, y = positions[t + window, i, 0], positions[t + window, i, 1]
+            starts_stuck[t, i] = True
+            for k in range(t, t + window):
+                dx, dy = positions[k, i, 0] - x, positions[k, i, 1] - y
+                if dx * dx + dy * dy >= radius2:
+                    starts_stuck[t, i] = False
+                    break

@@ -38,6 +38,7 @@ class DeadReckoning:
         grids = [self._grid] * robot_count
         self._rest = np.zeros(robot_count), grids, [()] * robot_count, *nobody(robot_count)
         """What all beliefs have in common."""
+        self._views = [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
         self._alone: _Alone | None = None
 
     def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
@@ -73,7 +74,7 @@ class DeadReckoning:
 
     def views(self) -> list[View]:
         """One empty map per robot."""
-        return [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
+        return self._views
 
     def lacked(self) -> list[str]:
         """Everything but odometry."""
