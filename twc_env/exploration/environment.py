@@ -215,8 +215,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         values = self._fly() if commands is None else self._tick(commands)
         is_last = self._steps >= self.config.max_cycles
         observations, infos = self._observe(), self._infos(agents, self._steps - began)
-        for info, terms in zip(infos.values(), values, strict=True):
-            info["reward_terms"] = terms
+        for agent, terms in zip(agents, values, strict=True):
+            infos[agent]["reward_terms"] = terms
         if is_last:
             figures = {k: v for k, v in self.result().figures.items() if isinstance(v, (int, float))}
             for info in infos.values():

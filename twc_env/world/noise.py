@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray
 
 _STEPS = 64
+_POOL = 512
 
 
 class StepNoise:
@@ -51,6 +52,22 @@ class StepNoise:
                 self.numbers[:, robot, first : first + count] = draw(size=(_STEPS, count))
             first += count
         self._used = 0
+
+
+class NormalPool:
+    """Normal deviates of one stream, drawn many at once; the same numbers as if drawn when they are asked for."""
+
+    def __init__(self, stream: np.random.Generator):
+        self._stream = stream
+        self._numbers, self._used = np.empty(0), 0
+
+    def take(self, count: int) -> Array:
+        """The next (count,) numbers."""
+        if self._used + count > len(self._numbers):
+            fresh = self._stream.standard_normal(max(_POOL, count))
+            self._numbers, self._used = np.concatenate([self._numbers[self._used :], fresh]), 0
+        self._used += count
+        return self._numbers[self._used - count : self._used]
 
 
 class StepQueue:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from twc_env.config import SignsConfig
 from twc_env.random_streams import random_stream
 from twc_env.world.misreading import TableReader, codes_of, misread, shares
+from twc_env.world.noise import NormalPool
 from twc_env.world.ocr_table import load_table
 
 Array = NDArray
@@ -59,7 +60,7 @@ class _Fast:
 
     def __init__(self, texts: Sequence[str], robot: int, seed: int):
         table = load_table()
-        self._random = random_stream(seed, "ocr", robot)
+        self._noise = NormalPool(random_stream(seed, "ocr", robot))
         self._codes = [codes_of(text) for text in texts]
         plates = random_stream(seed, "sign plates")
         self._kept, self._weight = [], []
@@ -74,7 +75,7 @@ class _Fast:
     def _read(self, sight: Sight) -> str:
         sign = sight.sign
         weight = self._weight[sign]
-        draws = self._kept[sign] + weight * self._random.standard_normal(len(weight))
+        draws = self._kept[sign] + weight * self._noise.take(len(weight))
         return _shipped().read(
             self._codes[sign], sight.is_hidden, sight.height_px, sight.incidence_rad, sight.blur_px, draws
         )

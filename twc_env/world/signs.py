@@ -12,6 +12,7 @@ from twc_env.kernels import kernel
 from twc_env.messages import SignReading
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, Floorplan
+from twc_env.world.noise import NormalPool
 from twc_env.world.sign_readers import Sight, make_reader
 from twc_env.world.wall_index import is_blocked
 
@@ -48,7 +49,7 @@ class SignCamera:
                 CHARACTER_PITCH * config.character_height_m,
             ]
         )
-        self._noise = random_stream(seed, "camera", robot)
+        self._noise = NormalPool(random_stream(seed, "camera", robot))
         self._reader = make_reader(config, texts, robot, seed)
 
     def legible(self, pose: Array) -> tuple[int, ...]:
@@ -76,7 +77,7 @@ class SignCamera:
             is_hidden = hidden[k, : self._text_lengths[number]]
             seen.append(Sight(number, distance, bearing, height, incidence, blur, is_hidden))
         readings, sources = [], []
-        noise = self._noise.standard_normal(2 * len(seen)).tolist()
+        noise = self._noise.take(2 * len(seen)).tolist()
         for k, (sight, text) in enumerate(zip(seen, self._reader.read(seen), strict=True)):
             if not text:
                 continue

@@ -51,6 +51,10 @@ class World:
         self._radio = _radio_model(config.radio, self._home)
         self._wifi_period = _period_steps(config.radio.scan_period_s, config)
         self._camera_period = _period_steps(config.signs.period_s, config)
+        self._hearing, self._looking = (
+            _turns(self._wifi_period, config.robots),
+            _turns(self._camera_period, config.robots),
+        )
 
     def reset(self, seed: int, starts: str | Array = "random") -> None:
         """Begin an episode. Starts: "random" (drawn by seed), "map" (the plan's own), or poses (n, 3).
@@ -79,7 +83,7 @@ class World:
         self._apparatus_crossings: tuple[Array, ...] = ()
         self._sensed_poses = self._dynamics.poses
         self._step = 0
-        self.sighted_signs = ((),) * robots
+        self.sighted_signs = self._none_sighted = ((),) * robots
 
     @property
     def poses(self) -> Array:
@@ -118,7 +122,7 @@ class World:
         poses, step, robots = self._dynamics.poses, self._step, self.config.robots
         odometry, turn_rates = np.empty((robots, 3)), np.empty(robots)
         ranges = np.empty((robots, self.config.lidar.beam_count)) if self._lidar.is_plain else _NO_RANGES
-        hearing, looking = self._due(self._wifi_period), self._due(self._camera_period)
+        hearing, looking = self._hearing[step % self._wifi_period], self._looking[step % self._camera_period]
         heard = (len(hearing) if self._hears_at_once else 0), len(self._radio.macs)
         macs, readings = np.empty(heard, np.int64), np.empty(heard)
         self._read(poses, odometry, turn_rates, ranges, macs, readings, hearing.start, looking.start)
@@ -175,6 +179,9 @@ class World:
         """What OCR makes of the signs that `_sense` has found in view."""
         robots, counts = self.config.robots, self._sight_counts.tolist()
         signs: list[tuple[SignReading, ...]] = [()] * robots
+        if not any(counts[looking.start :: looking.step]):
+            self.sighted_signs = self._none_sighted
+            return signs
         sighted: list[tuple[int, ...]] = [()] * robots
         for robot in looking:
             if counts[robot]:
@@ -182,10 +189,6 @@ class World:
                 signs[robot], sighted[robot] = self._cameras[robot].read_sights(sights, self._hidden[robot])
         self.sighted_signs = tuple(sighted)
         return signs
-
-    def _due(self, period: int) -> range:
-        """The robots whose sensor of that period reads in this step; they take turns."""
-        return range(-self._step % period, self.config.robots, period)
 
     def _in_building(self, poses_home: Array) -> Array:
         return compose(self.plan.pose_building_home, poses_home) if self._is_moved else poses_home
@@ -249,6 +252,11 @@ def _spaced(places: Array, count: int, spacing_m: float) -> Array:
 
 def _period_steps(period_s: float, config: EnvConfig) -> int:
     return max(1, round(period_s / config.dynamics.time_step_s))
+
+
+def _turns(period: int, robots: int) -> list[range]:
+    """The robots whose sensor of that period reads in a step, for each step of a period; they take turns."""
+    return [range(-step % period, robots, period) for step in range(period)]
 
 
 @lru_cache(maxsize=8)
