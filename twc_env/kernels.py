@@ -63,7 +63,7 @@ class Pack(structref.StructRefProxy):
     """Arrays and numbers that a kernel finds in `parts`, a tuple. Each costs a call as much as 40 ns when it is given
     by itself; all of a pack cost as much as two. It can be neither copied nor pickled: make it anew."""
 
-    _numba_type_ = structref.StructRefProxy._type  # type: ignore[assignment]
+    _numba_type_ = structref.StructRefProxy._type
     """As of the parent, where a property in Python gives it: with every call."""
 
 
