@@ -34,7 +34,7 @@ class OdometryFilterConfig(Checked):
 class LocalMapConfig(Checked):
     """The map around one robot that its scans are matched to."""
 
-    size_m: float = number(32.0, 4.0, 200.0)
+    size_m: float = number(40.0, 4.0, 200.0)
     resolution_m: float = number(0.1, 0.02, 0.5)
     memory_m: float = number(25.0, 1.0, 1000.0)
     """Keyframes further back along the path than this are left out when the local map moves on."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import OdometryFilterConfig, VerificationConfig
-from twc_env.geometry import beam_directions, between
+from twc_env.geometry import beam_directions
 from twc_env.kernels import kernel
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.global_matching import match_globally
@@ -35,6 +35,7 @@ ANYWHERE = ("wifi", "lidar")
 SIGNLESS = ("proximity", *ANYWHERE)
 WIDE_WINDOW_M = 3.0
 SIGN_INFORMATION, NEAR_INFORMATION = np.diag(1.0 / np.square(SIGN_STD)), np.diag(1.0 / np.square(NEAR_STD))
+MIDDLE = np.zeros(2)
 MATCH_COVARIANCE_MIN = np.diag(np.square((0.03, 0.03, 0.01)))
 """No match is known better than this [m2, m2, rad2]."""
 
@@ -45,6 +46,14 @@ def _relative(base, pose, out):
     c, s = math.cos(base[2]), math.sin(base[2])
     dx, dy = pose[0] - base[0], pose[1] - base[1]
     out[0], out[1], out[2] = c * dx + s * dy, c * dy - s * dx, pose[2] - base[2]
+
+
+@kernel
+def _in_frame_of_first(poses):
+    """Express poses (k, 3), in place, in the frame of the first of them."""
+    first = poses[0].copy()
+    for k in range(poses.shape[0]):
+        _relative(first, poses[k], poses[k])
 
 
 @kernel
@@ -174,10 +183,10 @@ class LoopVerifier:
         ):
             return
         self._drawn = (target.robot, target.index)
-        near = _neighbours(target, path, self._config.cloud_reach_m)
-        poses = between(target.pose_odom, np.array([k.pose_odom for k in near]))
-        self._field.reset(np.zeros(2))
-        self._field.add(poses, np.array([k.ranges_m for k in near]))
+        poses, scans = _seen(_neighbours(target, path, self._config.cloud_reach_m))
+        _in_frame_of_first(poses)
+        self._field.reset(MIDDLE)
+        self._field.add(poses, scans)
 
     def _search(
         self, candidate: LoopCandidate, target: Keyframe, target_path: Sequence[Keyframe], points: Array
@@ -192,10 +201,8 @@ class LoopVerifier:
 
     def _points(self, keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float = math.inf) -> Array:
         """(n, 2) what the keyframe and its neighbours within reach saw, in the keyframe's frame."""
-        near = _neighbours(keyframe, path, min(self._config.cloud_reach_m, reach_m))
-        scans = np.array([k.ranges_m for k in near])
-        points = np.empty((scans.size, 2))
-        poses, directions = np.array([k.pose_odom for k in near]), beam_directions(scans.shape[1])
+        poses, scans = _seen(_neighbours(keyframe, path, min(self._config.cloud_reach_m, reach_m)))
+        points, directions = np.empty((scans.size, 2)), beam_directions(scans.shape[1])
         return points[: _join(poses, scans, directions, self._range_max_m, points)]
 
 
@@ -215,14 +222,23 @@ class SignVerifier:
         return []
 
 
+def _seen(keyframes: Sequence[Keyframe]) -> tuple[Array, Array]:
+    """Poses (k, 3) in the odom frame, and scans (k, beams)."""
+    poses, scans = np.empty((len(keyframes), 3)), np.empty((len(keyframes), len(keyframes[0].ranges_m)))
+    for k, keyframe in enumerate(keyframes):
+        poses[k], scans[k] = keyframe.pose_odom, keyframe.ranges_m
+    return poses, scans
+
+
 def _neighbours(keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float) -> list[Keyframe]:
     """The keyframe first, then others of its robot within reach_m of path, about SPACING_M apart."""
-    chosen = [keyframe]
-    for direction in (-1, 1):
-        last, i = keyframe.travel_m, keyframe.index + direction
-        while 0 <= i < len(path) and abs(path[i].travel_m - keyframe.travel_m) <= reach_m:
-            if abs(path[i].travel_m - last) >= SPACING_M:
-                chosen.append(path[i])
-                last = path[i].travel_m
-            i += direction
+    chosen, here_m = [keyframe], keyframe.travel_m
+    for others in (path[keyframe.index - 1 :: -1] if keyframe.index else (), path[keyframe.index + 1 :]):
+        last_m = here_m
+        for other in others:
+            if abs(other.travel_m - here_m) > reach_m:
+                break
+            if abs(other.travel_m - last_m) >= SPACING_M:
+                chosen.append(other)
+                last_m = other.travel_m
     return chosen
