@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
-from numpy.typing import NDArray
 from rapidfuzz.distance import Levenshtein
-from rapidfuzz.process import cdist
-
-Array = NDArray
+from rapidfuzz.process import extract
 
 
 def normalise(text: str) -> str:
@@ -22,15 +16,6 @@ def text_similarity(a: str, b: str) -> float:
     return Levenshtein.normalized_similarity(a, b) if a and b else 0.0
 
 
-def text_similarities(text: str, others: Sequence[str]) -> Array:
-    """(others,) similarity of one text to each of the others."""
-    if not others:
-        return np.zeros(0)
-    scores = cdist([text], others, scorer=Levenshtein.normalized_similarity, dtype=np.float64)[0]
-    empty = np.array([not other for other in others])
-    return np.where(empty | (not text), 0.0, scores)
-
-
 class AlikeTexts:
     """Distinct texts, and which of them are alike: each pair is compared once, however often the texts are read."""
 
@@ -40,6 +25,8 @@ class AlikeTexts:
         self._texts: list[str] = []
         self._alike: list[list[tuple[int, float]]] = []
         """Of each text the numbers of those that are alike, itself included, with their similarity."""
+        self._compared: tuple[str, int, list[tuple[int, float]]] = ("", 0, [])
+        """The text compared last, with how many others, and what was found."""
 
     def number_of(self, text: str) -> int:
         """The text's number; a new text gets the next one."""
@@ -61,6 +48,15 @@ class AlikeTexts:
         return self._compare(text) if held is None else self._alike[held]
 
     def _compare(self, text: str) -> list[tuple[int, float]]:
-        similarity = text_similarities(text, self._texts)
-        near = np.flatnonzero(similarity >= self._similarity_min)
-        return list(zip(near.tolist(), similarity[near].tolist(), strict=True))
+        compared, count, found = self._compared
+        if compared != text or count != len(self._texts):
+            found = self._found(text)
+            self._compared = text, len(self._texts), found
+        return found
+
+    def _found(self, text: str) -> list[tuple[int, float]]:
+        if not text:
+            return [(number, 0.0) for number in range(len(self._texts))] if self._similarity_min <= 0.0 else []
+        scorer, least = Levenshtein.normalized_similarity, max(self._similarity_min, 0.0)
+        found = extract(text, self._texts, scorer=scorer, score_cutoff=least, limit=None)
+        return sorted((number, similarity) for _, similarity, number in found)
