@@ -102,26 +102,31 @@ def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, pose, directions, r
 
 
 @kernel
-def _integrate_many(log_odds, origin_x, origin_y, inverse_m, poses, directions, scans, range_max, crossings, counts):
-    for k in range(poses.shape[0]):
-        _integrate_scan(
-            log_odds, origin_x, origin_y, inverse_m, poses[k], directions, scans[k], range_max, crossings, counts
-        )
+def _integrate_many(log_odds, boxes, inverse_m, poses, directions, scans, range_max, crossings, counts, reached):
+    """Fold in scans that lie inside the first box, and widen the others by what these can touch.
 
-
-@kernel
-def _extent(poses, scans, range_max):
-    """Lowest x and y, highest x and y that the scans can touch [m]."""
-    low_x = low_y = np.inf
-    high_x = high_y = -np.inf
-    reach = 0.0
+    Writes that box to `reached` (4,); whether it lay inside.
+    """
+    low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0
     for k in range(poses.shape[0]):
         low_x, high_x = min(low_x, poses[k, 0]), max(high_x, poses[k, 0])
         low_y, high_y = min(low_y, poses[k, 1]), max(high_y, poses[k, 1])
         for i in range(scans.shape[1]):
             reach = max(reach, abs(scans[k, i]))
     reach = min(reach, range_max)
-    return low_x - reach, low_y - reach, high_x + reach, high_y + reach
+    reached[0], reached[1], reached[2], reached[3] = low_x - reach, low_y - reach, high_x + reach, high_y + reach
+    bounds = boxes[0]
+    if reached[0] < bounds[0] or reached[1] < bounds[1] or reached[2] > bounds[2] or reached[3] > bounds[3]:
+        return False
+    for box in range(1, boxes.shape[0]):
+        for side in range(2):
+            boxes[box, side] = min(boxes[box, side], reached[side])
+            boxes[box, 2 + side] = max(boxes[box, 2 + side], reached[2 + side])
+    for k in range(poses.shape[0]):
+        _integrate_scan(
+            log_odds, bounds[0], bounds[1], inverse_m, poses[k], directions, scans[k], range_max, crossings, counts
+        )
+    return True
 
 
 class OccupancyGrid:
@@ -132,8 +137,9 @@ class OccupancyGrid:
     def __init__(self, resolution_m: float, range_max_m: float, beam_count: int):
         self.resolution_m = resolution_m
         self.range_max_m = range_max_m
-        self._crossings = np.zeros((1, beam_count + 2), np.int32)
-        self._counts = np.zeros(1, np.int32)
+        rows = int(2 * range_max_m / resolution_m) + 8
+        self._crossings, self._counts = np.zeros((rows, beam_count + 2), np.int32), np.zeros(rows, np.int32)
+        self._directions, self._touched_m = beam_directions(beam_count), np.zeros(4)
         self.clear()
 
     def clear(self) -> None:
@@ -141,33 +147,34 @@ class OccupancyGrid:
         self.log_odds = np.zeros((0, 0), np.int16)
         self.origin_m = np.zeros(2)
         self._kinds = np.zeros((0, 0), np.uint8)
-        self._bounds_m = self._reached_m = self._changed_m = NOWHERE_M
+        self._boxes_m = np.array([NOWHERE_M] * 3)
         """The box of all cells; of those that scans can have touched; and of these since `kinds` were noted."""
+        self._is_changed = False
         self._snapshot: GridMap | None = None
 
     def integrate(self, poses: Array, scans: Array) -> None:
         """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall."""
         if len(poses) == 0:
             return
-        low_x, low_y, high_x, high_y = _extent(poses, scans, self.range_max_m)
-        left, bottom, right, top = self._bounds_m
-        if low_x < left or low_y < bottom or high_x > right or high_y > top:
-            self._grow(np.array([low_x, low_y]), np.array([high_x, high_y]))
-            left, bottom, _, _ = self._bounds_m
-        was, new = self._reached_m, self._changed_m
-        self._reached_m = min(was[0], low_x), min(was[1], low_y), max(was[2], high_x), max(was[3], high_y)
-        self._changed_m = min(new[0], low_x), min(new[1], low_y), max(new[2], high_x), max(new[3], high_y)
-        _integrate_many(
-            self.log_odds, left, bottom, 1.0 / self.resolution_m, poses, beam_directions(scans.shape[1]), scans,
-            self.range_max_m, self._crossings, self._counts,
+        self._is_changed = True
+        if not self._fold_in(poses, scans):
+            self._grow(self._touched_m[:2], self._touched_m[2:])
+            self._fold_in(poses, scans)
+
+    def _fold_in(self, poses: Array, scans: Array) -> bool:
+        """Whether the scans could be folded in: not where they touch more than there are cells."""
+        inside: bool = _integrate_many(
+            self.log_odds, self._boxes_m, 1.0 / self.resolution_m, poses, self._directions, scans, self.range_max_m,
+            self._crossings, self._counts, self._touched_m,
         )  # fmt: skip
+        return inside
 
     def snapshot(self) -> GridMap:
         """A read-only view of the cells as they are now; valid until the next `integrate`."""
-        if self._changed_m is not NOWHERE_M:
-            first_row, first_column, end_row, end_column = self._cells_of(self._changed_m)
+        if self._is_changed:
+            first_row, first_column, end_row, end_column = self._cells_of(self._boxes_m[2])
             note_kinds(self.log_odds, first_row - 1, first_column - 1, end_row, end_column, self._kinds)
-            self._changed_m = NOWHERE_M
+            self._boxes_m[2], self._is_changed = NOWHERE_M, False
         if self._snapshot is None:
             views = self.log_odds.view(), self.origin_m.view(), self._kinds.view()
             for view in views:
@@ -177,11 +184,11 @@ class OccupancyGrid:
 
     def known_box(self) -> tuple[int, int, int, int]:
         """First row and column, end row and column of the box of cells outside which nothing is known."""
-        return self._cells_of(self._reached_m)
+        return self._cells_of(self._boxes_m[1])
 
-    def _cells_of(self, box_m: tuple[float, float, float, float]) -> tuple[int, int, int, int]:
-        """The same of the cells in a box."""
-        left, bottom, right, top = box_m
+    def _cells_of(self, box_m: Array) -> tuple[int, int, int, int]:
+        """The same of the cells in a box (4,)."""
+        left, bottom, right, top = box_m.tolist()
         if left > right:
             return 0, 0, 0, 0
         (x, y), cell = self.origin_m.tolist(), self.resolution_m
@@ -211,7 +218,4 @@ class OccupancyGrid:
             kinds[r : r + rows, c : c + columns] = self._kinds
         self.log_odds, self._kinds, self._snapshot = grown, kinds, None
         self.origin_m = first * self.resolution_m
-        self._crossings = np.zeros((shape[0] + 4, self._crossings.shape[1]), np.int32)
-        self._counts = np.zeros(shape[0] + 4, np.int32)
-        high = self.origin_m + shape[::-1] * self.resolution_m
-        self._bounds_m = (*self.origin_m.tolist(), *high.tolist())
+        self._boxes_m[0] = *self.origin_m, *(self.origin_m + shape[::-1] * self.resolution_m)

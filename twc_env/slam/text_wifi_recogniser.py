@@ -45,6 +45,8 @@ class TextWifiRecogniser:
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """See `Recogniser`; the better of two texts speaks for a pair."""
+        if not keyframe.signs:
+            return []
         best: dict[tuple[int, int], LoopCandidate] = {}
         readings = [(self._key(sign.text), sign) for sign in keyframe.signs]
         for text, sign in readings:
