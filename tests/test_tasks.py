@@ -7,16 +7,16 @@ from twc_env.config import digest
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "d6c22abcff0c",
-    "twc/ExploreTwin01-v0": "d6c22abcff0c",
-    "twc/ExploreTwin02-v0": "b357601f9c44",
-    "twc/ExploreOffice-v0": "828b409f38cb",
-    "twc/ExploreFrontier-v0": "e25905c1cfc3",
-    "twc/ExploreFrontierAsync-v0": "1aff5d468bb2",
-    "twc/ExploreHard-v0": "79b5ea7e4dda",
-    "twc/ExploreKnownStarts-v0": "c698fd612127",
-    "twc/ExploreTruePoses-v0": "06c2c7f0be42",
-    "twc/ExploreNoMerging-v0": "11bc7e0aa25b",
+    "twc/Explore-v0": "d6cc8ee7d71d",
+    "twc/ExploreTwin01-v0": "d6cc8ee7d71d",
+    "twc/ExploreTwin02-v0": "f6bf0f7324a8",
+    "twc/ExploreOffice-v0": "0f7efd59c2de",
+    "twc/ExploreFrontier-v0": "c9eafb6dfe96",
+    "twc/ExploreFrontierAsync-v0": "08660933cb8f",
+    "twc/ExploreHard-v0": "aa11efe8ad39",
+    "twc/ExploreKnownStarts-v0": "e1aa69222adf",
+    "twc/ExploreTruePoses-v0": "a8e2f9fc4854",
+    "twc/ExploreNoMerging-v0": "749722501244",
 }
 
 
