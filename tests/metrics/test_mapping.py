@@ -144,3 +144,20 @@ def test_thickness_is_measured_where_the_alignment_lays_the_map():
     pose = np.array([2.0, -1.0, 0.7])
     turned = np.stack([geometry.transform_points(pose, WALL_M[0])])
     assert thickness([10, 12], pose, turned) == pytest.approx(thickness([10, 12]), rel=0.03)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10_000))
+def test_the_area_under_a_mask_of_the_floor_is_the_area_counted_on_the_floor(seed):
+    random = np.random.default_rng(seed)
+    free = np.zeros((150, 200), bool)
+    free[10:140, 10:190] = True
+    free[60:64, 10:150] = False
+    log_odds = np.zeros((180, 170), np.int16)
+    log_odds[20:150, 15 : int(random.integers(60, 160))] = FREE
+    log_odds[40:50, 30:40] = WALL
+    pose, origin = random.uniform((-3, -3, -3), (12, 10, 3)), random.uniform(-5, 2, 2)
+    box = (20, 15, 150, 160)
+    counted = mapping.correct_area_m2(log_odds, origin, 0.1, pose, free, ORIGIN_M, 0.1, box=box)
+    mask = mapping.floor_mask(log_odds.shape, origin, 0.1, pose, free, ORIGIN_M, 0.1)
+    assert mapping.masked_area_m2(log_odds, mask, box, 0.1) == pytest.approx(counted, abs=0.6)

@@ -377,7 +377,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         before, sent_before = self._standing, self._bytes_judged
         self._bytes_judged = self.bytes_sent
         if is_last or self._steps % self.config.reward.period_steps == 0:
-            self._standing = verdicts.standing(self.engine, self._record, self._cells)
+            self._standing = verdicts.standing(self.engine, self._record, self._cells, is_last)
         config = self.config
         sent = (self._bytes_judged - sent_before) / config.robots
         transition = rewards.Transition(before, self._standing, self._world.contacts, sent, config.max_cycles)

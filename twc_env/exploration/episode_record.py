@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.exploration.floor_masks import FloorMasks
 from twc_env.kernels import kernel
 
 Array = NDArray
@@ -21,6 +22,7 @@ class EpisodeRecord:
         """True pose, front-end pose and measured motion of each step; grows."""
         self._contacts = np.zeros((256, robots), bool)
         self.wrong_pairs: set[tuple[int, int]] = set()
+        self.floor_masks = FloorMasks()
 
     def append(self, true_poses: Array, odom_poses: Array, motions: Array, contacts: Array) -> None:
         """Note one step, one row per robot: true poses, front-end poses, measured motions (robots, 3), and contacts."""

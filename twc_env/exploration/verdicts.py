@@ -14,6 +14,8 @@ from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.rewards import JudgedMap, Standing, standing_of
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap
+from twc_env.metrics.merging import WRONG_M, WRONG_RAD, find_frames, find_wrong
+from twc_env.metrics.trajectory import HEADING_LEVER_M, align
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
 from twc_env.world.floor_cells import Cells
@@ -37,26 +39,39 @@ class GroupVerdict:
 
 def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     """Lay a group's map on the building and measure it."""
-    team, robots = view.mapper, view.robots
-    grid = team.grid_of(view.group)
-    poses, robot_of_node, step_of_node = team.nodes
-    estimated, true, owner = np.empty_like(poses), np.empty_like(poses), np.empty_like(robot_of_node)
-    count, x, y = _collect(
-        np.array(robots), poses, robot_of_node, step_of_node, record.true_poses, estimated, true, owner
-    )
+    pose, wrong = _lay(view, record)
+    grid, area_m2 = view.mapper.grid_of(view.group), 0.0
+    if any(view.mapper.keyframes[robot] for robot in view.robots):
+        area_m2 = metrics.correct_area_m2(
+            grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m,
+            box=view.mapper.known_box_of(view.group),
+        )  # fmt: skip
+    return GroupVerdict(view, view.robots, grid, pose, wrong, area_m2)
+
+
+def _lay(view: View, record: EpisodeRecord) -> tuple[Array, tuple[tuple[int, int], ...]]:
+    """The pose (3,) that lays a group's map on the building, zeros without keyframes, and its wrongly merged pairs."""
+    robots, pose = view.robots, np.zeros(3)
+    is_wrong = np.zeros((len(robots), len(robots)), bool)
+    if not _lay_paths(np.array(robots), *view.mapper.nodes, record.true_poses, pose, is_wrong):
+        return pose, ()
+    return pose, tuple((robots[i], robots[j]) for i, j in np.argwhere(is_wrong).tolist())
+
+
+@kernel
+def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, pose, is_wrong):
+    """See `_lay`; gives how many pairs are wrong. pose (3,) stays as it is where no keyframe is."""
+    estimated, true = np.empty_like(poses), np.empty_like(poses)
+    owner = np.empty(poses.shape[0], np.int64)
+    count, x, y = _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true, owner)
     if count == 0:
-        return GroupVerdict(view, robots, grid, np.zeros(3), (), 0.0)
-    estimated, true = estimated[:count], true[:count]
-    pose = metrics.lay_map(estimated, true)
-    wrong: tuple[tuple[int, int], ...] = ()
-    if len(robots) > 1:
-        pairs = metrics.wrong_pairs(metrics.implied_frames(estimated, true, owner[:count]), (x, y))
-        wrong = tuple((robots[i], robots[j]) for i, j in pairs)
-    area = metrics.correct_area_m2(
-        grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m,
-        box=team.known_box_of(view.group),
-    )  # fmt: skip
-    return GroupVerdict(view, robots, grid, pose, wrong, area)
+        return 0
+    align(estimated[:count], true[:count], HEADING_LEVER_M, pose)
+    if robots.shape[0] == 1:
+        return 0
+    frames = np.empty((robots.shape[0], 3))
+    find_frames(estimated[:count], true[:count], owner[:count], frames)
+    return find_wrong(frames, x, y, WRONG_M, WRONG_RAD, is_wrong)
 
 
 @kernel
@@ -92,24 +107,35 @@ def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerd
     return verdicts
 
 
-def standing(engine: Engine, record: EpisodeRecord, cells: Cells) -> Standing:
-    """The potentials that rewards look at, judged now."""
+def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool = False) -> Standing:
+    """The potentials that rewards look at, judged now; the last time by every cell of the floor, as the report does."""
     whole_m2, true, maps = floor_m2(cells), record.true_poses[-1, :, :2].tolist(), []
     errors_m = [0.0] * len(true)
     for view in engine.views():
         x, y, c, s = 0.0, 0.0, 1.0, 0.0
         if any([view.mapper.keyframes[robot] for robot in view.robots]):
-            verdict = judge_view(view, record, cells)
-            record.wrong_pairs.update(verdict.wrong_pairs)
-            x, y, turn = verdict.pose_building_map.tolist()
+            pose, area_m2, wrong = _measured(view, record, cells, is_last)
+            record.wrong_pairs.update(wrong)
+            x, y, turn = pose.tolist()
             c, s = math.cos(turn), math.sin(turn)
-            share, is_right = verdict.correct_area_m2 / whole_m2, not verdict.wrong_pairs
-            maps.append(JudgedMap(view.viewers, len(view.robots), is_right, share))
+            maps.append(JudgedMap(view.viewers, len(view.robots), not wrong, area_m2 / whole_m2))
         for robot in view.viewers:
             ahead, left, _ = engine.pose_map_robot(robot).tolist()
             believed = x + c * ahead - s * left, y + s * ahead + c * left
             errors_m[robot] = math.dist(believed, true[robot])
     return standing_of(maps, errors_m)
+
+
+def _measured(
+    view: View, record: EpisodeRecord, cells: Cells, is_last: bool
+) -> tuple[Array, float, tuple[tuple[int, int], ...]]:
+    """Where a map with keyframes lies, the area it shows rightly and whom it merges wrongly."""
+    if is_last:
+        verdict = judge_view(view, record, cells)
+        return verdict.pose_building_map, verdict.correct_area_m2, verdict.wrong_pairs
+    pose, wrong = _lay(view, record)
+    grid, box = view.mapper.grid_of(view.group), view.mapper.known_box_of(view.group)
+    return pose, record.floor_masks.correct_area_m2(view.viewers[0], grid, box, pose, cells), wrong
 
 
 @lru_cache(maxsize=8)

@@ -1,7 +1,14 @@
 """Numbers that say how good an episode was: plain arrays in, numbers out."""
 
 from twc_env.metrics.closures import ClosureScore, closure_is_correct, closures_are_correct, score_closures
-from twc_env.metrics.mapping import MapScore, correct_area_m2, score_map, wall_thickness_m
+from twc_env.metrics.mapping import (
+    MapScore,
+    correct_area_m2,
+    floor_mask,
+    masked_area_m2,
+    score_map,
+    wall_thickness_m,
+)
 from twc_env.metrics.merging import implied_frames, wrong_pairs
 from twc_env.metrics.trajectory import (
     absolute_trajectory_error_m,
@@ -21,8 +28,10 @@ __all__ = [
     "closures_are_correct",
     "correct_area_m2",
     "end_point_error_m",
+    "floor_mask",
     "implied_frames",
     "lay_map",
+    "masked_area_m2",
     "path_length_m",
     "score_closures",
     "score_map",

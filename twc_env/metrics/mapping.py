@@ -55,6 +55,27 @@ def correct_area_m2(
     return float(count) * truth_resolution_m**2
 
 
+def floor_mask(
+    shape: tuple[int, int],
+    origin_m: Array,
+    resolution_m: float,
+    pose_building_map: Array,
+    truth_free: Array,
+    truth_origin_m: Array,
+    truth_resolution_m: float,
+) -> Array:
+    """(h, w) bool: cells of a map of that shape whose centres lie on explorable floor; arguments as in `score_map`."""
+    row, column, step = _sampling_back(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
+    mask = np.zeros(shape, bool)
+    _look_up_floor(np.ascontiguousarray(truth_free), row, column, step, mask)
+    return mask
+
+
+def masked_area_m2(log_odds: Array, mask: Array, box: tuple[int, int, int, int], resolution_m: float) -> float:
+    """Area of the free cells of a map (h, w) on which a mask (h, w) lies; box as in `correct_area_m2`."""
+    return _count_free_under(log_odds, mask, box) * resolution_m**2
+
+
 def score_map(
     log_odds: Array,
     origin_m: Array,
@@ -189,6 +210,39 @@ def _count_free(log_odds, box, row0, column0, step, truth_free, free_below):
         free = truth_free[i, first:last]
         for j in range(last - first):  # apart from the look-ups, because many cells are compared at once
             count += free[j] & (levels[j] < below)
+    return count
+
+
+@kernel
+def _look_up_floor(truth_free, row0, column0, step, mask):
+    """Write to the mask whether the true cell at the centre of each map cell is free."""
+    rows, columns = truth_free.shape
+    height, width = mask.shape
+    cells = truth_free.reshape(-1)
+    c, s = step[0], step[1]
+    dk, dr = int(np.rint(c * FIXED_POINT)), int(np.rint(s * FIXED_POINT))
+    for i in range(height):
+        r, k = int(np.floor((row0 + c * i) * FIXED_POINT)), int(np.floor((column0 - s * i) * FIXED_POINT))
+        first_r, last_r = span_inside(r, dr, rows << FIXED_BITS, width)
+        first_k, last_k = span_inside(k, dk, columns << FIXED_BITS, width)
+        first, last = max(first_r, first_k), min(last_r, last_k)
+        if first < last:
+            look_up_row(cells, columns, r + first * dr, k + first * dk, dr, dk, last - first, mask[i, first:last])
+
+
+@kernel
+def _count_free_under(log_odds, mask, box):
+    count = 0
+    for i in range(box[0], box[2]):
+        count += _count_row(log_odds[i, box[1] : box[3]], mask[i, box[1] : box[3]])
+    return count
+
+
+@kernel
+def _count_row(levels, mask):
+    count = np.int32(0)  # narrow numbers, so that more of them are added at once
+    for j in range(levels.shape[0]):
+        count = np.int32(count + np.int32((levels[j] < 0) & mask[j]))
     return count
 
 

@@ -12,6 +12,9 @@ from twc_env.kernels import kernel
 
 Array = NDArray
 
+WRONG_M, WRONG_RAD = 1.0, math.radians(10.0)
+"""Robots whose frames lie further apart than this, or are turned by more, are wrongly merged."""
+
 
 def implied_frames(estimated_poses: Array, true_poses: Array, robot_of: Array) -> Array:
     """Where each robot's own path places the map frame in the building: (n, 3) poses `pose_building_map`.
@@ -24,12 +27,13 @@ def implied_frames(estimated_poses: Array, true_poses: Array, robot_of: Array) -
     if estimated.shape != true.shape or true.ndim != 2 or true.shape[1] != 3 or len(true) == 0:
         raise DataError(f"need two arrays of equal shape (poses, 3); got {estimated.shape} and {true.shape}")
     frames = np.empty((int(np.max(robot_of)) + 1, 3))
-    _implied_frames(estimated, true, np.asarray(robot_of), frames)
+    find_frames(estimated, true, np.asarray(robot_of), frames)
     return frames
 
 
 @kernel
-def _implied_frames(estimated, true, robot_of, frames):
+def find_frames(estimated, true, robot_of, frames):
+    """`implied_frames`, written to frames (n, 3)."""
     for robot in range(frames.shape[0]):
         count = 0
         c = s = ex = ey = tx = ty = 0.0
@@ -53,8 +57,8 @@ def _implied_frames(estimated, true, robot_of, frames):
 def wrong_pairs(
     poses_building_map: ArrayLike,
     centre_map_m: ArrayLike = (0.0, 0.0),
-    distance_max_m: float = 1.0,
-    angle_max_rad: float = math.radians(10.0),
+    distance_max_m: float = WRONG_M,
+    angle_max_rad: float = WRONG_RAD,
 ) -> list[tuple[int, int]]:
     """Pairs (i, j), i < j, of robots of one group that disagree where the map frame lies in the building.
 
@@ -64,13 +68,13 @@ def wrong_pairs(
     frames = np.asarray(poses_building_map, float)
     x, y = np.asarray(centre_map_m, float).tolist()
     is_wrong = np.zeros((len(frames), len(frames)), bool)
-    if not _find_wrong(frames, x, y, distance_max_m, angle_max_rad, is_wrong):
+    if not find_wrong(frames, x, y, distance_max_m, angle_max_rad, is_wrong):
         return []
     return [(int(i), int(j)) for i, j in np.argwhere(is_wrong)]
 
 
 @kernel
-def _find_wrong(frames, x, y, distance_max, angle_max, is_wrong):
+def find_wrong(frames, x, y, distance_max, angle_max, is_wrong):
     """Mark the pairs (i, j), i < j, that disagree; gives how many they are."""
     count = 0
     for i in range(frames.shape[0]):

@@ -24,7 +24,7 @@ def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
     for the team as a whole. Raises DataError for unequal shapes or no positions.
     """
     pose = np.empty(3)
-    _align(*_position_pairs(estimated, true), 0.0, pose)
+    align(*_position_pairs(estimated, true), 0.0, pose)
     return pose
 
 
@@ -36,12 +36,12 @@ def lay_map(estimated: ArrayLike, true: ArrayLike) -> Array:
     """
     estimated, true, pose = np.asarray(estimated, float), np.asarray(true, float), np.empty(3)
     _check_pairs(estimated, true)
-    _align(estimated.reshape(-1, 3), true.reshape(-1, 3), HEADING_LEVER_M, pose)
+    align(estimated.reshape(-1, 3), true.reshape(-1, 3), HEADING_LEVER_M, pose)
     return pose
 
 
 @kernel
-def _align(a, b, lever, pose):
+def align(a, b, lever, pose):
     """`geometry.align_rigidly` of points (n, 2), or of poses (n, 3), with headings that count like points ahead."""
     count = a.shape[0]
     ax = ay = bx = by = 0.0
