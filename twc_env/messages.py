@@ -20,7 +20,7 @@ _Record = TypeVar("_Record")
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
 def _record(kind: type[_Record]) -> type[_Record]:
-    """A record that type checkers take as frozen. It is made in every step: freezing it would triple its cost."""
+    """A record that type checkers take as frozen. It is made all the time: freezing it would triple its cost."""
     return dataclass(slots=True, eq=False)(kind)
 
 
@@ -71,7 +71,7 @@ class SensorFrame:
     signs: tuple[SignReading, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@_record
 class Fingerprint:
     """The radio signature of a place: clipped mean strength of each transmitter (TWC-SLAM Eq. 7-8)."""
 
@@ -81,7 +81,7 @@ class Fingerprint:
     """(heard,) float64."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@_record
 class SignObservation:
     """A text that was read near a keyframe, placed in the keyframe's robot frame."""
 
@@ -92,7 +92,7 @@ class SignObservation:
     """Outward normal of the wall it hangs on, as the local map shows it; NaN where the map shows no wall."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@_record
 class Keyframe:
     """A place a robot remembers: where its front end believed it was, and what it sensed there."""
 

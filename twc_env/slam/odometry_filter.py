@@ -124,10 +124,11 @@ def _process_values(config: OdometryFilterConfig) -> Array:
 
 
 @kernel
-def _motion_covariance(variance, heading, matched, std_min, out):
-    """Covariance of a motion from odometry's variances (3,), sharpened by the information (3, 3) of its last match.
+def motion_covariance(variance, heading, matched, std_min, out):
+    """Write the covariance (3, 3) of the motion since a keyframe with this heading, in that keyframe's frame.
 
-    `matched` is in the odom frame, the motion in the frame of a keyframe with that heading.
+    variance (3,): odometry's, gathered on the way; matched (3, 3): information of the pose now, in the odom frame
+    (zeros when nothing was matched); std_min (3,): nothing is known better than this.
     """
     c, s = math.cos(heading), math.sin(heading)
     information, turned = np.zeros((3, 3)), np.empty((3, 3))
@@ -143,19 +144,6 @@ def _motion_covariance(variance, heading, matched, std_min, out):
     invert3(information, out)
     for j in range(3):
         out[j, j] += std_min[j] ** 2
-
-
-def motion_covariance(
-    variance: tuple[float, float, float], heading_rad: float, matched: Array, std_min: tuple[float, float, float]
-) -> Array:
-    """(3, 3) covariance of the motion since a keyframe, in that keyframe's frame.
-
-    variance (3,): odometry's, gathered on the way; matched (3, 3): information of the pose now, in the odom frame
-    (zeros when nothing was matched); std_min (3,): nothing is known better than this.
-    """
-    out = np.empty((3, 3))
-    _motion_covariance(variance, heading_rad, matched, std_min, out)
-    return out
 
 
 def invert_symmetric(matrix: Array) -> Array:

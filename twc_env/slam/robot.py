@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import between
+from twc_env.kernels import kernel
 from twc_env.messages import Keyframe, SensorFrame, SignObservation, SignReading
 from twc_env.slam.mate_detection import StillDiscs
 from twc_env.slam.odometry_filter import motion_covariance
@@ -27,6 +27,22 @@ MOTION_STD_MIN = (0.013, 0.013, 0.004)
 """Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""
 REDRAW_SPACING_M = 0.9
 """When the local map moves on, of the older keyframes every one this far along the path is drawn again."""
+
+
+@kernel
+def _measure_motion(
+    last, pose, steps, length, step_variance, metre_variance, turn_variance, matched, motion, covariance
+):
+    """Where a pose (3,) lies in the frame of the last keyframe's, and the covariance of that.
+
+    Odometry's variances grow with every step and every metre; the last match tells half of what it says of the pose.
+    """
+    c, s = math.cos(last[2]), math.sin(last[2])
+    dx, dy = pose[0] - last[0], pose[1] - last[1]
+    motion[0], motion[1] = c * dx + s * dy, c * dy - s * dx
+    motion[2] = (pose[2] - last[2] + math.pi) % (2 * math.pi) - math.pi
+    moved = steps * step_variance + length * metre_variance
+    motion_covariance((moved, moved, steps * turn_variance), last[2], 0.5 * matched, MOTION_STD_MIN, covariance)
 
 
 class FrontEnds:
@@ -82,9 +98,11 @@ class RobotFrontEnd:
         self.robot = robot
         self._config = config.slam
         self._field = field
-        self._centre_m = np.zeros(2)
+        self._centre_m = 0.0, 0.0
         self._recentre_m = max(0.5 * config.slam.local_map.size_m - config.lidar.range_max_m - 1.0, 1.0)
-        rule = config.slam.keyframe
+        rule, noise = config.slam.keyframe, config.slam.odometry_filter
+        self._variances = noise.position_std_m**2, noise.position_std_per_m**2, noise.turn_std_rad**2
+        """Odometry's, of a step [m2], of a metre [m2] and of the turn in a step [rad2]."""
         self.radio = ScanWindow(rule.fingerprint_scans_max)
         self.still = StillDiscs()
         self._keyframes: list[Keyframe] = []
@@ -110,27 +128,16 @@ class RobotFrontEnd:
         motion, covariance = np.zeros(3), np.zeros((3, 3))
         if self._keyframes:
             last = self._keyframes[-1]
-            motion = between(last.pose_odom, pose_odom)
-            variance = self._motion_variance(steps, travel_m - last.travel_m)
-            covariance = motion_covariance(variance, last.pose_odom[2], 0.5 * matched, MOTION_STD_MIN)
-        keyframe = Keyframe(
-            robot=self.robot,
-            index=len(self._keyframes),
-            step=step,
-            time_s=time_s,
-            pose_odom=pose_odom.copy(),
-            motion=motion,
-            motion_covariance=covariance,
-            travel_m=travel_m,
-            ranges_m=scan,
-            signs=self._signs_seen_from(pose_odom),
-            fingerprint=self.radio.fingerprint(
-                time_s - rule.fingerprint_window_s,
-                rule.fingerprint_detection_min,
-                rule.std_mode,
-                rule.fingerprint_age_max_s,
-            ),
+            moved = steps, travel_m - last.travel_m
+            _measure_motion(last.pose_odom, pose_odom, *moved, *self._variances, matched, motion, covariance)
+        since_s = time_s - rule.fingerprint_window_s
+        fingerprint = self.radio.fingerprint(
+            since_s, rule.fingerprint_detection_min, rule.std_mode, rule.fingerprint_age_max_s
         )
+        keyframe = Keyframe(
+            self.robot, len(self._keyframes), step, time_s, pose_odom.copy(), motion, covariance, travel_m, scan,
+            self._signs_seen_from(pose_odom), fingerprint,
+        )  # fmt: skip
         self._keyframes.append(keyframe)
         self._extend_local_map(keyframe)
         return keyframe
@@ -152,19 +159,13 @@ class RobotFrontEnd:
         self._readings = []
         return signs
 
-    def _motion_variance(self, steps: int, length_m: float) -> tuple[float, float, float]:
-        """Odometry's variances since the last keyframe [m2, m2, rad2]."""
-        noise = self._config.odometry_filter
-        moved = steps * noise.position_std_m**2 + length_m * noise.position_std_per_m**2
-        return moved, moved, steps * noise.turn_std_rad**2
-
     def _extend_local_map(self, keyframe: Keyframe) -> None:
-        position = keyframe.pose_odom[:2]
-        if math.dist(position, self._centre_m) <= self._recentre_m:
+        x, y, _ = keyframe.pose_odom.tolist()
+        if math.hypot(x - self._centre_m[0], y - self._centre_m[1]) <= self._recentre_m:
             self._field.add(keyframe.pose_odom[None], keyframe.ranges_m[None])
             return
-        self._centre_m = position
-        self._field.reset(position)
+        self._centre_m = x, y
+        self._field.reset(keyframe.pose_odom[:2])
         horizon = keyframe.travel_m - self._config.local_map.memory_m
         recent = [keyframe]
         for old in reversed(self._keyframes[:-1]):
