@@ -96,7 +96,7 @@ class CooperativeSlam:
         """None: they are to be looked up anew."""
         self._located = [[-1] * robot_count for _ in self.mappers]
         """The state of each mapper, by its counts of changes, that these were taken from."""
-        self._group_counts = [0] * len(self.mappers)
+        self._regroupings = [-1] * len(self.mappers)
         self._beliefs: TeamBeliefs | None = None
         """Once asked for, until something changes."""
         self._last_step = 0
@@ -169,7 +169,7 @@ class CooperativeSlam:
 
     def _locate(self) -> None:
         for number, mapper in enumerate(self.mappers):
-            if mapper.changes != self._located[number] or len(mapper.groups) != self._group_counts[number]:
+            if mapper.changes != self._located[number] or mapper.regroupings != self._regroupings[number]:
                 self._relocate(number, mapper)
         self._poses, self._mate_poses = np.empty_like(self._poses), np.empty_like(self._mate_poses)
         self._beliefs = None
@@ -181,19 +181,27 @@ class CooperativeSlam:
 
     def _relocate(self, number: int, mapper: TeamMapper) -> None:
         """What a mapper says of robots has changed; beliefs hold what it said before."""
-        since_m, mates = self._since_closure_m.copy(), self._mates.copy()
-        heard, self._maps = self._contact_steps.copy(), None
-        for robot in range(len(self.robots)) if self._is_central else (number,):
+        since_m, heard, last_steps = self._since_closure_m.copy(), self._contact_steps.copy(), mapper.last_steps
+        robots = range(len(self.robots)) if self._is_central else (number,)
+        for robot in robots:
             if mapper.changes[robot] != self._located[number][robot]:
                 since_m[robot] = mapper.locate(robot, self._poses_map_odom[robot], self._std[robot])
-            heard[robot] = [step for other, step in enumerate(mapper.last_steps) if other != robot]
+            heard[robot] = last_steps[:robot] + last_steps[robot + 1 :]
+        if mapper.regroupings != self._regroupings[number] or not self._is_central:
+            self._find_mates(robots, mapper)
+        self._since_closure_m, self._contact_steps, self._maps = since_m, heard, None
+        self._located[number], self._regroupings[number] = mapper.changes.copy(), mapper.regroupings
+
+    def _find_mates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
+        """Who shares the map of each of these robots."""
+        mates = self._mates.copy()
+        for robot in robots:
             others = [mate for mate in mapper.groups[mapper.group_index(robot)].robots if mate != robot]
             mates[robot] = others + [NOBODY] * (mates.shape[1] - len(others))
             if not self._is_central:
                 for k, mate in enumerate(others):
                     self._heard_poses[robot, k] = mapper.poses_of(mate)[-1]
-        self._since_closure_m, self._mates, self._contact_steps = since_m, mates, heard
-        self._located[number], self._group_counts[number] = mapper.changes.copy(), len(mapper.groups)
+        self._mates = mates
 
     def finish(self) -> None:
         """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""

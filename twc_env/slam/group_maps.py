@@ -52,6 +52,8 @@ class GroupMaps:
         self.groups = [Group((r,), self._new_grid()) for r in range(robot_count)]
         self.group_of = list(range(robot_count))
         """Which of `groups` each robot belongs to."""
+        self.regroupings = 0
+        """Grows whenever robots come to share a map or no longer do."""
         self._drawn = np.zeros((64, 3))
         """Where each node stands in the map as drawn."""
         self._scan_here = np.zeros(64, bool)
@@ -132,6 +134,7 @@ class GroupMaps:
 
     def _renumber(self) -> None:
         self._sides.clear()
+        self.regroupings += 1
         for index, group in enumerate(self.groups):
             for robot in group.robots:
                 self.group_of[robot] = index

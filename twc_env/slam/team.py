@@ -103,6 +103,11 @@ class TeamMapper:
         return self._maps.groups
 
     @property
+    def regroupings(self) -> int:
+        """Grows whenever robots come to share a map or no longer do."""
+        return self._maps.regroupings
+
+    @property
     def keyframes(self) -> list[list[Keyframe]]:
         """Of each robot, as far as they have arrived."""
         return self._graph.keyframes
