@@ -30,6 +30,19 @@ class WifiSlots:
 
 
 @kernel
+def _find(ascending, number):
+    """Where a number stands among ascending ones (k,); -1: nowhere."""
+    low, high = 0, ascending.shape[0]
+    while low < high:
+        middle = (low + high) // 2
+        if ascending[middle] < number:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < ascending.shape[0] and ascending[low] == number else -1
+
+
+@kernel
 def _place(robot, macs, rssi_dbm, scans, slot_macs_of, last_scan_of, levels_of):
     """The strongest transmitters take, or keep, the slots. Those longest out of the strongest give way."""
     scans[robot] += 1
@@ -49,9 +62,8 @@ def _place(robot, macs, rssi_dbm, scans, slot_macs_of, last_scan_of, levels_of):
     for i in range(count):
         is_waiting[strongest[i]] = True
     for slot in range(slots):
-        k = np.searchsorted(macs, slot_macs[slot])
-        at_slot[slot] = k if k < heard and macs[k] == slot_macs[slot] else -1
-        if at_slot[slot] >= 0 and is_waiting[k]:
+        k = at_slot[slot] = _find(macs, slot_macs[slot])
+        if k >= 0 and is_waiting[k]:
             is_waiting[k] = False
             last_scan[slot] = scan
     for i in range(count):

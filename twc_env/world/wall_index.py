@@ -43,8 +43,8 @@ class WallIndex:
         A line through the joint of two walls that continue each other crosses once.
         """
         counts, losses = np.empty(len(targets_m), np.int64), np.empty((1, len(targets_m)))
-        targets_m = np.ascontiguousarray(targets_m, float)
-        cross(*self.buckets(), self.loss_db[None], float(point_m[0]), float(point_m[1]), targets_m, counts, losses)
+        targets_m, loss_db = np.array(targets_m, float, order="C"), self.loss_db[None].copy()  # whose type is compiled
+        cross(*self.buckets(), loss_db, float(point_m[0]), float(point_m[1]), targets_m, counts, losses)
         return counts, losses[0]
 
     def distance_m(self, points_m: Array, reach_m: float) -> Array:
