@@ -51,52 +51,38 @@ def mark_mates(ranges, range_max, radius, directions, out, discs):
     """
     beams = ranges.shape[0]
     step = 2 * math.pi / beams
-    found = 0
+    jumps, count = np.empty(beams + 1, np.int64), 0
+    before = ranges[beams - 1]
     for i in range(beams):
         out[i] = ranges[i]
-    if radius <= 0.0:
-        return found
-    start = -1
-    for i in range(beams):  # begin behind a jump, so that no disc is cut in two
-        if abs(ranges[i] - ranges[i - 1]) > STEP_MAX_M:
-            start = i
-            break
-    if start < 0:
-        return found
-    previous = ranges[start - 1]
-    i = start
-    end = start + beams
-    while i < end:
-        first = i
-        last = ranges[i] if i < beams else ranges[i - beams]
-        begin = nearest = last
-        i += 1
-        following = begin
-        while i < end:
-            following = ranges[i] if i < beams else ranges[i - beams]
-            if abs(following - last) > STEP_MAX_M:
-                break
-            last = following
-            nearest = min(nearest, last)
-            i += 1
-        if i == end:
-            following = ranges[start]
-        beside, previous = previous, last
-        if beside < begin + BACKGROUND_MIN_M or following < last + BACKGROUND_MIN_M:
+        jumps[count] = i
+        count += abs(ranges[i] - before) > STEP_MAX_M
+        before = ranges[i]
+    if radius <= 0.0 or count == 0:
+        return 0
+    jumps[count] = jumps[0] + beams
+    found = 0
+    for m in range(count):
+        first, end = jumps[m], jumps[m + 1]
+        if ranges[first - 1] < ranges[first] + BACKGROUND_MIN_M:
             continue
+        if ranges[end % beams] < ranges[(end - 1) % beams] + BACKGROUND_MIN_M:
+            continue
+        nearest = ranges[first]
+        for k in range(first + 1, end):
+            nearest = min(nearest, ranges[k % beams])
         if nearest >= range_max or nearest <= 0.0:
             continue
-        count = i - first
-        if count > 2 * math.asin(min(radius / (nearest + radius), 1.0)) / step + 2:
+        if end - first > 2 * math.asin(min(radius / (nearest + radius), 1.0)) / step + 2:
             continue
-        middle = 0.5 * (first + i - 1) * step
+        middle = 0.5 * (first + end - 1) * step
         cx, cy = (nearest + radius) * math.cos(middle), (nearest + radius) * math.sin(middle)
-        if count >= FEW_BEAMS and not _is_disc(ranges, directions, first, count, cx, cy, radius):
+        if end - first >= FEW_BEAMS and not _is_disc(ranges, directions, first, end - first, cx, cy, radius):
             continue
-        for k in range(first, i):
+        for k in range(first, end):
             out[k % beams] = -ranges[k % beams]
         if found < discs.shape[0]:
-            discs[found, 0], discs[found, 1], discs[found, 2], discs[found, 3] = cx, cy, first % beams, count
+            discs[found, 0], discs[found, 1], discs[found, 2], discs[found, 3] = cx, cy, first, end - first
             found += 1
     return found
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import kernel
+from twc_env.kernels import Pack, kernel, pack
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
 from twc_env.slam.odometry_filter import CompiledFilters, make_filters, predict_state, update_state
 from twc_env.slam.scan_matching import LineFields, match_scan
@@ -58,12 +58,12 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
 
 
 @kernel
-def _track(
-    robots, ranges, odometry, turn_rates, now_s, poses, states, covariances, noise, believes_scans, directions,
-    mate_radius, marked, discs, disc_counts, walls, origins, match_rule, has_lidar, information, keyframe_rule,
-    keyframe_poses, times, travels, steps, is_new,
-):  # fmt: skip
+def _track(robots, ranges, odometry, turn_rates, now_s, poses, apparatus):
     """A whole step with the compiled filters."""
+    (
+        states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, walls, origins,
+        match_rule, has_lidar, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
+    ) = apparatus.parts  # fmt: skip
     count = states.shape[0]
     dts, matched, explained = np.empty(count), np.empty((count, 3)), np.zeros(count)
     is_matched = np.zeros(count, np.bool_)
@@ -111,20 +111,34 @@ class Tracker:
         mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
         self._marking = (beam_directions(beams), mate_radius_m, self.marked_m, self._discs, self._disc_counts)
         self._matching = (fields.walls, fields.origins_m, fields.rule, config.slam.cues.lidar)
+        self._apparatus: Pack | None = None
         self._keyframe_rule = np.array([rule.explained_min, rule.distance_m, rule.distance_new_m, rule.turn_rad])
 
     def update(self, robots: Array, frames: TeamFrames) -> None:
         """Take in the frames of these robots (k,), a row for each."""
-        self.poses_odom, filters = self.poses_odom.copy(), self._filters
-        if not isinstance(filters, CompiledFilters):
-            self._update_stepwise(robots, frames)
-            return
+        self.poses_odom = self.poses_odom.copy()
+        if self._apparatus is None:
+            if not isinstance(self._filters, CompiledFilters):
+                self._update_stepwise(robots, frames)
+                return
+            self._apparatus = self._packed(self._filters)
         _track(
             robots, frames.ranges_m, frames.odometry, frames.turn_rates_rad_s, frames.time_s, self.poses_odom,
-            filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
-            *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
-            self.travels_m, self.steps, self.is_new,
+            self._apparatus,
         )  # fmt: skip
+
+    def _packed(self, filters: CompiledFilters) -> Pack:
+        """What `_track` needs in every step."""
+        return pack(
+            (
+                filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
+                *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
+                self.travels_m, self.steps, self.is_new,
+            )
+        )  # fmt: skip
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_apparatus": None}
 
     def discs_of(self, robot: int) -> Array:
         """A row (x [m], y [m], first beam, beams) for each mate last seen, its centre in the robot frame."""
