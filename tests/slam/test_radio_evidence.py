@@ -24,12 +24,25 @@ def test_evidence_does_not_depend_on_where_the_layout_lies():
     assert evidence.of(turned) == pytest.approx(evidence.of(PLACES), abs=1e-3)
 
 
-def test_slopes_are_those_of_the_evidence():
-    evidence = FieldEvidence(HEARD)
+@pytest.mark.parametrize("travel_m", [None, np.linspace(0.0, 160.0, 80)])
+def test_slopes_are_those_of_the_evidence(travel_m):
+    evidence = FieldEvidence(HEARD, travel_m)
     squared = ((PLACES[:, None] - PLACES) ** 2).sum(axis=2)
-    logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1])
-    _, slopes = evidence._cost(logs, squared)
-    for k in range(5):
-        step = 1e-5 * np.eye(5)[k]
+    logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1, 0.2, 6.0][: 5 if travel_m is None else 7])
+    _, slopes, _ = evidence._cost(logs, squared)
+    assert len(slopes) == len(logs)
+    for k in range(len(logs)):
+        step = 1e-5 * np.eye(len(logs))[k]
         difference = evidence._cost(logs + step, squared)[0] - evidence._cost(logs - step, squared)[0]
         assert slopes[k] == pytest.approx(difference / 2e-5, rel=1e-3, abs=1e-3)
+
+
+def test_slopes_by_places_are_those_of_the_evidence():
+    evidence = FieldEvidence(HEARD)
+    logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1])
+    _, slopes = evidence.slopes(PLACES, logs)
+    for place, axis in ((3, 0), (40, 1)):
+        step = np.zeros_like(PLACES)
+        step[place, axis] = 1e-4
+        ahead, behind = (evidence.slopes(PLACES + sign * step, logs)[0] for sign in (1, -1))
+        assert slopes[place, axis] == pytest.approx((ahead - behind) / 2e-4, rel=1e-3)

@@ -93,7 +93,7 @@ def test_wifi_and_lte_are_heard_apart_and_together():
     together = dataclasses.replace(wifi, fingerprints=both)
     result = solve(together, RadioSlamConfig())
     assert sorted(result.models) == ["lte", "wifi"]
-    assert absolute_trajectory_error_m(result.poses, truth) < 1.0
+    assert absolute_trajectory_error_m(result.poses, truth) < 1.2
     assert sorted(solve(together, RadioSlamConfig(), cues=("lte",)).models) == ["lte"]
 
 

@@ -85,3 +85,12 @@ def calibration(motions: Motions, poses: Array) -> Calibration:
 def calibrated(motions: Motions, poses: Array) -> Motions:
     """The odometry with the constant errors taken out that poses show against its beginning."""
     return calibration(motions, poses).applied(motions)
+
+
+def reckoned_poses(motions: Array) -> Array:
+    """(n, 3) poses from (0, 0, 0) along motions (n - 1, 3)."""
+    heading = np.concatenate([[0.0], np.cumsum(motions[:, 2])])
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    x = np.concatenate([[0.0], np.cumsum(c * motions[:, 0] - s * motions[:, 1])])
+    y = np.concatenate([[0.0], np.cumsum(s * motions[:, 0] + c * motions[:, 1])])
+    return np.column_stack([x, y, wrap_angle(heading)])

@@ -1,8 +1,9 @@
 """SLAM from odometry and radio fingerprints alone: a trajectory and a radio map, without knowing any transmitter.
 
-Two steps: closures that tell distances, from the similarity of fingerprints (radio SLAM Eq. 1-3), untangle the path
+Closures that tell distances, from the similarity of fingerprints (radio SLAM Eq. 1-3), untangle the path
 from its beginning onwards; then the fields of signal strength around each place tie it to other visits near by. After
-each fit the odometry's constant errors are taken out. `paper` does the first step only, as printed.
+each fit the odometry's constant errors are taken out. `paper` does the first step only, as printed. At last the path
+moves as a whole to where all that was heard is likeliest (`radio_refinement`).
 
 How noisy the odometry is nobody says, so the way is gone under several assumptions, and the result stays that explains
 best what was heard without straining the odometry (`radio_evidence`). Where likeness falls with distance no better than
@@ -24,15 +25,16 @@ from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_field
 from twc_env.slam.distance_factor import NO_DISTANCES, Distances, RadioEquations, together
-from twc_env.slam.odometry_calibration import Calibration, Motions, calibrated
+from twc_env.slam.odometry_calibration import Calibration, Motions, calibrated, reckoned_poses
 from twc_env.slam.pose_graph import squared_errors
 from twc_env.slam.radio_evidence import FieldEvidence
+from twc_env.slam.radio_refinement import refined
 from twc_env.slam.radio_similarity import all_similarities, averaged, feature_rows, split_cues
 from twc_env.slam.similarity_model import SimilarityModel, train_on_path
 
 Array = NDArray
 
-CUES = ("wifi", "lte")
+CUES, REFINED_BY = ("wifi", "lte"), ("wifi",)
 FIRST_STAGE_M, STAGE_GROWTH = 60.0, 1.3
 """The path is fitted up to here first, then up to this many times as far, and so on."""
 STAGE_ITERATIONS, FINAL_ITERATIONS, FINAL_ROUNDS = 6, 20, 4
@@ -163,10 +165,15 @@ class _Solver:
         if all(found.evidence < most or found.strain > STRAIN_MAX * len(self._places) for found in tries):
             for curl in CURLS_RAD_M:
                 tries += self._tries(Calibration(curl_rad_m=curl).applied(self._motions), closures)
-        best = min(tries, key=lambda found: found.misfit).poses
+        best = self._refined(min(tries, key=lambda found: found.misfit).poses)
         if self._order(best) <= max(self._order(self._odometry), ORDER_MIN):
             return self._result(self._odometry, closures, fell_back=True)
         return self._result(best, closures, fell_back=False)
+
+    def _refined(self, poses: Array) -> Array:
+        """All of the path at once under what WiFi tells; what LTE tells is too smooth for that."""
+        sharp = [FieldEvidence(cue.feature, self._travel_m, len(poses)) for cue in self._cues if cue.name in REFINED_BY]
+        return refined(poses, self._motions, self._own_information, sharp) if sharp else poses
 
     def _tries(self, motions: Motions, closures: Distances) -> list[_Try]:
         """The whole way under each assumption of noise."""
@@ -333,15 +340,6 @@ def spread(path: Array, travel_m: Array, places: Array, place_poses: Array) -> A
         poses[a:b] = own
     poses[:, 2] = wrap_angle(poses[:, 2])
     return compose(inverse(poses[0]), poses)
-
-
-def reckoned_poses(motions: Array) -> Array:
-    """(n, 3) poses from (0, 0, 0) along motions (n - 1, 3)."""
-    heading = np.concatenate([[0.0], np.cumsum(motions[:, 2])])
-    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
-    x = np.concatenate([[0.0], np.cumsum(c * motions[:, 0] - s * motions[:, 1])])
-    y = np.concatenate([[0.0], np.cumsum(s * motions[:, 0] + c * motions[:, 1])])
-    return np.column_stack([x, y, wrap_angle(heading)])
 
 
 def _spaced(travel_m: Array, spacing_m: float) -> Array:

@@ -18,9 +18,9 @@ from twc_env.geometry import between, compose
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_field
 from twc_env.slam.distance_factor import NO_DISTANCES, Distances, RadioEquations, together
-from twc_env.slam.odometry_calibration import Calibration, Motions, calibration
+from twc_env.slam.odometry_calibration import Calibration, Motions, calibration, reckoned_poses
 from twc_env.slam.radio_similarity import all_similarities, features, split_cues
-from twc_env.slam.radio_slam import motion_information, reckoned_poses
+from twc_env.slam.radio_slam import motion_information
 from twc_env.slam.similarity_model import SimilarityModel, train_on_path
 
 Array = NDArray

@@ -1,0 +1,37 @@
+import numpy as np
+import pytest
+
+from twc_env.geometry import between
+from twc_env.metrics.trajectory import absolute_trajectory_error_m
+from twc_env.slam.odometry_calibration import Motions, reckoned_poses
+from twc_env.slam.radio_evidence import FieldEvidence
+from twc_env.slam.radio_refinement import by_motion, refined
+
+RANDOM = np.random.default_rng(4)
+ANGLES = np.linspace(0.0, 4 * np.pi, 80)
+PATH = np.column_stack([18 * np.cos(ANGLES), 12 * np.sin(ANGLES), ANGLES + np.pi / 2])
+MOTIONS = between(PATH[:-1], PATH[1:])
+TRUTH = reckoned_poses(MOTIONS)
+BOXES = RANDOM.uniform(-30, 30, (40, 2)) + TRUTH[:, :2].mean(axis=0)
+AWAY_M = np.linalg.norm(TRUTH[:, None, :2] - BOXES, axis=2)
+HEARD = np.maximum(65 - 30 * np.log10(np.maximum(AWAY_M, 1.0)) + RANDOM.normal(size=AWAY_M.shape), 0.0)
+
+
+def test_slopes_by_motions_are_those_of_the_places():
+    by_place = RANDOM.normal(size=(len(TRUTH), 2))
+    slopes = by_motion(TRUTH, MOTIONS, by_place)
+    for motion, axis in ((0, 2), (30, 0), (60, 1), (77, 2)):
+        step = np.zeros_like(MOTIONS)
+        step[motion, axis] = 1e-5
+        moved = [(reckoned_poses(MOTIONS + sign * step)[:, :2] * by_place).sum() for sign in (1, -1)]
+        assert slopes[motion, axis] == pytest.approx((moved[0] - moved[1]) / 2e-5, rel=1e-4, abs=1e-4)
+
+
+def test_what_is_heard_takes_the_noise_out_of_a_path():
+    std = np.array([0.05, 0.05, 0.02])
+    noisy = MOTIONS + std * RANDOM.normal(size=MOTIONS.shape)
+    before = reckoned_poses(noisy)
+    information = np.tile(np.diag(1.0 / std**2), (len(noisy), 1, 1))
+    after = refined(before, Motions(noisy, noisy[:, 2]), information, [FieldEvidence(HEARD)])
+    errors = [absolute_trajectory_error_m(poses, TRUTH) for poses in (before, after)]
+    assert errors[1] < 0.5 * errors[0]
