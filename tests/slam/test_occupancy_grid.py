@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twc_env.slam.cell_kinds import kinds_of
@@ -170,3 +170,19 @@ def test_what_stands_there_in_short_keeps_up_with_scans_growth_and_redrawing(roo
             seen = grid.snapshot()
             assert np.array_equal(seen.kinds, kinds_of(seen.log_odds)) and set(np.unique(seen.kinds)) >= {0, 1}
         grid.clear()
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 10_000))
+def test_what_stands_there_in_short_is_right_whatever_single_beams_see(seed):
+    random = np.random.default_rng(seed)
+    grid = OccupancyGrid(CELL_M, RANGE_MAX_M, 90)
+    for _ in range(5):
+        pose, scan = (
+            random.uniform(-4, 4, 3),
+            random.choice([0.5, 1.0, 4.0, 9.3, 10.0], 90) * random.uniform(0.9, 1, 90),
+        )
+        scan[random.random(90) < 0.1] *= -1
+        grid.integrate(pose[None], scan[None])
+        seen = grid.snapshot()
+        assert np.array_equal(seen.kinds, kinds_of(seen.log_odds))

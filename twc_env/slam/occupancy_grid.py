@@ -59,7 +59,13 @@ def _lower(levels):
 
 
 @kernel
-def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, crossings, counts):
+def _integrate_scan(
+    log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, crossings, counts, spans
+):
+    """Lower what the scan saw through and raise what it met.
+
+    Gives the first and last row that it can touch; spans (rows, 2) gets the first and last column touched in each.
+    """
     height, width = log_odds.shape
     beams = ranges.shape[0]
     c, s = math.cos(pose[2]) * inverse_m, math.sin(pose[2]) * inverse_m
@@ -83,7 +89,10 @@ def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, pose, directions, r
             _fill_crossings(previous_x, previous_y, qx, qy, row_low, row_high, crossings, counts)
         previous_x, previous_y = qx, qy
     for row in range(row_low, row_high + 1):
-        for p in range(counts[row - row_low] // 2):
+        ends = counts[row - row_low] // 2 * 2
+        spans[row - row_low, 0] = max(crossings[row - row_low, 0], 0) if ends else width
+        spans[row - row_low, 1] = min(crossings[row - row_low, ends - 1], width) - 1 if ends else -1
+        for p in range(ends // 2):
             first = max(0, crossings[row - row_low, 2 * p])
             last = min(width, crossings[row - row_low, 2 * p + 1])
             if first < last:
@@ -99,11 +108,26 @@ def _integrate_scan(log_odds, origin_x, origin_y, inverse_m, pose, directions, r
             continue
         last_row, last_column = row, column
         log_odds[row, column] = min(log_odds[row, column] + LOG_ODDS_HIT, LOG_ODDS_MAX)
+        at = min(max(row - row_low, 0), row_high - row_low)
+        spans[at, 0], spans[at, 1] = min(spans[at, 0], column), max(spans[at, 1], column)
+    return row_low, row_high
 
 
 @kernel
-def _integrate_many(log_odds, boxes, inverse_m, poses, directions, scans, range_max, crossings, counts, reached):
-    """Fold in scans that lie inside the first box, and widen the others by what these can touch.
+def _note_spans(log_odds, row_low, row_high, spans, kinds):
+    """`note_kinds` of the squares that hold a cell of the spans."""
+    for row in range(row_low - 1, row_high + 1):
+        above, here = min(row + 1, row_high) - row_low, max(row, row_low) - row_low
+        first, last = min(spans[here, 0], spans[above, 0]), max(spans[here, 1], spans[above, 1])
+        if first <= last:
+            note_kinds(log_odds, row, first - 1, row + 1, last + 1, kinds)
+
+
+@kernel
+def _integrate_many(
+    log_odds, kinds, boxes, inverse_m, poses, directions, scans, range_max, crossings, counts, spans, reached
+):
+    """Fold in scans that lie inside the first box, and widen the second by what these can touch.
 
     Writes that box to `reached` (4,); whether it lay inside.
     """
@@ -118,14 +142,20 @@ def _integrate_many(log_odds, boxes, inverse_m, poses, directions, scans, range_
     bounds = boxes[0]
     if reached[0] < bounds[0] or reached[1] < bounds[1] or reached[2] > bounds[2] or reached[3] > bounds[3]:
         return False
-    for box in range(1, boxes.shape[0]):
-        for side in range(2):
-            boxes[box, side] = min(boxes[box, side], reached[side])
-            boxes[box, 2 + side] = max(boxes[box, 2 + side], reached[2 + side])
+    for side in range(2):
+        boxes[1, side] = min(boxes[1, side], reached[side])
+        boxes[1, 2 + side] = max(boxes[1, 2 + side], reached[2 + side])
     for k in range(poses.shape[0]):
-        _integrate_scan(
-            log_odds, bounds[0], bounds[1], inverse_m, poses[k], directions, scans[k], range_max, crossings, counts
-        )
+        row_low, row_high = _integrate_scan(
+            log_odds, bounds[0], bounds[1], inverse_m, poses[k], directions, scans[k], range_max, crossings, counts,
+            spans,
+        )  # fmt: skip
+        if poses.shape[0] == 1:
+            _note_spans(log_odds, row_low, row_high, spans, kinds)
+    if poses.shape[0] > 1:  # they touch the same cells again and again
+        bottom, left = int((reached[1] - bounds[1]) * inverse_m) - 2, int((reached[0] - bounds[0]) * inverse_m) - 2
+        top, right = int((reached[3] - bounds[1]) * inverse_m) + 3, int((reached[2] - bounds[0]) * inverse_m) + 3
+        note_kinds(log_odds, bottom, left, top, right, kinds)
     return True
 
 
@@ -139,6 +169,7 @@ class OccupancyGrid:
         self.range_max_m = range_max_m
         rows = int(2 * range_max_m / resolution_m) + 8
         self._crossings, self._counts = np.zeros((rows, beam_count + 2), np.int32), np.zeros(rows, np.int32)
+        self._spans = np.zeros((rows, 2), np.int32)
         self._directions, self._touched_m = beam_directions(beam_count), np.zeros(4)
         self.clear()
 
@@ -147,16 +178,14 @@ class OccupancyGrid:
         self.log_odds = np.zeros((0, 0), np.int16)
         self.origin_m = np.zeros(2)
         self._kinds = np.zeros((0, 0), np.uint8)
-        self._boxes_m = np.array([NOWHERE_M] * 3)
-        """The box of all cells; of those that scans can have touched; and of these since `kinds` were noted."""
-        self._is_changed = False
+        self._boxes_m = np.array([NOWHERE_M] * 2)
+        """The box of all cells, and of those that scans can have touched."""
         self._snapshot: GridMap | None = None
 
     def integrate(self, poses: Array, scans: Array) -> None:
         """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall."""
         if len(poses) == 0:
             return
-        self._is_changed = True
         if not self._fold_in(poses, scans):
             self._grow(self._touched_m[:2], self._touched_m[2:])
             self._fold_in(poses, scans)
@@ -164,17 +193,13 @@ class OccupancyGrid:
     def _fold_in(self, poses: Array, scans: Array) -> bool:
         """Whether the scans could be folded in: not where they touch more than there are cells."""
         inside: bool = _integrate_many(
-            self.log_odds, self._boxes_m, 1.0 / self.resolution_m, poses, self._directions, scans, self.range_max_m,
-            self._crossings, self._counts, self._touched_m,
+            self.log_odds, self._kinds, self._boxes_m, 1.0 / self.resolution_m, poses, self._directions, scans,
+            self.range_max_m, self._crossings, self._counts, self._spans, self._touched_m,
         )  # fmt: skip
         return inside
 
     def snapshot(self) -> GridMap:
         """A read-only view of the cells as they are now; valid until the next `integrate`."""
-        if self._is_changed:
-            first_row, first_column, end_row, end_column = self._cells_of(self._boxes_m[2])
-            note_kinds(self.log_odds, first_row - 1, first_column - 1, end_row, end_column, self._kinds)
-            self._boxes_m[2], self._is_changed = NOWHERE_M, False
         if self._snapshot is None:
             views = self.log_odds.view(), self.origin_m.view(), self._kinds.view()
             for view in views:
