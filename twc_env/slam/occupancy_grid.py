@@ -29,25 +29,28 @@ FREE_MARGIN_CELLS = 0.5
 
 
 @kernel
-def _fill_crossings(px, py, qx, qy, row_low, row_high, crossings, counts):
-    """Note where the polygon edge p-q crosses the centre line of each row, sorted by column."""
+def _fill_crossings(px, py, qx, qy, last_row, width, crossings, counts):
+    """Note where the polygon edge p-q crosses the centre lines of rows 0..last_row, sorted by column 0..width.
+
+    An edge crosses each row once at most, so there is room in a row for as many as the polygon has edges.
+    """
     low, high = (py, qy) if qy > py else (qy, py)
-    first = max(int(math.ceil(low)), row_low)
-    last = min(int(math.ceil(high)) - 1, row_high)
-    if last < first:
+    first = max(int(math.ceil(low)), 0)
+    end = min(int(math.ceil(high)), last_row + 1)
+    if end <= first:
         return
     slope = (qx - px) / (qy - py)
-    for row in range(first, last + 1):
-        column = int(math.ceil(px + (row - py) * slope))
-        n = counts[row - row_low]
-        if n >= crossings.shape[1]:
-            continue
-        k = n
-        while k > 0 and crossings[row - row_low, k - 1] > column:
-            crossings[row - row_low, k] = crossings[row - row_low, k - 1]
-            k -= 1
-        crossings[row - row_low, k] = column
-        counts[row - row_low] = n + 1
+    x = px + (first - py) * slope
+    one = np.uint64(1)
+    for row in range(np.uint64(first), np.uint64(end)):
+        column = np.int32(min(max(math.ceil(x), 0.0), width))
+        x += slope
+        k = np.uint64(counts[row])
+        counts[row] = k + one
+        while k > np.uint64(0) and crossings[row, k - one] > column:
+            crossings[row, k] = crossings[row, k - one]
+            k -= one
+        crossings[row, k] = column
 
 
 @kernel
@@ -84,17 +87,16 @@ def _integrate_scan(
         i = k if k >= 0 else beams - 1
         r = max(min(abs(ranges[i]), range_max) - margin, 0.0)
         dx, dy = r * directions[i, 0], r * directions[i, 1]
-        qx, qy = gx + c * dx - s * dy, gy + s * dx + c * dy
+        qx, qy = gx + c * dx - s * dy, gy - row_low + s * dx + c * dy
         if k >= 0:
-            _fill_crossings(previous_x, previous_y, qx, qy, row_low, row_high, crossings, counts)
+            _fill_crossings(previous_x, previous_y, qx, qy, row_high - row_low, float(width), crossings, counts)
         previous_x, previous_y = qx, qy
     for row in range(row_low, row_high + 1):
         ends = counts[row - row_low] // 2 * 2
-        spans[row - row_low, 0] = max(crossings[row - row_low, 0], 0) if ends else width
-        spans[row - row_low, 1] = min(crossings[row - row_low, ends - 1], width) - 1 if ends else -1
+        spans[row - row_low, 0] = crossings[row - row_low, 0] if ends else width
+        spans[row - row_low, 1] = crossings[row - row_low, ends - 1] - 1 if ends else -1
         for p in range(ends // 2):
-            first = max(0, crossings[row - row_low, 2 * p])
-            last = min(width, crossings[row - row_low, 2 * p + 1])
+            first, last = crossings[row - row_low, 2 * p], crossings[row - row_low, 2 * p + 1]
             if first < last:
                 _lower(log_odds[row, first:last])
     last_row = last_column = -1
