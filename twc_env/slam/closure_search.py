@@ -43,19 +43,24 @@ class ClosureSearch:
 
     def propose(self, keyframe: Keyframe) -> None:
         """Queue what a new keyframe looks like."""
-        group_of = self._maps.group_of
-        group = group_of[keyframe.robot]
         is_tied = self._is_tied(keyframe)
-        mates = self._maps.groups[group].robots if is_tied else ()
-        candidates = self._recogniser.propose(keyframe, skipped_robots=mates)
+        mates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots if is_tied else ()
+        tried = self._filters[self._recogniser.name]
+        candidates = self._recogniser.propose(
+            keyframe, mates, lambda target: not tried.was_tried(target, keyframe, self._reach_m(target, keyframe))
+        )
         near = None if is_tied else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)
         for candidate in candidates:
             target = self._graph.keyframe(candidate.target)
-            reach = REPEAT_REACH_M if group_of[target.robot] == group else REPEAT_REACH_APART_M
-            if self._filters[candidate.recogniser].is_new(target, keyframe, reach):
+            if self._filters[candidate.recogniser].is_new(target, keyframe, self._reach_m(target, keyframe)):
                 self._waiting[candidate.recogniser].append(candidate)
+
+    def _reach_m(self, target: Keyframe, source: Keyframe) -> float:
+        """How near to an earlier proposal another one is a repetition of it."""
+        is_one_map = self._maps.group_of[target.robot] == self._maps.group_of[source.robot]
+        return REPEAT_REACH_M if is_one_map else REPEAT_REACH_APART_M
 
     def _is_tied(self, keyframe: Keyframe) -> bool:
         """Whether a closure already ties this part of its robot's path to the map."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import Keyframe, LoopCandidate, SignObservation
@@ -20,7 +20,12 @@ class FusedRecogniser:
         self.memory = PlaceMemory(range_max_m)
         """What the evidence rests on."""
 
-    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+    def propose(
+        self,
+        keyframe: Keyframe,
+        skipped_robots: Sequence[int] = (),
+        is_wanted: Callable[[Keyframe], bool] | None = None,
+    ) -> list[LoopCandidate]:
         """See `Recogniser`; of each sign on another map the view whose radio signature fits best."""
         best: dict[tuple[int, int], LoopCandidate] = {}
         places = self.memory.observe(keyframe)

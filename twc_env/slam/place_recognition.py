@@ -6,7 +6,7 @@ baseline of DCL-SLAM's kind) and `fused` (all cues weighed as log-odds). `make_r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from twc_env.config import PlaceRecognitionConfig
@@ -21,10 +21,15 @@ class Recogniser(Protocol):
 
     name: str
 
-    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+    def propose(
+        self,
+        keyframe: Keyframe,
+        skipped_robots: Sequence[int] = (),
+        is_wanted: Callable[[Keyframe], bool] | None = None,
+    ) -> list[LoopCandidate]:
         """Candidates between this keyframe (source) and all earlier ones (targets) of robots that are not skipped.
 
-        The keyframe is remembered for those that follow.
+        Those with targets that are not wanted may be left out. The keyframe is remembered for those that follow.
         """
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
@@ -51,12 +56,21 @@ class ProposalFilter:
 
     def is_new(self, target: Keyframe, source: Keyframe, reach_m: float) -> bool:
         """Whether no earlier proposal between the two robots lies within reach_m at both ends; remembers this one."""
-        if target.robot > source.robot:
-            target, source = source, target
-        tried = self._tried.setdefault((target.robot, source.robot), [])
-        a, b = target.travel_m, source.travel_m
-        for x, y in tried:
-            if abs(a - x) < reach_m and abs(b - y) < reach_m:
-                return False
-        tried.append((a, b))
+        if self.was_tried(target, source, reach_m):
+            return False
+        robots, travels_m = _in_order(target, source)
+        self._tried.setdefault(robots, []).append(travels_m)
         return True
+
+    def was_tried(self, target: Keyframe, source: Keyframe, reach_m: float) -> bool:
+        """Whether an earlier proposal between the two robots lies within reach_m at both ends."""
+        robots, (a, b) = _in_order(target, source)
+        tried = reversed(self._tried.get(robots, ()))
+        return any(abs(a - x) < reach_m and abs(b - y) < reach_m for x, y in tried)
+
+
+def _in_order(a: Keyframe, b: Keyframe) -> tuple[tuple[int, int], tuple[float, float]]:
+    """The robots of two keyframes and the path lengths up to these, the lower robot first."""
+    if a.robot > b.robot:
+        a, b = b, a
+    return (a.robot, b.robot), (a.travel_m, b.travel_m)

@@ -160,8 +160,8 @@ def rssi_similarity(distance_db: float, shared: int, tolerance_db: float) -> flo
     """min(1, tolerance / rms difference): 1 within the tolerance, falling after (papers.md T8); 0 if none is shared."""
     if shared == 0:
         return 0.0
-    rms = distance_db / np.sqrt(shared)
-    return 1.0 if rms <= tolerance_db else float(tolerance_db / rms)
+    rms = distance_db / math.sqrt(shared)
+    return 1.0 if rms <= tolerance_db else tolerance_db / rms
 
 
 def _shared(a: Fingerprint, b: Fingerprint) -> tuple[Array, Array]:

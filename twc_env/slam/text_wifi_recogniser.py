@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,34 +43,50 @@ class TextWifiRecogniser:
         self._fingerprints = FingerprintTable()
         """One row per place."""
 
-    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+    def propose(
+        self,
+        keyframe: Keyframe,
+        skipped_robots: Sequence[int] = (),
+        is_wanted: Callable[[Keyframe], bool] | None = None,
+    ) -> list[LoopCandidate]:
         """See `Recogniser`; the better of two texts speaks for a pair."""
         if not keyframe.signs:
             return []
-        best: dict[tuple[int, int], LoopCandidate] = {}
+        best: dict[tuple[int, int], tuple[float, int, SignObservation, float, float]] = {}
         readings = [(self._key(sign.text), sign) for sign in keyframe.signs]
         for text, sign in readings:
             if math.isnan(sign.facing_rad):
                 continue
             similarity = self._like_text(text, keyframe, skipped_robots)
             for k, macs, rssi in self._like_radio(sorted(similarity), keyframe.fingerprint):
-                target, target_sign = self._places[k]
+                target = self._places[k][0]
                 held = best.get((target.robot, target.index))
-                if held is None or similarity[k] > held.text_similarity:
-                    candidate = LoopCandidate(
-                        target=(target.robot, target.index),
-                        source=(keyframe.robot, keyframe.index),
-                        guess=meet_at_sign(target_sign, sign),
-                        recogniser=self.name,
-                        sign_m=target_sign.position_m,
-                        text_similarity=similarity[k],
-                        mac_similarity=macs,
-                        rssi_similarity=rssi,
-                    )
-                    best[candidate.target] = candidate
+                if held is None or similarity[k] > held[0]:
+                    best[target.robot, target.index] = similarity[k], k, sign, macs, rssi
         for text, sign in readings:
             self._remember(text, keyframe, sign)
-        return list(best.values())
+        source = keyframe.robot, keyframe.index
+        return [
+            self._candidate(source, *entry)
+            for entry in best.values()
+            if is_wanted is None or is_wanted(self._places[entry[1]][0])
+        ]
+
+    def _candidate(
+        self, source: tuple[int, int], similarity: float, number: int, sign: SignObservation, macs: float, rssi: float
+    ) -> LoopCandidate:
+        """Of a sign seen from a keyframe and a place of that number."""
+        target, target_sign = self._places[number]
+        return LoopCandidate(
+            target=(target.robot, target.index),
+            source=source,
+            guess=meet_at_sign(target_sign, sign),
+            recogniser=self.name,
+            sign_m=target_sign.position_m,
+            text_similarity=similarity,
+            mac_similarity=macs,
+            rssi_similarity=rssi,
+        )
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """The smallest of the three similarities: at this threshold for all of them the pair would just pass."""
@@ -84,8 +100,8 @@ class TextWifiRecogniser:
         for other, similarity in self._texts.alike(text):
             for k in self._numbers_of[other]:
                 target = self._places[k][0]
-                is_own = target.robot == keyframe.robot
-                if target.robot not in skipped_robots and not (is_own and target.travel_m > latest_m):
+                robot = target.robot
+                if robot not in skipped_robots and (robot != keyframe.robot or target.travel_m <= latest_m):
                     found[k] = similarity
         return found
 
@@ -96,11 +112,12 @@ class TextWifiRecogniser:
             return []
         macs, distance_db, shared = self._fingerprints.compare(numbers, fingerprint)
         passed = []
-        for row in np.flatnonzero(macs >= rule.mac_similarity_min - 1e-9).tolist():
-            k, distance, count = numbers[row], float(distance_db[row]), int(shared[row])
-            rssi, is_alike = rssi_cue(distance, count, rule, (self._places[k][0].fingerprint, fingerprint))
-            if is_alike:
-                passed.append((k, float(macs[row]), rssi))
+        rows = zip(numbers, macs.tolist(), distance_db.tolist(), shared.tolist(), strict=True)
+        for k, mac, distance, count in rows:
+            if mac >= rule.mac_similarity_min - 1e-9:
+                rssi, is_alike = rssi_cue(distance, count, rule, (self._places[k][0].fingerprint, fingerprint))
+                if is_alike:
+                    passed.append((k, mac, rssi))
         return passed
 
     def _remember(self, text: str, keyframe: Keyframe, sign: SignObservation) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +84,12 @@ class WifiRecogniser:
         self._config = config
         self._places = PlacesOnTheWay(range_max_m)
 
-    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+    def propose(
+        self,
+        keyframe: Keyframe,
+        skipped_robots: Sequence[int] = (),
+        is_wanted: Callable[[Keyframe], bool] | None = None,
+    ) -> list[LoopCandidate]:
         """See `Recogniser`; the few most alike."""
         if not self._places.is_due(keyframe):
             return []
@@ -124,7 +129,12 @@ class ScanRecogniser:
         self._config, self._range_max_m = config, range_max_m
         self._places = PlacesOnTheWay(range_max_m)
 
-    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+    def propose(
+        self,
+        keyframe: Keyframe,
+        skipped_robots: Sequence[int] = (),
+        is_wanted: Callable[[Keyframe], bool] | None = None,
+    ) -> list[LoopCandidate]:
         """See `Recogniser`; the few most alike."""
         if not self._places.is_due(keyframe):
             return []
