@@ -7,7 +7,7 @@ on all robots at once takes the arrays. Like the records, they can hold no true 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,10 +48,41 @@ class _Team(Sequence[_Record]):
         return iter(self._all())
 
 
+class WifiScans(NamedTuple):
+    """The sweeps over the radio channels that robots finished in one step, side by side."""
+
+    robots: Array
+    """(k,) int64: whose each is."""
+    macs: Array
+    """(k, most) int64, of which the first `counts` are heard; ascending."""
+    rssi_dbm: Array
+    """(k, most) float64."""
+    counts: Array
+    """(k,) int64."""
+
+    @classmethod
+    def of(cls, scans: Sequence[WifiScan | None]) -> WifiScans:
+        """The scans of robots 0, 1, ..., where there are any; their ages are left out."""
+        heard = [(robot, scan) for robot, scan in enumerate(scans) if scan is not None]
+        counts = [len(scan.macs) for _, scan in heard]
+        shape = len(heard), max(counts, default=0)
+        macs, rssi_dbm = np.zeros(shape, np.int64), np.zeros(shape)
+        for k, (_, scan) in enumerate(heard):
+            macs[k, : counts[k]], rssi_dbm[k, : counts[k]] = scan.macs, scan.rssi_dbm
+        return cls(np.array([robot for robot, _ in heard], np.int64), macs, rssi_dbm, np.array(counts, np.int64))
+
+    def each(self, robot_count: int) -> list[WifiScan | None]:
+        """One for each robot; None where it finished none."""
+        scans: list[WifiScan | None] = [None] * robot_count
+        for k, (robot, count) in enumerate(zip(self.robots.tolist(), self.counts.tolist(), strict=True)):
+            scans[robot] = WifiScan(self.macs[k, :count], self.rssi_dbm[k, :count])
+        return scans
+
+
 class TeamFrames(_Team[SensorFrame]):
     """The frames of all robots in one step."""
 
-    __slots__ = ("odometry", "ranges_m", "signs", "step", "time_s", "turn_rates_rad_s", "wifi")
+    __slots__ = ("_scans", "_wifi", "odometry", "ranges_m", "signs", "step", "time_s", "turn_rates_rad_s")
 
     def __init__(
         self,
@@ -60,14 +91,31 @@ class TeamFrames(_Team[SensorFrame]):
         odometry: Array,
         turn_rates_rad_s: Array,
         ranges_m: Array,
-        wifi: Sequence[WifiScan | None],
+        wifi: WifiScans | Sequence[WifiScan | None],
         signs: Sequence[tuple[SignReading, ...]],
     ):
         """A row for each robot, with what the fields of `SensorFrame` mean; records show read-only views of them."""
         self._records = None
         self.step, self.time_s = step, time_s
         self.odometry, self.turn_rates_rad_s, self.ranges_m = odometry, turn_rates_rad_s, ranges_m
-        self.wifi, self.signs = wifi, signs
+        self.signs = signs
+        self._scans: WifiScans | None = wifi if isinstance(wifi, WifiScans) else None
+        self._wifi: Sequence[WifiScan | None] | None = None if isinstance(wifi, WifiScans) else wifi
+
+    @property
+    def wifi(self) -> Sequence[WifiScan | None]:
+        """The scan of each robot, where it finished one."""
+        if self._wifi is None:
+            assert self._scans is not None
+            self._wifi = self._scans.each(len(self))
+        return self._wifi
+
+    @property
+    def scans(self) -> WifiScans:
+        """The same side by side."""
+        if self._scans is None:
+            self._scans = WifiScans.of(self.wifi)
+        return self._scans
 
     @classmethod
     def of(cls, frames: Sequence[SensorFrame]) -> TeamFrames:
@@ -87,7 +135,7 @@ class TeamFrames(_Team[SensorFrame]):
         return team
 
     def __len__(self) -> int:
-        return len(self.wifi)
+        return len(self.signs)
 
     def _make(self) -> list[SensorFrame]:
         odometry, ranges_m = read_only(self.odometry), read_only(self.ranges_m)

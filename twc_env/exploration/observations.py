@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.exploration import map_view
 from twc_env.exploration.observation_blocks import POSE_LIMITS, block_spaces, joined
-from twc_env.exploration.wifi_slots import WifiSlots
+from twc_env.exploration.wifi_slots import slots_for, take_scans
 from twc_env.kernels import kernel
 from twc_env.messages import Belief, KnownSign, SensorFrame, SignReading
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
@@ -46,7 +46,7 @@ class ObservationBuilder:
             "map": self._maps, "overview": self._whole_maps, "radio": self._radio_maps
         }  # fmt: skip
         self._makers = [(name, make) for name, make in made.items() if name in self._names]
-        self._slots_of_wifi = WifiSlots(robots, shape.wifi_slots)
+        self._wifi_slots = slots_for(robots, shape.wifi_slots)
         self._texts: list[list[str]] = [[] for _ in range(robots)]
         """Of each robot's latest readings, newest first."""
         self._readings = np.zeros((robots, shape.sign_slots, 4))
@@ -67,10 +67,10 @@ class ObservationBuilder:
     def notice(self, frames: Sequence[SensorFrame], beliefs: Sequence[Belief]) -> None:
         """Take in one step of all robots, whether or not observations are built of it: path, radio and readings."""
         self._frames, self._beliefs = TeamFrames.of(frames), TeamBeliefs.of(beliefs)
-        _extend_paths(self._beliefs.poses, self._path_ends, self._path_counts, self._paths_odom)
-        for robot, scan in enumerate(self._frames.wifi):
-            if scan is not None:
-                self._slots_of_wifi.update(robot, scan)
+        _take_in(
+            self._beliefs.poses, self._path_ends, self._path_counts, self._paths_odom, *self._frames.scans,
+            *self._wifi_slots,
+        )  # fmt: skip
         for robot, signs in enumerate(self._frames.signs):
             if signs:
                 self._remember(robot, signs)
@@ -103,7 +103,7 @@ class ObservationBuilder:
         beliefs, frames, config = self._beliefs, self._frames, self._config
         robots, mates, slots = len(beliefs), self._mate_places.shape[1], self._readings.shape[1]
         lidar, pose = np.empty(frames.ranges_m.shape, np.float32), np.empty((robots, len(POSE_LIMITS)), np.float32)
-        wifi = self._slots_of_wifi.levels.copy()
+        wifi = self._wifi_slots[-1].copy()
         signs, team = np.empty((robots, slots, 5), np.float32), np.empty((robots, mates, 5), np.float32)
         _fill_small(
             frames.ranges_m, 1.0 / config.lidar.range_max_m, beliefs.poses, beliefs.since_closure_m, POSE_LIMITS,
@@ -176,7 +176,10 @@ def first_observations(config: EnvConfig, frames: TeamFrames) -> list[dict[str, 
     """What robots would see after their first frames that have no map yet."""
     engine, builder = DeadReckoning(config, len(frames)), ObservationBuilder(config)
     engine.track(frames)
-    builder.notice(frames, engine.beliefs())
+    beliefs = engine.beliefs()
+    for array in (beliefs.poses, beliefs.mate_poses):  # as the engine's are: kernels know the difference
+        array.setflags(write=False)
+    builder.notice(frames, beliefs)
     return builder.build()
 
 
@@ -200,6 +203,13 @@ def _extend_paths(poses, ends, counts, paths):
             paths[i, at, 0], paths[i, at, 1] = x, y
             ends[i, 0], ends[i, 1] = x, y
             counts[i] += 1
+
+
+@kernel
+def _take_in(poses, ends, counts, paths, robots, macs, rssi_dbm, heard_counts, scans, slot_macs, last_scan, levels):
+    """`_extend_paths` and `take_scans`."""
+    _extend_paths(poses, ends, counts, paths)
+    take_scans(robots, macs, rssi_dbm, heard_counts, scans, slot_macs, last_scan, levels)
 
 
 @kernel

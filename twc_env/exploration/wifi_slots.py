@@ -6,27 +6,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.kernels import kernel
-from twc_env.messages import WifiScan
 
 Array = NDArray
 
 RSSI_ZERO_DBM, RSSI_SPAN_DB = -100.0, 80.0
 
 
-class WifiSlots:
-    """Each transmitter keeps its slot until a stronger one needs it; every robot has slots of its own."""
+def slots_for(robots: int, count: int) -> tuple[Array, Array, Array, Array]:
+    """What `take_scans` keeps. Each transmitter keeps its slot until a stronger one needs it; every robot has its own.
 
-    def __init__(self, robots: int, count: int):
-        self.levels = np.zeros((robots, count), np.float32)
-        """(robots, slots) of each one's latest scan: 0 at -100 dBm or not heard, 1 at -20 dBm."""
-        self._macs = np.full((robots, count), -1, np.int64)
-        self._last_scan = np.zeros((robots, count), np.int64)
-        """The scan in which each slot's transmitter was last among the strongest."""
-        self._scans = np.zeros(robots, np.int64)
+    Scans taken in (robots,), transmitter of each slot (robots, slots), the scan in which it was last among the
+    strongest, and its level (robots, slots) in the latest scan: 0 at -100 dBm or not heard, 1 at -20 dBm.
+    """
+    shape = robots, count
+    return (
+        np.zeros(robots, np.int64),
+        np.full(shape, -1, np.int64),
+        np.zeros(shape, np.int64),
+        np.zeros(shape, np.float32),
+    )
 
-    def update(self, robot: int, scan: WifiScan) -> None:
-        """Take in a scan of one robot."""
-        _place(robot, scan.macs, scan.rssi_dbm, self._scans, self._macs, self._last_scan, self.levels)
+
+@kernel
+def take_scans(robots, macs, rssi_dbm, counts, scans, slot_macs, last_scan, levels):
+    """Take in the scans of a step, given as the fields of `WifiScans`."""
+    for k in range(robots.shape[0]):
+        count = min(counts[k], macs.shape[1])
+        _place(robots[k], macs[k, :count], rssi_dbm[k, :count], scans, slot_macs, last_scan, levels)
 
 
 @kernel

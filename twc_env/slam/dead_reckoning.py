@@ -120,16 +120,18 @@ class _Alone(TeamBeliefs):
     __slots__ = ("_ranges_m", "_steps")
 
     def __init__(self, poses: Array, rest: tuple, steps: Sequence[int] | int, ranges_m: Sequence[Array] | Array):
-        super().__init__(poses, *rest)
+        # Instead of the parent's: made in every step, which is all that an environment without an engine does here.
+        self._records, self.poses = None, poses
+        self.since_closure_m, self.grids, self.signs, self.mates, self.mate_poses, self.contact_steps = rest
         self._steps, self._ranges_m = steps, ranges_m
 
     def _make(self) -> list[Belief]:
-        beliefs, all_ranges_m = [], self._ranges_m
+        beliefs, poses, all_ranges_m = [], read_only(self.poses), self._ranges_m
         steps = [self._steps] * len(self) if isinstance(self._steps, int) else self._steps
         if isinstance(all_ranges_m, np.ndarray):
             all_ranges_m = read_only(all_ranges_m)
         for robot, (step, ranges_m, grid) in enumerate(zip(steps, all_ranges_m, self.grids, strict=True)):
-            in_map, std, in_odom = self.poses[robot]
+            in_map, std, in_odom = poses[robot]
             belief = Belief(robot, step, in_map, grid, ranges_m=ranges_m, pose_odom=in_odom, pose_std=std)
             beliefs.append(belief)
         return beliefs

@@ -15,7 +15,7 @@ from twc_env.geometry import compose, inverse
 from twc_env.kernels import Pack, kernel, pack
 from twc_env.messages import SignReading, WifiScan
 from twc_env.random_streams import random_stream
-from twc_env.team_messages import TeamFrames
+from twc_env.team_messages import TeamFrames, WifiScans
 from twc_env.world.crossing_table import MISSING, square_at
 from twc_env.world.dynamics import Dynamics
 from twc_env.world.floorplan import Floorplan
@@ -51,10 +51,9 @@ class World:
         self._radio = _radio_model(config.radio, self._home)
         self._wifi_period = _period_steps(config.radio.scan_period_s, config)
         self._camera_period = _period_steps(config.signs.period_s, config)
-        self._hearing, self._looking = (
-            _turns(self._wifi_period, config.robots),
-            _turns(self._camera_period, config.robots),
-        )
+        self._hearing = _turns(self._wifi_period, config.robots)
+        self._hearing_robots = [np.array(robots, np.int64) for robots in self._hearing]
+        self._looking = _turns(self._camera_period, config.robots)
 
     def reset(self, seed: int, starts: str | Array = "random") -> None:
         """Begin an episode. Starts: "random" (drawn by seed), "map" (the plan's own), or poses (n, 3).
@@ -78,7 +77,7 @@ class World:
         self._hears_at_once = self._receivers[0].is_plain
         self._cameras = [SignCamera(config.signs, self._home, robot, seed, config.dynamics) for robot in range(robots)]
         self._sights, self._hidden = self._cameras[0].make_room(robots)
-        self._heard_counts, self._sight_counts = np.zeros(robots, np.int64), np.zeros(robots, np.int64)
+        self._sight_counts = np.zeros(robots, np.int64)
         self._apparatus: Pack | None = None
         self._apparatus_crossings: tuple[Array, ...] = ()
         self._sensed_poses = self._dynamics.poses
@@ -123,28 +122,26 @@ class World:
         odometry, turn_rates = np.empty((robots, 3)), np.empty(robots)
         ranges = np.empty((robots, self.config.lidar.beam_count)) if self._lidar.is_plain else _NO_RANGES
         hearing, looking = self._hearing[step % self._wifi_period], self._looking[step % self._camera_period]
-        heard = (len(hearing) if self._hears_at_once else 0), len(self._radio.macs)
-        macs, readings = np.empty(heard, np.int64), np.empty(heard)
-        self._read(poses, odometry, turn_rates, ranges, macs, readings, hearing.start, looking.start)
+        shape = (len(hearing) if self._hears_at_once else 0), len(self._radio.macs)
+        robots_heard = self._hearing_robots[step % self._wifi_period]
+        scans = WifiScans(robots_heard, np.empty(shape, np.int64), np.empty(shape), np.empty(shape[0], np.int64))
+        self._read(poses, odometry, turn_rates, ranges, scans, hearing.start, looking.start)
         if not self._lidar.is_plain:
             ranges = self._lidar.scan(poses)
         if step == 0:
             odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self.config.dynamics.time_step_s
-        wifi: list[WifiScan | None] = [None] * robots
-        if self._hears_at_once:
-            counts = self._heard_counts.tolist()
-            for k, robot in enumerate(hearing):
-                wifi[robot] = WifiScan(macs[k, : counts[robot]], readings[k, : counts[robot]])
-        else:
+        wifi: WifiScans | list[WifiScan | None] = scans
+        if not self._hears_at_once:
+            wifi = [None] * robots
             for robot in hearing:
                 wifi[robot] = self._receivers[robot].scan(poses[robot], time_s)
         self._sensed_poses = poses
         return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, self._read_signs(looking))
 
     def _read(
-        self, poses: Array, odometry: Array, turn_rates: Array, ranges: Array, macs: Array, readings: Array,
-        first_hearing: int, first_looking: int,
+        self, poses: Array, odometry: Array, turn_rates: Array, ranges: Array, scans: WifiScans, first_hearing: int,
+        first_looking: int,
     ) -> None:  # fmt: skip
         """Let `_sense` fill all arrays but the poses."""
         crossings, missing = self._radio.crossings, -1
@@ -159,7 +156,7 @@ class World:
                 self._apparatus, self._apparatus_crossings = self._packed(), crossings.arrays
             missing = _sense(
                 self._apparatus, self._sensed_poses, poses, odometry_row, lidar_row, self._wifi.row, first_hearing,
-                first_looking, odometry, turn_rates, ranges, macs, readings,
+                first_looking, odometry, turn_rates, ranges, scans.macs, scans.rssi_dbm, scans.counts,
             )  # fmt: skip
 
     def _packed(self) -> Pack:
@@ -167,7 +164,7 @@ class World:
         return pack(
             (
                 *self._walls, *self._odometry.arguments, *self._lidar.arguments, *self._wifi.arguments,
-                *self._cameras[0].arguments, self._sights, self._hidden, self._heard_counts, self._sight_counts,
+                *self._cameras[0].arguments, self._sights, self._hidden, self._sight_counts,
                 self._wifi_period, self._camera_period,
             )
         )  # fmt: skip
@@ -267,7 +264,7 @@ def _radio_model(config: RadioConfig, plan: Floorplan) -> RadioModel:
 @kernel
 def _sense(
     apparatus, before, now, odometry_row, lidar_row, wifi_row, first_hearing, first_looking, odometry, turn_rates,
-    ranges, macs, readings,
+    ranges, macs, readings, heard_counts,
 ):  # fmt: skip
     """One reading of all robots: `measure`, `sweep`, `hear` and `look`, the last two where they are due.
 
@@ -281,7 +278,7 @@ def _sense(
         loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
         pose_home_building, boxes, waves, radios, parts, distance_min, scratch,
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, draws,
-        signs, lengths, optics, does_hide, sights, hidden, heard_counts, sight_counts, wifi_period, camera_period,
+        signs, lengths, optics, does_hide, sights, hidden, sight_counts, wifi_period, camera_period,
     ) = apparatus.parts  # fmt: skip
     robots = now.shape[0]
     hearing = range(first_hearing, robots, wifi_period) if macs.shape[0] > 0 else range(0)
@@ -296,7 +293,7 @@ def _sense(
             anchors, laid, stamps, quantiles, range_std, words[lidar_row], ranges,
         )  # fmt: skip
     for k, i in enumerate(hearing):
-        heard_counts[i] = hear(
+        heard_counts[k] = hear(
             i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
             sure_counts, sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts,
             distance_min, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
