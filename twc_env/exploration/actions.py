@@ -54,23 +54,23 @@ def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config:
 
     Raises ActionError when an agent has no action, or an action is not two finite numbers in [-1, 1].
     """
+    commands = np.empty((len(agents), 2))
     try:
-        commands = np.array([actions[agent] for agent in agents])
-    except Exception:  # an object of the user's may raise anything; it is named below
+        for row, agent in enumerate(agents):
+            action = actions[agent]
+            if action.shape != (2,) or action.dtype.kind not in "fiu":
+                raise TypeError
+            commands[row] = action
+    except Exception:  # an object of the user's may raise anything; what does not fit is named below
         commands = _one_by_one(actions, agents)
-    if commands.shape != (len(agents), 2) or commands.dtype.kind not in "fiu":
-        commands = _one_by_one(actions, agents)
-    if commands.dtype != np.float32:
-        commands = commands.astype(np.float64)
-    scaled = np.empty(commands.shape)
-    if not _scale(commands, config.speed_max_m_s, config.turn_rate_max_rad_s, scaled):
+    if not _scale(commands, config.speed_max_m_s, config.turn_rate_max_rad_s):
         commands = np.array([actions[agent] for agent in agents], np.float64)
         row = int(np.argmax(~np.all(np.abs(commands) <= 1.0 + TOLERANCE, axis=1)))
         raise ActionError(
             f"action of {agents[row]!r} must be finite and in [-1, 1]; got {actions[agents[row]]!r}: "
             "clip it, or use an agent whose output is squashed"
         )
-    return scaled
+    return commands
 
 
 def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
@@ -87,12 +87,12 @@ def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
 
 
 @kernel
-def _scale(shares, speed_max, turn_rate_max, commands):
-    """Shares (n, 2) of the maxima -> commands (n, 2); False when one of them is no share."""
-    for i in range(shares.shape[0]):
+def _scale(commands, speed_max, turn_rate_max):
+    """Shares (n, 2) -> commands, in place, cut to the maxima; False when one of them is no share."""
+    for i in range(commands.shape[0]):
         for k in range(2):
-            if not abs(shares[i, k]) <= 1.0 + TOLERANCE:  # also true for NaN
+            if not abs(commands[i, k]) <= 1.0 + TOLERANCE:  # also true for NaN
                 return False
-            share = min(max(float(shares[i, k]), -1.0), 1.0)
-            commands[i, k] = share * (speed_max if k == 0 else turn_rate_max)
+        commands[i, 0] = min(max(commands[i, 0], -1.0), 1.0) * speed_max
+        commands[i, 1] = min(max(commands[i, 1], -1.0), 1.0) * turn_rate_max
     return True

@@ -355,7 +355,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """Front ends, link and mappers take in one set of frames."""
         self._frames = frames
         self._frames_of_step.append(frames)
-        self._contacts = self._failures.contacts(self._steps, self._link.contacts(self._world.poses_home[:, :2]))
+        self._contacts = self._failures.contacts(self._steps, self._link.contacts(self._world.poses_home))
         engine = self.engine
         if self._failures.are_all_alive(self._steps):
             engine.track(frames)

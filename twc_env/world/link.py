@@ -23,12 +23,12 @@ class Link:
             np.fill_diagonal(self._always, False)
         self._all_in_touch = Contacts(self._always, self._always)
 
-    def contacts(self, positions_m: Array) -> Contacts:
-        """The contacts of one step at true positions (robots, 2) in the frame of the walls."""
+    def contacts(self, poses: Array) -> Contacts:
+        """The contacts of one step at true poses (robots, 2 or 3) in the frame of the walls."""
         config = self._config
         if config.topology != "peer" and config.loss_probability == 0.0:
             return self._all_in_touch
-        tried = self._in_range(positions_m) if config.topology == "peer" else self._always
+        tried = self._in_range(poses[:, :2]) if config.topology == "peer" else self._always
         if config.loss_probability == 0.0:
             return Contacts(tried, tried)
         return Contacts(tried, tried & (self._random.random(tried.shape) >= config.loss_probability))

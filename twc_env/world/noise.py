@@ -49,7 +49,8 @@ class StepNoise:
         for streams, count, kind in self._sources:
             for robot, stream in enumerate(streams):
                 draw = partial(stream.integers, 0, 2**64, dtype=np.uint64) if kind == "bits" else getattr(stream, kind)
-                self.numbers[:, robot, first : first + count] = draw(size=(_STEPS, count))
+                numbers = draw(size=_STEPS * count).reshape(_STEPS, count)
+                self.numbers[:, robot, first : first + count] = numbers
             first += count
         self._used = 0
 
