@@ -149,16 +149,14 @@ class ObservationBuilder:
 
     def _remember(self, robot: int, signs: Sequence[SignReading]) -> None:
         """Take in the texts that one robot read in this step."""
-        readings, time_s, fresh = self._readings[robot], self._frames.time_s, []
-        x, y, heading = self._beliefs.poses[robot, 2].tolist()
-        for sign in reversed(signs):
-            angle, away = heading + sign.bearing_rad, sign.range_m
-            fresh.append((time_s, x + away * math.cos(angle), y + away * math.sin(angle), 0.0))
-        texts = [*[sign.text for sign in reversed(signs)], *self._texts[robot]]
-        count, self._texts[robot] = min(len(fresh), len(readings)), texts[: len(readings)]
-        readings[count:] = readings[: len(readings) - count].copy()
-        readings[:count] = fresh[:count]
-        self._reading_counts[robot] = len(self._texts[robot])
+        texts, slots = self._texts[robot], self._readings.shape[1]
+        for sign in signs:
+            _note_reading(
+                self._beliefs.poses, robot, self._frames.time_s, sign.bearing_rad, sign.range_m, self._readings,
+                self._reading_counts,
+            )  # fmt: skip
+            texts = [sign.text, *texts[: slots - 1]]
+        self._texts[robot] = texts
         if self._text_counts[robot]:
             self._count_elsewhere(robot)
 
@@ -210,6 +208,17 @@ def _take_in(poses, ends, counts, paths, robots, macs, rssi_dbm, heard_counts, s
     """`_extend_paths` and `take_scans`."""
     _extend_paths(poses, ends, counts, paths)
     take_scans(robots, macs, rssi_dbm, heard_counts, scans, slot_macs, last_scan, levels)
+
+
+@kernel
+def _note_reading(poses, robot, time_s, bearing, away, readings, counts):
+    """Put a sign before the other readings of a robot; as yet its text is known from nowhere else."""
+    rows, angle = readings[robot], poses[robot, 2, 2] + bearing
+    for k in range(rows.shape[0] - 1, 0, -1):
+        rows[k] = rows[k - 1]
+    rows[0, 0], rows[0, 3] = time_s, 0.0
+    rows[0, 1], rows[0, 2] = poses[robot, 2, 0] + away * math.cos(angle), poses[robot, 2, 1] + away * math.sin(angle)
+    counts[robot] = min(counts[robot] + 1, rows.shape[0])
 
 
 @kernel

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import SignsConfig
-from twc_env.kernels import kernel
+from twc_env.kernels import kernel, pack
 from twc_env.world.ocr_table import GARBLED_RATE, MISS_LENGTH, OcrTable
 
 Array = NDArray
@@ -39,14 +39,15 @@ class TableReader:
         t = table
         # The angle tells by how much it narrows the letters: between two angles, the share lost counts.
         narrowed = 1.0 - np.cos(t.incidence_rad)
-        self._grid = (t.height_px, narrowed, t.blur_widths, t.miss, t.fragment, t.space_loss, t.level_cdf)
-        self._lines = (
+        grid = (t.height_px, narrowed, t.blur_widths, t.miss, t.fragment, t.space_loss, t.level_cdf)
+        lines = (
             t.level_rate, t.edit_cdf, t.kept, t.kept_begin, t.miss_length_exponent, t.space_proneness,
             float(MISS_LENGTH), float(GARBLED_RATE),
         )  # fmt: skip
-        self._letters = (
+        letters = (
             t.characters, t.proneness, t.confusion_code, t.confusion_cdf, t.added_code, t.added_cdf,
         )  # fmt: skip
+        self._table = pack((grid, lines, letters))
 
     def read(
         self, codes: Array, is_hidden: Array, height_px: float, incidence_rad: float, blur_px: float, draws: Array
@@ -57,8 +58,7 @@ class TableReader:
         """
         out, width = np.empty(2 * len(codes) + 1, np.uint32), math.cos(incidence_rad)
         count = _misread(
-            codes, is_hidden, height_px, 1.0 - width, blur_px / (height_px * width), draws,
-            self._grid, self._lines, self._letters, out,
+            codes, is_hidden, height_px, 1.0 - width, blur_px / (height_px * width), draws, self._table, out,
         )  # fmt: skip
         return out[:count].tobytes().decode("utf-32-le").strip()
 
@@ -88,7 +88,8 @@ def _pick(cdf, u):
 
 
 @kernel
-def _misread(codes, is_hidden, height, narrowed, blur, draws, grid, lines, letters, out):
+def _misread(codes, is_hidden, height, narrowed, blur, draws, table, out):
+    grid, lines, letters = table.parts
     heights, angles, blurs, miss_grid, fragment_grid, space_grid, level_grid = grid
     level_rate, edit_cdf, kept_quantiles, kept_begin, length_exponent, space_proneness, miss_length, garbled_rate = (
         lines
