@@ -22,12 +22,10 @@ INFORMATION_MIN = 1e-6
 
 
 @kernel
-def _motion_noise(dx, dy, config, out):
-    """Variances (along x, along y, heading) of one step's motion."""
+def _motion_noise(dx, dy, config):
+    """Variances of one step's motion: along x and y alike, and of the heading."""
     length = math.sqrt(dx * dx + dy * dy)
-    out[0] = config[1] ** 2 + config[0] ** 2 * length
-    out[1] = out[0]
-    out[2] = config[2] ** 2
+    return config[1] ** 2 + config[0] ** 2 * length, config[2] ** 2
 
 
 @kernel
@@ -44,8 +42,7 @@ def predict_state(x, p, odometry, turn_rate, dt, config):
     x[0] += mx
     x[1] += my
     x[2] += turn
-    noise = np.empty(3)
-    _motion_noise(dx, dy, config, noise)
+    moved_variance, turn_variance = _motion_noise(dx, dy, config)
     # P <- F P F^T with F = I + rows 0-2: d/d heading and d/d bias
     f02, f12, f23 = -my, mx, -dt
     for j in range(4):
@@ -56,21 +53,21 @@ def predict_state(x, p, odometry, turn_rate, dt, config):
         p[i, 0] += f02 * p[i, 2]
         p[i, 1] += f12 * p[i, 2]
         p[i, 2] += f23 * p[i, 3]
-    p[0, 0] += noise[0]
-    p[1, 1] += noise[1]
-    p[2, 2] += noise[2]
+    p[0, 0] += moved_variance
+    p[1, 1] += moved_variance
+    p[2, 2] += turn_variance
     p[3, 3] += config[4] ** 2 * dt
     # z = odometry turn - gyro turn = -bias dt + noise
     residual = odometry[2] - turn_rate * dt + x[3] * dt
     variance = p[3, 3] * dt * dt + config[3] ** 2 + config[2] ** 2
-    gain = np.empty(4)
+    bias_x, bias_y, bias_heading, bias = p[3, 0], p[3, 1], p[3, 2], p[3, 3]
     for i in range(4):
-        gain[i] = -p[i, 3] * dt / variance
-    row = p[3].copy()
-    for i in range(4):
-        x[i] += gain[i] * residual
-        for j in range(4):
-            p[i, j] += gain[i] * dt * row[j]
+        gain = -p[i, 3] * dt / variance
+        x[i] += gain * residual
+        p[i, 0] += gain * dt * bias_x
+        p[i, 1] += gain * dt * bias_y
+        p[i, 2] += gain * dt * bias_heading
+        p[i, 3] += gain * dt * bias
 
 
 @kernel
@@ -87,7 +84,11 @@ def invert3(m, out):
 @kernel
 def update_state(x, p, pose, information):
     """Linear update of x (4,) and p (4, 4) with a measured pose (3,) and its information (3, 3)."""
-    r, s, inverse, gain, old = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3)), p.copy()
+    work = np.empty((5, 4, 4))
+    r, s, inverse, gain, old = work[0], work[1], work[2], work[3], work[4]
+    for i in range(4):
+        for j in range(4):
+            old[i, j] = p[i, j]
     for i in range(3):
         for j in range(3):
             s[i, j] = information[i, j]
@@ -97,15 +98,13 @@ def update_state(x, p, pose, information):
         for j in range(3):
             s[i, j] = p[i, j] + r[i, j]
     invert3(s, inverse)
-    innovation = np.empty(3)
-    for i in range(3):
-        innovation[i] = pose[i] - x[i]
-    innovation[2] = (innovation[2] + math.pi) % (2 * math.pi) - math.pi
+    ahead, left = pose[0] - x[0], pose[1] - x[1]
+    turned = (pose[2] - x[2] + math.pi) % (2 * math.pi) - math.pi
     for i in range(4):
         for j in range(3):
             gain[i, j] = old[i, 0] * inverse[0, j] + old[i, 1] * inverse[1, j] + old[i, 2] * inverse[2, j]
     for i in range(4):
-        x[i] += gain[i, 0] * innovation[0] + gain[i, 1] * innovation[1] + gain[i, 2] * innovation[2]
+        x[i] += gain[i, 0] * ahead + gain[i, 1] * left + gain[i, 2] * turned
         for j in range(i, 4):
             p[i, j] = old[i, j] - gain[i, 0] * old[0, j] - gain[i, 1] * old[1, j] - gain[i, 2] * old[2, j]
             p[j, i] = p[i, j]
@@ -254,11 +253,10 @@ class FilterpyFilters:
         turn = (turn_rate_rad_s - ekf.x[3]) * dt_s
         c, s = math.cos(ekf.x[2]), math.sin(ekf.x[2])
         mx, my = c * dx - s * dy, s * dx + c * dy
-        noise = np.empty(3)
-        _motion_noise(dx, dy, self._values, noise)
+        moved_variance, turn_variance = _motion_noise(dx, dy, self._values)
         ekf.F = np.eye(4)
         ekf.F[:3, 2:] += np.array([[-my, 0.0], [mx, 0.0], [0.0, -dt_s]])
-        ekf.Q = np.diag([*noise, self._config.gyro_bias_walk_rad_s**2 * dt_s])
+        ekf.Q = np.diag([moved_variance, moved_variance, turn_variance, self._config.gyro_bias_walk_rad_s**2 * dt_s])
         moved = ekf.x + np.array([mx, my, turn, 0.0])
         ekf.predict()
         ekf.x = moved  # filterpy's predict is linear; the motion is not

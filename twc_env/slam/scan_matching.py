@@ -54,8 +54,8 @@ def _points_of(ranges, range_max, directions, points):
 
 
 @kernel
-def _normal_equations(walls, origin, inverse_m, points, n, stride, x, y, heading, distance_max, h, g):
-    """Sum J^T w J (h: 6 upper entries) and J^T w e (g: 3) over points near walls; gives the sum of w, and how many.
+def _normal_equations(walls, origin, inverse_m, points, n, stride, x, y, heading, distance_max, h):
+    """Sum J^T w J (h: 6 upper entries) and J^T w e (3 more) over points near walls; gives the sum of w, and how many.
 
     Of the first n points every `stride`-th is taken.
     """
@@ -95,7 +95,7 @@ def _normal_equations(walls, origin, inverse_m, points, n, stride, x, y, heading
         total += w
         near += 1
     h[0], h[1], h[2], h[3], h[4], h[5] = h0, h1, h2, h3, h4, h5
-    g[0], g[1], g[2] = g0, g1, g2
+    h[6], h[7], h[8] = g0, g1, g2
     return total, near
 
 
@@ -110,15 +110,19 @@ def _weakest_direction(h):
 
 
 @kernel
-def _solve3(h, g, damping, out):
+def _solve3(h, damping):
+    """The step that the normal equations h (9,) ask for."""
     a00, a01, a02, a11, a12, a22 = h[0] + damping, h[1], h[2], h[3] + damping, h[4], h[5] + damping
+    g0, g1, g2 = h[6], h[7], h[8]
     m0, m1, m2 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
     det = a00 * m0 + a01 * m1 + a02 * m2
     n1, n2 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12
     n3 = a00 * a11 - a01 * a01
-    out[0] = -(m0 * g[0] + m1 * g[1] + m2 * g[2]) / det
-    out[1] = -(m1 * g[0] + n1 * g[1] + n2 * g[2]) / det
-    out[2] = -(m2 * g[0] + n2 * g[1] + n3 * g[2]) / det
+    return (
+        -(m0 * g0 + m1 * g1 + m2 * g2) / det,
+        -(m1 * g0 + n1 * g1 + n2 * g2) / det,
+        -(m2 * g0 + n2 * g1 + n3 * g2) / det,
+    )
 
 
 @kernel
@@ -131,8 +135,6 @@ def _refine(
     The first step is taken with every `first_stride`-th point, unless it is the only one. Writes the pose and the
     final h. Gives (sum of weights, points near walls, is_degenerate, direction x, direction y).
     """
-    g = np.zeros(3)
-    delta = np.zeros(3)
     pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
     total, near = 0.0, 0
     vx = vy = 0.0
@@ -140,21 +142,21 @@ def _refine(
     stride = first_stride if iterations > 1 else 1
     for _ in range(iterations):
         total, near = _normal_equations(
-            walls, origin, inverse_m, points, n, stride, pose[0], pose[1], pose[2], distance_max, h, g
+            walls, origin, inverse_m, points, n, stride, pose[0], pose[1], pose[2], distance_max, h
         )  # fmt: skip
         if total * stride < WEIGHT_MIN:
             break
         weakest, vx, vy = _weakest_direction(h)
         degenerate = weakest < degenerate_share * total
-        _solve3(h, g, 1e-3 * total, delta)
+        dx, dy, turn = _solve3(h, 1e-3 * total)
         if degenerate:
-            along = delta[0] * vx + delta[1] * vy
-            delta[0] -= along * vx
-            delta[1] -= along * vy
-        pose[0] += delta[0]
-        pose[1] += delta[1]
-        pose[2] += delta[2]
-        if stride == 1 and abs(delta[0]) < stop_m and abs(delta[1]) < stop_m and abs(delta[2]) < stop_rad:
+            along = dx * vx + dy * vy
+            dx -= along * vx
+            dy -= along * vy
+        pose[0] += dx
+        pose[1] += dy
+        pose[2] += turn
+        if stride == 1 and abs(dx) < stop_m and abs(dy) < stop_m and abs(turn) < stop_rad:
             break
         stride = 1
     return total, near, degenerate, vx, vy
@@ -234,7 +236,7 @@ def _information(h, degenerate, vx, vy, scale, out):
 def match_scan(walls, origin, scan, directions, rule, guess, points, h, pose, information):
     """Lay a scan (beams,) on a field near a guess: writes the pose (3,) and its information (3, 3), zeros for none.
 
-    rule: as `LineFields` has it; points (beams, 2) and h (6,) are scratch. Gives whether the pose is to be believed (it
+    rule: as `LineFields` has it; points (beams, 2) and h (9,) are scratch. Gives whether the pose is to be believed (it
     is near the guess, and enough beams speak for it), and the share of the beams that returned which end near walls.
     """
     range_max, inverse_m, distance_max, degenerate_share, variance = rule[0], rule[1], rule[2], rule[3], rule[4]
@@ -316,7 +318,7 @@ class LineField:
 
     def refine(self, points: Array, guess: Array, distance_max_m: float, iterations: int, degenerate_share: float):
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
-        pose, h = np.empty(3), np.zeros(6)
+        pose, h = np.empty(3), np.zeros(9)
         weight, _, degenerate, vx, vy = _refine(
             *self._field, points, len(points), guess, distance_max_m, iterations, degenerate_share, 1, STOP_M,
             STOP_RAD, pose, h,

@@ -27,7 +27,7 @@ def _see(
     matched, information, is_matched, explained,
 ):  # fmt: skip
     """Mark the mates in the scans and lay what is left on the fields, near the robots' states."""
-    points, h = np.empty((ranges.shape[1], 2)), np.empty(6)
+    points, h = np.empty((ranges.shape[1], 2)), np.empty(9)
     for a in range(robots.shape[0]):
         k = robots[a]
         disc_counts[k] = mark_mates(ranges[a], rule[0], mate_radius, directions, marked[k], discs[k])
