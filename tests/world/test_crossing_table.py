@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from twc_env.maps import load_map
 from twc_env.world import crossing_table
-from twc_env.world.crossing_table import CrossingTable
+from twc_env.world.crossing_table import CrossingTable, crossed_at
 from twc_env.world.wall_index import index_walls
 
 
@@ -73,3 +73,15 @@ def test_a_square_gives_the_same_bits_whatever_was_asked_before(monkeypatch):
     for k in np.random.default_rng(2).permutation(60):
         assert crossed(forgetful, places[k], len(points))[1].tobytes() == first[k]
         assert forgetful.square_count <= 3
+
+
+def test_what_was_grown_elsewhere_is_not_read_beyond_its_end():
+    plan = load_map("twin-01")
+    points = np.array([a.position_m for a in plan.access_points])
+    table = CrossingTable(plan.wall_index, points, plan.wall_loss_db[None])
+    old, place = table.arrays, np.array([15.0, 1.2])
+    for x in np.arange(3.0, 16.0, 0.5):
+        table.prepare(x, 1.2)
+    counts, losses = np.empty(len(points), np.int64), np.empty((1, len(points)))
+    crossed_at(*place, *plan.wall_index.buckets(), *old, counts, losses)
+    assert counts.tolist() == plan.wall_index.crossing(place, points)[0].tolist()

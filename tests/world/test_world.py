@@ -9,6 +9,11 @@ from twc_env.errors import ConfigError, MapError
 from twc_env.geometry import between, compose
 from twc_env.maps import load_map
 from twc_env.world.floorplan import Floorplan
+from twc_env.world.lidar import Lidar
+from twc_env.world.odometry import Odometry
+from twc_env.world.radio import RadioModel
+from twc_env.world.reception import WifiReceiver
+from twc_env.world.signs import SignCamera
 from twc_env.world.world import START_CLEARANCE_M, START_SPACING_M, World
 
 TINY = Floorplan(
@@ -183,3 +188,40 @@ def test_settings_of_one_sensor_leave_the_noise_of_the_others_alone():
 
 def test_default_settings_build_a_world():
     assert isinstance(World(EnvConfig(), TINY), World)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"signs": {"period_s": 0.1}},
+        {"lidar": {"dropout_probability": 0.2}, "radio": {"fading_shared": True, "high_band": {"share": 0.5}}},
+        {"radio": {"sweep_share": 0.6, "stale_age_max_s": 2.0}, "failure": {"device_offset_db": 4.0}},
+    ],
+)
+def test_the_sensors_read_together_as_each_does_by_itself(settings):
+    w = world(load_map("twin-02"), seed=5, **settings)
+    config, plan, robots = w.config, load_map("twin-02").home, range(3)
+    lidar = Lidar(config.lidar, plan.wall_index, config.dynamics.robot_radius_m, 3, 5)
+    odometry = Odometry(config.odometry, config.dynamics.time_step_s, 3, 5)
+    offsets_db = (0.0, 0.0, config.failure.device_offset_db)
+    radios = [WifiReceiver(config.radio, RadioModel(config.radio, plan), r, 5, offsets_db[r]) for r in robots]
+    cameras = [SignCamera(config.signs, plan, r, 5, config.dynamics) for r in robots]
+    before, texts = w.poses_home, 0
+    for step in range(150):
+        frames, now = w.sense(), w.poses_home
+        motions, turn_rates = odometry.measure(before, now)
+        ranges = lidar.scan(now)
+        for r, frame in enumerate(frames):
+            assert np.array_equal(frame.ranges_m, ranges[r])
+            if step:
+                assert np.array_equal(frame.odometry, motions[r]) and frame.turn_rate_rad_s == turn_rates[r]
+            if frame.wifi is not None:
+                alone = radios[r].scan(now[r], frame.time_s)
+                assert np.array_equal(frame.wifi.macs, alone.macs)
+                assert np.array_equal(frame.wifi.rssi_dbm, alone.rssi_dbm)
+            if (step + r) % round(config.signs.period_s / 0.1) == 0:
+                assert frame.signs == cameras[r].read(now[r], before[r], now)[0]
+                texts += len(frame.signs)
+        before = now
+        w.step(commands(step))
+    assert texts > 0

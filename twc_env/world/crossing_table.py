@@ -106,9 +106,12 @@ def crossed_at(
     x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts, sure_losses,
     first_open, open_walls, counts, losses,
 ):  # fmt: skip
-    """Fill counts (k,) and losses (bands, k) between a place, whose square is worked out, and the points."""
+    """Fill counts (k,) and losses (bands, k) between a place and the points.
+
+    Outside of the building, and where the square is not worked out, all walls on the way are tested.
+    """
     square = square_at(x, y, low, numbers)
-    if square < 0:
+    if square < 0 or square >= sure_counts.shape[0]:
         cross(walls, origin, bucket, rows, columns, first, members, loss, x, y, points, counts, losses)
         return
     for k in range(points.shape[0]):
