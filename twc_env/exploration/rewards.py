@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import RewardConfig
@@ -39,15 +38,15 @@ BYTES_MAX = 10_000.0
 class Standing:
     """The potentials of a team as last judged."""
 
-    team: Array
-    """(3,) coverage, merge, localisation of the team."""
-    own: Array
-    """(robots, 3) the same of each robot: of its group, rightly merged or 0, and its own localisation."""
+    team: list[float]
+    """Coverage, merge, localisation of the team."""
+    own: list[list[float]]
+    """The same of each robot: of its group, rightly merged or 0, and its own localisation."""
 
     @classmethod
     def nothing(cls, robots: int) -> Standing:
         """Before the first scan."""
-        return cls(np.zeros(3), np.zeros((robots, 3)))
+        return cls([0.0] * 3, [[0.0] * 3 for _ in range(robots)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +82,19 @@ def terms(transition: Transition, sharing: str) -> list[dict[str, float]]:
     common = _NOTHING.copy()
     common["time"], common["bytes"] = 1.0 / step_count_max, min(bytes_per_robot / BYTES_MAX, 1.0)
     if after is not before and sharing == "team":
-        common["coverage"], common["merge"], common["localisation"] = (after.team - before.team).tolist()
+        common["coverage"], common["merge"], common["localisation"] = _gains(before.team, after.team)
     each = [common.copy() for _ in touching]
     if after is not before and sharing != "team":
-        for own, gains in zip(each, (after.own - before.own).tolist(), strict=True):
-            own["coverage"], own["merge"], own["localisation"] = gains
+        for own, old, new in zip(each, before.own, after.own, strict=True):
+            own["coverage"], own["merge"], own["localisation"] = _gains(old, new)
     for own, touches in zip(each, touching, strict=True):
         if touches:
             own["collision"] = 1.0
     return each
+
+
+def _gains(before: list[float], after: list[float]) -> list[float]:
+    return [new - old for old, new in zip(before, after, strict=True)]
 
 
 def weights_of(config: RewardConfig) -> tuple[tuple[str, float], ...]:
@@ -117,6 +120,6 @@ def standing_of(maps: Sequence[JudgedMap], errors_m: Sequence[float] | Array) ->
     for judged in maps:
         if judged.is_right:
             for viewer in judged.viewers:
-                own[viewer][:2] = judged.share, (judged.robot_count - 1) / max(count - 1, 1)
+                own[viewer][:2] = float(judged.share), (judged.robot_count - 1) / max(count - 1, 1)
     best = max(own, key=lambda potentials: potentials[0])
-    return Standing(np.array([best[0], best[1], sum(row[2] for row in own) / count]), np.array(own))
+    return Standing([best[0], best[1], sum([row[2] for row in own]) / count], own)
