@@ -57,7 +57,6 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
     from twc_env.slam.exchange import Exchange
     from twc_env.slam.group_maps import GroupMaps
     from twc_env.slam.loop_verification import LoopVerifier
-    from twc_env.slam.occupancy_grid import OccupancyGrid
     from twc_env.slam.robot import FrontEnds, RobotFrontEnd
     from twc_env.slam.team import TeamMapper
     from twc_env.slam.team_graph import TeamGraph
@@ -74,7 +73,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("front end: the rest", True, CooperativeSlam, "track"),
         ("messages", True, Exchange, "deliver"),
         ("team: keyframe into the graph", True, TeamGraph, "add_keyframe"),
-        ("team: merged grid", True, OccupancyGrid, "integrate"),
+        ("team: merged grid", True, GroupMaps, "_draw"),
         ("team: place recognition", True, ClosureSearch, "propose"),
         ("team: verification", True, LoopVerifier, "verify"),
         ("team: merging", True, TeamMapper, "_try_merge"),

@@ -43,6 +43,20 @@ def _have_moved(poses, drawn):
     return False
 
 
+@dataclass(slots=True, eq=False)
+class Side:
+    """What a part of a group has seen: a grid, the nodes (n,) drawn in it, and where they stood (n, 3)."""
+
+    grid: OccupancyGrid
+    nodes: Array
+    poses: Array
+
+    def is_of(self, nodes: Array, poses: Array) -> bool:
+        """Whether these nodes (m,) begin with those drawn, where they stand now (m, 3)."""
+        count = len(self.nodes)
+        return np.array_equal(self.nodes, nodes[:count]) and not _have_moved(poses[:count], self.poses)
+
+
 class GroupMaps:
     """Groups of robots and their grids. `home`: the robot this runs on; None for the one mapper of all."""
 
@@ -58,8 +72,8 @@ class GroupMaps:
         """Where each node stands in the map as drawn."""
         self._scan_here = np.zeros(64, bool)
         """Which nodes' scans have come; the others may be drawn by their own robot only."""
-        self._sides: dict[tuple[int, ...], tuple[OccupancyGrid, Array, Array]] = {}
-        """Robots of a part of a group -> what they have seen, the nodes (n,) drawn in it, and where (n, 3)."""
+        self._sides: dict[tuple[int, ...], Side] = {}
+        """Robots of a part of a group -> what they have seen."""
         self.wanted: dict[tuple[int, int], None] = {}
         """Scans to ask for, in order."""
 
@@ -72,7 +86,7 @@ class GroupMaps:
         self._drawn[node] = self._graph.poses[node]
         group = self.group_of[keyframe.robot]
         if self._scan_here[node] or self._draws_all(group):
-            self.groups[group].grid.integrate(self._graph.poses[node : node + 1], self._graph.scans[node : node + 1])
+            self._draw(self.groups[group].grid, slice(node, node + 1))
         elif self._is_seen(group):
             self.wanted[keyframe.robot, keyframe.index] = None
 
@@ -84,7 +98,7 @@ class GroupMaps:
             is_drawn = self._scan_here[node] or self._draws_all(group)
             self._scan_here[node] = True
             if not is_drawn:
-                self._draw(group, np.array([node]))
+                self._draw(self.groups[group].grid, slice(node, node + 1))
 
     def ask_for(self, keys: Collection[tuple[int, int]]) -> bool:
         """Want those scans of these keyframes that are not here; whether there are any."""
@@ -101,13 +115,13 @@ class GroupMaps:
         nodes = self._graph.nodes_of(robots)
         nodes = nodes[self._scan_here[nodes]]
         poses = self._graph.poses[nodes]
-        grid, held, drawn = self._sides.get(tuple(robots), (self._new_grid(), nodes[:0], poses[:0]))
-        count = len(held)
-        if not np.array_equal(held, nodes[:count]) or _have_moved(poses[:count], drawn):
-            grid, count, drawn = self._new_grid(), 0, poses[:0]
-        grid.integrate(poses[count:], self._graph.scans[nodes[count:]])
-        self._sides[tuple(robots)] = grid, nodes, np.concatenate([drawn, poses[count:]])
-        return grid.snapshot()
+        side = self._sides.get(tuple(robots))
+        if side is None or not side.is_of(nodes, poses):
+            side = self._sides[tuple(robots)] = Side(self._new_grid(), nodes[:0], poses[:0])
+        self._draw(side.grid, nodes[len(side.nodes) :])
+        side.poses = np.concatenate([side.poses, poses[len(side.nodes) :]])
+        side.nodes = nodes
+        return side.grid.snapshot()
 
     def merge(self, a: int, b: int, pose_a_b: Array) -> None:
         """Carry group b into the map of group a; b's number goes to the group after it."""
@@ -115,12 +129,16 @@ class GroupMaps:
         moved = self._graph.nodes_of(other.robots)
         self._graph.place(moved, compose(pose_a_b, self._graph.poses[moved]), other.robots)
         robots = tuple(sorted(into.robots + other.robots))
-        self.groups[a] = Group(robots, self._new_grid(), into.version + other.version + 1)
+        self.groups[a] = Group(robots, into.grid, into.version + other.version + 1)
         del self.groups[b]
         self._renumber()
-        if self._is_seen(self.group_of[robots[0]]):
+        merged = self.group_of[robots[0]]
+        if self._is_seen(merged):
             self.ask_for([(robot, k.index) for robot in robots for k in self._graph.keyframes[robot]])
-        self.redraw(self.group_of[robots[0]])
+        if self._on_request:
+            self.redraw(merged)
+        else:
+            self._redraw(merged, moved)
 
     def split(self, group: int, parts: Sequence[Sequence[int]]) -> None:
         """Take a group apart; each part keeps the frame it was in, the first part the group's number."""
@@ -147,14 +165,16 @@ class GroupMaps:
 
     def redraw(self, group: int) -> None:
         """Draw a group's map anew, from where its keyframes stand now."""
-        nodes = self._graph.nodes_of(self.groups[group].robots)
         self.groups[group].grid.clear()
+        self._redraw(group, self._graph.nodes_of(self.groups[group].robots))
+
+    def _redraw(self, group: int, nodes: Array) -> None:
         self._drawn[nodes] = self._graph.poses[nodes]
-        self._draw(group, nodes if self._draws_all(group) else nodes[self._scan_here[nodes]])
+        self._draw(self.groups[group].grid, nodes if self._draws_all(group) else nodes[self._scan_here[nodes]])
         self.groups[group].version += 1
 
-    def _draw(self, group: int, nodes: Array) -> None:
-        self.groups[group].grid.integrate(self._graph.poses[nodes], self._graph.scans[nodes])
+    def _draw(self, grid: OccupancyGrid, nodes: Array | slice) -> None:
+        grid.integrate(self._graph.poses[nodes], self._graph.scans[nodes])
 
     def _new_grid(self) -> OccupancyGrid:
         return OccupancyGrid(self._resolution_m, self._lidar.range_max_m, self._lidar.beam_count)

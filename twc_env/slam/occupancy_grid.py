@@ -32,7 +32,7 @@ FREE_MARGIN_CELLS = 0.5
 def _fill_crossings(px, py, qx, qy, last_row, width, crossings, counts):
     """Note where the polygon edge p-q crosses the centre lines of rows 0..last_row, sorted by column 0..width.
 
-    An edge crosses each row once at most, so there is room in a row for as many as the polygon has edges.
+    crossings (edges, rows): an edge crosses each row once at most, and most rows are crossed by few.
     """
     low, high = (py, qy) if qy > py else (qy, py)
     first = max(int(math.ceil(low)), 0)
@@ -47,10 +47,10 @@ def _fill_crossings(px, py, qx, qy, last_row, width, crossings, counts):
         x += slope
         k = np.uint64(counts[row])
         counts[row] = k + one
-        while k > np.uint64(0) and crossings[row, k - one] > column:
-            crossings[row, k] = crossings[row, k - one]
+        while k > np.uint64(0) and crossings[k - one, row] > column:
+            crossings[k, row] = crossings[k - one, row]
             k -= one
-        crossings[row, k] = column
+        crossings[k, row] = column
 
 
 @kernel
@@ -93,10 +93,10 @@ def _integrate_scan(
         previous_x, previous_y = qx, qy
     for row in range(row_low, row_high + 1):
         ends = counts[row - row_low] // 2 * 2
-        spans[row - row_low, 0] = crossings[row - row_low, 0] if ends else width
-        spans[row - row_low, 1] = crossings[row - row_low, ends - 1] - 1 if ends else -1
+        spans[row - row_low, 0] = crossings[0, row - row_low] if ends else width
+        spans[row - row_low, 1] = crossings[ends - 1, row - row_low] - 1 if ends else -1
         for p in range(ends // 2):
-            first, last = crossings[row - row_low, 2 * p], crossings[row - row_low, 2 * p + 1]
+            first, last = crossings[2 * p, row - row_low], crossings[2 * p + 1, row - row_low]
             if first < last:
                 _lower(log_odds[row, first:last])
     last_row = last_column = -1
@@ -170,7 +170,7 @@ class OccupancyGrid:
         self.resolution_m = resolution_m
         self.range_max_m = range_max_m
         rows = int(2 * range_max_m / resolution_m) + 8
-        self._crossings, self._counts = np.zeros((rows, beam_count + 2), np.int32), np.zeros(rows, np.int32)
+        self._crossings, self._counts = np.zeros((beam_count + 2, rows), np.int32), np.zeros(rows, np.int32)
         self._spans = np.zeros((rows, 2), np.int32)
         self._directions, self._touched_m = beam_directions(beam_count), np.zeros(4)
         self.clear()
