@@ -111,6 +111,11 @@ class TeamFrames(_Team[SensorFrame]):
         return self._wifi
 
     @property
+    def may_repeat_readings(self) -> bool:
+        """Whether some scan may hold readings of before it: those given side by side are all new."""
+        return self._wifi is not None and any([scan is not None and scan.age_s is not None for scan in self._wifi])
+
+    @property
     def scans(self) -> WifiScans:
         """The same side by side."""
         if self._scans is None:

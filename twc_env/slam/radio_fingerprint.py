@@ -10,63 +10,85 @@ from numpy.typing import NDArray
 
 from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint, WifiScan
+from twc_env.team_messages import WifiScans
 
 Array = NDArray
 
 STD_MODES = {"population": 0, "sample": 1, "paper": 2}
 EMPTY = Fingerprint(np.zeros(0, np.int64), np.zeros(0))
-_NO_AGES = np.zeros(0)
+NO_AGES = np.zeros((0, 0))
 
 
-class ScanWindow:
-    """The latest scans of one receiver, side by side in arrays, of which fingerprints are made."""
+class ScanWindows:
+    """The latest scans of several receivers, side by side in arrays, of which fingerprints are made."""
 
-    def __init__(self, scans_max: int):
-        self._macs, self._rssi_dbm, self._ages_s = _rows(scans_max, 32)
-        self._counts, self._times_s = np.zeros(scans_max, np.int64), np.full(scans_max, -math.inf)
-        self._added = 0
+    def __init__(self, receivers: int, scans_max: int):
+        self._macs, self._rssi_dbm, self._ages_s = _rings(receivers, scans_max, 32)
+        self._counts, self._times_s = np.zeros((receivers, scans_max), np.int64), np.zeros((receivers, scans_max))
+        self._added = np.zeros(receivers, np.int64)
 
-    def add(self, time_s: float, scan: WifiScan) -> None:
-        """Keep a scan; the oldest gives way."""
-        if len(scan.macs) > self._macs.shape[1]:
-            self._widen(len(scan.macs))
-        _keep(
-            self._added % len(self._counts), time_s, scan.macs, scan.rssi_dbm,
-            _NO_AGES if scan.age_s is None else scan.age_s, self._macs, self._rssi_dbm, self._ages_s, self._counts,
-            self._times_s,
-        )  # fmt: skip
-        self._added += 1
+    def add(self, time_s: float, receivers: Array, scans: WifiScans, ages_s: Array = NO_AGES) -> None:
+        """Keep scans of these receivers (k,), a row for each; the oldest of each gives way.
+
+        ages_s: of the readings, as the other fields of `scans`; `NO_AGES` where all are new.
+        """
+        _, macs, rssi_dbm, counts = scans
+        most = 1
+        while most:
+            most = _keep(
+                time_s, receivers, macs, rssi_dbm, ages_s, counts, self._macs, self._rssi_dbm, self._ages_s,
+                self._counts, self._times_s, self._added,
+            )  # fmt: skip
+            if most:
+                self._widen(most)
 
     def fingerprint(
-        self, after_s: float, detection_min: float, std_mode: str = "population", age_max_s: float = math.inf
+        self,
+        receiver: int,
+        after_s: float,
+        detection_min: float,
+        std_mode: str = "population",
+        age_max_s: float = math.inf,
     ) -> Fingerprint:
-        """See `fingerprint`, of the kept scans that are younger than a time."""
-        macs, levels = np.empty(self._macs.size, np.int64), np.empty(self._macs.size)
-        count = _clipped_means(
-            self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added, after_s, age_max_s,
-            detection_min, STD_MODES[std_mode], macs, levels,
+        """See `fingerprint`, of the kept scans of one receiver that are younger than a time."""
+        size = self._macs[receiver].size
+        macs, levels = np.empty(size, np.int64), np.empty(size)
+        count = _fingerprint_of(
+            receiver, self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added, after_s,
+            age_max_s, detection_min, STD_MODES[std_mode], macs, levels,
         )  # fmt: skip
         return Fingerprint(macs[:count].copy(), levels[:count].copy()) if count else EMPTY
 
     def _widen(self, count: int) -> None:
-        scans, width = self._macs.shape
-        wider = _rows(scans, 2 * count)
+        receivers, scans, width = self._macs.shape
+        wider = _rings(receivers, scans, 2 * count)
         for new, old in zip(wider, (self._macs, self._rssi_dbm, self._ages_s), strict=True):
-            new[:, :width] = old
+            new[..., :width] = old
         self._macs, self._rssi_dbm, self._ages_s = wider
 
 
-def _rows(scans: int, width: int) -> tuple[Array, Array, Array]:
-    return np.zeros((scans, width), np.int64), np.zeros((scans, width)), np.zeros((scans, width))
+def _rings(receivers: int, scans: int, width: int) -> tuple[Array, Array, Array]:
+    shape = receivers, scans, width
+    return np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape)
 
 
 @kernel
-def _keep(row, time, macs, levels, ages, kept_macs, kept_levels, kept_ages, counts, times):
-    """Write a scan to a row of the ring; without ages all of it is new."""
-    for k in range(macs.shape[0]):
-        kept_macs[row, k], kept_levels[row, k] = macs[k], levels[k]
-        kept_ages[row, k] = ages[k] if k < ages.shape[0] else 0.0
-    counts[row], times[row] = macs.shape[0], time
+def _keep(time, receivers, macs, levels, ages, heard, kept_macs, kept_levels, kept_ages, counts, times, added):
+    """Write scans to the rings, without ages as all new, and give 0; or nothing, and how many readings need room."""
+    most = np.int64(0)
+    for a in range(receivers.shape[0]):
+        most = max(most, heard[a])
+    if most > kept_macs.shape[2]:
+        return most
+    for a in range(receivers.shape[0]):
+        receiver = receivers[a]
+        row = added[receiver] % counts.shape[1]
+        for k in range(heard[a]):
+            kept_macs[receiver, row, k], kept_levels[receiver, row, k] = macs[a, k], levels[a, k]
+            kept_ages[receiver, row, k] = ages[a, k] if ages.shape[0] > 0 else 0.0
+        counts[receiver, row], times[receiver, row] = heard[a], time
+        added[receiver] += 1
+    return np.int64(0)
 
 
 def fingerprint(
@@ -78,10 +100,32 @@ def fingerprint(
     "population" (1/n), "sample" (1/(n-1)) or "paper" (no division at all: then nothing is ever rejected). Readings
     that their scan repeats from more than `age_max_s` ago belong to another place and are left out.
     """
-    window = ScanWindow(max(len(scans), 1))
+    window, receiver = ScanWindows(1, max(len(scans), 1)), np.zeros(1, np.int64)
     for scan in scans:
-        window.add(0.0, scan)
-    return window.fingerprint(-1.0, detection_min, std_mode, age_max_s)
+        window.add(0.0, receiver, WifiScans.of([scan]), ages_of([scan]))
+    return window.fingerprint(0, -1.0, detection_min, std_mode, age_max_s)
+
+
+def ages_of(scans: Sequence[WifiScan | None]) -> Array:
+    """(k, most) ages [s] of the readings in the order of `WifiScans.of`; `NO_AGES` where no scan repeats old ones."""
+    heard = [scan for scan in scans if scan is not None]
+    if all(scan.age_s is None for scan in heard):
+        return NO_AGES
+    ages_s = np.zeros((len(heard), max(len(scan.macs) for scan in heard)))
+    for row, scan in zip(ages_s, heard, strict=True):
+        row[: len(scan.macs)] = 0.0 if scan.age_s is None else scan.age_s
+    return ages_s
+
+
+@kernel
+def _fingerprint_of(
+    receiver, macs, levels, ages, counts, times, added, after, age_max, detection_min, std_mode, out_macs, out_levels
+):  # fmt: skip
+    """`_clipped_means` of one receiver."""
+    return _clipped_means(
+        macs[receiver], levels[receiver], ages[receiver], counts[receiver], times[receiver], added[receiver], after,
+        age_max, detection_min, std_mode, out_macs, out_levels,
+    )  # fmt: skip
 
 
 @kernel

@@ -16,7 +16,7 @@ from twc_env.kernels import kernel
 from twc_env.messages import Keyframe, SensorFrame, SignObservation, SignReading
 from twc_env.slam.mate_detection import StillDiscs
 from twc_env.slam.odometry_filter import motion_covariance
-from twc_env.slam.radio_fingerprint import ScanWindow
+from twc_env.slam.radio_fingerprint import NO_AGES, ScanWindows, ages_of
 from twc_env.slam.scan_matching import LineField
 from twc_env.slam.tracking import Tracker
 from twc_env.team_messages import TeamFrames
@@ -53,8 +53,9 @@ class FrontEnds:
 
     def __init__(self, config: EnvConfig, count: int):
         self._tracker = Tracker(config, count)
+        self._radio = ScanWindows(count, config.slam.keyframe.fingerprint_scans_max)
         self._everyone = np.arange(count)
-        self.robots = [RobotFrontEnd(r, config, field) for r, field in enumerate(self._tracker.fields)]
+        self.robots = [RobotFrontEnd(r, config, f, self._radio) for r, f in enumerate(self._tracker.fields)]
         """What each robot remembers for itself."""
 
     @property
@@ -73,9 +74,11 @@ class FrontEnds:
     def _remember(self, robots: Array, frames: TeamFrames) -> list[Keyframe]:
         """Let each robot remember what it read and heard, and the place where that is a new one."""
         keyframes, tracker, is_new = [], self._tracker, self._tracker.is_new.tolist()
-        for k, wifi, signs in zip(robots.tolist(), frames.wifi, frames.signs, strict=True):
-            if wifi is not None:
-                self.robots[k].radio.add(frames.time_s, wifi)
+        scans = frames.scans
+        if len(scans.counts):
+            ages_s = ages_of(frames.wifi) if frames.may_repeat_readings else NO_AGES
+            self._radio.add(frames.time_s, robots[scans.robots], scans, ages_s)
+        for k, signs in zip(robots.tolist(), frames.signs, strict=True):
             if signs:
                 self.robots[k].read_signs(signs, tracker.poses_odom[k])
             if is_new[k]:
@@ -94,16 +97,16 @@ class FrontEnds:
 class RobotFrontEnd:
     """What one robot remembers: keyframes, its local map, and what it read and heard since the last keyframe."""
 
-    def __init__(self, robot: int, config: EnvConfig, field: LineField):
+    def __init__(self, robot: int, config: EnvConfig, field: LineField, radio: ScanWindows):
+        """field: of its local map; radio: the scans that the robots heard last."""
         self.robot = robot
         self._config = config.slam
-        self._field = field
+        self._field, self._radio = field, radio
         self._centre_m = 0.0, 0.0
         self._recentre_m = max(0.5 * config.slam.local_map.size_m - config.lidar.range_max_m - 1.0, 1.0)
-        rule, noise = config.slam.keyframe, config.slam.odometry_filter
+        noise = config.slam.odometry_filter
         self._variances = noise.position_std_m**2, noise.position_std_per_m**2, noise.turn_std_rad**2
         """Odometry's, of a step [m2], of a metre [m2] and of the turn in a step [rad2]."""
-        self.radio = ScanWindow(rule.fingerprint_scans_max)
         self.still = StillDiscs()
         self._keyframes: list[Keyframe] = []
         self._readings: list[tuple[str, float, float, float]] = []
@@ -131,8 +134,8 @@ class RobotFrontEnd:
             moved = steps, travel_m - last.travel_m
             _measure_motion(last.pose_odom, pose_odom, *moved, *self._variances, matched, motion, covariance)
         since_s = time_s - rule.fingerprint_window_s
-        fingerprint = self.radio.fingerprint(
-            since_s, rule.fingerprint_detection_min, rule.std_mode, rule.fingerprint_age_max_s
+        fingerprint = self._radio.fingerprint(
+            self.robot, since_s, rule.fingerprint_detection_min, rule.std_mode, rule.fingerprint_age_max_s
         )
         keyframe = Keyframe(
             self.robot, len(self._keyframes), step, time_s, pose_odom.copy(), motion, covariance, travel_m, scan,
