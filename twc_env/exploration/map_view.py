@@ -80,13 +80,14 @@ def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
 def _mark(channel, points, count, x, y, heading, inverse_m):
     """Set the cells of channel (cells, cells) under the first points of (k, 2), seen from a pose in their frame."""
     size = channel.shape[0]
-    half = size // 2
     c, s = math.cos(heading) * inverse_m, math.sin(heading) * inverse_m
+    middle = float(size // 2)
+    ahead0, left0 = middle - c * x - s * y, middle - c * y + s * x
     for k in range(min(count, points.shape[0])):
-        dx, dy = points[k, 0] - x, points[k, 1] - y
-        row, column = math.floor(c * dy - s * dx) + half, math.floor(c * dx + s * dy) + half
-        if 0 <= row < size and 0 <= column < size:
-            channel[row, column] = 255
+        px, py = points[k, 0], points[k, 1]
+        column, row = ahead0 + c * px + s * py, left0 + c * py - s * px
+        if column >= 0.0 and row >= 0.0 and column < size and row < size:
+            channel[np.uint64(row), np.uint64(column)] = 255
 
 
 @kernel
