@@ -123,7 +123,8 @@ def signatures():
     return {
         f"{name}.{key} {signature}"
         for name, module in list(sys.modules.items()) if name.startswith("twc_env.slam")
-        for key, value in vars(module).items() if isinstance(value, Dispatcher)
+        for key, value in vars(module).items()
+        if isinstance(value, Dispatcher) and value.py_func.__module__ == name  # the world packs things too
         for signature in value.signatures
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -214,9 +214,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._frames_of_step = []
         values = self._fly() if commands is None else self._tick(commands)
         is_last = self._steps >= self.config.max_cycles
-        observations, infos = self._observe(), self._infos(agents, self._steps - began)
-        for agent, terms in zip(agents, values, strict=True):
-            infos[agent]["reward_terms"] = terms
+        observations, infos = self._observe(), self._infos(agents, self._steps - began, values)
         if is_last:
             figures = {k: v for k, v in self.result().figures.items() if isinstance(v, (int, float))}
             for info in infos.values():
@@ -394,15 +392,16 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         seen = self._builder.build(None if looker is None else looker.candidates, masks)
         return dict(zip(self.possible_agents, seen, strict=True))
 
-    def _infos(self, agents: list[str], time_steps: int = 0) -> dict[str, dict[str, Any]]:
-        pilot = self._pilot
-        if pilot is None:
-            return {agent: {} for agent in agents}
-        infos: dict[str, dict[str, Any]] = {}
-        for robot, agent in enumerate(agents):
-            infos[agent] = {"is_deciding": bool(pilot.is_deciding[robot]), "time_steps": time_steps}
-            if self.config.action.kind == "frontier":
-                infos[agent]["action_mask"] = pilot.mask(robot)
+    def _infos(
+        self, agents: list[str], time_steps: int = 0, terms: Sequence[dict[str, float]] = ()
+    ) -> dict[str, dict[str, Any]]:
+        infos: dict[str, dict[str, Any]]
+        infos = dict(zip(agents, [{"reward_terms": own} for own in terms] or [{} for _ in agents], strict=True))
+        if self._pilot is not None:
+            for robot, info in enumerate(infos.values()):
+                info["is_deciding"], info["time_steps"] = bool(self._pilot.is_deciding[robot]), time_steps
+                if self.config.action.kind == "frontier":
+                    info["action_mask"] = self._pilot.mask(robot)
         return infos
 
 

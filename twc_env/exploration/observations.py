@@ -40,6 +40,7 @@ class ObservationBuilder:
     def __init__(self, config: EnvConfig):
         self._config = config
         robots, shape = config.robots, config.observation
+        self._robots = range(robots)
         self._names = tuple(block_spaces(config))
         self._is_flat = shape.kind != "dict"
         made: dict[str, Callable[[], Sequence[Array] | Array]] = {
@@ -59,6 +60,11 @@ class ObservationBuilder:
         mates = max(robots - 1, 1)
         self._mate_places, self._mate_counts = np.zeros((robots, mates, 3)), np.zeros(robots, np.int64)
         """Scratch: pose, in the robot's frame, of each mate of the group."""
+        self._small_shapes = (
+            (robots, config.lidar.beam_count), (robots, len(POSE_LIMITS)), (robots, shape.sign_slots, 5),
+            (robots, mates, 5),
+        )  # fmt: skip
+        """Of the blocks `lidar`, `pose`, `signs` and `team`."""
         self._signs_of_team: Sequence[tuple[KnownSign, ...]] = ()
         self._indexed_signs: list[tuple[KnownSign, ...]] = [()] * robots
         self._sign_places = [_NO_SIGNS] * robots
@@ -80,7 +86,7 @@ class ObservationBuilder:
     ) -> list[dict[str, Array]] | list[Array]:
         """The observation of each robot after the step that was noticed last; `masks`: its choices that count."""
         beliefs, names = self._beliefs, self._names
-        robots = range(len(beliefs))
+        robots = self._robots
         if beliefs.signs is not self._signs_of_team:
             self._signs_of_team = beliefs.signs
             for robot, signs in enumerate(beliefs.signs):
@@ -101,10 +107,8 @@ class ObservationBuilder:
     def _small_blocks(self) -> dict[str, Sequence[Array] | Array]:
         """Those that one compiled call fills; it also places the mates in each robot's frame."""
         beliefs, frames, config = self._beliefs, self._frames, self._config
-        robots, mates, slots = len(beliefs), self._mate_places.shape[1], self._readings.shape[1]
-        lidar, pose = np.empty(frames.ranges_m.shape, np.float32), np.empty((robots, len(POSE_LIMITS)), np.float32)
+        lidar, pose, signs, team = [np.empty(shape, np.float32) for shape in self._small_shapes]
         wifi = self._wifi_slots[-1].copy()
-        signs, team = np.empty((robots, slots, 5), np.float32), np.empty((robots, mates, 5), np.float32)
         _fill_small(
             frames.ranges_m, 1.0 / config.lidar.range_max_m, beliefs.poses, beliefs.since_closure_m, POSE_LIMITS,
             self._readings, self._reading_counts, frames.time_s, config.observation.sign_memory_s, frames.step,
