@@ -124,7 +124,7 @@ def signatures():
         f"{name}.{key} {signature}"
         for name, module in list(sys.modules.items()) if name.startswith("twc_env.slam")
         for key, value in vars(module).items()
-        if isinstance(value, Dispatcher) and value.py_func.__module__ == name  # the world packs things too
+        if isinstance(value, Dispatcher) and key != "pack"  # which the world compiles for things of its own
         for signature in value.signatures
     }
 
