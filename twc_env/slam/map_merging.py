@@ -35,7 +35,8 @@ SAME_PLACE_M = 1.2
 """Fingerprints this near each other after a merge should be alike ..."""
 REFERENCE_M = (1.5, 3.5)
 """... at least as alike as those of one robot at this distance."""
-PAIRS_MIN = 4
+PAIRS_MIN, PLACES_MAX = 4, 150
+"""With fewer pairs nothing is concluded; of more places than twice that only some are compared with all others."""
 REFERENCE_SLACK = 1.1
 
 
@@ -166,7 +167,7 @@ def _compare_places(macs, levels, starts, positions, robots, travels, is_b):
         longest = max(longest, starts[i + 1] - starts[i])
     differences = np.empty(longest)
     reach = max(SAME_PLACE_M, REFERENCE_M[1])
-    for i in range(positions.shape[0]):
+    for i in range(0, positions.shape[0], max(positions.shape[0] // PLACES_MAX, 1)):
         for j in range(i, positions.shape[0]):
             dx, dy = positions[i, 0] - positions[j, 0], positions[i, 1] - positions[j, 1]
             if abs(dx) > reach or abs(dy) > reach:
