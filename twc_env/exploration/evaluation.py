@@ -184,11 +184,9 @@ def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.Map
 def map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
     """The map that the keyframes' scans would give at other poses (steps + 1, robots, 3)."""
     grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
-    for robot in range(poses.shape[1]):
-        mapper = engine.mapper_of(robot)
-        steps = mapper.keyframe_steps(robot)
-        if len(steps):
-            grid.integrate(poses[steps, robot], mapper.scans_of(robot))
+    taken = [(engine.mapper_of(robot), robot) for robot in range(poses.shape[1])]
+    where = [poses[mapper.keyframe_steps(robot), robot] for mapper, robot in taken]
+    grid.integrate(np.concatenate(where), np.concatenate([mapper.scans_of(robot) for mapper, robot in taken]))
     return grid.snapshot()
 
 
