@@ -90,6 +90,8 @@ class CooperativeSlam:
         """Of each robot: path length since its last closure, and what may have gone astray on it."""
         self._mates, self._mate_poses, self._contact_steps = nobody(robot_count)
         """As `TeamBeliefs` has them."""
+        self._others = np.array([[r for r in range(robot_count) if r != k] for k in range(robot_count)], np.int64)
+        """(robots, robots - 1) all the others of each robot."""
         self._heard_poses = np.zeros_like(self._mate_poses)
         """Where each robot has its own mapper: where its mates were when they were heard of last."""
         self._maps: HeldMaps | None = None
@@ -171,26 +173,31 @@ class CooperativeSlam:
         for number, mapper in enumerate(self.mappers):
             if mapper.changes != self._located[number] or mapper.regroupings != self._regroupings[number]:
                 self._relocate(number, mapper)
-        self._poses, self._mate_poses = np.empty_like(self._poses), np.empty_like(self._mate_poses)
+        self._poses, self._mate_poses = np.empty(self._poses.shape), np.empty(self._heard_poses.shape)
         self._beliefs = None
         _believed_poses(
             self._poses_map_odom, self._std, self._front_ends.poses_odom, self._mates, self._is_central,
             self._heard_poses, self._poses, self._mate_poses,
         )  # fmt: skip
-        self._poses.flags.writeable = False  # beliefs show them to planners
+        self._poses.setflags(write=False)  # beliefs show them to planners
 
     def _relocate(self, number: int, mapper: TeamMapper) -> None:
         """What a mapper says of robots has changed; beliefs hold what it said before."""
-        since_m, heard, last_steps = self._since_closure_m.copy(), self._contact_steps.copy(), mapper.last_steps
+        since_m, last_steps = self._since_closure_m.copy(), np.array(mapper.last_steps)
         robots = range(len(self.robots)) if self._is_central else (number,)
+        changes, located = mapper.changes, self._located[number]
         for robot in robots:
-            if mapper.changes[robot] != self._located[number][robot]:
+            if changes[robot] != located[robot]:
                 since_m[robot] = mapper.locate(robot, self._poses_map_odom[robot], self._std[robot])
-            heard[robot] = last_steps[:robot] + last_steps[robot + 1 :]
+        if self._is_central:
+            heard = last_steps[self._others]
+        else:
+            heard = self._contact_steps.copy()
+            heard[number] = last_steps[self._others[number]]
         if mapper.regroupings != self._regroupings[number] or not self._is_central:
             self._find_mates(robots, mapper)
         self._since_closure_m, self._contact_steps, self._maps = since_m, heard, None
-        self._located[number], self._regroupings[number] = mapper.changes.copy(), mapper.regroupings
+        self._located[number], self._regroupings[number] = changes.copy(), mapper.regroupings
 
     def _find_mates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
         """Who shares the map of each of these robots."""

@@ -77,7 +77,8 @@ class FrontEnds:
         scans = frames.scans
         if len(scans.counts):
             ages_s = ages_of(frames.wifi) if frames.may_repeat_readings else NO_AGES
-            self._radio.add(frames.time_s, robots[scans.robots], scans, ages_s)
+            receivers = scans.robots if robots is self._everyone else robots[scans.robots]
+            self._radio.add(frames.time_s, receivers, scans, ages_s)
         for k, signs in zip(robots.tolist(), frames.signs, strict=True):
             if signs:
                 self.robots[k].read_signs(signs, tracker.poses_odom[k])

@@ -15,7 +15,6 @@ from twc_env.slam.closure_search import ClosureSearch
 from twc_env.slam.group_maps import Group, GroupMaps
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import MergeReview
-from twc_env.slam.odometry_filter import squared_error
 from twc_env.slam.radio_ties import RadioTies
 from twc_env.slam.team_graph import TeamGraph
 
@@ -213,18 +212,14 @@ class TeamMapper:
 
     def _judge_inside_map(self, closure: LoopClosure) -> None:
         """Take a closure of one map unless it contradicts the estimate by more than drift can explain."""
-        target, source = self._graph.node(closure.candidate.target), self._graph.node(closure.candidate.source)
-        expected = between(self._graph.poses[target], self._graph.poses[source])
-        error = between(expected, closure.pose_target_source)
+        away, turned, squared = self._graph.disagreement(closure)
         travel = self._travel_between(closure.candidate)
-        away = float(np.hypot(error[0], error[1]))
-        if away > DRIFT_BASE_M + DRIFT_PER_M * travel or abs(error[2]) > DRIFT_RAD:
-            self._graph.refuse(closure, f"{away:.1f} m and {abs(error[2]):.2f} rad from the estimate")
+        if away > DRIFT_BASE_M + DRIFT_PER_M * travel or turned > DRIFT_RAD:
+            self._graph.refuse(closure, f"{away:.1f} m and {turned:.2f} rad from the estimate")
             return
         self._graph.accept(closure)
         self._search.note_tie(closure)
-        is_urgent = squared_error(error, closure.covariance) > URGENT_SQUARED_ERROR
-        self._soil(self._groups_of(closure)[0], is_urgent)
+        self._soil(self._groups_of(closure)[0], squared > URGENT_SQUARED_ERROR)
 
     def _soil(self, group: int, is_urgent: bool) -> None:
         robot = self.groups[group].robots[0]

@@ -13,6 +13,7 @@ from twc_env.kernels import kernel
 from twc_env.messages import Keyframe, KnownSign, LoopClosure
 from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays
 from twc_env.slam.growing import Growing
+from twc_env.slam.odometry_filter import squared_error
 from twc_env.slam.pose_graph import Graph
 from twc_env.slam.sign_readings import SignReadings
 
@@ -43,6 +44,24 @@ def _locate(poses, travels, strains, pose_odom, node, tied, pose_map_odom, std):
     for axis in range(3):
         std[axis] = math.sqrt(max(strains[node, axis] - strains[tied, axis], 0.0))
     return travels[node] - travels[tied]
+
+
+@kernel
+def _between(a, b, out):
+    """The pose of b in a."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    out[0], out[1] = c * dx + s * dy, c * dy - s * dx
+    out[2] = (b[2] - a[2] + math.pi) % (2 * math.pi) - math.pi
+
+
+@kernel
+def _disagreement(poses, target, source, measured, covariance):
+    """See `TeamGraph.disagreement`."""
+    expected, error = np.empty(3), np.empty(3)
+    _between(poses[target], poses[source], expected)
+    _between(expected, measured, error)
+    return math.hypot(error[0], error[1]), abs(error[2]), squared_error(error, covariance)
 
 
 @kernel
@@ -234,6 +253,14 @@ class TeamGraph:
         self._edge_of_closure[number] = self._arrays.edge_count
         ends = self.node(closure.candidate.target), self.node(closure.candidate.source)
         self._arrays.add_edge(ends, closure.pose_target_source, closure.covariance, number, is_used)
+
+    def disagreement(self, closure: LoopClosure) -> tuple[float, float, float]:
+        """How far a closure lies from the estimate [m] and [rad], and the squared error of that by its covariance."""
+        target, source = self.node(closure.candidate.target), self.node(closure.candidate.source)
+        away_m, turned_rad, squared = _disagreement(
+            self.poses, target, source, closure.pose_target_source, closure.covariance
+        )
+        return away_m, turned_rad, squared
 
     def closures_between(self, a: Sequence[int], b: Sequence[int], status: str) -> list[LoopClosure]:
         """Closures of one status with one end among robots a and the other among b; none that failed verification."""

@@ -38,7 +38,7 @@ class TextWifiRecogniser:
         self._texts = AlikeTexts(config.text_similarity_min - 1e-9)
         self._numbers_of: list[list[int]] = []
         """Of each text the places where it was read, by number."""
-        self._recent: dict[tuple[int, str], deque[tuple[float, Array]]] = {}
+        self._recent: dict[tuple[int, str], deque[tuple[float, tuple[float, float]]]] = {}
         self._places: list[tuple[Keyframe, SignObservation]] = []
         self._fingerprints = FingerprintTable()
         """One row per place."""
@@ -124,7 +124,9 @@ class TextWifiRecogniser:
         """Keep a reading, unless no wall is known behind it or the same robot read the same just before."""
         if math.isnan(sign.facing_rad):
             return
-        position = compose(keyframe.pose_odom, [*sign.position_m, 0.0])[:2]
+        (x, y, heading), (ahead, left) = keyframe.pose_odom.tolist(), sign.position_m.tolist()
+        c, s = math.cos(heading), math.sin(heading)
+        position = x + c * ahead - s * left, y + s * ahead + c * left
         for travel_m, other in self._recent.get((keyframe.robot, text), ()):
             if keyframe.travel_m - travel_m < SAME_PLACE_M and math.dist(position, other) < SAME_SIGN_M:
                 return
@@ -156,6 +158,6 @@ class TextRecogniser(TextWifiRecogniser):
 
 def meet_at_sign(target: SignObservation, source: SignObservation) -> Array:
     """(3,) pose of the source in the target's frame if both see one sign: lay the two sign frames on each other."""
-    target_sign = np.array([*target.position_m, target.facing_rad])
-    source_sign = np.array([*source.position_m, source.facing_rad])
+    target_sign = np.array((*target.position_m.tolist(), target.facing_rad))
+    source_sign = np.array((*source.position_m.tolist(), source.facing_rad))
     return compose(target_sign, inverse(source_sign))
