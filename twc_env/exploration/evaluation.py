@@ -13,7 +13,7 @@ from twc_env._version import __version__
 from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
 from twc_env.exploration.episode_record import EpisodeRecord
-from twc_env.exploration.team_alignment import position_error_m, team_alignment, trajectories
+from twc_env.exploration.team_alignment import TeamPaths, position_error_m
 from twc_env.exploration.verdicts import GroupVerdict, floor_m2, judge, verdicts_of
 from twc_env.geometry import between, transform_points
 from twc_env.kernels import kernel
@@ -73,8 +73,8 @@ class Progress:
 def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
     """The figures that pictures over time show, by the same definitions as those of the report."""
     verdicts = verdicts_of(engine, record, cells)
-    estimated = trajectories(engine, record.odom_poses)
-    alignment = team_alignment(engine, record.odom_poses, record.true_poses)
+    paths = TeamPaths(engine, record.odom_poses)
+    estimated, alignment = paths.as_seen(), paths.alignment(record.true_poses)
     closures = _closures(engine, verdicts[0], record, alignment)
     status = [row["status"] for row in closures]
     best = verdicts[0]
@@ -97,8 +97,8 @@ def evaluate(
     """Every figure of the report and all that pictures and exports need."""
     cells = floorplan.cells()
     verdicts = judge(engine, record, cells)
-    estimated, true = trajectories(engine, record.odom_poses), record.true_poses
-    alignment = team_alignment(engine, record.odom_poses, record.true_poses)
+    paths, true = TeamPaths(engine, record.odom_poses), record.true_poses
+    estimated, alignment = paths.as_seen(), paths.alignment(true)
     best = verdicts[0]
     score = _score(best.grid, best.pose_building_map, cells)
     closures = _closures(engine, best, record, alignment)
@@ -225,17 +225,20 @@ def _closures(engine: Engine, best: GroupVerdict, record: EpisodeRecord, alignme
     """The closures of the mapper behind the best map."""
     mapper = best.view.mapper
     viewer = best.view.viewers[0]
-    places: list[tuple[Array, Array]] = []
+    if not mapper.closures:
+        return []
+    true_poses: list[Array] = []
+    believed: list[Array] = []
     """Of each robot the true poses of its keyframes, and where they are believed to be in the building (k, 2)."""
     for robot in range(record.true_poses.shape[1]):
         shown = (mapper, alignment[viewer]) if robot in best.robots else (engine.mapper_of(robot), alignment[robot])
-        believed = transform_points(shown[1], shown[0].poses_of(robot)[:, :2])
-        places.append((record.true_poses[mapper.keyframe_steps(robot), robot], believed))
+        believed.append(transform_points(shown[1], shown[0].poses_of(robot)[:, :2]))
+        true_poses.append(record.true_poses[mapper.keyframe_steps(robot), robot])
 
-    if not mapper.closures:
-        return []
     ends = [(closure.candidate.target, closure.candidate.source) for closure in mapper.closures]
-    true = np.array([[places[robot][0][index] for robot, index in pair] for pair in ends])  # (closures, 2, 3)
+    first_row = np.cumsum([0, *map(len, true_poses)])
+    pairs = np.array(ends)  # (closures, 2, 2)
+    true = np.concatenate(true_poses)[first_row[pairs[..., 0]] + pairs[..., 1]]  # (closures, 2, 3)
     measured = np.array([closure.pose_target_source for closure in mapper.closures])
     is_correct = metrics.closures_are_correct(measured, between(true[:, 0], true[:, 1])).tolist()
     rows = []
@@ -248,8 +251,8 @@ def _closures(engine: Engine, best: GroupVerdict, record: EpisodeRecord, alignme
                 "correct": correct,
                 "target": target,
                 "source": source,
-                "target_m": places[target[0]][1][target[1]],
-                "source_m": places[source[0]][1][source[1]],
+                "target_m": believed[target[0]][target[1]],
+                "source_m": believed[source[0]][source[1]],
             }
         )
     return rows

@@ -6,47 +6,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env import metrics
-from twc_env.geometry import between, compose
+from twc_env.geometry import compose_rows, inverse
 from twc_env.slam.modes import Engine
 from twc_env.slam.team import TeamMapper
 
 Array = NDArray
 
 
-def trajectories(engine: Engine, odom_poses: Array) -> Array:
-    """(steps + 1, robots, 3) each step's pose hung on the optimised keyframe before it, in the map that its robot sees.
+class TeamPaths:
+    """Every step's pose hung on the optimised keyframe before it, in a mapper's map; each is worked out once."""
 
-    odom_poses (steps + 1, robots, 3): the front ends' estimates of all steps.
-    """
-    robots = range(odom_poses.shape[1])
-    return np.stack([_trajectory(engine.mapper_of(r), r, odom_poses[:, r]) for r in robots], axis=1)
+    def __init__(self, engine: Engine, odom_poses: Array):
+        """odom_poses (steps + 1, robots, 3): the front ends' estimates of all steps."""
+        self._engine, self._odom_poses = engine, odom_poses
+        self._held: dict[tuple[TeamMapper, int], Array] = {}
+
+    def of(self, mapper: TeamMapper, robot: int) -> Array:
+        """(steps + 1, 3) of one robot in the map of its group in one mapper."""
+        held = self._held.get((mapper, robot))
+        if held is None:
+            held = self._held[mapper, robot] = _trajectory(mapper, robot, self._odom_poses[:, robot])
+        return held
+
+    def as_seen(self) -> Array:
+        """(steps + 1, robots, 3), each in the map that its robot sees."""
+        robots = range(self._odom_poses.shape[1])
+        return np.stack([self.of(self._engine.mapper_of(r), r) for r in robots], axis=1)
+
+    def alignment(self, true_poses: Array) -> Array:
+        """(robots, 3) the one rigid motion that lays the map each robot believes in on the building.
+
+        It weighs all steps of all robots of the map; a mate's steps count up to its last keyframe that the mapper has.
+        """
+        alignment = np.zeros((true_poses.shape[1], 3))
+        for view in self._engine.views():
+            estimated, true = [], []
+            for robot in view.robots:
+                end = len(true_poses)
+                if robot not in view.viewers:
+                    end = int(view.mapper.keyframe_steps(robot)[-1]) + 1
+                estimated.append(self.of(view.mapper, robot)[:end])
+                true.append(true_poses[:end, robot])
+            alignment[list(view.viewers)] = metrics.align_team(np.concatenate(estimated), np.concatenate(true))
+        return alignment
 
 
 def _trajectory(mapper: TeamMapper, robot: int, odom: Array) -> Array:
-    """(steps + 1, 3) of one robot in the map of its group in one mapper."""
+    """See `TeamPaths.of`; odom (steps + 1, 3)."""
     steps = mapper.keyframe_steps(robot)
     if len(steps) == 0:
         return odom
     held = np.clip(np.searchsorted(steps, np.arange(len(odom)), side="right") - 1, 0, None)
     anchors = np.array([k.pose_odom for k in mapper.keyframes[robot]])
-    return compose(mapper.poses_of(robot)[held], between(anchors[held], odom))
-
-
-def team_alignment(engine: Engine, odom_poses: Array, true_poses: Array) -> Array:
-    """(robots, 3) the one rigid motion that lays the map each robot believes in on the building.
-
-    It weighs all steps of all robots of the map; a mate's steps count up to its last keyframe that the mapper has.
-    """
-    alignment = np.zeros((true_poses.shape[1], 3))
-    for view in engine.views():
-        estimated, true = [], []
-        for robot in view.robots:
-            steps = view.mapper.keyframe_steps(robot)
-            end = len(true_poses) if robot in view.viewers else int(steps[-1]) + 1
-            estimated.append(_trajectory(view.mapper, robot, odom_poses[:, robot])[:end])
-            true.append(true_poses[:end, robot])
-        alignment[list(view.viewers)] = metrics.align_team(np.concatenate(estimated), np.concatenate(true))
-    return alignment
+    return compose_rows(mapper.poses_of(robot), held, compose_rows(inverse(anchors), held, odom))
 
 
 def team_error_m(engine: Engine, odom_poses: Array, true_poses: Array) -> float:
@@ -54,12 +66,14 @@ def team_error_m(engine: Engine, odom_poses: Array, true_poses: Array) -> float:
 
     odom_poses, true_poses (steps + 1, robots, 3).
     """
-    return position_error_m(
-        team_alignment(engine, odom_poses, true_poses), trajectories(engine, odom_poses), true_poses
-    )
+    paths = TeamPaths(engine, odom_poses)
+    return position_error_m(paths.alignment(true_poses), paths.as_seen(), true_poses)
 
 
 def position_error_m(alignment: Array, estimated: Array, true: Array) -> float:
     """Root mean square over estimated poses (steps, robots, 3), each robot's laid on the building by its alignment."""
-    aligned = compose(alignment[None], estimated)
-    return float(np.sqrt(((aligned[..., :2] - true[..., :2]) ** 2).sum(axis=-1).mean()))
+    c, s = np.cos(alignment[:, 2]), np.sin(alignment[:, 2])
+    x, y = estimated[..., 0], estimated[..., 1]
+    ahead_m = alignment[:, 0] + c * x - s * y - true[..., 0]
+    left_m = alignment[:, 1] + s * x + c * y - true[..., 1]
+    return float(np.sqrt((ahead_m**2 + left_m**2).mean()))

@@ -74,8 +74,8 @@ def absolute_trajectory_error_m(estimated: ArrayLike, true: ArrayLike, alignment
     estimated_m, true_m = _position_pairs(estimated, true)
     if alignment is None:
         alignment = align_team(estimated_m, true_m)
-    error_m = transform_points(alignment, estimated_m) - true_m
-    return float(np.sqrt(np.mean(np.sum(error_m**2, axis=1))))
+    squared_m2 = (transform_points(alignment, estimated_m) - true_m) ** 2
+    return float(np.sqrt(np.mean(squared_m2[:, 0] + squared_m2[:, 1])))
 
 
 def end_point_error_m(estimated: ArrayLike, true: ArrayLike) -> float:
