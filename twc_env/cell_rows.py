@@ -27,14 +27,17 @@ def span_inside(start, step, limit, count):
 
 
 @kernel
-def look_up_row(cells, width, row, column, row_step, column_step, count, levels):
+def look_up_row(cells, width, row, column, row_step, column_step, count, numbers, levels):
     """Write to levels the first `count` samples from (row, column) on, in fixed point; all of them lie in the grid.
 
-    cells: the grid (rows, width) as one row. Unsigned numbers index without a check for negative ones.
+    cells: the grid (rows, width) as one row; numbers: scratch, (count,) uint32 at least. Where the samples lie is
+    worked out first, for many of them at once.
     """
     bits, stride = np.uint64(FIXED_BITS), np.uint64(width)
     r, k, up, right = np.uint64(row), np.uint64(column), np.uint64(row_step), np.uint64(column_step)
     for j in range(count):
-        levels[j] = cells[(r >> bits) * stride + (k >> bits)]
+        numbers[j] = np.uint32((r >> bits) * stride + (k >> bits))
         r += up
         k += right
+    for j in range(count):  # unsigned numbers index without a check for negative ones
+        levels[j] = cells[np.uint64(numbers[j])]

@@ -32,8 +32,8 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
     """
     out = np.zeros((CHANNELS, cells, cells), np.uint8)
     x, y = (pose_map_robot[:2] - grid.origin_m).tolist()
-    levels = np.empty(cells * cells, np.uint8)
-    _crop(_kinds(grid), x, y, float(pose_map_robot[2]), 1.0 / grid.resolution_m, cell_m, levels, out)
+    numbers, levels = np.empty(cells, np.uint32), np.empty(cells * cells, np.uint8)
+    _crop(_kinds(grid), x, y, float(pose_map_robot[2]), 1.0 / grid.resolution_m, cell_m, numbers, levels, out)
     return out
 
 
@@ -120,7 +120,7 @@ def _shrink(log_odds, out):
 
 
 @kernel
-def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, levels):
+def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, numbers, levels):
     """The kinds of cells around a place, robot in the middle and looking along +column: to levels (size * size,)."""
     height, width = kinds.shape
     step = cell_m * inverse_m
@@ -135,18 +135,18 @@ def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, levels):
         out = levels[i * size : (i + 1) * size]
         last_k, last_r = k + dx * (size - 1), r + dy * (size - 1)
         if min(k, last_k) >= 0 and min(r, last_r) >= 0 and max(k, last_k) < columns and max(r, last_r) < rows:
-            look_up_row(cells, width, r, k, dy, dx, size, out)
+            look_up_row(cells, width, r, k, dy, dx, size, numbers, out)
             continue
         out[:] = UNKNOWN_CELL
         first_k, end_k = span_inside(k, dx, columns, size)
         first_r, end_r = span_inside(r, dy, rows, size)
         begin, end = max(first_k, first_r), min(end_k, end_r)
         if begin < end:
-            look_up_row(cells, width, r + begin * dy, k + begin * dx, dy, dx, end - begin, out[begin:])
+            look_up_row(cells, width, r + begin * dy, k + begin * dx, dy, dx, end - begin, numbers, out[begin:])
 
 
 @kernel
-def _crop(kinds, x, y, heading, inverse_m, cell_m, levels, out):
+def _crop(kinds, x, y, heading, inverse_m, cell_m, numbers, levels, out):
     """Egocentric view: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0).
 
     Looking up stands apart from comparing, because only the latter gains from being done for many cells at once.
@@ -158,7 +158,7 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, levels, out):
         flat[2 * count : 3 * count] = 255
         flat[3 * count : 4 * count] = 0
         return
-    _look_around(kinds, x, y, heading, inverse_m, cell_m, size, levels)
+    _look_around(kinds, x, y, heading, inverse_m, cell_m, size, numbers, levels)
     free, wall, unknown = flat[:count], flat[count : 2 * count], flat[2 * count : 3 * count]
     for j in range(count):
         free[j] = np.uint8(255) if levels[j] == FREE_CELL else np.uint8(0)
@@ -180,10 +180,10 @@ def _crop_and_mark(
 ):
     """All channels of the robots from `first` to before `end`: what lies around each, its path, mates and signs."""
     inverse_m = 1.0 / cell_m
-    levels = np.empty(out.shape[2] * out.shape[3], np.uint8)
+    numbers, levels = np.empty(out.shape[3], np.uint32), np.empty(out.shape[2] * out.shape[3], np.uint8)
     for i in range(first, end):
         here, odom = poses[i, 0], poses[i, 2]
-        _crop(kinds, here[0] - origin[0], here[1] - origin[1], here[2], inverse_grid_m, cell_m, levels, out[i])
+        _crop(kinds, here[0] - origin[0], here[1] - origin[1], here[2], inverse_grid_m, cell_m, numbers, levels, out[i])
         out[i, 4:] = 0
         _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m)
         _mark(out[i, 5], mates[i], mate_counts[i], 0.0, 0.0, 0.0, inverse_m)

@@ -193,7 +193,7 @@ def _count_free(log_odds, box, row0, column0, step, truth_free, free_below):
     bottom, left, rows_above, columns_right = box[0], box[1], box[2] - box[0], box[3] - box[1]
     width = truth_free.shape[1]
     cells, levels = log_odds.reshape(-1), np.empty(width, log_odds.dtype)
-    below = levels.dtype.type(free_below)
+    numbers, below = np.empty(width, np.uint32), levels.dtype.type(free_below)
     c, s = step[0], step[1]
     dk, dr = int(np.rint(c * FIXED_POINT)), int(np.rint(s * FIXED_POINT))
     count = 0
@@ -206,7 +206,7 @@ def _count_free(log_odds, box, row0, column0, step, truth_free, free_below):
         if first >= last:
             continue
         row, column = r + first * dr + (bottom << FIXED_BITS), k + first * dk + (left << FIXED_BITS)
-        look_up_row(cells, columns, row, column, dr, dk, last - first, levels)
+        look_up_row(cells, columns, row, column, dr, dk, last - first, numbers, levels)
         free = truth_free[i, first:last]
         for j in range(last - first):  # apart from the look-ups, because many cells are compared at once
             count += free[j] & (levels[j] < below)
@@ -218,7 +218,7 @@ def _look_up_floor(truth_free, row0, column0, step, mask):
     """Write to the mask whether the true cell at the centre of each map cell is free."""
     rows, columns = truth_free.shape
     height, width = mask.shape
-    cells = truth_free.reshape(-1)
+    cells, numbers = truth_free.reshape(-1), np.empty(width, np.uint32)
     c, s = step[0], step[1]
     dk, dr = int(np.rint(c * FIXED_POINT)), int(np.rint(s * FIXED_POINT))
     for i in range(height):
@@ -227,7 +227,8 @@ def _look_up_floor(truth_free, row0, column0, step, mask):
         first_k, last_k = span_inside(k, dk, columns << FIXED_BITS, width)
         first, last = max(first_r, first_k), min(last_r, last_k)
         if first < last:
-            look_up_row(cells, columns, r + first * dr, k + first * dk, dr, dk, last - first, mask[i, first:last])
+            row, column = r + first * dr, k + first * dk
+            look_up_row(cells, columns, row, column, dr, dk, last - first, numbers, mask[i, first:last])
 
 
 @kernel
