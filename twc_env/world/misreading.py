@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,39 @@ class TableReader:
             codes, is_hidden, height_px, 1.0 - width, blur_px / (height_px * width), draws, self._table, out,
         )  # fmt: skip
         return out[:count].tobytes().decode("utf-32-le").strip()
+
+    def read_signs(self, sights: Array, hidden: Array, texts: SignTexts, fresh: Array) -> list[str]:
+        """One reading of each sign in view; sights and hidden as `look` fills them, one row for each.
+
+        fresh: standard normal, as many as `draw_count` says of each text, one after the other.
+        """
+        rows = len(sights), 2 * texts.codes.shape[1] + 1
+        out, counts = np.empty(rows, np.uint32), np.empty(rows[0], np.int64)
+        _misread_signs(
+            sights, hidden, texts.codes, texts.lengths, texts.kept, texts.weights, fresh, self._table, out, counts
+        )
+        letters, width = out.tobytes(), 4 * rows[1]
+        return [
+            letters[k * width : k * width + 4 * count].decode("utf-32-le").strip()
+            for k, count in enumerate(counts.tolist())
+        ]
+
+
+class SignTexts:
+    """The texts of a building's signs, and what of a reading's luck stays with each sign; L: the longest text."""
+
+    def __init__(self, table: OcrTable, texts: Sequence[str], plates: np.random.Generator):
+        longest = max(map(len, texts), default=0)
+        self.lengths = np.array([len(text) for text in texts], np.int64)
+        self.codes = np.zeros((len(texts), longest), np.uint32)
+        """(signs, L) code points."""
+        self.kept, self.weights = np.zeros((2, len(texts), LINE_DRAWS + 2 * longest))
+        """(signs, 3 + 2 L) of each drawn number: what stays with the sign, and the weight of what is drawn anew."""
+        for k, text in enumerate(texts):
+            share = shares(table, text)
+            self.codes[k, : len(text)] = codes_of(text)
+            self.kept[k, : len(share)] = np.sqrt(share) * plates.standard_normal(len(share))
+            self.weights[k, : len(share)] = np.sqrt(1.0 - share)
 
 
 @kernel
@@ -172,6 +206,22 @@ def _misread(codes, is_hidden, height, narrowed, blur, draws, table, out):
             out[count + 1] = added_code[_pick(added_cdf, u)]
             count += 2
     return count
+
+
+@kernel
+def _misread_signs(sights, hidden, codes, lengths, kept, weights, fresh, table, out, counts):
+    """`_misread` of each sight (k, 6), with draws of which part is kept and part fresh."""
+    draws, first = np.empty(kept.shape[1]), 0
+    for k in range(sights.shape[0]):
+        sign = int(sights[k, 0])
+        count = lengths[sign]
+        for m in range(LINE_DRAWS + 2 * count):
+            draws[m] = kept[sign, m] + weights[sign, m] * fresh[first + m]
+        first += LINE_DRAWS + 2 * count
+        height, width, blur = sights[k, 3], math.cos(sights[k, 4]), sights[k, 5]
+        counts[k] = _misread(
+            codes[sign, :count], hidden[k, :count], height, 1.0 - width, blur / (height * width), draws, table, out[k]
+        )
 
 
 # --- two plain numbers ---

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import SignsConfig
 from twc_env.random_streams import random_stream
-from twc_env.world.misreading import TableReader, codes_of, misread, shares
+from twc_env.world.misreading import SignTexts, TableReader, draw_count, misread
 from twc_env.world.noise import NormalPool
 from twc_env.world.ocr_table import load_table
 
@@ -22,28 +21,17 @@ DRAWN_MAX_PX = 128.0
 """Signs so near that their capitals are higher are drawn this high: the OCR reads them no worse."""
 
 
-@dataclass(slots=True, eq=False)
-class Sight:
-    """How a camera sees one sign."""
-
-    sign: int
-    """Plan number."""
-    distance_m: float
-    bearing_rad: float
-    """From straight ahead, counter-clockwise."""
-    height_px: float
-    incidence_rad: float
-    """Signed: positive when the sign's right side is further away."""
-    blur_px: float
-    is_hidden: Array
-    """(characters,) bool: behind a robot."""
-
-
 class SignReader(Protocol):
     """What turns the signs in view into text."""
 
-    def read(self, sights: Sequence[Sight]) -> list[str]:
-        """A text for each sight; "" where nothing was read."""
+    def read(self, signs: Sequence[int], sights: Array, hidden: Array) -> list[str]:
+        """A text for each sign in view; "" where nothing was read.
+
+        signs: plan numbers. sights (k, 6): plan number, distance [m], bearing [rad], height [px], incidence [rad]
+        (signed: positive when the sign's right side is further away) and blur [px]; hidden (at least k, characters):
+        what is behind a robot.
+        """
+        ...
 
 
 def make_reader(config: SignsConfig, texts: Sequence[str], robot: int, seed: int) -> SignReader:
@@ -59,26 +47,13 @@ class _Fast:
     """Draws from the measured table. Part of what goes wrong stays with the sign, for all robots and the episode."""
 
     def __init__(self, texts: Sequence[str], robot: int, seed: int):
-        table = load_table()
         self._noise = NormalPool(random_stream(seed, "ocr", robot))
-        self._codes = [codes_of(text) for text in texts]
-        plates = random_stream(seed, "sign plates")
-        self._kept, self._weight = [], []
-        for text in texts:
-            share = shares(table, text)
-            self._kept.append(np.sqrt(share) * plates.standard_normal(len(share)))
-            self._weight.append(np.sqrt(1.0 - share))
+        self._texts = SignTexts(load_table(), texts, random_stream(seed, "sign plates"))
+        self._draw_counts = [draw_count(text) for text in texts]
 
-    def read(self, sights: Sequence[Sight]) -> list[str]:
-        return [self._read(sight) for sight in sights]
-
-    def _read(self, sight: Sight) -> str:
-        sign = sight.sign
-        weight = self._weight[sign]
-        draws = self._kept[sign] + weight * self._noise.take(len(weight))
-        return _shipped().read(
-            self._codes[sign], sight.is_hidden, sight.height_px, sight.incidence_rad, sight.blur_px, draws
-        )
+    def read(self, signs: Sequence[int], sights: Array, hidden: Array) -> list[str]:
+        fresh = self._noise.take(sum([self._draw_counts[sign] for sign in signs]))
+        return _shipped().read_signs(sights, hidden, self._texts, fresh)
 
 
 @lru_cache(maxsize=1)
@@ -94,12 +69,12 @@ class _Simple:
         self._config, self._texts = config, texts
         self._random = random_stream(seed, "ocr", robot)
 
-    def read(self, sights: Sequence[Sight]) -> list[str]:
-        return [self._read(sight) for sight in sights]
+    def read(self, signs: Sequence[int], sights: Array, hidden: Array) -> list[str]:
+        return [self._read(self._texts[sign], hidden[k]) for k, sign in enumerate(signs)]
 
-    def _read(self, sight: Sight) -> str:
-        text = misread(self._texts[sight.sign], self._config, self._random)
-        return "" if sight.is_hidden.any() else text.strip()
+    def _read(self, true_text: str, is_hidden: Array) -> str:
+        text = misread(true_text, self._config, self._random)
+        return "" if is_hidden[: len(true_text)].any() else text.strip()
 
 
 class _Live:
@@ -116,25 +91,23 @@ class _Live:
         self._plates = [draw_plate(plates) for _ in texts]
         self._random = random_stream(seed, "ocr", robot)
 
-    def read(self, sights: Sequence[Sight]) -> list[str]:
+    def read(self, signs: Sequence[int], sights: Array, hidden: Array) -> list[str]:
         from twc_env.world.sign_picture import View
 
-        if not sights:
-            return []
+        texts = [self._texts[sign] for sign in signs]
         views = [
             View(
-                min(s.height_px, DRAWN_MAX_PX),
-                s.incidence_rad,
-                s.blur_px,
-                hidden_part(s.is_hidden),
+                min(height_px, DRAWN_MAX_PX),
+                incidence_rad,
+                blur_px,
+                hidden_part(is_hidden[: len(text)]),
                 self._focal_length_px,
             )
-            for s in sights
+            for text, is_hidden, (height_px, incidence_rad, blur_px) in zip(
+                texts, hidden, sights[:, 3:].tolist(), strict=False
+            )
         ]
-        numbers = [s.sign for s in sights]
-        return self._read_signs(
-            [self._texts[n] for n in numbers], [self._plates[n] for n in numbers], views, self._random
-        )
+        return self._read_signs(texts, [self._plates[sign] for sign in signs], views, self._random) if views else []
 
 
 def hidden_part(is_hidden: Array) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from twc_env.messages import SignReading
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, Floorplan
 from twc_env.world.noise import NormalPool
-from twc_env.world.sign_readers import Sight, make_reader
+from twc_env.world.sign_readers import make_reader
 from twc_env.world.wall_index import is_blocked
 
 Array = NDArray
@@ -34,10 +34,9 @@ class SignCamera:
         normals = np.array([(math.cos(s.facing_rad), math.sin(s.facing_rad)) for s in plan.signs]).reshape(-1, 2)
         faces = np.array([s.position_m for s in plan.signs]).reshape(-1, 2) + SIGN_FACE_M * normals
         self._signs = np.column_stack([faces, normals])  # (signs, 4)
-        self._text_lengths = [len(text) for text in texts]
-        self._lengths = np.array(self._text_lengths, np.int64)
+        self._lengths = np.array([len(text) for text in texts], np.int64)
         self._sights = np.empty((len(texts), _SIGHT_COLUMNS))
-        self._hidden = np.zeros((len(texts), max(self._text_lengths, default=0)), np.bool_)
+        self._hidden = np.zeros((len(texts), max(map(len, texts), default=0)), np.bool_)
         self._constants = np.array(
             [
                 min(config.range_max_m, config.focal_length_px * config.character_height_m / config.height_min_px),
@@ -70,21 +69,17 @@ class SignCamera:
 
     def read_sights(self, sights: Array, hidden: Array) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
         """The same from what `look` found: sights (k, 6), hidden (at least k, characters)."""
-        config = self._config
-        seen = []
-        for k, (sign, distance, bearing, height, incidence, blur) in enumerate(sights.tolist()):
-            number = int(sign)
-            is_hidden = hidden[k, : self._text_lengths[number]]
-            seen.append(Sight(number, distance, bearing, height, incidence, blur, is_hidden))
+        config, rows = self._config, sights.tolist()
+        signs = [int(row[0]) for row in rows]
         readings, sources = [], []
-        noise = self._noise.take(2 * len(seen)).tolist()
-        for k, (sight, text) in enumerate(zip(seen, self._reader.read(seen), strict=True)):
+        noise = self._noise.take(2 * len(rows)).tolist()
+        for k, text in enumerate(self._reader.read(signs, sights, hidden)):
             if not text:
                 continue
-            bearing = sight.bearing_rad + config.bearing_noise_std_rad * noise[2 * k]
-            distance = max(sight.distance_m + config.range_noise_std_m * noise[2 * k + 1], 0.0)
+            bearing = rows[k][2] + config.bearing_noise_std_rad * noise[2 * k]
+            distance = max(rows[k][1] + config.range_noise_std_m * noise[2 * k + 1], 0.0)
             readings.append(SignReading(text, math.remainder(bearing, 2 * math.pi), distance))
-            sources.append(sight.sign)
+            sources.append(signs[k])
         return tuple(readings), tuple(sources)
 
     @property
@@ -109,7 +104,7 @@ def look(
     walls, origin, bucket, rows, columns, first, members, signs, lengths, constants, pose, previous, robots, sights,
     hidden,
 ):  # fmt: skip
-    """Fill a row of sights, as the fields of `Sight`, for each sign in view, and one of hidden -> how many."""
+    """Fill a row of sights, as `SignReader` has them, for each sign in view, and one of hidden -> how many."""
     range_max, half_view, cos_incidence = constants[0], constants[1], constants[2]
     x, y, heading, count = pose[0], pose[1], pose[2], 0
     moved_x, moved_y = x - previous[0], y - previous[1]
