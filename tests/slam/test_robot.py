@@ -46,3 +46,24 @@ def test_a_robot_that_turns_on_the_spot_remembers_few_places(scan, walls):
     angles = np.arange(0.0, 2 * np.pi, STEP_RAD)
     found = keyframes(scan, walls, ROOM, np.stack([0 * angles, 0 * angles, angles], axis=1))
     assert 6 <= len(found) <= 8, "one every radian"
+
+
+def test_robots_whose_clocks_differ_are_tracked_as_each_alone(scan, walls):
+    """Recordings of several robots may begin at any time, and one may take a step longer than another."""
+    poses, room = straight(-2.0, 1.0), walls(*ROOM)
+    clocks = 0.1 * np.arange(len(poses)), 500.0 + 0.3 * np.arange(len(poses))
+
+    def frame(robot, step):
+        motion = np.array([STEP_M if step else 0.0, 0.0, 0.0])
+        turn_rate = 0.02  # the gyro is biased: what comes of it goes by the time between two frames
+        return SensorFrame(robot, step, clocks[robot][step], motion, turn_rate, scan(room, poses[step]), None, ())
+
+    both = FrontEnds(override(EnvConfig(), {"robots": 2}), 2)
+    alone = [FrontEnds(override(EnvConfig(), {"robots": 2}), 2) for _ in clocks]
+    for step in range(len(poses)):
+        found = both.update([frame(0, step), frame(1, step)])
+        apart = [keyframe for robot in (0, 1) for keyframe in alone[robot].update([frame(robot, step)])]
+        assert [(k.robot, k.time_s) for k in found] == [(k.robot, k.time_s) for k in apart]
+    assert np.array_equal(both.poses_odom[0], alone[0].poses_odom[0])
+    assert np.array_equal(both.poses_odom[1], alone[1].poses_odom[1])
+    assert not np.array_equal(both.poses_odom[0], both.poses_odom[1])

@@ -64,12 +64,16 @@ class FrontEnds:
         return self._tracker.poses_odom
 
     def update(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
-        """Take in at most one frame per robot, all of one time; gives a keyframe of each that came to a new place."""
-        robots, team = self._everyone, TeamFrames.of(frames)
-        if team is not frames:
-            robots = np.array([frame.robot for frame in frames])
-        self._tracker.update(robots, team)
-        return self._remember(robots, team)
+        """Take in at most one frame per robot; gives a keyframe of each that came to a new place."""
+        if isinstance(frames, TeamFrames):
+            self._tracker.update(self._everyone, frames)
+            return self._remember(self._everyone, frames)
+        keyframes = []
+        for together in of_one_time(frames):
+            robots, team = np.array([frame.robot for frame in together]), TeamFrames.of(together)
+            self._tracker.update(robots, team)
+            keyframes += self._remember(robots, team)
+        return keyframes
 
     def _remember(self, robots: Array, frames: TeamFrames) -> list[Keyframe]:
         """Let each robot remember what it read and heard, and the place where that is a new one."""
@@ -93,6 +97,14 @@ class FrontEnds:
         steps, tracker.steps[k] = int(tracker.steps[k]), 0
         tracker.keyframe_poses[k] = pose
         return robot.make_keyframe(step, time_s, scan, pose, travel_m, steps, tracker.information[k])
+
+
+def of_one_time(frames: Sequence[SensorFrame]) -> list[list[SensorFrame]]:
+    """Frames of robots whose clocks may differ, as in recordings: those of one step and time together."""
+    together: dict[tuple[int, float], list[SensorFrame]] = {}
+    for frame in frames:
+        together.setdefault((frame.step, frame.time_s), []).append(frame)
+    return list(together.values())
 
 
 class RobotFrontEnd:
