@@ -65,7 +65,7 @@ def _normal_equations(walls, origin, inverse_m, points, n, stride, x, y, heading
     y -= origin[1]
     near = 0
     total = h0 = h1 = h2 = h3 = h4 = h5 = g0 = g1 = g2 = 0.0
-    for i in range(0, n, stride):
+    for i in range(np.uint64(0), np.uint64(n), np.uint64(stride)):  # an index without sign is looked up at once
         rx, ry = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         qx, qy = x + rx, y + ry
         if qx < 0.0 or qy < 0.0:
@@ -73,7 +73,7 @@ def _normal_equations(walls, origin, inverse_m, points, n, stride, x, y, heading
         column, row = int(qx * inverse_m), int(qy * inverse_m)
         if row >= height or column >= width:
             continue
-        wall = walls[row, column]
+        wall = walls[np.uint64(row), np.uint64(column)]
         if wall[3] > distance_max:
             continue
         nx, ny = wall[0], wall[1]
