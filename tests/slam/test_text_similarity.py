@@ -82,3 +82,11 @@ def test_alike_texts_are_those_that_a_comparison_with_all_would_find():
     for text in [*distinct, "ROOM 10", "T0ILET"]:
         expected = {k: text_similarity(text, other) for k, other in enumerate(distinct)}
         assert dict(alike.alike(text)) == {k: pytest.approx(s) for k, s in expected.items() if s >= 0.8}
+
+
+def test_a_similarity_that_equals_the_minimum_meets_it():
+    alike = AlikeTexts(0.8)
+    for text in ("A1013", "ENTRANCE 1"):
+        alike.number_of(text)
+    assert alike.alike("A1018") == [(0, pytest.approx(0.8))]
+    assert alike.alike("ENTRANSE 2") == [(1, pytest.approx(0.8))]

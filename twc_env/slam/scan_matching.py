@@ -31,10 +31,8 @@ ROBUST_SCALE_M = 0.08
 """Residual at which a beam has lost half of its weight (Cauchy)."""
 STOP_M, STOP_RAD = 1e-3, 5e-4
 """A smaller step ends a match ..."""
-TRACKING_STOP_M, TRACKING_STOP_RAD = 5e-3, 2.5e-3
+TRACKING_STOP_M, TRACKING_STOP_RAD = 2e-3, 1e-3
 """... or one smaller than this where the robot is only tracked: the next would be lost in the noise of the scan."""
-TRACKING_STRIDE = 4
-"""There the first step, which only has to come near, is taken with every so manieth point."""
 INNOVATION_MAX_M, INNOVATION_MAX_RAD = 0.4, 0.25
 """A match that jumps further than this from the prediction is not believed."""
 MATCHED_SHARE_MIN = 0.3
@@ -54,18 +52,15 @@ def _points_of(ranges, range_max, directions, points):
 
 
 @kernel
-def _normal_equations(walls, origin, inverse_m, points, n, stride, x, y, heading, distance_max, h):
-    """Sum J^T w J (h: 6 upper entries) and J^T w e (3 more) over points near walls; gives the sum of w, and how many.
-
-    Of the first n points every `stride`-th is taken.
-    """
+def _normal_equations(walls, origin, inverse_m, points, n, x, y, heading, distance_max, h):
+    """Sum J^T w J (h: 6 upper entries) and J^T w e (3 more) over points near walls; gives the sum of w, and how many."""
     height, width = walls.shape[0], walls.shape[1]
     c, s = math.cos(heading), math.sin(heading)
     x -= origin[0]
     y -= origin[1]
     near = 0
     total = h0 = h1 = h2 = h3 = h4 = h5 = g0 = g1 = g2 = 0.0
-    for i in range(np.uint64(0), np.uint64(n), np.uint64(stride)):  # an index without sign is looked up at once
+    for i in range(np.uint64(0), np.uint64(n), np.uint64(1)):  # an index without sign is looked up at once
         rx, ry = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         qx, qy = x + rx, y + ry
         if qx < 0.0 or qy < 0.0:
@@ -127,24 +122,21 @@ def _solve3(h, damping):
 
 @kernel
 def _refine(
-    walls, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, first_stride, stop_m,
-    stop_rad, pose, h,
-):  # fmt: skip
+    walls, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad, pose, h
+):
     """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
 
-    The first step is taken with every `first_stride`-th point, unless it is the only one. Writes the pose and the
-    final h. Gives (sum of weights, points near walls, is_degenerate, direction x, direction y).
+    Writes the pose and the final h. Gives (sum of weights, points near walls, is_degenerate, direction x, direction y).
     """
     pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
     total, near = 0.0, 0
     vx = vy = 0.0
     degenerate = False
-    stride = first_stride if iterations > 1 else 1
     for _ in range(iterations):
         total, near = _normal_equations(
-            walls, origin, inverse_m, points, n, stride, pose[0], pose[1], pose[2], distance_max, h
+            walls, origin, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, h
         )  # fmt: skip
-        if total * stride < WEIGHT_MIN:
+        if total < WEIGHT_MIN:
             break
         weakest, vx, vy = _weakest_direction(h)
         degenerate = weakest < degenerate_share * total
@@ -156,9 +148,8 @@ def _refine(
         pose[0] += dx
         pose[1] += dy
         pose[2] += turn
-        if stride == 1 and abs(dx) < stop_m and abs(dy) < stop_m and abs(turn) < stop_rad:
+        if abs(dx) < stop_m and abs(dy) < stop_m and abs(turn) < stop_rad:
             break
-        stride = 1
     return total, near, degenerate, vx, vy
 
 
@@ -242,7 +233,7 @@ def match_scan(walls, origin, scan, directions, rule, guess, points, h, pose, in
     range_max, inverse_m, distance_max, degenerate_share, variance = rule[0], rule[1], rule[2], rule[3], rule[4]
     n = _points_of(scan, range_max, directions, points)
     total, near, degenerate, vx, vy = _refine(
-        walls, origin, inverse_m, points, n, guess, distance_max, int(rule[5]), degenerate_share, TRACKING_STRIDE,
+        walls, origin, inverse_m, points, n, guess, distance_max, int(rule[5]), degenerate_share,
         TRACKING_STOP_M, TRACKING_STOP_RAD, pose, h,
     )  # fmt: skip
     jump_x, jump_y = pose[0] - guess[0], pose[1] - guess[1]
@@ -320,7 +311,7 @@ class LineField:
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
         pose, h = np.empty(3), np.zeros(9)
         weight, _, degenerate, vx, vy = _refine(
-            *self._field, points, len(points), guess, distance_max_m, iterations, degenerate_share, 1, STOP_M,
+            *self._field, points, len(points), guess, distance_max_m, iterations, degenerate_share, STOP_M,
             STOP_RAD, pose, h,
         )  # fmt: skip
         hessian = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])

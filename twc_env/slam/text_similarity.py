@@ -5,6 +5,9 @@ from __future__ import annotations
 from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import extract
 
+ROUNDING, SLACK = 1e-9, 0.01
+"""A similarity this little below the minimum meets it; the library cuts off above equality, so it is asked for more."""
+
 
 def normalise(text: str) -> str:
     """Upper case, no spaces at the ends, single spaces between words."""
@@ -57,6 +60,6 @@ class AlikeTexts:
     def _found(self, text: str) -> list[tuple[int, float]]:
         if not text:
             return [(number, 0.0) for number in range(len(self._texts))] if self._similarity_min <= 0.0 else []
-        scorer, least = Levenshtein.normalized_similarity, max(self._similarity_min, 0.0)
-        found = extract(text, self._texts, scorer=scorer, score_cutoff=least, limit=None)
-        return sorted((number, similarity) for _, similarity, number in found)
+        scorer, least = Levenshtein.normalized_similarity, max(self._similarity_min - ROUNDING, 0.0)
+        found = extract(text, self._texts, scorer=scorer, score_cutoff=max(least - SLACK, 0.0), limit=None)
+        return sorted((number, similarity) for _, similarity, number in found if similarity >= least)
