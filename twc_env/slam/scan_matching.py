@@ -53,7 +53,7 @@ def _points_of(ranges, range_max, directions, points):
 
 @kernel
 def _normal_equations(walls, origin, inverse_m, points, n, x, y, heading, distance_max, h):
-    """Sum J^T w J (h: 6 upper entries) and J^T w e (3 more) over points near walls; gives the sum of w, and how many."""
+    """Sum J^T w J (h: 6 upper entries) and J^T w e (3 more) over points near walls; gives sum of w and number."""
     height, width = walls.shape[0], walls.shape[1]
     c, s = math.cos(heading), math.sin(heading)
     x -= origin[0]
