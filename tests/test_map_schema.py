@@ -36,12 +36,12 @@ def test_the_schema_is_one():
 @pytest.mark.parametrize("name", map_names())
 def test_every_bundled_map_follows_the_schema(name, tmp_path):
     write_floorplan(load_map(name), tmp_path / "a.json")
-    VALIDATOR.validate(json.loads((tmp_path / "a.json").read_text()))
+    assert not list(VALIDATOR.iter_errors(json.loads((tmp_path / "a.json").read_text())))
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "maps").glob("*.json")), ids=lambda path: path.stem)
 def test_every_map_file_follows_the_schema(path):
-    VALIDATOR.validate(json.loads(path.read_text()))
+    assert not list(VALIDATOR.iter_errors(json.loads(path.read_text())))
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from stable_baselines3 import PPO
-from tqdm import tqdm
 
 import twc_env
 from agents.policy import make_policy
 from training.ppo import ChoicePolicy, clock_of
+from training.progress import progress_bar
 from training.run_folder import Task, read_settings, task_of
 from twc_env.config import override
 from twc_env.errors import DataError
@@ -84,7 +84,7 @@ def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True)
     except (OSError, ValueError, KeyError) as error:
         raise DataError(f"cannot read the model {model_path}: {error}") from error
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
-    for seed in tqdm(seeds, unit="building", disable=not show_progress):
+    for seed in progress_bar(seeds, unit="building", disable=not show_progress):
         choosers = {"trained": _trained(model, task, seed), "random": _random(seed), "nearest": _nearest}
         for name, choose in choosers.items():
             episodes[name].append(_choosing(task, seed, choose))

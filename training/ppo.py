@@ -21,8 +21,8 @@ from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from torch import nn
-from tqdm import tqdm
 
+from training.progress import progress_bar
 from training.run_folder import Task, read_settings, write_settings
 from twc_env.errors import DataError
 from twc_env.sb3 import TeamVecEnv
@@ -259,7 +259,7 @@ class Progress(BaseCallback):
 
     def _on_training_start(self) -> None:
         self.started, self.steps_before = time.perf_counter(), self.num_timesteps
-        self.bar = tqdm(total=self.steps, initial=self.num_timesteps, unit="decision", disable=not self.show)
+        self.bar = progress_bar(total=self.steps, initial=self.num_timesteps, unit="decision", disable=not self.show)
         self.path = self.folder / "metrics.csv"
         if self.num_timesteps > 0 and self.path.exists():
             with self.path.open(newline="") as file:
@@ -281,7 +281,7 @@ class Progress(BaseCallback):
         with self.path.open("a", newline="") as file:
             row = (self.num_timesteps, self.episodes, f"{mean_return:.4f}", f"{mean_length:.1f}", f"{rate:.1f}")
             csv.writer(file).writerow(row)
-        self.bar.set_postfix_str(f"mean return {mean_return:.3f}")
+        self.bar.set_postfix_str(f"mean return {mean_return:.3f}", refresh=False)
         if self.num_timesteps > self.steps_before:
             _save(self.model, self.folder / "model.zip")
 
