@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from agents import benchmark, compare, picture, radio_survey
-from agents.explore import Progress, explore, table_of, write_json, write_run
+from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from twc_env import ConfigError, EnvConfig, TwcError, load_map, map_names
 from twc_env.config import load, override
+from twc_env.json_values import check_writable, write_json
 
 _EXPLORE_HELP = """\
 Let a scripted team explore one building and write a run folder:
@@ -26,7 +27,7 @@ examples:
 """
 _BENCHMARK_HELP = """\
 Run many seeds on several maps and print one table per map. Runs that are already in the output folder with the same
-settings and version are not run again, so an interrupted benchmark goes on where it stopped.
+settings, by the same code on the same plan, are not run again, so an interrupted benchmark goes on where it stopped.
 A seed passes when all robots end in one map, no merge was wrong, team ATE is at most 0.30 m and at least 90 % of the
 floor is mapped correctly.
 
@@ -36,7 +37,7 @@ examples:
 """
 _COMPARE_HELP = """\
 Let several teams explore the same buildings from the same starts and print how much sooner than the first of them each
-has 90 % of the floor mapped rightly, with a 95 % interval. Finished episodes are not run again.
+has 90 % of the floor mapped rightly, with a 95 % interval. Episodes that the same code finished are not run again.
 
 examples:
   python -m agents compare --buildings 20 --jobs 2
@@ -49,6 +50,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 2 wrong input, 130 interrupted."""
     options = _parser().parse_args(arguments)
     try:
+        figures = getattr(options, "json", None)
+        check_writable(None if str(figures) == "-" else figures)
         return options.run(options)
     except TwcError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -64,6 +67,7 @@ def _explore(options: argparse.Namespace) -> int:
     if not options.no_pictures:
         picture.require_libraries(has_gif)
     folder = options.out or Path("runs") / f"{_folder_name(config.map)}-{options.agent}-seed{options.seed}"
+    check_writable(folder / "report.json")
     progress = Progress(config.max_cycles, f"{_folder_name(config.map)} seed {options.seed}")
     try:
         run = explore(config, options.agent, options.seed, picture.Film() if has_gif else None, progress)
@@ -99,6 +103,9 @@ def _benchmark(options: argparse.Namespace) -> int:
             jobs.append(benchmark.Job(config, options.agent, seed, folder, not options.no_pictures))
             names[folder] = name
     make_policy(options.agent)
+    outdated = sum(map(benchmark.is_outdated, jobs))
+    if outdated:
+        print(f"{outdated} finished runs are of other code or another plan of the map: run again", file=sys.stderr)
     reports: dict[str, list[dict[str, Any]]] = {name: [] for name in options.maps}
     was_interrupted = False
     try:

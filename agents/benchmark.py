@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import twc_env
-from agents.explore import explore, write_run
+from agents.explore import explore, origin_of, write_run
 from twc_env import ConfigError, EnvConfig
 from twc_env.config import digest
 
@@ -97,12 +97,24 @@ def run_job(job: Job) -> dict[str, Any]:
 
 
 def report_of(job: Job) -> dict[str, Any] | None:
-    """The report of an earlier run of the same job by the same version; None if there is none."""
+    """The report of an earlier run of the same job by the same code on the same map; None if there is none."""
+    report = _report_with(job)
+    origin = {"version": twc_env.__version__, **origin_of(job.config.map)}
+    return report if report and all(report.get(key) == value for key, value in origin.items()) else None
+
+
+def is_outdated(job: Job) -> bool:
+    """Whether an earlier run with the same settings is there, but by other code or on another plan."""
+    return _report_with(job) is not None and report_of(job) is None
+
+
+def _report_with(job: Job) -> dict[str, Any] | None:
+    """The report of an earlier run with the same settings, whatever code made it."""
     try:
         report = json.loads((job.folder / "report.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    wanted = {"config_digest": digest(job.config), "version": twc_env.__version__, "agent": job.agent, "seed": job.seed}
+    wanted = {"config_digest": digest(job.config), "agent": job.agent, "seed": job.seed}
     is_same = isinstance(report, dict) and all(report.get(key) == value for key, value in wanted.items())
     return report if is_same else None
 

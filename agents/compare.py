@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -15,7 +14,9 @@ from numpy.typing import NDArray
 
 import twc_env
 from agents.policy import make_policy
-from twc_env.config import EnvConfig, digest, override
+from twc_env import load_map
+from twc_env.config import EnvConfig, override, to_dict
+from twc_env.finished_parts import FinishedParts
 
 Array = NDArray
 
@@ -67,7 +68,10 @@ def compare(
         make_policy(agent, config)  # a misspelt name fails now
     parts = [(name, agent, seed) for seed, name in enumerate(maps) for agent in agents]
     found: dict[tuple[str, str, int], Outcome] = {}
-    run = partial(_once, config, folder)
+    finished = FinishedParts(folder, "compare", to_dict(config), ("agents",))
+    if finished.remark:
+        tell(finished.remark)
+    run = partial(_once, config, finished)
     if processes <= 1:
         done = ((part, run(*part)) for part in parts)
         for part, outcome in done:
@@ -161,13 +165,7 @@ def _line(count: int, total: int, part: tuple[str, str, int], outcome: Outcome) 
     return f"[{count}/{total}] {name} {agent}: {GOAL:.0%} {reached}, at the end {outcome.coverage:.3f}"
 
 
-def _once(config: EnvConfig, folder: Path, name: str, agent: str, seed: int) -> Outcome:
+def _once(config: EnvConfig, finished: FinishedParts, name: str, agent: str, seed: int) -> Outcome:
     config = override(config, {"map": name})
-    stem = "-".join([name.replace("/", "-").replace(":", "-"), agent, str(seed), digest(config), twc_env.__version__])
-    path = folder / f"{stem}.json"
-    if path.is_file():
-        return Outcome(**json.loads(path.read_text()))
-    outcome = explore(config, agent, seed)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(asdict(outcome)))
-    return outcome
+    key = f"{name} {load_map(name).digest} {agent} {seed}"
+    return Outcome(**finished.once(key, lambda: asdict(explore(config, agent, seed))))

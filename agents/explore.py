@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -17,12 +15,14 @@ from numba.core.event import TimingListener, register, unregister
 import twc_env
 from agents import picture
 from agents.policy import make_policy
-from twc_env import ConfigError, DataError, EnvConfig, EpisodeResult, EpisodeTrace
+from twc_env import ConfigError, DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
 from twc_env.config import to_dict
 from twc_env.datasets.frame_log import write_frame_log
 from twc_env.datasets.g2o import write_g2o
 from twc_env.datasets.ros_map import write_ros_map
 from twc_env.datasets.tum import write_tum
+from twc_env.finished_parts import code_digest
+from twc_env.json_values import plain, write_json
 from twc_env.messages import Contacts, SensorFrame
 
 WARM_UP_STEPS = 10
@@ -37,7 +37,7 @@ class Run:
 
     result: EpisodeResult
     report: dict[str, Any]
-    """The figures of the result, and those only the driver knows: agent, env_steps_per_s, agent_s."""
+    """The figures of the result, and those only the driver knows: agent, its code, its map, and speeds."""
     film: picture.Film | None
     was_interrupted: bool
     frames: Sequence[Sequence[SensorFrame]]
@@ -100,9 +100,13 @@ def explore(
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
-    return Run(
-        result, _plain({**result.figures, "agent": agent, **speeds}), film, was_interrupted, frames, contacts, trace
-    )
+    report = plain({**result.figures, "agent": agent, **origin_of(config.map), **speeds})
+    return Run(result, report, film, was_interrupted, frames, contacts, trace)
+
+
+def origin_of(map_name: str) -> dict[str, str]:
+    """What else than its settings decides a run: the code of twc_env and of the agents, and the plan of its map."""
+    return {"code_digest": code_digest("agents"), "map_digest": load_map(map_name).digest}
 
 
 def _clock_s(compiling: TimingListener) -> float:
@@ -140,26 +144,6 @@ def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
         if run.film is not None:
             run.film.write(folder / "episode.gif")
     write_json(folder / "report.json", run.report)
-
-
-def write_json(path: Path, values: Any) -> None:
-    """Write values as JSON that any reader accepts (no NaN). Raises DataError when the file cannot be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(_plain(values), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
-
-
-def _plain(value: Any) -> Any:
-    """The same with numpy values turned into Python ones and numbers that are not finite into None."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class Progress:

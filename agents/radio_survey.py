@@ -7,10 +7,9 @@ that nothing is won by abstaining; IoU as published and coverage stand beside it
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,9 @@ from numpy.typing import NDArray
 
 import twc_env
 from agents.policy import make_policy
-from twc_env.config import EnvConfig, digest, override
+from twc_env import load_map
+from twc_env.config import EnvConfig, override
+from twc_env.finished_parts import FinishedParts
 from twc_env.geometry import transform_points
 from twc_env.messages import GridMap
 
@@ -84,13 +85,16 @@ def compare(
     names: list[str], seeds: Sequence[int], steps: int, folder: Path, tell=lambda text: None
 ) -> list[Comparison]:
     """Every building with every seed; finished walks are read back."""
+    finished = FinishedParts(folder, "radio-survey", {"steps": steps}, ("agents",))
+    if finished.remark:
+        tell(finished.remark)
     found = []
     for name in names:
         for seed in seeds:
             walks = []
             for agent in AGENTS:
                 tell(f"{name} seed {seed} {agent}")
-                walks.append(_once(name, agent, seed, steps, folder))
+                walks.append(_once(name, agent, seed, steps, finished))
             found.append(Comparison(name, seed, *walks))
     return found
 
@@ -123,7 +127,7 @@ def survey(config: EnvConfig, agent: str, seed: int) -> Walked:
         env.step(actions)
     start = env.result().true_poses[0, 0]
     env.close()
-    plan = twc_env.load_map(config.map)
+    plan = load_map(config.map)
     iou, published, coverage = zip(*(score(grid, start, plan) for _, grid in held), strict=True)
     return Walked([m for m, _ in held], list(iou), list(published), list(coverage), is_finished)
 
@@ -145,13 +149,7 @@ def score(radio: GridMap, pose_building_map: Array, plan) -> tuple[float, float,
     return right / (free | truly).sum(), right / max((known & (free | truly)).sum(), 1), float(known.mean())
 
 
-def _once(name: str, agent: str, seed: int, steps: int, folder: Path) -> Walked:
+def _once(name: str, agent: str, seed: int, steps: int, finished: FinishedParts) -> Walked:
     config = override(EnvConfig(), {"map": name, "robots": 1, "max_cycles": steps, **RADIO})
-    path = folder / f"{name.replace('/', '-').replace(':', '-')}-{agent}-{seed}-{digest(config)}.json"
-    if path.is_file():
-        return Walked(**json.loads(path.read_text()))
-    walked = survey(config, agent, seed)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    values = {key: getattr(walked, key) for key in Walked.__slots__}
-    path.write_text(json.dumps(values))
-    return walked
+    key = f"{name} {load_map(name).digest} {agent} {seed}"
+    return Walked(**finished.once(key, lambda: asdict(survey(config, agent, seed))))

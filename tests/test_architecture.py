@@ -59,6 +59,8 @@ PUBLIC_MODULES = {
     "twc_env.messages",
     "twc_env.geometry",
     "twc_env.errors",
+    "twc_env.finished_parts",
+    "twc_env.json_values",
 }
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from twc_env.bench_cli import add_bench_parser
 from twc_env.errors import TwcError
+from twc_env.json_values import check_writable
 from twc_env.log_cli import add_log_parsers
 from twc_env.maps_cli import add_maps_parser
 from twc_env.ocr_cli import add_ocr_parser
@@ -17,13 +18,17 @@ from twc_env.soak_cli import add_soak_parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; bad input ends with one line on stderr and exit status 2."""
+    """Run one command; the exit status is 0 when done, 2 after bad input (one line on stderr), 130 when interrupted."""
     options = _parser().parse_args(arguments)
     try:
+        check_writable(getattr(options, "json", None))
         options.run(options)
     except TwcError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
     return 0
 
 

@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twc_env.command_line import assignments, write_json
+from twc_env.command_line import assignments
+from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twc_env.command_line import assignments, write_json
+from twc_env.command_line import assignments
+from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
     from twc_env.slam.engine import CooperativeSlam

@@ -11,8 +11,12 @@ from twc_env.world.floorplan import Floorplan
 from twc_env.world.floorplan_check import validate
 from twc_env.world.floorplan_file import floorplan_from_values, load_json, read_floorplan
 
-_FOLDERS = (Path(__file__).parent / "maps", Path(__file__).parent.parent / "maps")
-"""Where the bundled maps lie: in an installed package, and in a checkout."""
+_INSTALLED, _CHECKOUT = Path(__file__).parent / "maps", Path(__file__).parent.parent / "maps"
+
+
+def bundled_folder() -> Path:
+    """Where the bundled maps lie: in an installed package, or else in a checkout."""
+    return _INSTALLED if _INSTALLED.is_dir() else _CHECKOUT
 
 
 def map_names() -> tuple[str, ...]:
@@ -84,8 +88,7 @@ def _unknown(name: str) -> str:
 
 
 def _bundled() -> dict[str, Path]:
-    folder = next((folder for folder in _FOLDERS if folder.is_dir()), None)
-    return {path.stem: path for path in folder.glob("*.json")} if folder else {}
+    return {path.stem: path for path in bundled_folder().glob("*.json")}
 
 
 @lru_cache(maxsize=32)

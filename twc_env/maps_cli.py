@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from twc_env.errors import MapError
+from twc_env.json_values import write_json
 from twc_env.maps import load_map, map_names, schema
 from twc_env.world.floorplan import Floorplan
 
@@ -207,8 +208,7 @@ def _check(options: argparse.Namespace) -> None:
         faults += _check_splits(findings)
     if options.fuzz is not None:
         faults += _check_fuzz(options.fuzz, options.seed, findings)
-    if options.json is not None:
-        options.json.write_text(json.dumps({**findings, "faults": faults}, indent=2) + "\n")
+    write_json(options.json, {**findings, "faults": faults})
     if faults:
         raise MapError(f"{len(faults)} of the checks failed; the first: {faults[0]}")
 

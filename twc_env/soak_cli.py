@@ -6,8 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from twc_env.command_line import assignments, write_json
+from twc_env.command_line import assignments
 from twc_env.errors import ConfigError, TwcError
+from twc_env.json_values import write_json
 
 
 def add_soak_parser(commands: argparse._SubParsersAction) -> None:

@@ -7,6 +7,7 @@ import pytest
 from agents import benchmark
 from agents.__main__ import main
 from twc_env import ConfigError, EnvConfig
+from twc_env.maps import bundled_folder
 
 
 def some_report(seed=0, **changes):
@@ -76,6 +77,32 @@ def test_a_finished_run_is_not_run_again_but_one_with_other_settings_is(tmp_path
     summary = json.loads((tmp_path / "all.json").read_text())
     assert [r["steps"] for r in summary["twin-01"]["reports"]] == [31, 31]
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
+
+
+def test_a_run_of_other_code_or_another_plan_is_run_again_and_that_is_said(tmp_path, monkeypatch, capsys):
+    plan = json.loads((bundled_folder() / "twin-01.json").read_text())
+    map_file = tmp_path / "mine.json"
+    map_file.write_text(json.dumps(plan))
+    arguments = f"benchmark --maps {map_file} --seeds 0 --steps 5 --no-pictures --out {tmp_path / 'out'}".split()
+    assert main(arguments) == 0
+    assert "run again" not in capsys.readouterr().err
+    plan["signs"] = plan["signs"][1:]
+    map_file.write_text(json.dumps(plan))
+    assert main(arguments) == 0
+    assert "1 finished runs are of other code or another plan" in capsys.readouterr().err
+    assert main(arguments) == 0
+    assert "was there" in capsys.readouterr().err
+    monkeypatch.setattr("agents.explore.code_digest", lambda *_: "other")
+    assert main(arguments) == 0
+    assert "1 finished runs are of other code or another plan" in capsys.readouterr().err
+
+
+def test_a_place_for_figures_that_cannot_be_written_is_refused_before_any_episode(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    arguments = ["benchmark", "--json", str(tmp_path / "file" / "a.json"), "--out", str(tmp_path / "out")]
+    assert main(arguments) == 2
+    assert "cannot write" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_broken_report_counts_as_not_run(tmp_path):

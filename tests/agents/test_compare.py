@@ -36,6 +36,16 @@ def test_pairs_are_resumed_and_compared_with_the_first_agent(tmp_path, monkeypat
     assert "10.5 (10.0 to 11.0)" in compare.table_of(again)
 
 
+def test_episodes_of_other_code_are_run_again_and_that_is_said(tmp_path, monkeypatch):
+    calls, told = [], []
+    monkeypatch.setattr(compare, "explore", lambda config, agent, seed: calls.append(agent) or outcome(50.0))
+    compare.compare(SMALL, ["test/0000"], ["voronoi"], tmp_path)
+    monkeypatch.setattr("twc_env.finished_parts.code_digest", lambda *_: "other")
+    compare.compare(SMALL, ["test/0000"], ["voronoi"], tmp_path, tell=told.append)
+    assert calls == ["voronoi", "voronoi"]
+    assert "1 finished parts were computed by other code" in told[0]
+
+
 def test_an_episode_is_covered_on_the_way_by_what_its_rewards_sum_up_to():
     found = compare.explore(SMALL, "nearest-frontier", 0)
     assert 0.0 < found.coverage_mean < found.coverage

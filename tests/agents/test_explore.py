@@ -8,7 +8,7 @@ import pytest
 
 from agents import explore as explore_module
 from agents.__main__ import main
-from agents.explore import explore, table_of, write_json
+from agents.explore import explore, table_of
 from agents.picture import Film
 from twc_env import ConfigError, EnvConfig
 from twc_env.config import digest, from_dict, override
@@ -145,11 +145,6 @@ def test_the_table_is_aligned_and_shows_a_dash_for_what_is_unknown():
     assert lines[0].startswith("steps ") and values[0] == values[1]
     assert any(line.startswith("loop closures") and line.endswith("precision -") for line in lines)
     assert any(line.startswith("environment speed") and line.endswith(" -") for line in lines)
-
-
-def test_json_never_holds_nan(tmp_path):
-    write_json(tmp_path / "a.json", {"a": np.float64("nan"), "b": [np.int64(2), float("inf")], "c": np.arange(2)})
-    assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": [2, None], "c": [0, 1]}
 
 
 def test_a_film_of_any_length_keeps_a_bounded_number_of_even_frames():

@@ -1,10 +1,8 @@
-import math
-
 import numpy as np
 import pytest
 
 from twc_env.errors import ConfigError, DataError
-from twc_env.reproduce.runner import Runner, data_folder, parse_seeds, plain, print_rows
+from twc_env.reproduce.runner import Runner, data_folder, parse_seeds, print_rows
 
 
 def test_finished_parts_are_read_back_after_an_interruption(tmp_path):
@@ -26,10 +24,6 @@ def test_finished_parts_are_read_back_after_an_interruption(tmp_path):
 def test_other_settings_start_anew(tmp_path):
     Runner("table", tmp_path, {"a": 1}).each([0], lambda _: 1)
     assert Runner("table", tmp_path, {"a": 2}).each([0], lambda _: 2) == [2]
-
-
-def test_values_become_plain_and_nan_becomes_null():
-    assert plain({"a": np.arange(2), "b": (np.float64(1.5), math.nan)}) == {"a": [0, 1], "b": [1.5, None]}
 
 
 def test_rows_are_printed_in_aligned_columns(capsys):
@@ -61,7 +55,9 @@ def test_several_processes_give_the_same_rows_in_the_same_order(tmp_path):
     assert alone == together == [9, 1, 4]
 
 
-def test_parts_of_another_code_are_not_taken(tmp_path, monkeypatch):
+def test_parts_of_another_code_are_not_taken(tmp_path, monkeypatch, capsys):
     Runner("table", tmp_path, {}).each([0], lambda _: 1)
-    monkeypatch.setattr("twc_env.reproduce.runner.source_digest", lambda: "other")
+    monkeypatch.setattr("twc_env.finished_parts.code_digest", lambda: "other")
+    capsys.readouterr()
     assert Runner("table", tmp_path, {}).each([0], lambda _: 2) == [2]
+    assert "1 finished parts were computed by other code" in capsys.readouterr().err

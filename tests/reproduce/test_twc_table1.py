@@ -4,8 +4,9 @@ import json
 import pytest
 
 from twc_env.config import override
+from twc_env.json_values import plain
 from twc_env.reproduce import twc_table1
-from twc_env.reproduce.runner import Runner, plain
+from twc_env.reproduce.runner import Runner
 from twc_env.reproduce.sighting_judge import judge_some
 from twc_env.reproduce.twc_scenes import scene_plan, walk_scene
 

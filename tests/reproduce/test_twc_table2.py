@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from twc_env.geometry import compose, inverse
+from twc_env.json_values import plain
 from twc_env.messages import LoopCandidate, LoopClosure
 from twc_env.reproduce import twc_table2
 from twc_env.reproduce.offline_mapping import common_frames, wall_thickness_m
-from twc_env.reproduce.runner import Runner, plain
+from twc_env.reproduce.runner import Runner
 
 
 @pytest.fixture(scope="module")

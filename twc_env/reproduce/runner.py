@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
-import math
 import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import cache
+from functools import partial
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
-
-from twc_env._version import __version__
 from twc_env.errors import ConfigError, DataError
+from twc_env.finished_parts import FinishedParts
+from twc_env.json_values import plain, write_json
 from twc_env.threads import single_threaded
 
 TABLES: dict[str, str] = {
@@ -52,9 +48,10 @@ class Runner:
     """Runs the parts of a table one by one, keeps what is finished on disk, and says how far it is."""
 
     def __init__(self, name: str, folder: Path, settings: dict):
-        text = json.dumps([settings, source_digest()], sort_keys=True, default=str)
-        self._folder = folder / f"{name}-{__version__}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+        self._parts = FinishedParts(folder, name, settings)
         self._started = time.monotonic()
+        if self._parts.remark:
+            print(self._parts.remark, file=sys.stderr)
         self.notes: list[str] = []
         """Sentences that are printed below the rows."""
 
@@ -71,59 +68,23 @@ class Runner:
         results = []
         for count, part in enumerate(parts):
             self._say(f"{count}/{len(parts)} {label(part)}")
-            results.append(self._once(label(part), work, part))
+            results.append(self._parts.once(label(part), partial(work, part)))
         self._say(f"{len(parts)}/{len(parts)}", end="\n")
         return results
 
     def _each_aside(self, parts: Sequence, work: Callable[..., object], label: Callable[..., str], count: int) -> list:
         """`each` in several processes; they start afresh, so that none inherits a lock or a pool of threads."""
         with single_threaded(), ProcessPoolExecutor(count, get_context("spawn")) as pool:
-            waiting = [pool.submit(self._once, label(part), work, part) for part in parts]
+            waiting = [pool.submit(self._parts.once, label(part), partial(work, part)) for part in parts]
             for done, _ in enumerate(as_completed(waiting)):
                 self._say(f"{done}/{len(parts)}")
             results = [future.result() for future in waiting]
         self._say(f"{len(parts)}/{len(parts)}", end="\n")
         return results
 
-    def _once(self, key: str, work: Callable[..., object], part):
-        path = self._folder / (hashlib.sha256(key.encode()).hexdigest()[:16] + ".json")
-        if path.is_file():
-            return json.loads(path.read_text())
-        result = plain(work(part))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(f".{os.getpid()}")
-        partial.write_text(json.dumps(result))
-        partial.replace(path)
-        return result
-
     def _say(self, text: str, end: str = "") -> None:
         elapsed = time.monotonic() - self._started
         print(f"\r[{elapsed:5.0f} s] {text[:100]:<100}", end=end, file=sys.stderr, flush=True)
-
-
-@cache
-def source_digest() -> str:
-    """Changes with any source file of the package: parts that another code finished are not taken for this one's."""
-    root = Path(__file__).parents[1]
-    content = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        content.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return content.hexdigest()[:12]
-
-
-def plain(value):
-    """A value with numpy's numbers and arrays turned into Python's, and NaN into None, ready for JSON."""
-    if isinstance(value, dict):
-        return {key: plain(v) for key, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def print_rows(rows: Iterable[dict]) -> None:
@@ -180,7 +141,7 @@ def add_parser(commands) -> None:
 
 def main(name: str, module, options: argparse.Namespace) -> None:
     """Run one table, print it, write it."""
-    settings = {k: v for k, v in vars(options).items() if k not in ("run", "json", "cache", "out")}
+    settings = {k: v for k, v in vars(options).items() if k not in ("run", "json", "cache", "out", "processes")}
     runner = Runner(name, options.cache, settings)
     rows = plain(module.rows(options, runner))
     print_rows(rows)
@@ -188,7 +149,6 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     for remark in getattr(module, "remarks", lambda _: ())(rows):
         print(remark)
     if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(rows, indent=2) + "\n")
+        write_json(options.json, rows)
         for path in getattr(module, "draw", lambda *_: ())(options, runner, options.json.parent):
             print(path)

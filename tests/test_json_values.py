@@ -1,0 +1,45 @@
+"""Figures become JSON that any reader accepts, at a place that is looked at before the work."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twc_env.errors import DataError
+from twc_env.json_values import check_writable, plain, write_json
+
+
+def test_json_never_holds_nan(tmp_path):
+    place = tmp_path / "new" / "a.json"
+    write_json(place, {"a": np.float64("nan"), "b": [np.int64(2), float("inf")], "c": np.arange(2), 3: (True, "x")})
+    assert json.loads(place.read_text()) == {"a": None, "b": [2, None], "c": [0, 1], "3": [True, "x"]}
+
+
+def test_plain_values_are_the_same_after_a_round_through_json():
+    values = plain({"a": np.eye(2), 1: (np.float64(1.5), None), "b": np.array(np.nan)})
+    assert json.loads(json.dumps(values)) == values
+
+
+def test_without_a_path_nothing_is_written():
+    write_json(None, {"a": 1})
+    check_writable(None)
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_and_after(tmp_path):
+    (tmp_path / "file").write_text("")
+    for refuse in (check_writable, lambda path: write_json(path, {})):
+        for place in (tmp_path / "file" / "a.json", tmp_path / "file" / "b" / "a.json", tmp_path):
+            with pytest.raises(DataError, match="cannot write"):
+                refuse(place)
+
+
+def test_looking_at_a_place_makes_nothing(tmp_path):
+    (tmp_path / "old.json").write_text("{}")
+    check_writable(tmp_path / "old.json")
+    check_writable(tmp_path / "new" / "deep" / "new.json")
+    assert [path.name for path in tmp_path.iterdir()] == ["old.json"]
+
+
+def test_a_device_may_be_written():
+    check_writable(Path("/dev/null"))

@@ -1,0 +1,48 @@
+"""Figures as JSON that any reader accepts: numpy's values as Python's, no NaN, and a place that was looked at."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twc_env.errors import DataError
+
+
+def plain(value: Any) -> Any:
+    """The same with numpy's values turned into Python's, keys into text, and numbers that are not finite into None."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_json(path: Path | None, values: Any) -> None:
+    """Write values, folders included; nothing without a path. Raises DataError when the file cannot be written."""
+    if path is None:
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(plain(values), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
+
+
+def check_writable(path: Path | None) -> None:
+    """Raise DataError now where `write_json` could not write later, after hours of work perhaps. Makes nothing."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise DataError(f"cannot write {path}: it is a folder; name a file in it")
+    place = path
+    while not os.path.lexists(place) and place != place.parent:
+        place = place.parent
+    if (place != path and not place.is_dir()) or not os.access(place, os.W_OK):
+        raise DataError(f"cannot write {path}: {place} is no place to write to; choose another place")
