@@ -26,47 +26,94 @@ LOG_ODDS_MIN = -60
 LOG_ODDS_MAX = 80
 FREE_MARGIN_CELLS = 0.5
 """Free space ends this far before the measured wall."""
+RUN_CELLS = 32
+"""Cells of a row that are lowered at once."""
+_PLACES = np.arange(RUN_CELLS, dtype=np.int16)
 BLOCK_CELLS = 32
 """What stands in a row is noted anew for so many cells at once: a few too many are quicker than a remainder."""
 
 
 @kernel
-def _fill_crossings(px, py, qx, qy, last_row, width, crossings, counts):
-    """Note where the polygon edge p-q crosses the centre lines of rows 0..last_row, sorted by column 0..width.
+def _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corners, cells):
+    """Where the free space ends in each direction, in rows and columns as reals, and the cell of each end point.
 
-    crossings (edges, rows): an edge crosses each row once at most, and most rows are crossed by few.
+    Apart from what follows, for many beams at once: corners (2, beams + 1), of which the last comes first too; cells
+    (2, beams): column and row.
     """
-    low, high = (py, qy) if qy > py else (qy, py)
-    first = max(int(math.ceil(low)), 0)
-    end = min(int(math.ceil(high)), last_row + 1)
-    if end <= first:
-        return
-    slope = (qx - px) / (qy - py)
-    x = px + (first - py) * slope
-    one = np.uint64(1)
-    for row in range(np.uint64(first), np.uint64(end)):
-        column = np.int32(min(max(math.ceil(x), 0.0), width))
-        x += slope
-        k = np.uint64(counts[row])
-        counts[row] = k + one
-        while k > np.uint64(0) and crossings[k - one, row] > column:
-            crossings[k, row] = crossings[k - one, row]
-            k -= one
-        crossings[k, row] = column
+    beams = ranges.shape[0]
+    for i in range(beams):
+        r = max(min(abs(ranges[i]), range_max) - margin, 0.0)
+        dx, dy = r * directions[i, 0], r * directions[i, 1]
+        corners[0, i + 1], corners[1, i + 1] = gx + c * dx - s * dy, gy - row_low + s * dx + c * dy
+    corners[0, 0], corners[1, 0] = corners[0, beams], corners[1, beams]
+    for i in range(beams):
+        dx, dy = ranges[i] * directions[i, 0], ranges[i] * directions[i, 1]
+        cells[0, i] = np.int32(np.floor(gx + 0.5 + c * dx - s * dy))
+        cells[1, i] = np.int32(np.floor(gy + 0.5 + s * dx + c * dy))
 
 
 @kernel
-def _lower(levels):
-    """Make these cells freer; in 16 bits throughout, which is twice as fast."""
-    for i in range(levels.shape[0]):
-        level = levels[i]
-        levels[i] = np.int16(level + LOG_ODDS_FREE) if level >= LOG_ODDS_MIN - LOG_ODDS_FREE else np.int16(LOG_ODDS_MIN)
+def _cut(corners, last_row, edges, rows):
+    """First row 0..last_row whose centre line each edge between corners crosses and the end of these: rows (2, edges).
+
+    edges (2, edges): the column at the first of them as a real, and how it changes from row to row.
+    """
+    for i in range(edges.shape[1]):
+        px, py, qx, qy = corners[0, i], corners[1, i], corners[0, i + 1], corners[1, i + 1]
+        low, high = min(py, qy), max(py, qy)
+        first = max(np.ceil(low), 0.0)
+        slope = (qx - px) / (qy - py)
+        edges[0, i], edges[1, i] = px + (first - py) * slope, slope
+        rows[0, i], rows[1, i] = np.int32(first), np.int32(min(np.ceil(high), last_row + 1.0))
+
+
+@kernel
+def _fill_crossings(edges, rows, width, crossings, counts):
+    """Note where the edges cross the centre lines of rows, sorted by column 0..width.
+
+    crossings (edges, rows): an edge crosses each row once at most, and most rows are crossed by few.
+    """
+    one = np.uint64(1)
+    for i in range(edges.shape[1]):
+        x, slope = edges[0, i], edges[1, i]
+        for row in range(np.uint64(rows[0, i]), np.uint64(max(rows[0, i], rows[1, i]))):
+            column = np.int32(min(max(np.ceil(x), 0.0), width))
+            x += slope
+            k = np.uint64(counts[row])
+            counts[row] = k + one
+            while k > np.uint64(0) and crossings[k - one, row] > column:
+                crossings[k, row] = crossings[k - one, row]
+                k -= one
+            crossings[k, row] = column
+
+
+@kernel
+def _lower(levels, first, last):
+    """Make the cells first..last - 1 of a row freer, whole blocks at once; in 16 bits throughout, twice as fast.
+
+    A remainder of a block costs as much as many blocks, and most runs are shorter than two.
+    """
+    end = levels.shape[0] - RUN_CELLS
+    if end < 0:
+        for j in range(first, last):
+            levels[j] = max(np.int16(levels[j] + LOG_ODDS_FREE), np.int16(LOG_ODDS_MIN))
+        return
+    at = first
+    while at < last:
+        start = min(at, end)
+        low, high = np.int16(at - start), np.int16(min(last - start, RUN_CELLS))
+        block = levels[start : start + RUN_CELLS]
+        for j in range(RUN_CELLS):
+            inside = (_PLACES[j] >= low) & (_PLACES[j] < high)
+            block[j] = max(np.int16(block[j] + np.int16(LOG_ODDS_FREE * inside)), np.int16(LOG_ODDS_MIN))
+        at = start + RUN_CELLS
 
 
 @kernel
 def _integrate_scan(
-    log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, crossings, counts, spans
-):
+    log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, crossings, counts, spans, corners,
+    edges, rows, cells,
+):  # fmt: skip
     """Lower what the scan saw through and raise what it met.
 
     Gives the first and last row that it can touch; spans (rows, 2) gets the first and last column touched in each.
@@ -84,15 +131,9 @@ def _integrate_scan(
     row_high = min(height - 1, int(gy + reach) + 2)
     for row in range(row_low, row_high + 1):
         counts[row - row_low] = 0
-    previous_x = previous_y = 0.0
-    for k in range(-1, beams):
-        i = k if k >= 0 else beams - 1
-        r = max(min(abs(ranges[i]), range_max) - margin, 0.0)
-        dx, dy = r * directions[i, 0], r * directions[i, 1]
-        qx, qy = gx + c * dx - s * dy, gy - row_low + s * dx + c * dy
-        if k >= 0:
-            _fill_crossings(previous_x, previous_y, qx, qy, row_high - row_low, float(width), crossings, counts)
-        previous_x, previous_y = qx, qy
+    _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corners, cells)
+    _cut(corners, float(row_high - row_low), edges, rows)
+    _fill_crossings(edges, rows, float(width), crossings, counts)
     for row in range(row_low, row_high + 1):
         ends = counts[row - row_low] // 2 * 2
         spans[row - row_low, 0] = crossings[0, row - row_low] if ends else width
@@ -100,14 +141,12 @@ def _integrate_scan(
         for p in range(ends // 2):
             first, last = crossings[2 * p, row - row_low], crossings[2 * p + 1, row - row_low]
             if first < last:
-                _lower(log_odds[row, first:last])
+                _lower(log_odds[row], first, last)
     last_row = last_column = -1
     for i in range(beams):
         if ranges[i] >= range_max or ranges[i] < 0.0:
             continue
-        dx, dy = ranges[i] * directions[i, 0], ranges[i] * directions[i, 1]
-        column = int(math.floor(gx + 0.5 + c * dx - s * dy))
-        row = int(math.floor(gy + 0.5 + s * dx + c * dy))
+        column, row = cells[0, i], cells[1, i]
         if row < 0 or column < 0 or row >= height or column >= width or (row == last_row and column == last_column):
             continue
         last_row, last_column = row, column
@@ -150,10 +189,13 @@ def _integrate_many(
     for side in range(2):
         boxes[1, side] = min(boxes[1, side], reached[side])
         boxes[1, 2 + side] = max(boxes[1, 2 + side], reached[2 + side])
+    beams = scans.shape[1]
+    corners, edges = np.empty((2, beams + 1)), np.empty((2, beams))
+    rows, cells = np.empty((2, beams), np.int32), np.empty((2, beams), np.int32)
     for k in range(poses.shape[0]):
         row_low, row_high = _integrate_scan(
             log_odds, bounds[0], bounds[1], inverse_m, poses[k], directions, scans[k], range_max, crossings, counts,
-            spans,
+            spans, corners, edges, rows, cells,
         )  # fmt: skip
         if poses.shape[0] == 1:
             _note_spans(log_odds, row_low, row_high, spans, kinds)
