@@ -4,10 +4,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 
 from twc_env import geometry
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 ROOT = Path(__file__).parents[1]
 UPPER = """from lower import FACTOR, scaled
@@ -57,3 +59,32 @@ def test_a_kernel_may_not_reach_into_a_module_of_the_package():
 
     with pytest.raises(TypeError, match=r"kernel reaching: import names from twc_env\.geometry"):
         kernel(reaching)
+
+
+def fill(out, value):
+    for i in range(len(out)):
+        out[i] = value
+
+
+def filled(out, value):
+    made = np.empty(len(out))
+    for i in range(len(out)):
+        made[i] = out[i] = value
+
+
+def test_a_borrowing_kernel_fills_what_it_is_given_and_refuses_to_make_arrays():
+    out = np.zeros(3)
+    borrowing_kernel(fill)(out, 2.0)
+    assert out.tolist() == [2.0, 2.0, 2.0]
+    with pytest.raises(NumbaError, match="Only accept returning of array"):
+        borrowing_kernel(filled)(out, 2.0)
+
+
+def test_kernels_that_a_borrowing_kernel_calls_may_make_arrays_for_themselves():
+    inner = kernel(length_of_a_copy)
+    outer = borrowing_kernel(lambda out: inner(out))
+    assert outer(np.zeros(3)) == 3
+
+
+def length_of_a_copy(values):
+    return len(values.copy())

@@ -25,10 +25,22 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     Division by zero gives what numpy gives (infinity or NaN). There are no bounds checks: clamp every index.
     """
-    compiled: Any = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+    return _compiled(function, counts_references=True)
+
+
+def borrowing_kernel(function: Callable[..., Any]) -> Any:
+    """The same for a function that only reads and fills the arrays it is given: it makes none, gets none from the
+    kernels it calls and returns none. Nothing then counts who holds an array: a call costs 50 to 100 ns less for each.
+    """
+    return _compiled(function, counts_references=False)
+
+
+def _compiled(function: Callable[..., Any], counts_references: bool) -> Any:
+    options = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts_references}
+    compiled: Any = njit(cache=True, **options)(function)
     file = getattr(compiled._cache, "_cache_file", None)
     if file is None or not hasattr(file, "_source_stamp"):  # a numba that keeps it elsewhere: rather slow than wrong
-        return njit(error_model="numpy", no_cfunc_wrapper=True)(function)
+        return njit(**options)(function)
     file._source_stamp = _foundation(function, repr(file._source_stamp))
     return compiled
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import DynamicsConfig
 from twc_env.errors import ActionError
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 
 Array = NDArray
 
@@ -86,7 +86,7 @@ def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
     return commands
 
 
-@kernel
+@borrowing_kernel
 def _scale(commands, speed_max, turn_rate_max):
     """Shares (n, 2) -> commands, in place, cut to the maxima; False when one of them is no share."""
     for i in range(commands.shape[0]):

@@ -35,7 +35,7 @@ class _FirstCompilation(event.Listener):
 
     def on_start(self, event: Any) -> None:
         """A compilation begins."""
-        module = event.data["dispatcher"].py_func.__module__
+        module = event.data["dispatcher"].py_func.__module__ or ""  # None in functions that numba makes up
         if self._is_said or not module.startswith("twc_env."):
             return
         self._is_said = True

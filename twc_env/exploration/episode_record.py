@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.exploration.floor_masks import FloorMasks
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 Array = NDArray
 
@@ -55,7 +55,7 @@ class EpisodeRecord:
         return poses
 
 
-@kernel
+@borrowing_kernel
 def _note(true_poses, odom_poses, motions, contacts, step, poses, all_contacts):
     for r in range(contacts.shape[0]):
         all_contacts[step, r] = contacts[r]

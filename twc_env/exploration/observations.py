@@ -14,7 +14,7 @@ from twc_env.config import EnvConfig
 from twc_env.exploration import map_view
 from twc_env.exploration.observation_blocks import POSE_LIMITS, block_spaces, joined
 from twc_env.exploration.wifi_slots import slots_for, take_scans
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Belief, KnownSign, SensorFrame, SignReading
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
 from twc_env.slam.dead_reckoning import DeadReckoning
@@ -207,7 +207,7 @@ def _extend_paths(poses, ends, counts, paths):
             counts[i] += 1
 
 
-@kernel
+@borrowing_kernel
 def _take_in(poses, ends, counts, paths, robots, macs, rssi_dbm, heard_counts, scans, slot_macs, last_scan, levels):
     """`_extend_paths` and `take_scans`."""
     _extend_paths(poses, ends, counts, paths)
@@ -289,7 +289,7 @@ def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, 
     return count
 
 
-@kernel
+@borrowing_kernel
 def _fill_small(
     ranges, per_metre, poses, since_m, limits, readings, reading_counts, now_s, memory_s, step, time_step_s,
     contact_steps, mates, mate_poses, mate_places, mate_counts, lidar, pose, signs, team,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
@@ -137,7 +137,7 @@ class _Alone(TeamBeliefs):
         return beliefs
 
 
-@kernel
+@borrowing_kernel
 def _chain(robots, motions, poses):
     """Move the poses of robots (k,) in odom and map, which are one here, by motions (k, 3) seen from them."""
     for k in range(robots.shape[0]):

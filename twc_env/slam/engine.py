@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import CuesConfig, EnvConfig
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
@@ -24,7 +24,7 @@ from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
 Array = NDArray
 
 
-@kernel
+@borrowing_kernel
 def _believed_poses(poses_map_odom, std, poses_odom, mates, are_heard_now, heard_poses, out, mate_poses):
     """Of each robot, to out (robots, 3, 3): its pose in the map, how far that may be off, its pose in odom.
 

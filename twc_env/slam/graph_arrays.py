@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe
 from twc_env.slam.odometry_filter import invert3
 
@@ -53,7 +53,7 @@ def _put_edge(edge, first, second, measurement, covariance, closure, is_used, en
     kinds[edge], used[edge] = closure, is_used
 
 
-@kernel
+@borrowing_kernel
 def _follow(
     node, previous, edge, robot, step, travel, motion, covariance, ranges,
     poses, scans, robots, steps, travels, strains, ends, measured, information, kinds, used,

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 Array = NDArray
 
@@ -87,7 +87,7 @@ def mark_mates(ranges, range_max, radius, directions, out, discs):
     return found
 
 
-@kernel
+@borrowing_kernel
 def _unmark(scan, discs, pose, seen, following, travel, time):
     """See `StillDiscs.unmark`; gives the row of `seen` that is overwritten next."""
     beams = scan.shape[0]

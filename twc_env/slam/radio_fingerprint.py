@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Fingerprint, WifiScan
 from twc_env.team_messages import WifiScans
 
@@ -72,7 +72,7 @@ def _rings(receivers: int, scans: int, width: int) -> tuple[Array, Array, Array]
     return np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape)
 
 
-@kernel
+@borrowing_kernel
 def _keep(time, receivers, macs, levels, ages, heard, kept_macs, kept_levels, kept_ages, counts, times, added):
     """Write scans to the rings, without ages as all new, and give 0; or nothing, and how many readings need room."""
     most = np.int64(0)
@@ -246,7 +246,7 @@ class FingerprintTable:
         return out
 
 
-@kernel
+@borrowing_kernel
 def _compare_rows(rows, ends, macs, levels, other_macs, other_levels, similarity, distance, shared):
     for r in range(rows.shape[0]):
         row = rows[r]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import LocalMapConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam.wall_drawing import draw_scans
 
 Array = NDArray
@@ -120,7 +120,7 @@ def _solve3(h, damping):
     )
 
 
-@kernel
+@borrowing_kernel
 def _refine(
     walls, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad, pose, h
 ):

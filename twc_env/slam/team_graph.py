@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.geometry import compose, inverse
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe, KnownSign, LoopClosure
 from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays
 from twc_env.slam.growing import Growing
@@ -32,7 +32,7 @@ def _nearest(poses, nodes, travels, travel_max, x, y):
     return best, math.sqrt(best_squared)
 
 
-@kernel
+@borrowing_kernel
 def _locate(poses, travels, strains, pose_odom, node, tied, pose_map_odom, std):
     """See `TeamGraph.locate`; tied is the node of the robot's last closure."""
     c, s = math.cos(pose_odom[2]), math.sin(pose_odom[2])

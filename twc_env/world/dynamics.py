@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pymunk import batch
 
 from twc_env.config import DynamicsConfig
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.world.wall_index import WallIndex, gap
 
 Array = NDArray
@@ -159,7 +159,7 @@ def _drive(state, commands, limits, time_step, substeps, gaps, radius):
     return True
 
 
-@kernel
+@borrowing_kernel
 def _look_around(state, walls, origin, bucket, rows, columns, first, members, radius, reach, gaps, poses, contacts):
     """Poses of the robots, their distances to walls, and who touches something."""
     robots = poses.shape[0]
@@ -175,7 +175,7 @@ def _look_around(state, walls, origin, bucket, rows, columns, first, members, ra
                 contacts[i] = contacts[j] = True
 
 
-@kernel
+@borrowing_kernel
 def _advance(
     state, commands, limits, time_step, substeps, walls, origin, bucket, rows, columns, first, members, radius, reach,
     gaps, poses, contacts,
