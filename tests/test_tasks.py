@@ -3,7 +3,7 @@ import pettingzoo
 import pytest
 
 import twc_env
-from twc_env.config import digest
+from twc_env.config import digest, override
 from twc_env.errors import ConfigError
 
 PINNED = {
@@ -55,3 +55,17 @@ def test_the_hard_task_can_be_played():
     while env.agents:
         env.step({agent: env.action_space(agent).sample() for agent in env.agents})
     assert env.result().figures["robots"] == 4
+
+
+def test_a_whole_configuration_that_is_not_the_tasks_is_refused_rather_than_the_task_forgotten():
+    hard = twc_env.task_config("twc/ExploreHard-v0")
+    for config in (hard, override(hard, {"lidar.beam_count": 60})):
+        assert twc_env.parallel_env(task="twc/ExploreHard-v0", config=config).config == config
+    with pytest.raises(ConfigError, match="other settings than twc/ExploreHard-v0"):
+        twc_env.parallel_env(task="twc/ExploreHard-v0", config=twc_env.EnvConfig())
+
+
+@pytest.mark.parametrize("task", [3, ("twc/Explore-v0",)])
+def test_a_task_that_is_no_name_is_refused(task):
+    with pytest.raises(ConfigError, match="unknown task"):
+        twc_env.parallel_env(task=task)

@@ -102,6 +102,26 @@ def test_a_dead_worker_is_reported():
     teams.close()
 
 
+@pytest.mark.parametrize("seed", [-1, 1.5, "3", True])
+def test_seeds_that_are_none_are_refused(seed):
+    with pytest.raises(ConfigError, match="seed must be a whole number"):
+        VectorTeams(1, SMALL).reset(seed)
+
+
+def test_after_an_interruption_no_stale_answer_is_taken(monkeypatch):
+    teams = VectorTeams(2, SMALL)
+    teams.reset(0)
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(teams._crews[0], "receive", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        teams.step(teams.sample())
+    with pytest.raises(TwcError, match="closed"):
+        teams.step(teams.sample())
+
+
 def test_stable_baselines_trains_on_rows_of_robots():
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
     from stable_baselines3 import PPO

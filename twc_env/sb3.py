@@ -56,7 +56,8 @@ class TeamVecEnv(VecEnv):
 
     def step_async(self, actions: Array) -> None:
         """Keep the actions for `step_wait`."""
-        self._actions = np.asarray(actions).reshape(self.teams.count, self.robots, *actions.shape[1:])
+        actions = np.asarray(actions)
+        self._actions = actions.reshape(self.teams.count, self.robots, *actions.shape[1:])
 
     def step_wait(self):
         """Observations, rewards, dones and infos, one row per robot."""

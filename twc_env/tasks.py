@@ -44,7 +44,7 @@ def task_config(task: str) -> EnvConfig:
     from twc_env.errors import ConfigError
 
     if task not in TASKS:
-        near = difflib.get_close_matches(task, TASKS, n=1)
+        near = difflib.get_close_matches(str(task), TASKS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ConfigError(f"unknown task {task!r}; known are {', '.join(TASKS)}{hint}")
     return override(EnvConfig(), TASKS[task])

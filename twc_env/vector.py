@@ -59,7 +59,6 @@ class VectorTeams:
         self.observation_space, self.action_space = model.observation_space("robot_0"), model.action_space("robot_0")
         names = split_names(buildings) if isinstance(buildings, str) and buildings in SPLITS else buildings
         names = (names,) if isinstance(names, str) else tuple(names)
-        self._seeds = np.zeros(count, np.int64)
         self._boards = _Boards(count, self.robots, self.observation_space, self.action_space)
         self._context = multiprocessing.get_context("spawn")
         parts = [list(range(count))[k :: max(workers, 1)] for k in range(max(workers, 1))]
@@ -72,7 +71,9 @@ class VectorTeams:
 
     def reset(self, seed: int = 0) -> dict[str, Array]:
         """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on."""
-        self._order("reset", seed)
+        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+            raise ConfigError(f"seed must be a whole number from 0 on; got {seed!r}")
+        self._order("reset", int(seed))
         return self._boards.observations()
 
     def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, list[list[dict[str, Any]]]]:
@@ -125,9 +126,13 @@ class VectorTeams:
     def _order(self, what: str, seed: int = 0) -> list[Any]:
         if not self._crews:
             raise TwcError("these environments are closed: make new ones")
-        for crew in self._crews:
-            crew.send(what, seed)
-        answers = [crew.receive() for crew in self._crews]
+        try:
+            for crew in self._crews:
+                crew.send(what, seed)
+            answers = [crew.receive() for crew in self._crews]
+        except BaseException:  # interrupted: who goes on must not read this step's answers as the next one's
+            self.close()
+            raise
         for answer in answers:
             if isinstance(answer, Exception):
                 raise answer
@@ -267,7 +272,10 @@ class _Worker:
         self._pipe.close()
 
 
-_LOST = "a worker process has died (out of memory, or killed): make the environments anew"
+_LOST = (
+    "a worker process has died (out of memory, killed, or started by a script that makes environments outside "
+    "`if __name__ == '__main__':`): make them anew"
+)
 
 
 def _work(pipe: Connection, part: list[int], boards: _Boards, config: dict, buildings: tuple[str, ...]) -> None:

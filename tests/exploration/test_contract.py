@@ -155,9 +155,48 @@ def test_options_that_mean_nothing_here_are_tolerated(options):
     assert list(observations) == list(infos) == ["robot_0", "robot_1"]
 
 
-def test_starts_that_are_no_starts_are_refused():
+@pytest.mark.parametrize("starts", ["anywhere", ["map"], [[1, 2, 3]], [[1, 2, 3], [4]], None, [[0, 0, np.nan]] * 2])
+def test_starts_that_are_no_starts_are_refused(starts):
     with pytest.raises(twc_env.ConfigError, match="starts must be"):
-        twc_env.parallel_env(robots=2).reset(seed=0, options={"starts": "anywhere"})
+        twc_env.parallel_env(robots=2).reset(seed=0, options={"starts": starts})
+
+
+@pytest.mark.parametrize("options", ["x", 5, [], {"split": ["train"]}, {"split": None}, {"map": "a", "split": "train"}])
+def test_options_that_cannot_be_meant_are_refused(options):
+    with pytest.raises(twc_env.TwcError, match=r"options|split"):
+        twc_env.parallel_env(robots=2).reset(seed=0, options=options)
+
+
+@pytest.mark.parametrize("options", [{"map": "twin-02", "starts": "anywhere"}, {"map": "nowhere"}])
+def test_after_a_reset_that_failed_no_half_begun_episode_goes_on(options, same):
+    env, twin = (twc_env.parallel_env(robots=2, max_cycles=5) for _ in range(2))
+    env.reset(seed=0)
+    with pytest.raises(twc_env.TwcError):
+        env.reset(seed=1, options=options)
+    assert env.agents == []
+    for call in (lambda: env.step({}), env.result, env.state, env.snapshot, lambda: env.frames):
+        with pytest.raises(twc_env.TwcError, match="reset"):
+            call()
+    assert same(env.reset(seed=2)[0]["robot_0"], twin.reset(seed=2)[0]["robot_0"])
+
+
+@pytest.mark.parametrize("agent", ["robot_2", 0, None])
+def test_the_belief_of_nobody_is_refused_with_the_team(agent):
+    env = twc_env.parallel_env(robots=2)
+    env.reset(seed=0)
+    with pytest.raises(twc_env.TwcError, match="the team is robot_0, robot_1"):
+        env.belief(agent)
+
+
+@pytest.mark.parametrize("what", ["frames", "contacts", "record", "engine", "bytes_sent"])
+def test_what_an_episode_holds_is_not_there_before_it(what):
+    with pytest.raises(twc_env.TwcError, match="call reset"):
+        getattr(twc_env.parallel_env(robots=1), what)
+
+
+def test_settings_that_are_not_named_by_text_are_refused():
+    with pytest.raises(twc_env.ConfigError, match="named by text"):
+        twc_env.parallel_env(config={3: 4})
 
 
 def test_a_render_mode_that_does_not_exist_is_refused():

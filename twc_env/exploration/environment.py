@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from types import NoneType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 Array = NDArray
 
 STATE_LIMIT = 1e4
+_NOT_BEGUN = "no episode has begun: call reset() first"
 
 
 class ExplorationEnv(ParallelEnv, EzPickle):
@@ -166,10 +168,13 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def reset(self, seed: int | None = None, options: dict | None = None):
         """Begin an episode. The same seed gives the same episode; without one, the next seed after the last is used.
 
-        Raises MapError for a map that cannot be loaded. Options of other environments are ignored.
+        Raises MapError for a map that cannot be loaded. Options of other environments are ignored. After a reset that
+        failed no episode is under way.
         """
         seed = self._next_seed() if seed is None else _checked_seed(seed)
-        starts = self._choose_building(seed, _checked_options(options))
+        options = _checked_options(options)
+        self.agents, self._engine = [], None
+        starts = self._choose_building(seed, options)
         self._seed = seed
         self._world.reset(self._seed, starts)
         count = self.config.robots
@@ -232,13 +237,19 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def engine(self) -> Engine:
         """The SLAM engine of this episode. Raises TwcError before the first `reset`."""
         if self._engine is None:
-            raise TwcError("no episode has begun: call reset() first")
+            raise TwcError(_NOT_BEGUN)
         return self._engine
+
+    def _held(self, name: str) -> Any:
+        """An attribute that `reset` makes. Raises TwcError where no episode has begun."""
+        if self._engine is None:
+            raise TwcError(_NOT_BEGUN)
+        return getattr(self, name)
 
     @property
     def frames(self) -> TeamFrames:
         """What each robot sensed in the last time step; `twc_env.datasets.write_frame_log` records them."""
-        return self._frames
+        return self._held("_frames")
 
     @property
     def frames_of_step(self) -> list[TeamFrames]:
@@ -248,15 +259,20 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     @property
     def record(self) -> EpisodeRecord:
         """What truly happened in this episode, for judging; no agent may read it."""
-        return self._record
+        return self._held("_record")
 
     @property
     def contacts(self) -> Contacts:
         """Who heard whom in the last step."""
-        return self._contacts
+        return self._held("_contacts")
 
     def belief(self, agent: str) -> Belief:
-        """What one robot knows: the merged map of its group and where it is in it. Estimates only."""
+        """What one robot knows: the merged map of its group and where it is in it. Estimates only.
+
+        Raises TwcError for a name that is no robot's.
+        """
+        if agent not in self.action_spaces:
+            raise TwcError(f"there is no agent {agent!r}; the team is {', '.join(self.possible_agents)}")
         return self.engine.belief(self.possible_agents.index(agent))
 
     @property
@@ -423,6 +439,8 @@ def _checked_seed(seed: int) -> int:
 
 
 def _checked_options(options: dict | None) -> dict:
+    if not isinstance(options, (Mapping, NoneType)):
+        raise ConfigError(f"reset options must be a dict, such as {{'map': 'twin-02'}}; got {options!r}")
     options = dict(options or {})
     if "map" in options and "split" in options:
         raise ConfigError("reset options name either a map or a split, not both")

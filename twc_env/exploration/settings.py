@@ -7,7 +7,7 @@ from typing import Any
 
 from twc_env.config import EnvConfig, from_dict, override
 from twc_env.errors import ConfigError
-from twc_env.tasks import task_config
+from twc_env.tasks import TASKS, task_config
 
 
 def resolve(
@@ -23,6 +23,8 @@ def resolve(
     elif isinstance(config, EnvConfig):
         resolved = config
     elif isinstance(config, Mapping):
+        if wrong := [key for key in config if not isinstance(key, str)]:
+            raise ConfigError(f"settings are named by text, such as 'lidar.beam_count'; got {wrong[0]!r}")
         nested = {key: value for key, value in config.items() if "." not in key}
         resolved = override(from_dict(nested), {key: value for key, value in config.items() if "." in key})
     else:
@@ -34,8 +36,12 @@ def resolve(
 
 
 def _base(config: EnvConfig | Mapping[str, Any] | None, task: str | None) -> EnvConfig | Mapping[str, Any] | None:
-    """The settings of a standard task, with the overrides in `config` on top; a whole EnvConfig stands as it is."""
-    if task is None or isinstance(config, EnvConfig):
+    """The settings of a standard task, with the overrides in `config` on top; a whole EnvConfig must be of it."""
+    if task is None:
+        return config
+    if isinstance(config, EnvConfig):
+        if task_config(task) != config and override(config, TASKS[task]) != config:
+            raise ConfigError(f"config has other settings than {task}: give what differs from the task as a dict")
         return config
     return override(task_config(task), _dotted(config or {}))
 

@@ -40,7 +40,7 @@ def generate_by_name(name: str, check: bool = True) -> Floorplan | None:
 
 def split_names(split: str) -> tuple[str, ...]:
     """The names of all buildings of a split."""
-    if split not in SPLITS:
+    if not isinstance(split, str) or split not in SPLITS:
         raise MapError(f"no split {split!r}; splits are {', '.join(SPLITS)}")
     return tuple(f"{split}/{number:04d}" for number in range(SPLITS[split]))
 

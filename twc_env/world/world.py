@@ -194,7 +194,10 @@ class World:
         """(n, 3) in the home frame."""
         robots, home = self.config.robots, self._home
         if not isinstance(starts, str):
-            poses = np.array(starts, float)
+            try:
+                poses = np.array(starts, float)
+            except (TypeError, ValueError):
+                raise ConfigError(f"starts must be 'random', 'map' or {robots} poses; got {starts!r}") from None
             if poses.shape != (robots, 3) or not np.isfinite(poses).all():
                 raise ConfigError(f"starts must be {robots} finite poses (x, y, heading); got shape {poses.shape}")
             for i in np.flatnonzero(~self.plan.cells().is_free(poses[:, :2])):
