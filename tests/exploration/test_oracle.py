@@ -41,3 +41,11 @@ def test_without_an_oracle_the_engine_is_told_nothing(explore, monkeypatch):
     monkeypatch.setattr(twc_env.CooperativeSlam, "give_starts", lambda self, poses: told.append(poses))
     explore(3)
     assert told == []
+
+
+@pytest.mark.parametrize("oracle", ["starts", "poses"])
+@pytest.mark.parametrize("topology", ["central", "peer"])
+def test_an_episode_too_short_for_a_second_keyframe_can_be_played_to_its_end(explore, oracle, topology):
+    log = explore(2, robots=2, config={"slam.oracle": oracle, "link.topology": topology}, max_cycles=2)
+    assert log.env.agents == []
+    assert log.env.result().figures["merged_robots"] == 2

@@ -121,7 +121,7 @@ class NormalEquations:
         pairs[pairs == fixed] = -1
         self._cholesky = BlockCholesky(pairs, count)
         self._blocks = self._cholesky.block_of_pair
-        self._edge_block_count = int(self._blocks.max()) + 1
+        self._edge_block_count = int(self._blocks.max(initial=-1)) + 1
 
     def squared_errors(self, poses: Array) -> Array:
         """(edges,) squared Mahalanobis length of each residual."""
