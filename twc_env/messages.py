@@ -126,7 +126,7 @@ class Contacts:
     """(listeners, robots) bool: and it was not lost."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@_record
 class LoopCandidate:
     """A pair of keyframes that look like one place, not yet checked by geometry."""
 
@@ -187,7 +187,7 @@ class GridMap:
         return self.origin_m + (np.asarray(cells)[..., ::-1] + 0.5) * self.resolution_m
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@_record
 class KnownSign:
     """A text that the team has read, where it believes it stands."""
 

@@ -81,7 +81,8 @@ class CooperativeSlam:
         if not self._is_central:
             np.fill_diagonal(everyone, False)
         self._all_in_touch = Contacts(everyone, everyone)
-        self._steps, self._ranges_m = [0] * robot_count, [np.zeros(0)] * robot_count
+        self._steps: Sequence[int] = [0] * robot_count
+        self._ranges_m: Sequence[Array] | Array = [np.zeros(0)] * robot_count
         """Of the latest frame of each robot."""
         self._poses = np.zeros((robot_count, 3, 3))
         """As `TeamBeliefs.poses`."""
@@ -144,11 +145,12 @@ class CooperativeSlam:
             frames = [cues.heard(frame, self._cues) for frame in frames]
         self._beliefs = None
         if isinstance(frames, TeamFrames):
-            self._steps, self._ranges_m = [frames.step] * len(frames), list(frames.ranges_m)
+            self._steps, self._ranges_m = [frames.step] * len(frames), frames.ranges_m
         else:
-            self._steps, self._ranges_m = self._steps.copy(), self._ranges_m.copy()  # beliefs hold the old ones
+            steps, ranges_m = list(self._steps), list(self._ranges_m)  # beliefs hold the old ones
             for frame in frames:
-                self._steps[frame.robot], self._ranges_m[frame.robot] = frame.step, frame.ranges_m
+                steps[frame.robot], ranges_m[frame.robot] = frame.step, frame.ranges_m
+            self._steps, self._ranges_m = steps, ranges_m
         keyframes = self._front_ends.update(frames)
         if self._radio is not None:
             for frame in frames:

@@ -16,19 +16,16 @@ from numpy.typing import NDArray
 from twc_env.config import LocalMapConfig
 from twc_env.geometry import beam_directions
 from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.slam.line_equations import FAR_M, line_scratch, normal_equations
 from twc_env.slam.wall_drawing import draw_scans
 
 Array = NDArray
 
 NOTHING_DRAWN = (2**31, 2**31, 0, 0)
-FAR_M = 1e3
-"""Distance of a cell that knows no wall."""
 SIGN_TO_WALL_M = 0.3
 """A sign hangs on the wall that is at most this far away."""
 WEIGHT_MIN = 5.0
 """With less than this sum of weights nothing was matched."""
-ROBUST_SCALE_M = 0.08
-"""Residual at which a beam has lost half of its weight (Cauchy)."""
 STOP_M, STOP_RAD = 1e-3, 5e-4
 """A smaller step ends a match ..."""
 TRACKING_STOP_M, TRACKING_STOP_RAD = 2e-3, 1e-3
@@ -49,49 +46,6 @@ def _points_of(ranges, range_max, directions, points):
             points[n, 1] = ranges[i] * directions[i, 1]
             n += 1
     return n
-
-
-@kernel
-def _normal_equations(walls, origin, inverse_m, points, n, x, y, heading, distance_max, h):
-    """Sum J^T w J (h: 6 upper entries) and J^T w e (3 more) over points near walls; gives sum of w and number."""
-    height, width = walls.shape[0], walls.shape[1]
-    c, s = math.cos(heading), math.sin(heading)
-    x -= origin[0]
-    y -= origin[1]
-    near = 0
-    total = h0 = h1 = h2 = h3 = h4 = h5 = g0 = g1 = g2 = 0.0
-    for i in range(np.uint64(0), np.uint64(n), np.uint64(1)):  # an index without sign is looked up at once
-        rx, ry = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
-        qx, qy = x + rx, y + ry
-        if qx < 0.0 or qy < 0.0:
-            continue
-        column, row = int(qx * inverse_m), int(qy * inverse_m)
-        if row >= height or column >= width:
-            continue
-        wall = walls[np.uint64(row), np.uint64(column)]
-        if wall[3] > distance_max:
-            continue
-        nx, ny = wall[0], wall[1]
-        e = nx * qx + ny * qy - wall[2]
-        if abs(e) > distance_max:
-            continue
-        w = 1.0 / (1.0 + e * e * (1.0 / ROBUST_SCALE_M**2))
-        jt = ny * rx - nx * ry
-        wx, wy, we = w * nx, w * ny, w * e
-        h0 += wx * nx
-        h1 += wx * ny
-        h2 += wx * jt
-        h3 += wy * ny
-        h4 += wy * jt
-        h5 += w * jt * jt
-        g0 += we * nx
-        g1 += we * ny
-        g2 += we * jt
-        total += w
-        near += 1
-    h[0], h[1], h[2], h[3], h[4], h[5] = h0, h1, h2, h3, h4, h5
-    h[6], h[7], h[8] = g0, g1, g2
-    return total, near
 
 
 @kernel
@@ -132,9 +86,10 @@ def _refine(
     total, near = 0.0, 0
     vx = vy = 0.0
     degenerate = False
+    scratch = line_scratch()
     for _ in range(iterations):
-        total, near = _normal_equations(
-            walls, origin, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, h
+        total, near = normal_equations(
+            walls, origin, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, scratch, h
         )  # fmt: skip
         if total < WEIGHT_MIN:
             break
