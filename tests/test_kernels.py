@@ -9,6 +9,8 @@ import pytest
 from numba.core.errors import NumbaError
 
 from twc_env import geometry
+from twc_env.bench import wander
+from twc_env.exploration.environment import ExplorationEnv
 from twc_env.kernels import borrowing_kernel, kernel
 
 ROOT = Path(__file__).parents[1]
@@ -88,3 +90,21 @@ def test_kernels_that_a_borrowing_kernel_calls_may_make_arrays_for_themselves():
 
 def length_of_a_copy(values):
     return len(values.copy())
+
+
+def test_no_step_leaves_arrays_behind_in_compiled_code():
+    from numba.core.runtime import _nrt_python, rtsys
+
+    env = ExplorationEnv(map="gen:office:100:1", robots=2, max_cycles=600)
+    stood = []
+    _nrt_python.memsys_enable_stats()
+    try:
+        for _ in range(3):
+            env.reset(seed=1)
+            for actions in wander(env, 1):
+                env.step(actions)
+            stats = rtsys.get_allocation_stats()
+            stood.append(stats.mi_alloc - stats.mi_free)
+    finally:
+        _nrt_python.memsys_disable_stats()
+    assert len(set(stood[1:])) == 1  # after the first, what is kept from episode to episode is there

@@ -76,8 +76,9 @@ def _solve3(h, damping):
 
 @borrowing_kernel
 def _refine(
-    walls, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad, pose, h
-):
+    walls, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad, scratch,
+    pose, h,
+):  # fmt: skip
     """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
 
     Writes the pose and the final h. Gives (sum of weights, points near walls, is_degenerate, direction x, direction y).
@@ -86,7 +87,6 @@ def _refine(
     total, near = 0.0, 0
     vx = vy = 0.0
     degenerate = False
-    scratch = line_scratch()
     for _ in range(iterations):
         total, near = normal_equations(
             walls, origin, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, scratch, h
@@ -179,17 +179,18 @@ def _information(h, degenerate, vx, vy, scale, out):
 
 
 @kernel
-def match_scan(walls, origin, scan, directions, rule, guess, points, h, pose, information):
+def match_scan(walls, origin, scan, directions, rule, guess, points, h, scratch, pose, information):
     """Lay a scan (beams,) on a field near a guess: writes the pose (3,) and its information (3, 3), zeros for none.
 
-    rule: as `LineFields` has it; points (beams, 2) and h (9,) are scratch. Gives whether the pose is to be believed (it
-    is near the guess, and enough beams speak for it), and the share of the beams that returned which end near walls.
+    rule: as `LineFields` has it; points (beams, 2), h (9,) and scratch (`line_scratch`) are room to work in. Gives
+    whether the pose is to be believed (it is near the guess, and enough beams speak for it), and the share of the beams
+    that returned which end near walls.
     """
     range_max, inverse_m, distance_max, degenerate_share, variance = rule[0], rule[1], rule[2], rule[3], rule[4]
     n = _points_of(scan, range_max, directions, points)
     total, near, degenerate, vx, vy = _refine(
         walls, origin, inverse_m, points, n, guess, distance_max, int(rule[5]), degenerate_share,
-        TRACKING_STOP_M, TRACKING_STOP_RAD, pose, h,
+        TRACKING_STOP_M, TRACKING_STOP_RAD, scratch, pose, h,
     )  # fmt: skip
     jump_x, jump_y = pose[0] - guess[0], pose[1] - guess[1]
     is_matched = (
@@ -245,6 +246,7 @@ class LineField:
         self._walls, self._origin_m = storage or field_storage(size_m, resolution_m)
         self._drawn = np.array([0, 0, len(self._walls), len(self._walls)])
         """Left, bottom, right and top end of the cells that may know a wall."""
+        self._scratch = line_scratch()
         self.reset(np.zeros(2))
 
     def reset(self, centre_m: Array) -> None:
@@ -267,7 +269,7 @@ class LineField:
         pose, h = np.empty(3), np.zeros(9)
         weight, _, degenerate, vx, vy = _refine(
             *self._field, points, len(points), guess, distance_max_m, iterations, degenerate_share, STOP_M,
-            STOP_RAD, pose, h,
+            STOP_RAD, self._scratch, pose, h,
         )  # fmt: skip
         hessian = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
         return Match(pose, hessian, weight, degenerate, np.array([vx, vy]))

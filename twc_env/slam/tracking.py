@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
 from twc_env.kernels import Pack, kernel, pack
+from twc_env.slam.line_equations import line_scratch
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
 from twc_env.slam.odometry_filter import CompiledFilters, make_filters, predict_state, update_state
 from twc_env.slam.scan_matching import LineFields, match_scan
@@ -27,14 +28,15 @@ def _see(
     matched, information, is_matched, explained,
 ):  # fmt: skip
     """Mark the mates in the scans and lay what is left on the fields, near the robots' states."""
-    points, h = np.empty((ranges.shape[1], 2)), np.empty(9)
+    points, h, scratch = np.empty((ranges.shape[1], 2)), np.empty(9), line_scratch()
     for a in range(robots.shape[0]):
         k = robots[a]
         disc_counts[k] = mark_mates(ranges[a], rule[0], mate_radius, directions, marked[k], discs[k])
         if has_lidar:
             is_matched[k], explained[k] = match_scan(
-                walls[k], origins[k], marked[k], directions, rule, states[k], points, h, matched[k], information[k]
-            )
+                walls[k], origins[k], marked[k], directions, rule, states[k], points, h, scratch, matched[k],
+                information[k],
+            )  # fmt: skip
 
 
 @kernel
