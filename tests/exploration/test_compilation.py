@@ -1,9 +1,11 @@
+import gc
 import importlib
 import json
 import logging
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from numba import njit
@@ -44,6 +46,20 @@ def test_environments_ask_for_it_once_per_process():
     before = announce_compilation.cache_info().misses
     announce_compilation()
     assert announce_compilation.cache_info().misses == before
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_nobody_looks_for_garbage_while_kernels_are_compiled(collects):
+    listener, kernel = _FirstCompilation(), SimpleNamespace(data={"dispatcher": compiled_function("another.package")})
+    before, seen = gc.isenabled(), []
+    (gc.enable if collects else gc.disable)()
+    try:
+        for happen in (listener.on_start, listener.on_start, listener.on_end, listener.on_end):
+            happen(kernel)
+            seen.append(gc.isenabled())
+    finally:
+        (gc.enable if before else gc.disable)()
+    assert seen == [False, False, False, collects]
 
 
 class FakeProcess:

@@ -6,6 +6,7 @@ the observations, a helper runs the engine on made-up frames (`twc_env.slam.warm
 
 from __future__ import annotations
 
+import gc
 import logging
 import multiprocessing
 import os
@@ -28,13 +29,22 @@ _HELP_MAX_S = 120.0
 
 
 class _FirstCompilation(event.Listener):
-    """Told of every kernel that is really compiled, not read from disk; speaks up at the first of this package."""
+    """Told of every kernel that is really compiled, not read from disk; speaks up at the first of this package.
+
+    Numba makes so many small objects which all live until it is done that looking for garbage among them takes an
+    eighth of the time; so nobody looks while it is at work.
+    """
 
     def __init__(self, call_help: Callable[[], None] = lambda: None) -> None:
         self._is_said, self._call_help = False, call_help
+        self._depth, self._collects = 0, False
 
     def on_start(self, event: Any) -> None:
-        """A compilation begins."""
+        """A compilation begins, maybe inside another."""
+        if self._depth == 0:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._depth += 1
         module = event.data["dispatcher"].py_func.__module__ or ""  # None in functions that numba makes up
         if self._is_said or not module.startswith("twc_env."):
             return
@@ -47,7 +57,10 @@ class _FirstCompilation(event.Listener):
             self._call_help()
 
     def on_end(self, event: Any) -> None:
-        """A compilation ended."""
+        """A compilation ended, be it with an error."""
+        self._depth -= 1
+        if self._depth == 0 and self._collects:
+            gc.enable()
 
 
 class Helper:

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 
 from twc_env.config import EnvConfig
@@ -39,4 +41,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    gc.disable()  # of what numba makes nearly all lives until the end
     main()
