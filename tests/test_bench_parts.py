@@ -26,11 +26,11 @@ def test_time_spent_inside_another_part_counts_there():
 def test_the_parts_add_up_to_the_whole_step_and_the_functions_are_put_back():
     from twc_env.world.world import World
 
-    before = World.step
+    before = World.tick
     rows = bench_parts(EnvConfig(max_cycles=40), episodes=1)
-    assert World.step is before
+    assert World.tick is before
     assert sum(row.share for row in rows) == pytest.approx(1.0)
-    assert {row.part for row in rows if row.calls_per_step == 1.0} >= {"world: motion", REST}
+    assert {row.part for row in rows if row.calls_per_step == 1.0} >= {"world: motion and sensors", REST}
     rare = {"team: merging", "team: redrawing", "team: pose graph", "team: verification", "team: doubting merges"}
     assert {row.part for row in rows if row.calls_per_step == 0.0} <= rare, "a part has another owner now"
     assert "the engine" in table_of(rows)

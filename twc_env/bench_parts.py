@@ -64,8 +64,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
     from twc_env.world.world import World
 
     return [
-        ("world: motion", False, World, "step"),
-        ("world: sensors", False, World, "sense"),
+        ("world: motion and sensors", False, World, "tick"),
         ("front end: tracking", True, Tracker, "update"),
         ("front end: signs and radio", True, FrontEnds, "_remember"),
         ("keyframe: making", True, RobotFrontEnd, "make_keyframe"),

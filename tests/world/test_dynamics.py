@@ -116,8 +116,8 @@ def test_steps_without_the_rigid_body_world_are_those_it_would_have_taken():
     starts = [[1, 1, 0.0], [5, 1, 1.0], [4, 4.5, 2.0]]
     mixed, asked = (robots_in(DynamicsConfig(), np.concatenate([ROOM, inner]), starts) for _ in range(2))
     calls = []
-    collide = mixed._collide
-    mixed._collide = lambda: (calls.append(1), collide())
+    collide = mixed.collide
+    mixed.collide = lambda: (calls.append(1), collide())
     touched = 0
     for _ in range(60):
         commands = np.column_stack([random.uniform(0, 1, 3), random.uniform(-1.5, 1.5, 3)])

@@ -225,3 +225,19 @@ def test_the_sensors_read_together_as_each_does_by_itself(settings):
         before = now
         w.step(commands(step))
     assert texts > 0
+
+
+@pytest.mark.parametrize("settings", [{}, {"lidar": {"dropout_probability": 0.2}, "radio": {"stale_age_max_s": 2.0}}])
+def test_a_tick_is_a_step_and_a_look_at_the_sensors(settings):
+    """Also where robots run into walls and into each other."""
+    at_once, one_by_one = (world(TINY, seed=3, robots=2, **settings) for _ in range(2))
+    assert as_bytes([at_once.sense()]) == as_bytes([one_by_one.sense()])
+    touched = 0
+    for step in range(120):
+        frames = at_once.tick(commands(step, 2))
+        one_by_one.step(commands(step, 2))
+        assert as_bytes([frames]) == as_bytes([one_by_one.sense()])
+        assert np.array_equal(at_once.poses, one_by_one.poses)
+        assert np.array_equal(at_once.contacts, one_by_one.contacts)
+        touched += at_once.contacts.sum()
+    assert touched > 10

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from twc_env.config import DynamicsConfig
 from twc_env.errors import ActionError
-from twc_env.kernels import borrowing_kernel
 
 Array = NDArray
 
@@ -25,7 +24,7 @@ def velocity_space() -> spaces.Box:
 
 def check_agents(actions: Any, agents: Sequence[str]) -> None:
     """Raises ActionError unless there is one action for each agent, and none for anybody else."""
-    if type(actions) is dict and len(actions) == len(agents) and all(map(actions.__contains__, agents)):
+    if type(actions) is dict and list(actions) == agents:  # as most send them
         return
     if not isinstance(actions, Mapping):
         raise ActionError(
@@ -54,45 +53,37 @@ def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config:
 
     Raises ActionError when an agent has no action, or an action is not two finite numbers in [-1, 1].
     """
-    commands = np.empty((len(agents), 2))
+    speed_max_m_s, turn_rate_max_rad_s = config.speed_max_m_s, config.turn_rate_max_rad_s
+    commands: list[float] = []
     try:
-        for row, agent in enumerate(agents):
+        for agent in agents:
             action = actions[agent]
             if action.shape != (2,) or action.dtype.kind not in "fiu":
                 raise TypeError
-            commands[row] = action
+            ahead, left = action.tolist()
+            if not (-1.0 <= ahead <= 1.0 and -1.0 <= left <= 1.0):
+                raise ValueError
+            commands += ahead * speed_max_m_s, left * turn_rate_max_rad_s
     except Exception:  # an object of the user's may raise anything; what does not fit is named below
-        commands = _one_by_one(actions, agents)
-    if not _scale(commands, config.speed_max_m_s, config.turn_rate_max_rad_s):
-        commands = np.array([actions[agent] for agent in agents], np.float64)
-        row = int(np.argmax(~np.all(np.abs(commands) <= 1.0 + TOLERANCE, axis=1)))
-        raise ActionError(
-            f"action of {agents[row]!r} must be finite and in [-1, 1]; got {actions[agents[row]]!r}: "
-            "clip it, or use an agent whose output is squashed"
-        )
-    return commands
+        return _one_by_one(actions, agents) * (speed_max_m_s, turn_rate_max_rad_s)
+    return np.array(commands, np.float64).reshape(-1, 2)
 
 
 def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
-    """The same with a message for the first action that does not fit."""
-    commands = np.empty((len(agents), 2))
+    """Shares (robots, 2), cut to [-1, 1] where rounding led beyond it; an error for the first that is no share."""
+    shares = np.empty((len(agents), 2))
     for row, agent in enumerate(agents):
         action = action_array(actions[agent])
         if action.shape != (2,) or action.dtype.kind not in "fiu":
             raise ActionError(
                 f"action of {agent!r} must be 2 numbers (forward speed, turn rate) in [-1, 1]; got {actions[agent]!r}"
             )
-        commands[row] = action
-    return commands
-
-
-@borrowing_kernel
-def _scale(commands, speed_max, turn_rate_max):
-    """Shares (n, 2) -> commands, in place, cut to the maxima; False when one of them is no share."""
-    for i in range(commands.shape[0]):
-        for k in range(2):
-            if not abs(commands[i, k]) <= 1.0 + TOLERANCE:  # also true for NaN
-                return False
-        commands[i, 0] = min(max(commands[i, 0], -1.0), 1.0) * speed_max
-        commands[i, 1] = min(max(commands[i, 1], -1.0), 1.0) * turn_rate_max
-    return True
+        shares[row] = action
+    is_fit = np.all(np.abs(shares) <= 1.0 + TOLERANCE, axis=1)  # False for NaN
+    if not is_fit.all():
+        agent = agents[int(np.argmin(is_fit))]
+        raise ActionError(
+            f"action of {agent!r} must be finite and in [-1, 1]; got {actions[agent]!r}: "
+            "clip it, or use an agent whose output is squashed"
+        )
+    return np.clip(shares, -1.0, 1.0)

@@ -345,10 +345,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             is_alive = self._failures.is_alive(self._steps)
             self._world.anchor(np.flatnonzero(~is_alive))
             commands = commands * is_alive[:, None]
-        self._world.step(commands)
         self._steps += 1
         is_last = self._steps >= self.config.max_cycles
-        self._think(self._world.sense())
+        self._think(self._world.tick(commands))
         if is_last:
             self.engine.finish()
         self._notice()

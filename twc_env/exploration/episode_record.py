@@ -8,9 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.exploration.floor_masks import FloorMasks
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import kernel
 
 Array = NDArray
+
+
+_AT_ONCE = 64
+"""Steps that are put into the record together."""
 
 
 class EpisodeRecord:
@@ -21,31 +25,55 @@ class EpisodeRecord:
         self._poses = np.zeros((256, 3, robots, 3))
         """True pose, front-end pose and measured motion of each step; grows."""
         self._contacts = np.zeros((256, robots), bool)
+        self._fresh: list[tuple[Array, Array, Array, Array]] = []
+        """The latest steps, that are still to be put there."""
         self.wrong_pairs: set[tuple[int, int]] = set()
         self.floor_masks = FloorMasks()
 
     def append(self, true_poses: Array, odom_poses: Array, motions: Array, contacts: Array) -> None:
-        """Note one step, one row per robot: true poses, front-end poses, measured motions (robots, 3), and contacts."""
-        if self.count == len(self._poses):
+        """Note one step, one row per robot: true poses, front-end poses, measured motions (robots, 3), and contacts.
+
+        The arrays are kept: nobody may change them any more.
+        """
+        self._fresh.append((true_poses, odom_poses, motions, contacts))
+        self.count += 1
+        if len(self._fresh) == _AT_ONCE:
+            self._settle()
+
+    def _settle(self) -> None:
+        if not self._fresh:
+            return
+        begin, fresh = self.count - len(self._fresh), list(zip(*self._fresh, strict=True))
+        self._fresh = []
+        if self.count > len(self._poses):
             self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
             self._contacts = np.concatenate([self._contacts, np.zeros_like(self._contacts)])
-        _note(true_poses, odom_poses, motions, contacts, self.count, self._poses, self._contacts)
-        self.count += 1
+        for kind in range(3):
+            self._poses[begin : self.count, kind] = np.concatenate(fresh[kind]).reshape(-1, *self._poses.shape[2:])
+        self._contacts[begin : self.count] = np.concatenate(fresh[3]).reshape(self.count - begin, -1)
 
     @property
     def contact_count(self) -> int:
         """Contacts that began after the start, summed over robots."""
+        self._settle()
         contacts = self._contacts[: self.count]
         return int(np.count_nonzero(contacts[1:] & ~contacts[:-1]))
 
     @property
+    def true_poses_now(self) -> Array:
+        """(robots, 3) building frame, after the latest step."""
+        return self._fresh[-1][0] if self._fresh else self._poses[self.count - 1, 0]
+
+    @property
     def true_poses(self) -> Array:
         """(steps + 1, robots, 3) building frame."""
+        self._settle()
         return self._poses[: self.count, 0]
 
     @property
     def odom_poses(self) -> Array:
         """(steps + 1, robots, 3) front-end estimate, each in its robot's odom frame."""
+        self._settle()
         return self._poses[: self.count, 1]
 
     def odometry_poses(self) -> Array:
@@ -53,15 +81,6 @@ class EpisodeRecord:
         poses = self.true_poses.copy()
         _reckon(self._poses[: self.count, 2], poses)
         return poses
-
-
-@borrowing_kernel
-def _note(true_poses, odom_poses, motions, contacts, step, poses, all_contacts):
-    for r in range(contacts.shape[0]):
-        all_contacts[step, r] = contacts[r]
-        for k in range(3):
-            poses[step, 0, r, k], poses[step, 1, r, k] = true_poses[r, k], odom_poses[r, k]
-            poses[step, 2, r, k] = motions[r, k]
 
 
 @kernel

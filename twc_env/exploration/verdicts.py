@@ -109,7 +109,7 @@ def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerd
 
 def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool = False) -> Standing:
     """The potentials that rewards look at, judged now; the last time by every cell of the floor, as the report does."""
-    whole_m2, true, maps = floor_m2(cells), record.true_poses[-1, :, :2].tolist(), []
+    whole_m2, true, maps = floor_m2(cells), record.true_poses_now[:, :2].tolist(), []
     errors_m = [0.0] * len(true)
     for view in engine.views():
         x, y, c, s = 0.0, 0.0, 1.0, 0.0

@@ -26,6 +26,7 @@ _PENETRATION_KEPT_PER_S = 1e-6
 _STATE = (
     batch.BodyFields.POSITION | batch.BodyFields.ANGLE | batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY
 )
+_BOOL = np.dtype(np.bool_)
 _CLEAR_M = 1e-6
 """Gaps larger than the step by this much are not closed in it."""
 
@@ -61,6 +62,7 @@ class Dynamics:
         self._gaps = np.empty(self._count)
         """(n,) from each robot's middle to the nearest wall, cut where no step reaches."""
         self._walls = index.buckets()
+        self.make_room()
         self._look_around()
 
     def _make_buffers(self) -> None:
@@ -74,16 +76,35 @@ class Dynamics:
         self.__dict__.update(state)
         self._make_buffers()
 
+    @property
+    def arguments(self) -> tuple:
+        """What `advance` needs beside the walls, the commands and where the poses go."""
+        return (
+            self._state, self._limits, self._time_step_s, self._substeps, self._radius_m, self._reach_m, self._gaps,
+        )  # fmt: skip
+
     def step(self, commands: Array) -> None:
         """Advance one time step; commands (n, 2) are forward speed [m/s] and turn rate [rad/s], cut to the limits."""
-        self.poses, self.contacts = np.empty((self._count, 3)), np.empty(self._count, np.bool_)
-        is_free = _advance(
-            self._state, np.asarray(commands, float), self._limits, self._time_step_s, self._substeps, *self._walls,
-            self._radius_m, self._reach_m, self._gaps, self.poses, self.contacts,
-        )  # fmt: skip
-        if not is_free:
-            self._collide()
-            self._look_around()
+        self.make_room()
+        if not advance(np.asarray(commands, float), *self._walls, *self.arguments, self.poses, self.contacts):
+            self.collide()
+
+    def make_room(self) -> None:
+        """New arrays for the poses and contacts of a step, which `advance` or `collide` fills."""
+        self.poses = np.empty((self._count, 3))
+        """(n, 3) true poses, a new array with every step."""
+        self.contacts = np.empty(self._count, _BOOL)
+        """(n,) whether the robot touches a wall or a robot at the end of the step; a new array with every step."""
+
+    def collide(self) -> None:
+        """The step that `advance` has refused, in the rigid-body world."""
+        batch.set_space_bodies(self._space, _STATE, self._outgoing)
+        for _ in range(self._substeps):
+            self._space.step(self._time_step_s / self._substeps)
+        self._incoming.clear()
+        batch.get_space_bodies(self._space, _STATE, self._incoming)
+        self._state[:] = np.frombuffer(self._incoming.float_buf()).reshape(self._count + 1, 6)
+        self._look_around()
 
     def anchor(self, robots: Iterable[int]) -> None:
         """From now on nobody can push these robots: their brakes hold."""
@@ -91,20 +112,7 @@ class Dynamics:
         for robot in robots:
             bodies[robot].mass = _ANCHORED_KG
 
-    def _collide(self) -> None:
-        """The same step in the rigid-body world."""
-        batch.set_space_bodies(self._space, _STATE, self._outgoing)
-        for _ in range(self._substeps):
-            self._space.step(self._time_step_s / self._substeps)
-        self._incoming.clear()
-        batch.get_space_bodies(self._space, _STATE, self._incoming)
-        self._state[:] = np.frombuffer(self._incoming.float_buf()).reshape(self._count + 1, 6)
-
     def _look_around(self) -> None:
-        self.poses = np.empty((self._count, 3))
-        """(n, 3) true poses, a new array with every step."""
-        self.contacts = np.empty(self._count, np.bool_)
-        """(n,) whether the robot touches a wall or a robot at the end of the step; a new array with every step."""
         _look_around(self._state, *self._walls, self._radius_m, self._reach_m, self._gaps, self.poses, self.contacts)
 
 
@@ -176,8 +184,8 @@ def _look_around(state, walls, origin, bucket, rows, columns, first, members, ra
 
 
 @borrowing_kernel
-def _advance(
-    state, commands, limits, time_step, substeps, walls, origin, bucket, rows, columns, first, members, radius, reach,
+def advance(
+    commands, walls, origin, bucket, rows, columns, first, members, state, limits, time_step, substeps, radius, reach,
     gaps, poses, contacts,
 ):  # fmt: skip
     """`_drive` and, where nothing can be touched, `_look_around`; whether that was so."""

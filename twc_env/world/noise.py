@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import cache
 from statistics import NormalDist
 
 import numpy as np
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 Array = NDArray
 
-_STEPS = 64
+_STEPS, _STEPS_MAX = 64, 256
+_FEW = 16
+"""Numbers per step that are so few that drawing them costs less than asking for them: they are drawn for more steps."""
 _POOL = 512
 
 
@@ -22,15 +24,16 @@ class StepNoise:
         """`count` numbers per robot and step; kind: "standard_normal", "random" (uniform in [0, 1)), or "bits" (random
         words of 64 bits, for noise that a kernel makes out of them)."""
         self._sources = [(streams, count, kind)]
-        self.numbers = np.empty((_STEPS, len(streams), count), np.uint64 if kind == "bits" else np.float64)
+        self.numbers = np.empty((_steps(count), len(streams), count), np.uint64 if kind == "bits" else np.float64)
         """(steps, robots, count)."""
-        self._used = _STEPS
+        self._used = len(self.numbers)
 
     def beside(self, streams: Sequence[np.random.Generator], count: int, kind: str = "standard_normal") -> StepNoise:
         """The same with further numbers of other streams in the columns behind."""
         self._sources.append((streams, count, kind))
-        steps, robots, columns = self.numbers.shape
-        self.numbers, self._used = np.empty((steps, robots, columns + count)), _STEPS
+        _, robots, columns = self.numbers.shape
+        self.numbers = np.empty((_steps(columns + count), robots, columns + count))
+        self._used = len(self.numbers)
         return self
 
     def next(self) -> Array:
@@ -39,20 +42,24 @@ class StepNoise:
 
     def next_row(self) -> int:
         """The row of `numbers` for the next step."""
-        if self._used == _STEPS:
+        if self._used == len(self.numbers):
             self._draw()
         self._used += 1
         return self._used - 1
 
     def _draw(self) -> None:
-        first = 0
+        first, steps = 0, len(self.numbers)
         for streams, count, kind in self._sources:
             for robot, stream in enumerate(streams):
-                draw = partial(stream.integers, 0, 2**64, dtype=np.uint64) if kind == "bits" else getattr(stream, kind)
-                numbers = draw(size=_STEPS * count).reshape(_STEPS, count)
-                self.numbers[:, robot, first : first + count] = numbers
+                draw = stream.bit_generator.random_raw if kind == "bits" else getattr(stream, kind)
+                self.numbers[:, robot, first : first + count] = draw(steps * count).reshape(steps, count)
             first += count
         self._used = 0
+
+
+def _steps(count: int) -> int:
+    """For how many steps numbers are drawn at once, `count` of them for each."""
+    return _STEPS_MAX if count <= _FEW else _STEPS
 
 
 class NormalPool:

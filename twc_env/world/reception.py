@@ -106,7 +106,7 @@ class WifiReceivers:
     def begin_round(self) -> None:
         """Draw the numbers for a further scan of each robot."""
         self.row = self._noise.next_row()
-        if self.row == 0:
+        if self.row % len(self._fading.numbers) == 0:
             self._fading.refill()
 
     @property

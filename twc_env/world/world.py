@@ -17,7 +17,7 @@ from twc_env.messages import SignReading, WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.team_messages import TeamFrames, WifiScans
 from twc_env.world.crossing_table import MISSING, square_at
-from twc_env.world.dynamics import Dynamics
+from twc_env.world.dynamics import Dynamics, advance
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.lidar import Lidar, glass_walls, sweep
 from twc_env.world.odometry import Odometry, measure
@@ -34,6 +34,9 @@ START_SPACING_M = 1.5
 START_SPACING_MIN_M = 0.6
 _PLACES_MAX = 2000
 _NO_RANGES = np.empty((0, 0))
+_INT = np.dtype(np.int64)
+_TOUCHING, _UNSEEN = -1, -2
+"""In place of how many signs are in view: somebody may touch something; the walls around robot 0 are unknown."""
 _START_TRIES = 20
 """Sets of places tried, each with less distance between the robots, before a map counts as too small."""
 
@@ -49,11 +52,13 @@ class World:
         self._home = plan.home
         self._is_moved = bool(plan.pose_building_home.any())
         self._radio = _radio_model(config.radio, self._home)
+        self._transmitter_count = len(self._radio.macs)
         self._wifi_period = _period_steps(config.radio.scan_period_s, config)
         self._camera_period = _period_steps(config.signs.period_s, config)
         self._hearing = _turns(self._wifi_period, config.robots)
         self._hearing_robots = [np.array(robots, np.int64) for robots in self._hearing]
         self._looking = _turns(self._camera_period, config.robots)
+        self._no_signs: tuple[tuple[SignReading, ...], ...] = ((),) * config.robots
 
     def reset(self, seed: int, starts: str | Array = "random") -> None:
         """Begin an episode. Starts: "random" (drawn by seed), "map" (the plan's own), or poses (n, 3).
@@ -82,7 +87,8 @@ class World:
         self._apparatus_crossings: tuple[Array, ...] = ()
         self._sensed_poses = self._dynamics.poses
         self._step = 0
-        self.sighted_signs = self._none_sighted = ((),) * robots
+        self._none_sighted: tuple[tuple[int, ...], ...] = ((),) * robots
+        self.sighted_signs = self._none_sighted
 
     @property
     def poses(self) -> Array:
@@ -118,74 +124,92 @@ class World:
 
     def sense(self) -> TeamFrames:
         """One frame per robot: all that leaves the world. Its arrays are read-only."""
-        poses, step, robots = self._dynamics.poses, self._step, self.config.robots
+        return self._read(None)
+
+    def tick(self, commands: Array) -> TeamFrames:
+        """`step`, then `sense`: where nobody touches anything, in one compiled call."""
+        self._step += 1
+        self._dynamics.make_room()
+        return self._read(np.asarray(commands, float))
+
+    def _read(self, commands: Array | None) -> TeamFrames:
+        """What all sensors read, once the robots have followed the commands of this step, if there are any."""
+        step, robots, dynamics = self._step, self.config.robots, self._dynamics
         odometry, turn_rates = np.empty((robots, 3)), np.empty(robots)
-        ranges = np.empty((robots, self.config.lidar.beam_count)) if self._lidar.is_plain else _NO_RANGES
-        hearing, looking = self._hearing[step % self._wifi_period], self._looking[step % self._camera_period]
-        shape = (len(hearing) if self._hears_at_once else 0), len(self._radio.macs)
-        robots_heard = self._hearing_robots[step % self._wifi_period]
-        scans = WifiScans(robots_heard, np.empty(shape, np.int64), np.empty(shape), np.empty(shape[0], np.int64))
-        self._read(poses, odometry, turn_rates, ranges, scans, hearing.start, looking.start)
-        if not self._lidar.is_plain:
-            ranges = self._lidar.scan(poses)
+        is_plain = self._lidar.is_plain
+        ranges = np.empty((robots, self.config.lidar.beam_count)) if is_plain else _NO_RANGES
+        scans = self._scans_of_step()
+        arguments = (
+            self._sensed_poses, dynamics.poses, step, self._odometry.noise.next_row(),
+            self._lidar.noise.next_row() if is_plain else 0, self._wifi.row, odometry, turn_rates, ranges, *scans[1:],
+        )  # fmt: skip
+        if commands is None:
+            sighted = _sense(self._kit(), *arguments)
+        else:
+            sighted = _move_and_sense(self._kit(), commands, dynamics.contacts, *arguments)
+        while sighted < 0:
+            if sighted == _TOUCHING:
+                dynamics.collide()
+            else:
+                self._radio.crossings.prepare(*dynamics.poses[_UNSEEN - sighted, :2].tolist())
+            sighted = _sense(self._kit(), *arguments)
+        self._sensed_poses = dynamics.poses
+        if not is_plain:
+            ranges = self._lidar.scan(dynamics.poses)
         if step == 0:
             odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self.config.dynamics.time_step_s
-        wifi: WifiScans | list[WifiScan | None] = scans
-        if not self._hears_at_once:
-            wifi = [None] * robots
-            for robot in hearing:
-                wifi[robot] = self._receivers[robot].scan(poses[robot], time_s)
-        self._sensed_poses = poses
-        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, self._read_signs(looking))
+        wifi = scans if self._hears_at_once else self._hear_one_by_one(time_s)
+        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, self._read_signs(sighted))
 
-    def _read(
-        self, poses: Array, odometry: Array, turn_rates: Array, ranges: Array, scans: WifiScans, first_hearing: int,
-        first_looking: int,
-    ) -> None:  # fmt: skip
-        """Let `_sense` fill all arrays but the poses."""
-        crossings, missing = self._radio.crossings, -1
-        if self._hears_at_once and self._step % self._wifi_period == 0:
+    def _scans_of_step(self) -> WifiScans:
+        """Room for what is heard in this step."""
+        turn = self._step % self._wifi_period
+        if self._hears_at_once and turn == 0:
             self._wifi.begin_round()
-        odometry_row = self._odometry.noise.next_row()
-        lidar_row = self._lidar.noise.next_row() if self._lidar.is_plain else 0
-        while missing != len(poses):
-            if missing >= 0:
-                crossings.prepare(*poses[missing, :2].tolist())
-            if self._apparatus is None or self._apparatus_crossings is not crossings.arrays:
-                self._apparatus, self._apparatus_crossings = self._packed(), crossings.arrays
-            missing = _sense(
-                self._apparatus, self._sensed_poses, poses, odometry_row, lidar_row, self._wifi.row, first_hearing,
-                first_looking, odometry, turn_rates, ranges, scans.macs, scans.rssi_dbm, scans.counts,
-            )  # fmt: skip
+        robots = self._hearing_robots[turn]
+        count = len(robots) if self._hears_at_once else 0
+        shape = count, self._transmitter_count
+        return WifiScans(robots, np.empty(shape, _INT), np.empty(shape), np.empty(count, _INT))
+
+    def _hear_one_by_one(self, time_s: float) -> list[WifiScan | None]:
+        wifi: list[WifiScan | None] = [None] * self.config.robots
+        for robot in self._hearing[self._step % self._wifi_period]:
+            wifi[robot] = self._receivers[robot].scan(self._dynamics.poses[robot], time_s)
+        return wifi
+
+    def _read_signs(self, sighted: int) -> tuple[tuple[SignReading, ...], ...]:
+        """What OCR makes of the signs that `_sense` has found in view."""
+        if not sighted:
+            self.sighted_signs = self._none_sighted
+            return self._no_signs
+        counts = self._sight_counts.tolist()
+        signs, sources = list(self._no_signs), list(self._none_sighted)
+        for robot in self._looking[self._step % self._camera_period]:
+            if counts[robot]:
+                sights = self._sights[robot, : counts[robot]]
+                signs[robot], sources[robot] = self._cameras[robot].read_sights(sights, self._hidden[robot])
+        self.sighted_signs = tuple(sources)
+        return tuple(signs)
+
+    def _kit(self) -> Pack:
+        """What `_move_and_sense` needs in every step; another one when the crossing table has grown."""
+        crossings = self._radio.crossings.arrays
+        if self._apparatus is None or self._apparatus_crossings is not crossings:
+            self._apparatus, self._apparatus_crossings = self._packed(), crossings
+        return self._apparatus
 
     def _packed(self) -> Pack:
-        """What `_sense` needs in every step."""
         return pack(
             (
-                *self._walls, *self._odometry.arguments, *self._lidar.arguments, *self._wifi.arguments,
-                *self._cameras[0].arguments, self._sights, self._hidden, self._sight_counts,
+                *self._walls, *self._dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
+                *self._wifi.arguments, *self._cameras[0].arguments, self._sights, self._hidden, self._sight_counts,
                 self._wifi_period, self._camera_period,
             )
         )  # fmt: skip
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_apparatus": None}
-
-    def _read_signs(self, looking: range) -> list[tuple[SignReading, ...]]:
-        """What OCR makes of the signs that `_sense` has found in view."""
-        robots, counts = self.config.robots, self._sight_counts.tolist()
-        signs: list[tuple[SignReading, ...]] = [()] * robots
-        if not any(counts[looking.start :: looking.step]):
-            self.sighted_signs = self._none_sighted
-            return signs
-        sighted: list[tuple[int, ...]] = [()] * robots
-        for robot in looking:
-            if counts[robot]:
-                sights = self._sights[robot, : counts[robot]]
-                signs[robot], sighted[robot] = self._cameras[robot].read_sights(sights, self._hidden[robot])
-        self.sighted_signs = tuple(sighted)
-        return signs
 
     def _in_building(self, poses_home: Array) -> Array:
         return compose(self.plan.pose_building_home, poses_home) if self._is_moved else poses_home
@@ -266,16 +290,16 @@ def _radio_model(config: RadioConfig, plan: Floorplan) -> RadioModel:
 
 @kernel
 def _sense(
-    apparatus, before, now, odometry_row, lidar_row, wifi_row, first_hearing, first_looking, odometry, turn_rates,
-    ranges, macs, readings, heard_counts,
+    apparatus, before, now, step, odometry_row, lidar_row, wifi_row, odometry, turn_rates, ranges, macs, readings,
+    heard_counts,
 ):  # fmt: skip
     """One reading of all robots: `measure`, `sweep`, `hear` and `look`, the last two where they are due.
 
-    Nothing is read, and the number of a robot returned, where the walls around it are still to be worked out; else how
-    many robots there are. Lasers and radios need a row each for what they read, or none at all is used.
+    Gives how many signs are in view. Where the walls around robot i are still to be worked out, nothing is read and
+    _UNSEEN - i returned. Lasers and radios need a row each for what they read, or none at all is used.
     """
     (
-        walls, origin, bucket, rows, columns, first, members,
+        walls, origin, bucket, rows, columns, first, members, _, _, _, _, _, _, _,
         biases, white, slips_per_m, time_step, odometry_noise,
         directions, radius, far, near, near_counts, anchors, laid, stamps, quantiles, range_std, words,
         loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
@@ -284,10 +308,10 @@ def _sense(
         signs, lengths, optics, does_hide, sights, hidden, sight_counts, wifi_period, camera_period,
     ) = apparatus.parts  # fmt: skip
     robots = now.shape[0]
-    hearing = range(first_hearing, robots, wifi_period) if macs.shape[0] > 0 else range(0)
+    hearing = range(-step % wifi_period, robots if macs.shape[0] > 0 else 0, wifi_period)
     for i in hearing:
         if square_at(now[i, 0], now[i, 1], low, numbers) == MISSING:
-            return i
+            return _UNSEEN - i
     noise = odometry_noise[odometry_row]
     measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates)
     if ranges.shape[0] == robots:
@@ -302,9 +326,41 @@ def _sense(
             distance_min, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
             all_macs, draws[wifi_row], macs[k], readings[k],
         )  # fmt: skip
-    for i in range(first_looking, robots, camera_period):
+    sighted = 0
+    for i in range(-step % camera_period, robots, camera_period):
         sight_counts[i] = look(
             walls, origin, bucket, rows, columns, first, members, signs, lengths, optics, now[i], before[i],
             now if does_hide else now[:0], sights[i], hidden[i],
         )  # fmt: skip
-    return robots
+        sighted += sight_counts[i]
+    return sighted
+
+
+@kernel
+def _move_and_sense(
+    apparatus, commands, contacts, before, now, step, odometry_row, lidar_row, wifi_row, odometry, turn_rates, ranges,
+    macs, readings, heard_counts,
+):  # fmt: skip
+    """`advance`, which fills `contacts` and `now`, and `_sense`; _TOUCHING, with nothing read, where that refuses."""
+    walls, origin, bucket, rows, columns, first, members = apparatus.parts[:7]
+    state, limits, time_step, substeps, radius, reach, gaps = apparatus.parts[7:14]
+    if not advance(
+        commands, walls, origin, bucket, rows, columns, first, members, state, limits, time_step, substeps, radius,
+        reach, gaps, now, contacts,
+    ):  # fmt: skip
+        return _TOUCHING
+    return _sense(
+        apparatus,
+        before,
+        now,
+        step,
+        odometry_row,
+        lidar_row,
+        wifi_row,
+        odometry,
+        turn_rates,
+        ranges,
+        macs,
+        readings,
+        heard_counts,
+    )

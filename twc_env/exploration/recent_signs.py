@@ -1,0 +1,80 @@
+"""The signs that each robot read of late, and how many other places each text is known from."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.kernels import borrowing_kernel
+from twc_env.messages import KnownSign, SignReading
+
+Array = NDArray
+
+_NO_PLACES = np.zeros((0, 2))
+
+
+class RecentSigns:
+    """The latest readings of all robots, and where each robot knows signs to be."""
+
+    def __init__(self, robots: int, slots: int):
+        self.readings = np.zeros((robots, slots, 4))
+        """Newest first: time, x and y in the odom frame, and in how many other places the text is known."""
+        self.counts = np.zeros(robots, np.int64)
+        """(robots,) readings that are kept."""
+        self.places = [_NO_PLACES] * robots
+        """Of each robot (k, 2): the signs that it knows, in the map frame."""
+        self._texts: list[list[str]] = [[] for _ in range(robots)]
+        self._known: Sequence[tuple[KnownSign, ...]] = ()
+        self._known_of: list[tuple[KnownSign, ...]] = [()] * robots
+        self._text_counts: list[Counter[str]] = [Counter()] * robots
+
+    def remember(self, poses: Array, time_s: float, signs: Sequence[tuple[SignReading, ...]]) -> None:
+        """Take in what each robot read in a step; poses as `TeamBeliefs` has them."""
+        slots = self.readings.shape[1]
+        for robot, own in enumerate(signs):
+            if not own:
+                continue
+            texts = self._texts[robot]
+            for sign in own:
+                _note_reading(poses, robot, time_s, sign.bearing_rad, sign.range_m, self.readings, self.counts)
+                texts = [sign.text, *texts[: slots - 1]]
+            self._texts[robot] = texts
+            if self._text_counts[robot]:
+                self._count_elsewhere(robot)
+
+    def know(self, signs: Sequence[tuple[KnownSign, ...]]) -> None:
+        """Take over the signs that each robot knows now; the same objects as before have not changed."""
+        if signs is self._known:
+            return
+        self._known = signs
+        for robot, own in enumerate(signs):
+            if own is not self._known_of[robot]:
+                self._known_of[robot] = own
+                self.places[robot], self._text_counts[robot] = _index_of(own)
+                self._count_elsewhere(robot)
+
+    def _count_elsewhere(self, robot: int) -> None:
+        for row, text in enumerate(self._texts[robot]):
+            self.readings[robot, row, 3] = max(self._text_counts[robot][text] - 1, 0)
+
+
+@lru_cache(maxsize=4)
+def _index_of(signs: tuple[KnownSign, ...]) -> tuple[Array, Counter[str]]:
+    """Places (k, 2) and how often each text is known; robots of one group share the list of signs."""
+    return np.array([sign.position_m for sign in signs]).reshape(-1, 2), Counter([sign.text for sign in signs])
+
+
+@borrowing_kernel
+def _note_reading(poses, robot, time_s, bearing, away, readings, counts):
+    """Put a sign before the other readings of a robot; as yet its text is known from nowhere else."""
+    rows, angle = readings[robot], poses[robot, 2, 2] + bearing
+    for k in range(rows.shape[0] - 1, 0, -1):
+        rows[k] = rows[k - 1]
+    rows[0, 0], rows[0, 3] = time_s, 0.0
+    rows[0, 1], rows[0, 2] = poses[robot, 2, 0] + away * math.cos(angle), poses[robot, 2, 1] + away * math.sin(angle)
+    counts[robot] = min(counts[robot] + 1, rows.shape[0])

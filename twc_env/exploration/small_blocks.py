@@ -1,0 +1,185 @@
+"""The blocks of an observation that are a few numbers each: `lidar`, `pose`, `wifi`, `signs` and `team`.
+
+What is kept of a robot for them stands in a row of an array, so that one compiled call serves all robots.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.exploration.observation_blocks import POSE_LIMITS
+from twc_env.exploration.recent_signs import RecentSigns
+from twc_env.exploration.wifi_slots import slots_for, take_scans
+from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames
+
+Array = NDArray
+
+HALF_WAY_M = 10.0
+"""Distances d are shown as d / (d + this)."""
+HALF_AGE_S = 10.0
+HALF_COUNT = 2.0
+PATH_SPACING_M = 0.2
+_FLOAT = np.dtype(np.float32)
+
+
+class SmallBlocks:
+    """Remembers the WiFi slots and the path of each robot; a block of all robots is one new array."""
+
+    names = ("lidar", "pose", "wifi", "signs", "team")
+
+    def __init__(self, config: EnvConfig, signs: RecentSigns):
+        robots, shape = config.robots, config.observation
+        mates = max(robots - 1, 1)
+        self.paths_odom = np.zeros((robots, max(1, round(shape.path_m / PATH_SPACING_M)), 2))
+        """Rings of the latest places of each robot."""
+        self.path_counts = np.zeros(robots, np.int64)
+        self.mate_places, self.mate_counts = np.zeros((robots, mates, 3)), np.zeros(robots, np.int64)
+        """Pose, in the robot's frame, of each mate of the group; as of the last `build`."""
+        self._shapes = (
+            (robots, config.lidar.beam_count), (robots, len(POSE_LIMITS)), (robots, shape.wifi_slots),
+            (robots, shape.sign_slots, 5), (robots, mates, 5),
+        )  # fmt: skip
+        rule = np.array([1.0 / config.lidar.range_max_m, shape.sign_memory_s, config.dynamics.time_step_s])
+        self._kept = (
+            *slots_for(robots, shape.wifi_slots), np.full((robots, 2), math.inf), self.path_counts, self.paths_odom,
+            signs.readings, signs.counts, self.mate_places, self.mate_counts, POSE_LIMITS, rule,
+        )  # fmt: skip
+        self._unseen = self._make_room()
+        self._frames: TeamFrames | None = None
+        """What was noticed last; taken in once it is shown, or once there is more."""
+        self._is_taken_in = True
+
+    def notice(self, frames: TeamFrames, beliefs: TeamBeliefs) -> None:
+        """Take in one step of all robots, whether or not it is ever shown: path and radio."""
+        if not self._is_taken_in:
+            self._fill(self._unseen, False)
+        self._frames, self._beliefs, self._is_taken_in = frames, beliefs, False
+
+    def build(self) -> list[Array]:
+        """The blocks of all robots, in the order of `names`, after the step that was noticed last."""
+        blocks = self._make_room()
+        self._fill(blocks, True)
+        return blocks
+
+    def _make_room(self) -> list[Array]:
+        return [np.empty(shape, _FLOAT) for shape in self._shapes]
+
+    def _fill(self, blocks: list[Array], is_shown: bool) -> None:
+        frames, beliefs = self._frames, self._beliefs
+        assert frames is not None
+        _fill_small(
+            *self._kept, not self._is_taken_in, is_shown, frames.time_s, frames.step, *frames.scans,
+            frames.ranges_m, beliefs.poses, beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates,
+            beliefs.mate_poses, *blocks,
+        )  # fmt: skip
+        self._is_taken_in = True
+
+
+@kernel
+def _extend_paths(poses, ends, counts, paths):
+    """Note where each robot has come to, in rings (robots, k, 2); poses (robots, 3, 3): the last is that in odom."""
+    for i in range(poses.shape[0]):
+        x, y = poses[i, 2, 0], poses[i, 2, 1]
+        dx, dy = x - ends[i, 0], y - ends[i, 1]
+        if dx * dx + dy * dy >= PATH_SPACING_M * PATH_SPACING_M:
+            at = counts[i] % paths.shape[1]
+            paths[i, at, 0], paths[i, at, 1] = x, y
+            ends[i, 0], ends[i, 1] = x, y
+            counts[i] += 1
+
+
+@kernel
+def _fill_pose(pose, std, since_m, limits, out):
+    out[0], out[1] = pose[0], pose[1]
+    out[2], out[3] = math.cos(pose[2]), math.sin(pose[2])
+    out[4], out[5], out[6], out[7] = std[0], std[1], std[2], since_m
+    for k in range(8):
+        out[k] = min(max(out[k], -limits[k]), limits[k])
+
+
+@kernel
+def _fill_signs(readings, count, now_s, memory_s, pose, rows):
+    """The block `signs`: readings (slots, 4), newest first, that are not older than the memory."""
+    for k in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            rows[k, j] = 0.0
+    for k in range(min(count, rows.shape[0])):
+        age_s = now_s - readings[k, 0]
+        if age_s > memory_s + 1e-9:
+            return
+        dx, dy, elsewhere = readings[k, 1] - pose[0], readings[k, 2] - pose[1], readings[k, 3]
+        bearing = (math.atan2(dy, dx) - pose[2] + math.pi) % (2.0 * math.pi) - math.pi
+        away = math.sqrt(dx * dx + dy * dy)
+        rows[k, 0], rows[k, 1] = 1.0, bearing / math.pi
+        rows[k, 2] = away / (away + HALF_WAY_M)
+        rows[k, 3] = min(age_s / max(memory_s, 1e-9), 1.0)
+        rows[k, 4] = elsewhere / (elsewhere + HALF_COUNT)
+
+
+@kernel
+def _as_seen_from(pose, others, out):
+    """`geometry.between` of a pose and another (3,)."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy, turn = others[0] - pose[0], others[1] - pose[1], others[2] - pose[2]
+    out[0], out[1] = c * dx + s * dy, c * dy - s * dx
+    out[2] = (turn + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@kernel
+def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, places, rows):
+    """The block `team`: the step in which each mate was last heard of, and where those of the same map are.
+
+    Also these places (m, 3) in the robot's frame; gives how many they are.
+    """
+    for k in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            rows[k, j] = 0.0
+    count = 0
+    for k in range(contact_steps.shape[0]):
+        step = contact_steps[k]
+        if step != NOBODY:
+            age_s = (now - step) * time_step_s
+            rows[k, 4] = 1.0 if step < 0 else age_s / (age_s + HALF_AGE_S)
+        mate = mates[k]
+        if mate < 0:
+            continue
+        place, row = places[count], rows[mate if mate < robot else mate - 1]
+        _as_seen_from(pose, mate_poses[k], place)
+        away = math.sqrt(place[0] * place[0] + place[1] * place[1])
+        row[0], row[1] = 1.0, math.atan2(place[1], place[0]) / math.pi
+        row[2], row[3] = away / (away + HALF_WAY_M), place[2] / math.pi
+        count += 1
+    return count
+
+
+@borrowing_kernel
+def _fill_small(
+    scans, slot_macs, last_scan, levels, path_ends, path_counts, paths, readings, reading_counts, mate_places,
+    mate_counts, limits, rule, is_new, is_shown, now_s, step, scan_robots, macs, rssi_dbm, heard_counts, ranges, poses,
+    since_m, contact_steps, mates, mate_poses, lidar, pose, wifi, signs, team,
+):  # fmt: skip
+    """Take in a step that `is_new`; fill the blocks of all robots if it `is_shown`, and the places of mates.
+
+    poses (robots, 3, 3): in the map, its spread, in odom; contact_steps, mates, mate_poses as in `TeamBeliefs`.
+    """
+    per_metre, memory_s, time_step_s = rule[0], rule[1], rule[2]
+    if is_new:
+        _extend_paths(poses, path_ends, path_counts, paths)
+        take_scans(scan_robots, macs, rssi_dbm, heard_counts, scans, slot_macs, last_scan, levels)
+    if not is_shown:
+        return
+    for i in range(ranges.shape[0]):
+        for b in range(ranges.shape[1]):
+            lidar[i, b] = min(max(ranges[i, b] * per_metre, 0.0), 1.0)
+        for k in range(wifi.shape[1]):
+            wifi[i, k] = levels[i, k]
+        _fill_pose(poses[i, 0], poses[i, 1], since_m[i], limits, pose[i])
+        _fill_signs(readings[i], reading_counts[i], now_s, memory_s, poses[i, 2], signs[i])
+        mate_counts[i] = _fill_team(
+            i, step, time_step_s, contact_steps[i], mates[i], poses[i, 0], mate_poses[i], mate_places[i], team[i]
+        )
