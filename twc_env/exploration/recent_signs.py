@@ -74,7 +74,8 @@ def _note_reading(poses, robot, time_s, bearing, away, readings, counts):
     """Put a sign before the other readings of a robot; as yet its text is known from nowhere else."""
     rows, angle = readings[robot], poses[robot, 2, 2] + bearing
     for k in range(rows.shape[0] - 1, 0, -1):
-        rows[k] = rows[k - 1]
+        for j in range(rows.shape[1]):
+            rows[k, j] = rows[k - 1, j]
     rows[0, 0], rows[0, 3] = time_s, 0.0
     rows[0, 1], rows[0, 2] = poses[robot, 2, 0] + away * math.cos(angle), poses[robot, 2, 1] + away * math.sin(angle)
     counts[robot] = min(counts[robot] + 1, rows.shape[0])
