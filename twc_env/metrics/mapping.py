@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up_row, span_inside
 from twc_env.geometry import transform_points
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 Array = NDArray
 
@@ -231,7 +231,7 @@ def _look_up_floor(truth_free, row0, column0, step, mask):
             look_up_row(cells, columns, row, column, dr, dk, last - first, numbers, mask[i, first:last])
 
 
-@kernel
+@borrowing_kernel
 def _count_free_under(log_odds, mask, box):
     count = 0
     for i in range(box[0], box[2]):

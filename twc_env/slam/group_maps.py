@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import compose
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.messages import GridMap, Keyframe
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.team_graph import TeamGraph
@@ -32,7 +32,7 @@ class Group:
     """Grows when the map was drawn anew."""
 
 
-@kernel
+@borrowing_kernel
 def _have_moved(poses, drawn):
     """Whether any pose is so far from where it was drawn that the map shows it."""
     for k in range(drawn.shape[0]):

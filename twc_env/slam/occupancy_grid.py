@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.geometry import beam_directions
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import note_kinds
 
@@ -168,9 +168,27 @@ def _note_spans(log_odds, row_low, row_high, spans, kinds):
 
 
 @kernel
-def _integrate_many(
-    log_odds, kinds, boxes, inverse_m, poses, directions, scans, range_max, crossings, counts, spans, reached
-):
+def _integrate_inside(log_odds, kinds, bounds, reached, inverse_m, poses, directions, scans, range_max, crossings):
+    """Fold in scans that touch no more than the box `reached`, in a grid with these bounds."""
+    beams, height = scans.shape[1], crossings.shape[1]
+    counts, spans = np.empty(height, np.int32), np.empty((height, 2), np.int32)
+    corners, edges = np.empty((2, beams + 1)), np.empty((2, beams))
+    rows, cells = np.empty((2, beams), np.int32), np.empty((2, beams), np.int32)
+    for k in range(poses.shape[0]):
+        row_low, row_high = _integrate_scan(
+            log_odds, bounds[0], bounds[1], inverse_m, poses[k], directions, scans[k], range_max, crossings, counts,
+            spans, corners, edges, rows, cells,
+        )  # fmt: skip
+        if poses.shape[0] == 1:
+            _note_spans(log_odds, row_low, row_high, spans, kinds)
+    if poses.shape[0] > 1:  # they touch the same cells again and again
+        bottom, left = int((reached[1] - bounds[1]) * inverse_m) - 2, int((reached[0] - bounds[0]) * inverse_m) - 2
+        top, right = int((reached[3] - bounds[1]) * inverse_m) + 3, int((reached[2] - bounds[0]) * inverse_m) + 3
+        note_kinds(log_odds, bottom, left, top, right, kinds)
+
+
+@borrowing_kernel
+def _integrate_many(log_odds, kinds, boxes, inverse_m, poses, directions, scans, range_max, crossings, reached):
     """Fold in scans that lie inside the first box, and widen the second by what these can touch.
 
     Writes that box to `reached` (4,); whether it lay inside.
@@ -189,20 +207,7 @@ def _integrate_many(
     for side in range(2):
         boxes[1, side] = min(boxes[1, side], reached[side])
         boxes[1, 2 + side] = max(boxes[1, 2 + side], reached[2 + side])
-    beams = scans.shape[1]
-    corners, edges = np.empty((2, beams + 1)), np.empty((2, beams))
-    rows, cells = np.empty((2, beams), np.int32), np.empty((2, beams), np.int32)
-    for k in range(poses.shape[0]):
-        row_low, row_high = _integrate_scan(
-            log_odds, bounds[0], bounds[1], inverse_m, poses[k], directions, scans[k], range_max, crossings, counts,
-            spans, corners, edges, rows, cells,
-        )  # fmt: skip
-        if poses.shape[0] == 1:
-            _note_spans(log_odds, row_low, row_high, spans, kinds)
-    if poses.shape[0] > 1:  # they touch the same cells again and again
-        bottom, left = int((reached[1] - bounds[1]) * inverse_m) - 2, int((reached[0] - bounds[0]) * inverse_m) - 2
-        top, right = int((reached[3] - bounds[1]) * inverse_m) + 3, int((reached[2] - bounds[0]) * inverse_m) + 3
-        note_kinds(log_odds, bottom, left, top, right, kinds)
+    _integrate_inside(log_odds, kinds, bounds, reached, inverse_m, poses, directions, scans, range_max, crossings)
     return True
 
 
@@ -215,8 +220,7 @@ class OccupancyGrid:
         self.resolution_m = resolution_m
         self.range_max_m = range_max_m
         rows = int(2 * range_max_m / resolution_m) + 8
-        self._crossings, self._counts = np.zeros((beam_count + 2, rows), np.int32), np.zeros(rows, np.int32)
-        self._spans = np.zeros((rows, 2), np.int32)
+        self._crossings = np.zeros((beam_count + 2, rows), np.int32)
         self._directions, self._touched_m = beam_directions(beam_count), np.zeros(4)
         self.clear()
 
@@ -241,7 +245,7 @@ class OccupancyGrid:
         """Whether the scans could be folded in: not where they touch more than there are cells."""
         inside: bool = _integrate_many(
             self.log_odds, self._kinds, self._boxes_m, 1.0 / self.resolution_m, poses, self._directions, scans,
-            self.range_max_m, self._crossings, self._counts, self._spans, self._touched_m,
+            self.range_max_m, self._crossings, self._touched_m,
         )  # fmt: skip
         return inside
 

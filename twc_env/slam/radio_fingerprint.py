@@ -117,7 +117,7 @@ def ages_of(scans: Sequence[WifiScan | None]) -> Array:
     return ages_s
 
 
-@kernel
+@borrowing_kernel
 def _fingerprint_of(
     receiver, macs, levels, ages, counts, times, added, after, age_max, detection_min, std_mode, out_macs, out_levels
 ):  # fmt: skip

@@ -20,7 +20,7 @@ from twc_env.slam.sign_readings import SignReadings
 Array = NDArray
 
 
-@kernel
+@borrowing_kernel
 def _nearest(poses, nodes, travels, travel_max, x, y):
     best, best_squared = -1, np.inf
     for k in range(nodes.shape[0]):

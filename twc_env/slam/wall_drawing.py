@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 REACH_M = 0.45
 """Cells further from a wall than this know nothing of it."""
@@ -146,13 +146,19 @@ def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, end
 
 
 @kernel
+def _add_scans(walls, origin, inverse_m, poses, directions, scans, range_max, drawn):
+    """See `draw_scans`."""
+    ends = np.empty((scans.shape[1] + 1, 2))
+    squares = np.empty(int((2 * JUMP_MAX_M + 2 * REACH_M) * inverse_m) + 3, np.float32)
+    for k in range(poses.shape[0]):
+        _add_scan(walls, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn, squares)
+
+
+@borrowing_kernel
 def draw_scans(walls, origin, inverse_m, poses, directions, scans, range_max, drawn):
     """Draw scans (k, beams) [m] taken at poses (k, 3) into walls (rows, columns, 4): normal, offset, distance.
 
     origin (2,): the field's corner, from which the offsets are measured. directions (beams, 2): cosine and sine.
     drawn (4,): left, bottom, right and top end of the cells drawn so far, widened here.
     """
-    ends = np.empty((scans.shape[1] + 1, 2))
-    squares = np.empty(int((2 * JUMP_MAX_M + 2 * REACH_M) * inverse_m) + 3, np.float32)
-    for k in range(poses.shape[0]):
-        _add_scan(walls, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn, squares)
+    _add_scans(walls, origin, inverse_m, poses, directions, scans, range_max, drawn)
