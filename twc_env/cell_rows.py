@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 FIXED_BITS = 32
 FIXED_POINT = 2.0**FIXED_BITS
@@ -26,7 +26,7 @@ def span_inside(start, step, limit, count):
     return first, min(last, count)
 
 
-@kernel
+@borrowing_kernel
 def look_up_row(cells, width, row, column, row_step, column_step, count, numbers, levels):
     """Write to levels the first `count` samples from (row, column) on, in fixed point; all of them lie in the grid.
 

@@ -239,7 +239,7 @@ def _count_free_under(log_odds, mask, box):
     return count
 
 
-@kernel
+@borrowing_kernel
 def _count_row(levels, mask):
     count = np.int32(0)  # narrow numbers, so that more of them are added at once
     for j in range(levels.shape[0]):

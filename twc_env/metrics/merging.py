@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twc_env.errors import DataError
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 
 Array = NDArray
 
@@ -31,7 +31,7 @@ def implied_frames(estimated_poses: Array, true_poses: Array, robot_of: Array) -
     return frames
 
 
-@kernel
+@borrowing_kernel
 def find_frames(estimated, true, robot_of, frames):
     """`implied_frames`, written to frames (n, 3)."""
     for robot in range(frames.shape[0]):
@@ -73,7 +73,7 @@ def wrong_pairs(
     return [(int(i), int(j)) for i, j in np.argwhere(is_wrong)]
 
 
-@kernel
+@borrowing_kernel
 def find_wrong(frames, x, y, distance_max, angle_max, is_wrong):
     """Mark the pairs (i, j), i < j, that disagree; gives how many they are."""
     count = 0

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twc_env.errors import DataError
 from twc_env.geometry import between, transform_points
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 Array = NDArray
 
@@ -40,7 +40,7 @@ def lay_map(estimated: ArrayLike, true: ArrayLike) -> Array:
     return pose
 
 
-@kernel
+@borrowing_kernel
 def align(a, b, lever, pose):
     """`geometry.align_rigidly` of points (n, 2), or of poses (n, 3), with headings that count like points ahead."""
     count = a.shape[0]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 Array = NDArray
 
@@ -211,7 +211,7 @@ def _eliminate(pairs, count, dense_from, dense_share):
     )
 
 
-@kernel
+@borrowing_kernel
 def _factorise(order, start, node_of, block_of, target_start, target, diagonal, blocks, lower, right):
     """Eliminate in order: diagonal becomes 3 x 3 Cholesky factors, lower the columns, right the forward solution."""
     for step in range(len(order)):
@@ -304,7 +304,7 @@ def _dense_rest(rest, pairs, diagonal, blocks, right):
     return dense, part
 
 
-@kernel
+@borrowing_kernel
 def _substitute_back(order, start, node_of, diagonal, lower, solution):
     for step in range(len(order) - 1, -1, -1):
         p = order[step]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 Array = NDArray
 
@@ -17,7 +17,7 @@ def _kind(highest, lowest):
     return np.uint8(WALL) if highest > 0 else (np.uint8(FREE) if lowest < 0 else np.uint8(UNKNOWN))
 
 
-@kernel
+@borrowing_kernel
 def note_kinds(log_odds, first_row, first_column, end_row, end_column, kinds):
     """Write what stands in the square of four cells from each of these cells on, upwards and to the right.
 

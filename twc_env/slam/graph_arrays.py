@@ -23,7 +23,7 @@ def _wrap(angle):
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
-@kernel
+@borrowing_kernel
 def _put_node(
     node, previous, robot, step, travel, motion, covariance, ranges, poses, scans, robots, steps, travels, strains
 ):  # fmt: skip
@@ -44,7 +44,7 @@ def _put_node(
         strains[node, axis] = before + (across if axis < 2 else covariance[2, 2])
 
 
-@kernel
+@borrowing_kernel
 def _put_edge(edge, first, second, measurement, covariance, closure, is_used, ends, measured, information, kinds, used):
     ends[edge, 0], ends[edge, 1] = first, second
     for axis in range(3):

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 LANES = 16
 """So many points are worked out at once."""
@@ -25,7 +25,7 @@ def line_scratch():
     return np.zeros(16 * LANES), np.empty(LANES, np.int32), np.zeros(4 * LANES, np.float32), np.empty(10)
 
 
-@kernel
+@borrowing_kernel
 def _look_up_walls(cells, height, width, inverse_m, points, first, x, y, c, s, work, places, seen):
     """Of LANES points from the first on: where they end up (qx, qy), only turned (rx, ry), and the walls known there.
 
@@ -50,7 +50,7 @@ def _look_up_walls(cells, height, width, inverse_m, points, first, x, y, c, s, w
         seen[j], seen[LANES + j], seen[2 * LANES + j], seen[3 * LANES + j] = wall[0], wall[1], wall[2], wall[3]
 
 
-@kernel
+@borrowing_kernel
 def _add_terms(work, seen, distance_max, sums):
     """Add to sums (10,) what each of LANES points contributes: worked out for many at once, added in their order."""
     near = 0
@@ -84,7 +84,7 @@ def _add_terms(work, seen, distance_max, sums):
     return near
 
 
-@kernel
+@borrowing_kernel
 def normal_equations(walls, origin, inverse_m, points, n, x, y, heading, distance_max, scratch, h):
     """Sum J^T w J (h: 6 upper entries) and J^T w e (3 more) over points near walls; gives sum of w and number.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import OdometryFilterConfig, VerificationConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.global_matching import match_globally
 from twc_env.slam.odometry_filter import invert_symmetric
@@ -40,7 +40,7 @@ MATCH_COVARIANCE_MIN = np.diag(np.square((0.03, 0.03, 0.01)))
 """No match is known better than this [m2, m2, rad2]."""
 
 
-@kernel
+@borrowing_kernel
 def _relative(base, pose, out):
     """The pose seen from base, both in one frame."""
     c, s = math.cos(base[2]), math.sin(base[2])
@@ -73,7 +73,7 @@ def _join(poses, scans, directions, range_max, points):
     return n
 
 
-@kernel
+@borrowing_kernel
 def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
     """Share of one scan's end points, seen from pose in another scan's frame, well inside that scan's free space."""
     beams = ranges.shape[0]

@@ -31,7 +31,7 @@ MEMORY = 100
 """Discs remembered."""
 
 
-@kernel
+@borrowing_kernel
 def _is_disc(ranges, directions, first, count, cx, cy, radius):
     """Whether the end points of these beams lie on the disc."""
     beams = ranges.shape[0]

@@ -33,7 +33,7 @@ BLOCK_CELLS = 32
 """What stands in a row is noted anew for so many cells at once: a few too many are quicker than a remainder."""
 
 
-@kernel
+@borrowing_kernel
 def _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corners, cells):
     """Where the free space ends in each direction, in rows and columns as reals, and the cell of each end point.
 
@@ -52,7 +52,7 @@ def _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corne
         cells[1, i] = np.int32(np.floor(gy + 0.5 + s * dx + c * dy))
 
 
-@kernel
+@borrowing_kernel
 def _cut(corners, last_row, edges, rows):
     """First row 0..last_row whose centre line each edge between corners crosses and the end of these: rows (2, edges).
 
@@ -67,7 +67,7 @@ def _cut(corners, last_row, edges, rows):
         rows[0, i], rows[1, i] = np.int32(first), np.int32(min(np.ceil(high), last_row + 1.0))
 
 
-@kernel
+@borrowing_kernel
 def _fill_crossings(edges, rows, width, crossings, counts):
     """Note where the edges cross the centre lines of rows, sorted by column 0..width.
 
@@ -87,7 +87,7 @@ def _fill_crossings(edges, rows, width, crossings, counts):
             crossings[k, row] = column
 
 
-@kernel
+@borrowing_kernel
 def _lower(levels, first, last):
     """Make the cells first..last - 1 of a row freer, whole blocks at once; in 16 bits throughout, twice as fast.
 
@@ -109,7 +109,7 @@ def _lower(levels, first, last):
         at = start + RUN_CELLS
 
 
-@kernel
+@borrowing_kernel
 def _integrate_scan(
     log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, crossings, counts, spans, corners,
     edges, rows, cells,
@@ -156,7 +156,7 @@ def _integrate_scan(
     return row_low, row_high
 
 
-@kernel
+@borrowing_kernel
 def _note_spans(log_odds, row_low, row_high, spans, kinds):
     """`note_kinds` of the squares that hold a cell of the spans."""
     for row in range(row_low - 1, row_high + 1):

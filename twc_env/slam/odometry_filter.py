@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import OdometryFilterConfig
 from twc_env.geometry import wrap_angle
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 Array = NDArray
 
@@ -28,7 +28,7 @@ def _motion_noise(dx, dy, config):
     return config[1] ** 2 + config[0] ** 2 * length, config[2] ** 2
 
 
-@kernel
+@borrowing_kernel
 def predict_state(x, p, odometry, turn_rate, dt, config):
     """Move by odometry with the gyro's heading; then learn the gyro's bias from the odometry's turn.
 
@@ -70,7 +70,7 @@ def predict_state(x, p, odometry, turn_rate, dt, config):
         p[i, 3] += gain * dt * bias
 
 
-@kernel
+@borrowing_kernel
 def invert3(m, out):
     """Inverse of a symmetric 3 x 3 matrix by cofactors."""
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
@@ -164,7 +164,7 @@ def squared_error(error, covariance):
     return total
 
 
-@kernel
+@borrowing_kernel
 def _predict_all(states, covariances, robots, odometry, turn_rates, dts, config):
     for a in range(robots.shape[0]):
         k = robots[a]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import PoseGraphConfig
 from twc_env.geometry import between, compose
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam import pose_graph
 from twc_env.slam.closure_agreement import pairwise_consistent
 from twc_env.slam.closure_growth import ClosureGrowth
@@ -113,7 +113,7 @@ def _weights_of_used(squared, is_closure, used, scale):
     return weight
 
 
-@kernel
+@borrowing_kernel
 def _reconsider(squared, is_closure, used):
     """Drop used closures that the fit contradicts and take in those that agree with it; whether there were any."""
     is_changed = False

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import LocalMapConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.slam.line_equations import FAR_M, line_scratch, normal_equations
 from twc_env.slam.wall_drawing import draw_scans
 
@@ -36,7 +36,7 @@ MATCHED_SHARE_MIN = 0.3
 """Nor is one that explains fewer of the beams."""
 
 
-@kernel
+@borrowing_kernel
 def _points_of(ranges, range_max, directions, points):
     """End points of the beams that returned, in the robot frame; gives their number."""
     n = 0
@@ -48,7 +48,7 @@ def _points_of(ranges, range_max, directions, points):
     return n
 
 
-@kernel
+@borrowing_kernel
 def _weakest_direction(h):
     """Smallest eigenvalue of the translation part of h with the heading left free, and its direction."""
     t = max(h[5], 1e-9)
@@ -58,7 +58,7 @@ def _weakest_direction(h):
     return max(mean - half, 0.0), math.cos(angle), math.sin(angle)
 
 
-@kernel
+@borrowing_kernel
 def _solve3(h, damping):
     """The step that the normal equations h (9,) ask for."""
     a00, a01, a02, a11, a12, a22 = h[0] + damping, h[1], h[2], h[3] + damping, h[4], h[5] + damping
@@ -108,7 +108,7 @@ def _refine(
     return total, near, degenerate, vx, vy
 
 
-@kernel
+@borrowing_kernel
 def _score(walls, origin, inverse_m, points, n, stride, x, y, c, s):
     height, width = walls.shape[0], walls.shape[1]
     total = 0.0
@@ -125,7 +125,7 @@ def _score(walls, origin, inverse_m, points, n, stride, x, y, c, s):
     return total
 
 
-@kernel
+@borrowing_kernel
 def _correlate(walls, origin, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best):
     """Brute force over a window around guess, nearest first; writes the best pose, gives its mean score in [0, 1]."""
     best_score = -1.0
@@ -145,7 +145,7 @@ def _correlate(walls, origin, inverse_m, points, n, guess, window_m, window_rad,
     return best_score / max((n + stride - 1) // stride, 1)
 
 
-@kernel
+@borrowing_kernel
 def _share_near(walls, origin, inverse_m, points, n, pose, near_m):
     """Share of the points within near_m of a wall."""
     height, width = walls.shape[0], walls.shape[1]
@@ -162,12 +162,14 @@ def _share_near(walls, origin, inverse_m, points, n, pose, near_m):
     return count / max(n, 1)
 
 
-@kernel
+@borrowing_kernel
 def _information(h, degenerate, vx, vy, scale, out):
     """Fill out (3, 3) with h / scale, emptied along the direction (vx, vy) where that is degenerate."""
     out[0, 0], out[0, 1], out[0, 2], out[1, 1], out[1, 2], out[2, 2] = h[0], h[1], h[2], h[3], h[4], h[5]
     out[1, 0], out[2, 0], out[2, 1] = h[1], h[2], h[4]
-    out /= scale
+    for i in range(3):
+        for j in range(3):
+            out[i, j] /= scale
     if degenerate:
         kxx, kxy, kyy = 1.0 - vx * vx, -vx * vy, 1.0 - vy * vy
         for j in range(3):
@@ -178,7 +180,7 @@ def _information(h, degenerate, vx, vy, scale, out):
             out[i, 0], out[i, 1] = kxx * a + kxy * b, kxy * a + kyy * b
 
 
-@kernel
+@borrowing_kernel
 def match_scan(walls, origin, scan, directions, rule, guess, points, h, scratch, pose, information):
     """Lay a scan (beams,) on a field near a guess: writes the pose (3,) and its information (3, 3), zeros for none.
 

@@ -46,7 +46,7 @@ def _locate(poses, travels, strains, pose_odom, node, tied, pose_map_odom, std):
     return travels[node] - travels[tied]
 
 
-@kernel
+@borrowing_kernel
 def _between(a, b, out):
     """The pose of b in a."""
     c, s = math.cos(a[2]), math.sin(a[2])

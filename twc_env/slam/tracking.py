@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Pack, kernel, pack
+from twc_env.kernels import Pack, borrowing_kernel, kernel, pack
 from twc_env.slam.line_equations import line_scratch
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
 from twc_env.slam.odometry_filter import CompiledFilters, make_filters, predict_state, update_state
@@ -39,7 +39,7 @@ def _see(
             )  # fmt: skip
 
 
-@kernel
+@borrowing_kernel
 def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, poses, travels, steps, is_new):
     """Poses after the step, path lengths, and whether each robot has come to a new place.
 

@@ -23,7 +23,7 @@ STRAIGHT_M = 0.02
 """... if none of them is further than this from the chord."""
 
 
-@kernel
+@borrowing_kernel
 def _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn, squares):
     """Tell the cells around the wall piece a-b [m from the field's corner] of its line, where it is the nearest."""
     height, width = walls.shape[0], walls.shape[1]
@@ -66,7 +66,7 @@ def _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn, squares):
                 wall[0], wall[1], wall[2], wall[3] = nx, ny, offset, math.sqrt(squares[j])
 
 
-@kernel
+@borrowing_kernel
 def _add_piece(walls, inverse_m, ends, first, last, drawn, squares):
     """Draw the piece of wall along the end points first..last: the straight line of least squares through them."""
     ax, ay, bx, by = ends[first, 0], ends[first, 1], ends[last, 0], ends[last, 1]
@@ -95,7 +95,7 @@ def _add_piece(walls, inverse_m, ends, first, last, drawn, squares):
     _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, nx * (ax + mx) + ny * (ay + my), drawn, squares)
 
 
-@kernel
+@borrowing_kernel
 def _is_straight(ends, first, last):
     """Whether the end points between first and last lie near the chord from one to the other."""
     ax, ay = ends[first, 0], ends[first, 1]
@@ -108,7 +108,7 @@ def _is_straight(ends, first, last):
     return True
 
 
-@kernel
+@borrowing_kernel
 def _add_run(walls, inverse_m, ends, count, drawn, squares):
     """Draw one surface: end points that follow each other without a jump, cut into straight pieces."""
     first = 0 * count  # a plain 0 is a type of its own, for which the callees would be compiled again
@@ -122,7 +122,7 @@ def _add_run(walls, inverse_m, ends, count, drawn, squares):
             first = i
 
 
-@kernel
+@borrowing_kernel
 def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn, squares):
     beams = ranges.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
