@@ -1,5 +1,5 @@
+import contextlib
 import gc
-import importlib
 import json
 import logging
 import subprocess
@@ -9,10 +9,9 @@ from types import SimpleNamespace
 
 import pytest
 from numba import njit
-from numba.core.dispatcher import Dispatcher
 
 from twc_env.exploration import compilation
-from twc_env.exploration.compilation import Helper, _FirstCompilation, announce_compilation
+from twc_env.exploration.compilation import FirstStart, _Announcer, announce_compilation
 
 
 def compiled(module: str):
@@ -26,7 +25,7 @@ def compiled(module: str):
 def test_the_first_kernel_of_this_package_that_is_compiled_is_announced_once(caplog):
     from numba.core import event
 
-    listener = _FirstCompilation()
+    listener = _Announcer()
     event.register("numba:compile", listener)
     try:
         with caplog.at_level(logging.WARNING, "twc_env"):
@@ -50,7 +49,7 @@ def test_environments_ask_for_it_once_per_process():
 
 @pytest.mark.parametrize("collects", [True, False])
 def test_nobody_looks_for_garbage_while_kernels_are_compiled(collects):
-    listener, kernel = _FirstCompilation(), SimpleNamespace(data={"dispatcher": compiled_function("another.package")})
+    listener, kernel = _Announcer(), SimpleNamespace(data={"dispatcher": compiled_function("another.package")})
     before, seen = gc.isenabled(), []
     (gc.enable if collects else gc.disable)()
     try:
@@ -73,49 +72,93 @@ class FakeProcess:
 
 
 @pytest.fixture
-def helper(monkeypatch):
-    started = []
+def started(monkeypatch):
+    """The processes that were started; there are two cores."""
+    processes = []
     monkeypatch.setattr(
-        compilation.subprocess, "Popen", lambda *a, **k: started.append(FakeProcess(*a, **k)) or started[-1]
+        compilation.subprocess, "Popen", lambda *a, **k: processes.append(FakeProcess(*a, **k)) or processes[-1]
     )
     monkeypatch.setattr(compilation, "core_count", lambda: 2)
-    helper = Helper()
-    helper.is_wanted = True
-    return helper, started
+    return processes
 
 
-def test_a_helper_is_called_when_everything_must_be_compiled_and_awaited_after_the_own_share(helper):
-    helper, started = helper
-    listener = _FirstCompilation(helper.start)
+def first_start() -> FirstStart:
+    start = FirstStart()
+    start.is_engine_wanted = True
+    return start
 
-    class Event:
-        data = {"dispatcher": compiled_function(compilation.FIRST_MODULE)}  # noqa: RUF012
 
-    listener.on_start(Event)
-    (process,) = started
-    assert process.command[-1] == "twc_env.slam.warm_up"
-    helper.join(lambda: process.events.append("own share"))
-    helper.join(lambda: process.events.append("never"))
+def test_a_reset_that_must_compile_calls_a_helper_once_and_awaits_it_after_the_own_share(started, tmp_path):
+    start = first_start()
+    with start:
+        start.prepare(str(tmp_path))
+        start.prepare(str(tmp_path))
+        (process,) = started
+        assert process.command[-1] == "twc_env.slam.warm_up"
+        start.join(lambda: process.events.append("own share"))
+        start.join(lambda: process.events.append("never"))
     assert process.events == ["own share", "waited"]
 
 
-def test_the_first_module_has_kernels():
-    module = importlib.import_module(compilation.FIRST_MODULE)
-    assert any(isinstance(value, Dispatcher) for value in vars(module).values())
+def test_the_announcer_says_where_the_kernel_will_stand():
+    folders = []
+    dispatcher = compiled_function("twc_env.world.lidar")
+    dispatcher.enable_caching()
+    announcer = _Announcer(folders.append)
+    announcer.on_start(SimpleNamespace(data={"dispatcher": dispatcher}))
+    announcer.on_end(None)
+    assert folders == [dispatcher._cache.cache_path]
 
 
-@pytest.mark.parametrize("lacking", ["engine", "core", "first module"])
-def test_no_helper_is_called_without_need(helper, monkeypatch, lacking):
-    helper, started = helper
-    helper.is_wanted = lacking != "engine"
+@pytest.mark.parametrize("lacking", ["engine", "core", "reset"])
+def test_no_helper_is_called_without_need(started, monkeypatch, tmp_path, lacking):
+    start = first_start()
+    start.is_engine_wanted = lacking != "engine"
     monkeypatch.setattr(compilation, "core_count", lambda: 1 if lacking == "core" else 2)
-
-    class Event:
-        module = "twc_env.world.lidar" if lacking == "first module" else compilation.FIRST_MODULE
-        data = {"dispatcher": compiled_function(module)}  # noqa: RUF012
-
-    _FirstCompilation(helper.start).on_start(Event)
+    with contextlib.nullcontext() if lacking == "reset" else start:
+        start.prepare(str(tmp_path))
     assert not started
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
+def test_of_processes_that_start_at_once_one_compiles_and_the_others_wait_for_it(started, monkeypatch, tmp_path):
+    first, second = first_start(), first_start()
+    naps = []
+
+    def nap(_seconds):
+        naps.append(len(started))
+        if len(naps) == 2:
+            first.__exit__()
+
+    monkeypatch.setattr(compilation.time, "sleep", nap)
+    with second:
+        with first:
+            first.prepare(str(tmp_path))
+            second.prepare(str(tmp_path))
+        assert naps == [1, 1]
+        with first_start() as _, (third := first_start()):
+            third.prepare(str(tmp_path))
+            assert len(started) == 2, "who has waited keeps nobody else waiting"
+
+
+def test_nobody_waits_for_ever(started, monkeypatch, tmp_path):
+    clock = iter(range(0, 10_000, 50))
+    monkeypatch.setattr(compilation.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(compilation.time, "sleep", lambda _seconds: None)
+    first, second = first_start(), first_start()
+    with first, second:
+        first.prepare(str(tmp_path))
+        second.prepare(str(tmp_path))
+    assert len(started) == 1
+
+
+def test_a_folder_that_cannot_be_locked_keeps_nobody_from_compiling(started, tmp_path):
+    (tmp_path / "file").write_text("")
+    for folder in (None, str(tmp_path / "file")):
+        start = first_start()
+        with start:
+            start.prepare(folder)
+    assert len(started) == 2
 
 
 def compiled_function(module: str):

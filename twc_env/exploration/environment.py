@@ -17,7 +17,7 @@ from twc_env.config import EnvConfig, override
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards, verdicts
-from twc_env.exploration.compilation import HELPER, announce_compilation
+from twc_env.exploration.compilation import FIRST_START, announce_compilation
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observation_blocks import observation_space
 from twc_env.exploration.observations import ObservationBuilder, first_observations
@@ -138,7 +138,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         EzPickle.__init__(
             self, config=self.config, render_mode=render_mode, floorplan=floorplan, render_signal=render_signal
         )
-        HELPER.is_wanted |= self.config.slam.mode != "off"
+        FIRST_START.is_engine_wanted |= self.config.slam.mode != "off"
         self.metadata = copy.deepcopy(type(self).metadata)
         self.render_mode = render_mode
         self._viewer = _make_viewer(render_mode, self.metadata["render_fps"], render_signal)
@@ -171,6 +171,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         Raises MapError for a map that cannot be loaded. Options of other environments are ignored. After a reset that
         failed no episode is under way.
         """
+        with FIRST_START:
+            return self._begin(seed, options)
+
+    def _begin(self, seed: int | None, options: dict | None):
         seed = self._next_seed() if seed is None else _checked_seed(seed)
         options = _checked_options(options)
         self.agents, self._engine = [], None
@@ -195,7 +199,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             self._viewer.begin()
         self.agents = self.possible_agents[:]
         frames = self._world.sense()
-        HELPER.join(lambda: first_observations(self.config, frames))
+        FIRST_START.join(lambda: first_observations(self.config, frames))
         self._think(frames)
         self._notice()
         self._bytes_judged = self.bytes_sent
