@@ -95,3 +95,26 @@ def test_truth_of_another_run_is_refused(tmp_path, capsys):
         assert main(["record", "--steps", steps, "--robots", "1", "--out", str(tmp_path / name)]) == 0
     assert main(["replay", str(tmp_path / "a/frames.npz"), "--truth", str(tmp_path / "b/truth.npz")]) == 2
     assert "give the pair of one run" in capsys.readouterr().err
+
+
+def test_a_replay_with_another_scanner_or_without_a_place_to_write_is_one_line(tmp_path, capsys):
+    assert main(["record", "--robots", "1", "--steps", "3", "--out", str(tmp_path / "log")]) == 0
+    (tmp_path / "file").write_text("")
+    for extra, message in (
+        (["--set", "lidar.beam_count=90"], "lidar.beam_count is 90"),
+        (["--out", str(tmp_path / "file" / "x")], "cannot make the folder"),
+        (["--json", str(tmp_path / "file" / "x.json")], "cannot write"),
+    ):
+        capsys.readouterr()
+        assert main(["replay", str(tmp_path / "log"), *extra]) == 2
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1
+
+
+def test_ctrl_c_ends_a_command_with_one_word(monkeypatch, capsys):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("twc_env.maps_cli.load_map", interrupt)
+    assert main(["maps", "list"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"

@@ -1,10 +1,11 @@
-"""What the commands share: settings given as KEY=VALUE."""
+"""What the commands share: settings given as KEY=VALUE, and folders to write to."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
-from twc_env.errors import ConfigError
+from twc_env.errors import ConfigError, DataError
 
 
 def assignments(texts: Sequence[str]) -> dict[str, object]:
@@ -14,3 +15,11 @@ def assignments(texts: Sequence[str]) -> dict[str, object]:
         if not separator:
             raise ConfigError(f"--set takes KEY=VALUE, for example lidar.beam_count=360; got {key!r}")
     return {key: value for key, _, value in pairs}
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder that `--out` names. Raises DataError where that is not possible."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot make the folder {folder}: {error.strerror}; choose another with --out") from error

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twc_env.command_line import assignments
+from twc_env.command_line import assignments, make_folder
 from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
@@ -70,7 +70,6 @@ def _record(options: argparse.Namespace) -> None:
     from twc_env.bench import wander
     from twc_env.config import EnvConfig, override
     from twc_env.datasets.frame_log import write_frame_log, write_truth_log
-    from twc_env.errors import DataError
     from twc_env.exploration.environment import ExplorationEnv
 
     settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
@@ -82,10 +81,7 @@ def _record(options: argparse.Namespace) -> None:
         steps.append(env.frames)
         contacts.append(env.contacts)
         _progress(len(steps) - 1, env.config.max_cycles)
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"cannot make the folder {options.out}: {error.strerror}; choose another with --out") from error
+    make_folder(options.out)
     write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
     write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
     print(f"recorded {len(steps) - 1} steps of {env.config.robots} robots: {options.out}/frames.npz and truth.npz")
@@ -163,7 +159,7 @@ def _write_maps(folder: Path, team: TeamMapper) -> None:
     from twc_env.datasets.g2o import write_g2o
     from twc_env.datasets.ros_map import write_ros_map
 
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     for index in range(len(team.groups)):
         write_ros_map(team.grid_of(index), folder, "map" if index == 0 else f"map_{index}")
     write_g2o(folder / "pose_graph.g2o", team.graph())

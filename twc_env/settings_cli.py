@@ -13,10 +13,11 @@ def add_settings_parser(commands: argparse._SubParsersAction) -> None:
     parser = commands.add_parser(
         "settings",
         help="print every setting with its meaning, range and value, as a TOML file to start from",
-        description="Print settings as TOML with comments; what differs from its default is marked. The text is a "
+        description="Print settings as TOML with comments; what differs from its default is marked. The text is a\n"
         "config file: save it, change it, and give it to --config or to twc_env.config.load.",
-        epilog="examples: python -m twc_env settings lidar slam.keyframe | python -m twc_env settings --task "
-        "twc/ExploreHard-v0 > hard.toml",
+        epilog="examples:\n  python -m twc_env settings lidar slam.keyframe\n"
+        "  python -m twc_env settings --task twc/ExploreHard-v0 > hard.toml",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("sections", nargs="*", metavar="SECTION", help="show these alone, e.g. radio or slam.merging")
     parser.add_argument("--task", metavar="ID", help="begin with the settings of a standard task")

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from twc_env.config import PoseGraphConfig
+from twc_env.errors import DataError
 from twc_env.geometry import between, compose, inverse
 from twc_env.slam import pose_graph, robust_backend
 from twc_env.slam.block_cholesky import BlockCholesky
@@ -216,3 +217,21 @@ def test_block_cholesky_solves_as_numpy_does(count, extra):
 def test_block_cholesky_says_when_a_matrix_is_not_positive_definite():
     cholesky = BlockCholesky(np.array([[0, 1]]), 2)
     assert cholesky.solve(np.tile(np.eye(3), (2, 1, 1)), 2 * np.eye(3)[None], np.ones((2, 3))) is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "value", "message"),
+    [
+        (0, [(0, 1), (1, 3)], "edges join poses 0 to 2"),
+        (0, [(0, 1), (-1, 2)], "edges join poses 0 to 2"),
+        (0, [(0, 1)], "as many measurements"),
+        (1, np.full((2, 3), np.nan), "finite"),
+        (2, np.full((2, 3, 3), np.inf), "finite"),
+    ],
+)
+@pytest.mark.parametrize("mode", MODES)
+def test_a_graph_that_cannot_be_meant_is_refused(mode, changed, value, message):
+    graph = [np.array([(0, 1), (1, 2)]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.array([False, True])]
+    graph[changed] = np.array(value)
+    with pytest.raises(DataError, match=message):
+        solve(mode, np.zeros((3, 3)), graph)

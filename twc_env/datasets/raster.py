@@ -91,7 +91,7 @@ def read_grey(path: Path) -> Array:
 
 def _decode_with_pillow(raw: bytes, path: Path) -> Array:
     try:
-        from PIL import Image
+        from PIL import Image, UnidentifiedImageError
     except ImportError as error:
         raise MapError(f"reading {path.name} needs Pillow; run `pip install twc_env[viz]`, or use .pgm") from error
     try:
@@ -103,7 +103,8 @@ def _decode_with_pillow(raw: bytes, path: Path) -> Array:
                 return np.asarray(picture.convert("L"))
             pixels = np.asarray(picture.convert("RGBA"), dtype=float)
     except Exception as error:  # a broken picture surfaces as almost any exception
-        raise MapError(f"cannot read the picture {path}: {error}; save it again as png or pgm") from error
+        reason = "it holds no picture" if isinstance(error, UnidentifiedImageError) else error
+        raise MapError(f"cannot read the picture {path}: {reason}; save it again as png or pgm") from error
     return (pixels[..., :3].mean(axis=-1) * pixels[..., 3] / 255).astype(np.uint8)
 
 

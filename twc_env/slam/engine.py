@@ -14,6 +14,7 @@ from twc_env.kernels import borrowing_kernel
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
+from twc_env.slam.frame_check import check_frames
 from twc_env.slam.map_beliefs import HeldMaps, MapBeliefs
 from twc_env.slam.radio_structure import RadioPicture, RadioStructure
 from twc_env.slam.robot import FrontEnds
@@ -71,6 +72,7 @@ class CooperativeSlam:
         config = cues.needed(config)
         self._front_ends = FrontEnds(config, robot_count)
         self.robots = self._front_ends.robots
+        self._beam_count = config.lidar.beam_count
         self._is_central = config.link.topology == "central"
         homes = [None] if self._is_central else range(robot_count)
         self.mappers = [TeamMapper(config, robot_count, home) for home in homes]
@@ -140,7 +142,12 @@ class CooperativeSlam:
         return [View(mapper, mapper.group_index(r), (r,)) for r, mapper in enumerate(self.mappers)]
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
-        """Run the front end of each frame's robot; the keyframes that came of it, in order, ready to be sent."""
+        """Run the front end of each frame's robot; the keyframes that came of it, in order, ready to be sent.
+
+        Raises DataError for frames that this team cannot have sensed.
+        """
+        if not isinstance(frames, TeamFrames):
+            check_frames(frames, len(self.robots), self._beam_count)
         if not self._has_all_cues:
             frames = [cues.heard(frame, self._cues) for frame in frames]
         self._beliefs = None

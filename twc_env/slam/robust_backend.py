@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import PoseGraphConfig
+from twc_env.errors import DataError
 from twc_env.geometry import between, compose
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam import pose_graph
@@ -146,6 +147,7 @@ def solve(
         np.ascontiguousarray(information, float).reshape(-1, 3, 3),
         np.ascontiguousarray(is_closure, bool),
     )
+    _check(poses, graph)
     group = np.full(len(graph.edges), -1)
     reasons: dict[int, str] = {}
     held = poses[fixed].copy() if len(poses) else np.zeros(3)
@@ -163,6 +165,17 @@ def solve(
         out = compose(held, between(out[fixed], out))
         out[fixed] = held
     return BackendResult(out, accepted, _rejections(graph, out, accepted, group, reasons, config.robust))
+
+
+def _check(poses: Array, graph: Graph) -> None:
+    """Raise DataError for a graph that the kernels, which check nothing, must not see."""
+    lengths = {len(part) for part in graph.parts}
+    if poses.ndim != 2 or poses.shape[1] != 3 or len(lengths) != 1:
+        raise DataError(f"a graph has poses (n, 3) and as many measurements as edges; got {poses.shape} and {lengths}")
+    if graph.edges.size and not 0 <= graph.edges.min() <= graph.edges.max() < len(poses):
+        raise DataError(f"edges join poses 0 to {len(poses) - 1}; got {graph.edges.min()} to {graph.edges.max()}")
+    if not all(np.isfinite(values).all() for values in (poses, graph.measured, graph.information)):
+        raise DataError("poses, measurements and information must be finite")
 
 
 def _rejections(graph: Graph, poses, accepted, group, reasons, mode) -> tuple[Rejection, ...]:

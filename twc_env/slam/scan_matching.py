@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import LocalMapConfig
+from twc_env.errors import DataError
 from twc_env.geometry import beam_directions
 from twc_env.kernels import borrowing_kernel
 from twc_env.slam.line_equations import FAR_M, line_scratch, normal_equations
@@ -260,7 +261,9 @@ class LineField:
         self._drawn[:] = NOTHING_DRAWN
 
     def add(self, poses: Array, scans: Array) -> None:
-        """Draw the walls seen by scans (k, beams) [m] at poses (k, 3)."""
+        """Draw the walls seen by scans (k, beams) [m] at poses (k, 3). Raises DataError for what is no number."""
+        if not ((scans > -np.inf).all() and np.isfinite(poses).all()):
+            raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
         directions = beam_directions(scans.shape[1])
         draw_scans(
             self._walls, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m, self._drawn

@@ -46,8 +46,9 @@ def load_bytes(path: Path, what: str = "map") -> bytes:
 
 def load_json(path: Path) -> object:
     """The values of a JSON file (also .gz); MapError when it cannot be read, is no JSON or nests without end."""
+    raw = load_bytes(path)
     try:
-        return json.loads(load_bytes(path).decode("utf-8"))
+        return json.loads(raw.decode("utf-8"))
     except RecursionError as error:
         raise MapError(f"{path} nests its lists too deeply; export it again") from error
     except ValueError as error:

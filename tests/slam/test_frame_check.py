@@ -1,0 +1,75 @@
+"""Frames of one's own that cannot be meant are refused before a kernel reads beyond an array."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twc_env.config import EnvConfig, override
+from twc_env.errors import DataError
+from twc_env.messages import UNSEEN_M, SensorFrame, SignReading, WifiScan
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.scan_matching import LineField
+
+CONFIG = override(EnvConfig(), {"lidar.beam_count": 60, "robots": 2})
+SOUND = SensorFrame(
+    0, 0, 0.0, np.zeros(3), 0.0, np.full(60, 3.0), WifiScan(np.array([1, 2]), np.array([-40.0, -50.0])),
+    (SignReading("A101", 0.0, 2.0),),
+)  # fmt: skip
+
+
+def scan(macs, rssi_dbm) -> WifiScan:
+    return WifiScan(np.array(macs), np.array(rssi_dbm))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"ranges_m": np.full(59, 3.0)}, "lidar.beam_count is 60"),
+        ({"ranges_m": np.full(180, 3.0)}, "lidar.beam_count is 60"),
+        ({"ranges_m": np.full(60, np.nan)}, "no numbers"),
+        ({"robot": 2}, "different robots 0 to 1"),
+        ({"robot": -1}, "different robots 0 to 1"),
+        ({"odometry": np.array([0.0, np.nan, 0.0])}, "motion since the last frame"),
+        ({"odometry": np.array([1e6, 0.0, 0.0])}, "motion since the last frame"),
+        ({"odometry": np.zeros(2)}, "motion since the last frame"),
+        ({"turn_rate_rad_s": float("nan")}, "must be finite"),
+        ({"time_s": float("inf")}, "must be finite"),
+        ({"signs": (SignReading("A", float("nan"), 2.0),)}, "finite bearing"),
+        ({"signs": (SignReading(None, 0.0, 2.0),)}, "give a text"),
+        ({"wifi": scan([2, 1], [-40.0, -50.0])}, "do not ascend"),
+        ({"wifi": scan([1, 1], [-40.0, -50.0])}, "do not ascend"),
+        ({"wifi": scan([1, 2, 3], [-40.0, -50.0])}, "strengths"),
+        ({"wifi": scan([1, 2], [-40.0, np.nan])}, "what was not heard"),
+    ],
+)
+def test_a_frame_that_cannot_be_meant_is_refused(changes, message):
+    engine = CooperativeSlam(CONFIG, 2)
+    with pytest.raises(DataError, match=message):
+        engine.update([replace(SOUND, **changes)])
+    engine.update([SOUND, replace(SOUND, robot=1)])
+    assert engine.belief(0).grid.log_odds.any(), "nothing is broken by it"
+
+
+def test_no_frames_and_two_of_one_robot_are_refused():
+    for frames in ([], [SOUND, SOUND]):
+        with pytest.raises(DataError, match=r"no frames|different robots"):
+            CooperativeSlam(CONFIG, 2).update(frames)
+
+
+@pytest.mark.parametrize("nothing", [np.inf, UNSEEN_M, 1e9])
+def test_beams_without_return_may_read_more_than_any_range(nothing):
+    ranges_m = np.full(60, 3.0)
+    ranges_m[10:20] = nothing
+    engine = CooperativeSlam(CONFIG, 2)
+    engine.update([replace(SOUND, ranges_m=ranges_m)])
+    assert np.isfinite(engine.pose_map_robot(0)).all()
+
+
+def test_a_scan_that_is_no_number_is_not_drawn():
+    field = LineField(size_m=24.0, resolution_m=0.1, range_max_m=10.0)
+    scans = np.full((1, 60), 3.0)
+    field.add(np.zeros((1, 3)), scans)
+    for poses, drawn in ((np.zeros((1, 3)), np.full((1, 60), np.nan)), (np.full((1, 3), np.inf), scans)):
+        with pytest.raises(DataError, match="numbers"):
+            field.add(poses, drawn)

@@ -1,0 +1,52 @@
+"""Frames that come from outside are looked at before the kernels see them, which check nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from twc_env.errors import DataError
+from twc_env.messages import SensorFrame, WifiScan
+
+JUMP_MAX_M = 1000.0
+"""No robot moves further between two frames; who does counts in millimetres, or gives positions for motions."""
+
+
+def check_frames(frames: Sequence[SensorFrame], robot_count: int, beam_count: int) -> None:
+    """Raise DataError for frames that the team cannot have sensed. A range may be infinite: no return."""
+    if not frames:
+        raise DataError("there are no frames to take in: give those of one robot at least")
+    robots = [frame.robot for frame in frames]
+    if len(set(robots)) < len(robots) or not set(robots) <= set(range(robot_count)):
+        raise DataError(f"frames of one step are of different robots 0 to {robot_count - 1}; got robots {robots}")
+    for frame in frames:
+        if fault := _fault(frame, beam_count):
+            raise DataError(f"the frame of robot {frame.robot} in step {frame.step} {fault}")
+
+
+def _fault(frame: SensorFrame, beam_count: int) -> str | None:
+    if np.shape(frame.ranges_m) != (beam_count,):
+        beams = np.shape(frame.ranges_m)
+        return f"has ranges of shape {beams}, but lidar.beam_count is {beam_count}: set it to that of the scanner"
+    if not (np.asarray(frame.ranges_m) > -np.inf).all():
+        return "has ranges that are no numbers: a beam without return reads the maximum range, an unseen one UNSEEN_M"
+    if np.shape(frame.odometry) != (3,) or not (np.abs(frame.odometry) <= JUMP_MAX_M).all():
+        return f"has odometry {frame.odometry!r}: give the motion since the last frame, x [m], y [m] and turn [rad]"
+    if not math.isfinite(frame.turn_rate_rad_s) or not math.isfinite(frame.time_s):
+        return f"has turn rate {frame.turn_rate_rad_s!r} at time {frame.time_s!r}: both must be finite"
+    for sign in frame.signs:
+        if not isinstance(sign.text, str) or not math.isfinite(sign.bearing_rad) or not math.isfinite(sign.range_m):
+            return f"holds {sign!r}: give a text, and a finite bearing and range"
+    return None if frame.wifi is None else _fault_of_scan(frame.wifi)
+
+
+def _fault_of_scan(scan: WifiScan) -> str | None:
+    if np.shape(scan.macs) != np.shape(scan.rssi_dbm) or np.ndim(scan.macs) != 1:
+        return f"has a WiFi scan of {np.shape(scan.macs)} addresses and {np.shape(scan.rssi_dbm)} strengths"
+    if not (np.diff(scan.macs) > 0).all():
+        return "has a WiFi scan whose addresses do not ascend: sort them, each but once"
+    if not np.isfinite(scan.rssi_dbm).all():
+        return "has a WiFi scan with a strength that is not finite: leave out what was not heard"
+    return None
