@@ -148,6 +148,38 @@ class TeamFrames(_Team[SensorFrame]):
         return [SensorFrame(robot, self.step, self.time_s, *row) for robot, row in enumerate(rows)]
 
 
+class KnownSigns(_Team[KnownSign]):
+    """The texts that a group of robots has read, each once per place."""
+
+    __slots__ = ("_tuple", "places_m", "texts")
+
+    def __init__(self, texts: Sequence[str], places_m: Array):
+        """Each text and its place (k, 2) in the map frame; records show read-only views of these."""
+        self._records = None
+        self._tuple: tuple[KnownSign, ...] | None = None
+        self.texts, self.places_m = texts, places_m
+
+    @classmethod
+    def of(cls, signs: Sequence[KnownSign]) -> KnownSigns:
+        """The same signs side by side."""
+        if isinstance(signs, KnownSigns):
+            return signs
+        return cls([sign.text for sign in signs], np.array([sign.position_m for sign in signs]).reshape(-1, 2))
+
+    @property
+    def records(self) -> tuple[KnownSign, ...]:
+        """All of them, as `Belief.signs` has them."""
+        if self._tuple is None:
+            self._tuple = tuple(self)
+        return self._tuple
+
+    def __len__(self) -> int:
+        return len(self.texts)
+
+    def _make(self) -> list[KnownSign]:
+        return [KnownSign(*sign) for sign in zip(self.texts, read_only(self.places_m), strict=True)]
+
+
 NOBODY = -2
 """In place of a robot's number, or of the step in which it was heard."""
 
@@ -168,7 +200,7 @@ class TeamBeliefs(_Team[Belief]):
         poses: Array,
         since_closure_m: Array,
         grids: Sequence[GridMap],
-        signs: Sequence[tuple[KnownSign, ...]],
+        signs: Sequence[Sequence[KnownSign]],
         mates: Array,
         mate_poses: Array,
         contact_steps: Array,

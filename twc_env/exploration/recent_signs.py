@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from twc_env.kernels import borrowing_kernel
 from twc_env.messages import KnownSign, SignReading
+from twc_env.team_messages import KnownSigns
 
 Array = NDArray
 
@@ -29,8 +30,8 @@ class RecentSigns:
         self.places = [_NO_PLACES] * robots
         """Of each robot (k, 2): the signs that it knows, in the map frame."""
         self._texts: list[list[str]] = [[] for _ in range(robots)]
-        self._known: Sequence[tuple[KnownSign, ...]] = ()
-        self._known_of: list[tuple[KnownSign, ...]] = [()] * robots
+        self._known: Sequence[Sequence[KnownSign]] = ()
+        self._known_of: list[Sequence[KnownSign]] = [()] * robots
         self._text_counts: list[Counter[str]] = [Counter()] * robots
 
     def remember(self, poses: Array, time_s: float, signs: Sequence[tuple[SignReading, ...]]) -> None:
@@ -47,7 +48,7 @@ class RecentSigns:
             if self._text_counts[robot]:
                 self._count_elsewhere(robot)
 
-    def know(self, signs: Sequence[tuple[KnownSign, ...]]) -> None:
+    def know(self, signs: Sequence[Sequence[KnownSign]]) -> None:
         """Take over the signs that each robot knows now; the same objects as before have not changed."""
         if signs is self._known:
             return
@@ -55,7 +56,7 @@ class RecentSigns:
         for robot, own in enumerate(signs):
             if own is not self._known_of[robot]:
                 self._known_of[robot] = own
-                self.places[robot], self._text_counts[robot] = _index_of(own)
+                self.places[robot], self._text_counts[robot] = _index_of(KnownSigns.of(own))
                 self._count_elsewhere(robot)
 
     def _count_elsewhere(self, robot: int) -> None:
@@ -64,9 +65,9 @@ class RecentSigns:
 
 
 @lru_cache(maxsize=4)
-def _index_of(signs: tuple[KnownSign, ...]) -> tuple[Array, Counter[str]]:
+def _index_of(signs: KnownSigns) -> tuple[Array, Counter[str]]:
     """Places (k, 2) and how often each text is known; robots of one group share the list of signs."""
-    return np.array([sign.position_m for sign in signs]).reshape(-1, 2), Counter([sign.text for sign in signs])
+    return signs.places_m, Counter(signs.texts)
 
 
 @borrowing_kernel

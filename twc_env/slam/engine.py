@@ -188,7 +188,6 @@ class CooperativeSlam:
             self._poses_map_odom, self._std, self._front_ends.poses_odom, self._mates, self._is_central,
             self._heard_poses, self._poses, self._mate_poses,
         )  # fmt: skip
-        self._poses.setflags(write=False)  # beliefs show them to planners
 
     def _relocate(self, number: int, mapper: TeamMapper) -> None:
         """What a mapper says of robots has changed; beliefs hold what it said before."""

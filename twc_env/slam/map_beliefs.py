@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.messages import Belief, GridMap, KnownSign
+from twc_env.messages import Belief, GridMap
 from twc_env.slam.radio_structure import RadioPicture
-from twc_env.team_messages import TeamBeliefs
+from twc_env.team_messages import KnownSigns, TeamBeliefs
 
 Array = NDArray
 
@@ -23,7 +23,7 @@ class HeldMaps:
     """The maps that robots believe in: of each robot the one of its group."""
 
     grids: list[GridMap]
-    signs: list[tuple[KnownSign, ...]]
+    signs: list[KnownSigns]
     versions: list[int]
     radio: list[RadioPicture | None]
 
@@ -57,7 +57,7 @@ class MapBeliefs(TeamBeliefs):
                 in_map,
                 maps.grids[robot],
                 self.mates_of(robot),
-                maps.signs[robot],
+                maps.signs[robot].records,
                 self._ranges_m[robot],
                 maps.versions[robot],
                 in_odom,

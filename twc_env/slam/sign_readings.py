@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.kernels import kernel
-from twc_env.messages import Keyframe, KnownSign
+from twc_env.messages import Keyframe
 from twc_env.slam.growing import Growing
+from twc_env.team_messages import KnownSigns
 
 Array = NDArray
 
@@ -81,7 +82,7 @@ class SignReadings:
             self._places.append(sign.position_m)
             self.counts[keyframe.robot] += 1
 
-    def known(self, poses: Array, robots: Sequence[int]) -> tuple[KnownSign, ...]:
+    def known(self, poses: Array, robots: Sequence[int]) -> KnownSigns:
         """The texts read by some robots of one group, each once per place; poses (nodes, 3) of all nodes."""
         texts, places = np.empty(self._readings.count, np.int64), np.empty((self._readings.count, 2))
         count = _places_of_signs(
@@ -89,7 +90,4 @@ class SignReadings:
             texts, places,
         )  # fmt: skip
         names = list(self._numbers)
-        places.flags.writeable = False  # beliefs show it to planners
-        return tuple(
-            [KnownSign(names[k], place) for k, place in zip(texts[:count].tolist(), places[:count], strict=True)]
-        )
+        return KnownSigns([names[k] for k in texts[:count].tolist()], places[:count])

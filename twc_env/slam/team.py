@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import between
-from twc_env.messages import GridMap, Keyframe, KnownSign, LoopCandidate, LoopClosure
+from twc_env.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam import robust_backend
 from twc_env.slam.closure_search import ClosureSearch
 from twc_env.slam.group_maps import Group, GroupMaps
@@ -17,6 +17,7 @@ from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import MergeReview
 from twc_env.slam.radio_ties import RadioTies
 from twc_env.slam.team_graph import TeamGraph
+from twc_env.team_messages import KnownSigns
 
 Array = NDArray
 
@@ -55,7 +56,7 @@ class TeamMapper:
         self._seeks_closures = config.slam.oracle != "poses"
         self._given_starts: Array | None = None
         self._step = self._last_optimised_step = self._last_retried_step = 0
-        self._signs: dict[tuple[int, ...], tuple[tuple[int, int], tuple[KnownSign, ...]]] = {}
+        self._signs: dict[tuple[int, ...], tuple[tuple[int, int], KnownSigns]] = {}
 
     def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> None:
         """Take in keyframes and wanted scans; verify, merge and optimise as far as this step's budget goes."""
@@ -176,7 +177,7 @@ class TeamMapper:
         """First row and column, end row and column of the part of a group's map in which anything is known."""
         return self.groups[group].grid.known_box()
 
-    def signs_of(self, group: int) -> tuple[KnownSign, ...]:
+    def signs_of(self, group: int) -> KnownSigns:
         """The texts read by a group, each once per place."""
         robots, version = self.groups[group].robots, self.groups[group].version
         read = self._graph.signs_read

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import borrowing_kernel, kernel
-from twc_env.messages import Keyframe, KnownSign, LoopClosure
+from twc_env.messages import Keyframe, LoopClosure
 from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays
 from twc_env.slam.growing import Growing
 from twc_env.slam.odometry_filter import squared_error
 from twc_env.slam.pose_graph import Graph
 from twc_env.slam.sign_readings import SignReadings
+from twc_env.team_messages import KnownSigns
 
 Array = NDArray
 
@@ -317,7 +318,7 @@ class TeamGraph:
         """Texts read by each robot."""
         return self._readings.counts
 
-    def signs(self, robots: Sequence[int]) -> tuple[KnownSign, ...]:
+    def signs(self, robots: Sequence[int]) -> KnownSigns:
         """The texts read by some robots of one group, each once per place."""
         return self._readings.known(self.poses, robots)
 
