@@ -8,6 +8,7 @@ import twc_env
 from twc_env.__main__ import main
 from twc_env.bench import wander
 from twc_env.errors import DataError
+from twc_env.exploration.trace import TRACE_KEYS
 from twc_env.replay_page import write_page
 
 STEPS = 120
@@ -68,6 +69,20 @@ def test_the_command_writes_the_page_into_the_run_folder(run, capsys):
     assert main(["replay", str(run), "--html"]) == 0
     assert (run / "replay.html").stat().st_size > 10_000
     assert "replay.html" in capsys.readouterr().out
+
+
+def test_a_trace_or_report_that_lacks_something_is_named(run, tmp_path):
+    with np.load(run / "trace.npz") as data:
+        trace = {key: data[key] for key in data.files}
+    for missing in TRACE_KEYS:
+        np.savez(tmp_path / "trace.npz", **{key: value for key, value in trace.items() if key != missing})
+        with pytest.raises(DataError, match=f"lacks {missing}"):
+            write_page(tmp_path, tmp_path / "page.html")
+    shutil.copy(run / "trace.npz", tmp_path)
+    for report in ("[]", "{}", '{"map": "twin-01"}'):
+        (tmp_path / "report.json").write_text(report)
+        with pytest.raises(DataError, match="no report with config_digest, map, seed, version"):
+            write_page(tmp_path, tmp_path / "page.html")
 
 
 @pytest.mark.parametrize("name", ["trace.npz", "report.json"])

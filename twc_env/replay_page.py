@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import zipfile
 import zlib
 from html import escape
 from importlib.resources import files
@@ -15,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig, from_dict
+from twc_env.datasets.arrays_file import read_arrays
 from twc_env.errors import DataError
 from twc_env.exploration.rendering import COLOURS
-from twc_env.exploration.trace import FORMAT
+from twc_env.exploration.trace import FORMAT, TRACE_KEYS
 from twc_env.world.signal_map import SIGNAL_SPAN_DBM
 
 Array = NDArray
@@ -99,25 +99,18 @@ def _base64(content: bytes) -> str:
 
 def read_trace(path: Path) -> dict[str, Array]:
     """The arrays of a trace.npz. Raises DataError when it is missing, broken or of another format."""
-    try:
-        with path.open("rb") as file, np.load(file) as data:
-            trace = {key: data[key] for key in data.files}
-    except OSError as error:
-        raise DataError(
-            f"cannot read the trace {path}: {error.strerror}; `python -m agents explore --out RUN` writes one"
-        ) from error
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise DataError(f"{path} is no trace or is cut off: {error}; run the episode again") from error
-    if str(trace.get("format")) != FORMAT:
-        raise DataError(f"{path} has format {str(trace.get('format'))!r}; expected {FORMAT!r}: run the episode again")
-    return trace
+    return read_arrays(path, "trace", FORMAT, TRACE_KEYS, "`python -m agents explore --out RUN` writes one")
 
 
 def read_report(path: Path) -> dict[str, Any]:
     """A report.json. Raises DataError when it is missing or broken."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        report = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror}; name a run folder that holds a report") from error
     except ValueError as error:
         raise DataError(f"{path} is not valid JSON: {error}; run the episode again") from error
+    needed = {"map", "seed", "config_digest", "version"}
+    if not isinstance(report, dict) or not needed <= set(report):
+        raise DataError(f"{path} is no report with {', '.join(sorted(needed))}; run the episode again")
+    return report

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 import twc_env
-from twc_env.datasets.frame_log import read_frame_log, write_frame_log
-from twc_env.errors import DataError
+from twc_env.datasets.frame_log import PER_FRAME, PER_READING, read_contacts, read_frame_log, write_frame_log
+from twc_env.errors import DataError, TwcError
+from twc_env.messages import Contacts
 
 
 @pytest.fixture(scope="module")
@@ -86,3 +87,65 @@ def test_a_damaged_log_is_refused_in_one_line(recorded, tmp_path, damage):
     with pytest.raises(DataError) as error:
         read_frame_log(path)
     assert "\n" not in str(error.value) and "frames.npz" in str(error.value)
+
+
+@pytest.fixture(scope="module")
+def columns(recorded, tmp_path_factory):
+    """The content of a log that every test may spoil its own copy of."""
+    path = tmp_path_factory.mktemp("log") / "frames.npz"
+    in_touch = Contacts(np.ones((1, 2), bool), np.ones((1, 2), bool))
+    write_frame_log(path, recorded[0].config, recorded[1][:3], [in_touch] * 3)
+    with np.load(path) as data:
+        return {key: data[key] for key in data.files}
+
+
+def test_a_log_without_any_of_its_columns_is_named(columns, tmp_path):
+    for missing in set(columns) - {"contacts_tried", "contacts_heard"}:
+        np.savez(tmp_path / "frames.npz", **{key: value for key, value in columns.items() if key != missing})
+        with pytest.raises(DataError, match=f"'{missing}|{missing};|format 'None'"):
+            read_frame_log(tmp_path / "frames.npz")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"robot": np.zeros(1, np.int32)}, "columns of different length"),
+        ({"ranges_m": np.zeros(0)}, "columns of different length"),
+        ({"sign_frame": np.zeros(7, np.int64)}, "columns of different length"),
+        ({"wifi_macs": np.zeros(1, np.int64)}, "columns of different length"),
+        ({"sign_text": np.array("[")}, "contradicts itself"),
+        ({"sign_text": np.array(3)}, "contradicts itself"),
+        ({"config": np.array("{")}, "contradicts itself"),
+        (
+            {key: np.zeros(0, int) for key in (*PER_FRAME, *PER_READING)} | {"sign_text": np.array("[]")},
+            "no frames",
+        ),
+    ],
+)
+def test_a_log_that_contradicts_itself_is_refused(columns, tmp_path, changes, message):
+    np.savez(tmp_path / "frames.npz", **{**columns, **changes})
+    with pytest.raises(DataError, match=message):
+        read_frame_log(tmp_path / "frames.npz")
+
+
+@pytest.mark.parametrize("key", ["contacts_tried", "contacts_heard"])
+def test_contacts_that_do_not_fit_the_steps_are_refused(columns, tmp_path, key):
+    np.savez(tmp_path / "frames.npz", **{**columns, key: columns[key][:-1]})
+    with pytest.raises(DataError, match="contacts"):
+        read_contacts(tmp_path / "frames.npz")
+
+
+def test_any_flipped_byte_is_refused_or_harmless(columns, tmp_path):
+    np.savez_compressed(tmp_path / "sound.npz", **columns)
+    sound, random = (tmp_path / "sound.npz").read_bytes(), np.random.default_rng(0)
+    refused = 0
+    for _ in range(150):
+        broken = bytearray(sound)
+        for place in random.integers(0, len(sound), 3).tolist():
+            broken[place] ^= int(random.integers(1, 256))
+        (tmp_path / "broken.npz").write_bytes(broken)
+        try:
+            read_frame_log(tmp_path / "broken.npz")
+        except TwcError:
+            refused += 1
+    assert refused > 100

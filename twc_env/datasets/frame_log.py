@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig, from_dict, to_dict
-from twc_env.errors import DataError
+from twc_env.datasets.arrays_file import read_arrays
+from twc_env.errors import DataError, TwcError
 from twc_env.messages import Contacts, SensorFrame, SignReading, WifiScan
 
 Array = NDArray
 
 FORMAT = "twc_env/frames-1"
 TRUTH_FORMAT = "twc_env/truth-1"
+REMEDY = "record it again"
+PER_FRAME = ("robot", "step", "time_s", "odometry", "turn_rate_rad_s", "ranges_m", "wifi_count")
+PER_READING = ("sign_frame", "sign_place")
+PER_ADDRESS = ("wifi_macs", "wifi_rssi_dbm")
+"""Columns of the same length."""
 
 
 def write_frame_log(
@@ -67,19 +72,27 @@ def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame,
 
     Raises DataError when the file is missing, cut off or no frame log.
     """
-    log = _read(path, FORMAT, "frame log")
+    log = _read(path)
     try:
-        return from_dict(json.loads(str(log["config"]))), _steps(log)
-    except (KeyError, IndexError) as error:
-        raise DataError(f"{path} lacks or contradicts {error}; record it again") from error
+        config, steps = from_dict(json.loads(str(log["config"]))), _steps(log)
+    except TwcError:
+        raise
+    except (LookupError, TypeError, ValueError) as error:
+        raise DataError(f"{path} contradicts itself: {error}; {REMEDY}") from error
+    if not steps:
+        raise DataError(f"{path} holds no frames; {REMEDY}")
+    return config, steps
 
 
 def read_contacts(path: str | Path) -> list[Contacts]:
     """Who heard whom in each step of a recording; empty where the log does not say. Raises DataError as above."""
-    log = _read(path, FORMAT, "frame log")
-    if "contacts_heard" not in log:
+    log = _read(path)
+    if "contacts_heard" not in log or "contacts_tried" not in log:
         return []
-    return [Contacts(tried, heard) for tried, heard in zip(log["contacts_tried"], log["contacts_heard"], strict=True)]
+    tried, heard = log["contacts_tried"], log["contacts_heard"]
+    if tried.shape != heard.shape or (len(tried) and len(tried) != len(np.unique(log["step"]))):
+        raise DataError(f"{path} contradicts itself: contacts {tried.shape} and {heard.shape}; {REMEDY}")
+    return [Contacts(*both) for both in zip(tried, heard, strict=True)]
 
 
 def write_truth_log(path: str | Path, seed: int, map_name: str, true_poses: Array) -> None:
@@ -91,23 +104,21 @@ def write_truth_log(path: str | Path, seed: int, map_name: str, true_poses: Arra
 
 def read_truth_log(path: str | Path) -> tuple[int, str, Array]:
     """Seed, map and true poses (steps + 1, robots, 3) of a recording; raises DataError as `read_frame_log` does."""
-    log = _read(path, TRUTH_FORMAT, "truth log")
+    log = read_arrays(path, "truth log", TRUTH_FORMAT, ("seed", "map", "true_poses"), REMEDY)
     try:
         return int(log["seed"]), str(log["map"]), log["true_poses"]
-    except KeyError as error:
-        raise DataError(f"{path} lacks {error}; record it again") from error
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{path} contradicts itself: {error}; {REMEDY}") from error
 
 
-def _read(path: str | Path, expected: str, kind: str) -> dict[str, Array]:
-    try:
-        with Path(path).open("rb") as file, np.load(file) as data:
-            log = {key: data[key] for key in data.files}
-    except OSError as error:
-        raise DataError(f"cannot read the {kind} {path}: {error.strerror or error}") from error
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise DataError(f"{path} is no {kind} or is cut off: {error}; record it again") from error
-    if str(log.get("format")) != expected:
-        raise DataError(f"{path} has format {str(log.get('format'))!r}; expected {expected!r}: record it again")
+def _read(path: str | Path) -> dict[str, Array]:
+    log = read_arrays(
+        path, "frame log", FORMAT, ("config", *PER_FRAME, *PER_READING, *PER_ADDRESS, "sign_text"), REMEDY
+    )
+    for keys in (PER_FRAME, PER_READING, PER_ADDRESS):
+        lengths = {key: log[key].shape[0] if log[key].ndim else None for key in keys}
+        if len(set(lengths.values())) > 1:
+            raise DataError(f"{path} contradicts itself: columns of different length, {lengths}; {REMEDY}")
     return log
 
 

@@ -27,6 +27,10 @@ from twc_env.world.signal_map import signal_map_dbm
 Array = NDArray
 
 FORMAT = "twc_env/trace-1"
+TRACE_KEYS = (
+    "config", "walls_m", "signs_m", "access_points_m", "signal_dbm", "signal_place", "true_poses", "estimated_poses",
+    "maps", "map_ends", "moments", "sign_texts",
+)  # fmt: skip
 MOMENTS_MAX = 160
 """With more moments than this, every second one is dropped and the next ones come half as often."""
 UNKNOWN, FREE, WALL = 0, 1, 2

@@ -1,0 +1,38 @@
+"""Reading .npz files of our own: which are missing, cut off, of another kind or incomplete is said in one line."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.errors import DataError
+
+Array = NDArray
+
+
+def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], remedy: str) -> dict[str, Array]:
+    """All arrays of a file that names its `form` and holds at least these keys.
+
+    `kind` is what the file should be and `remedy` what to do when it is not, in the words of errors. Raises DataError.
+    """
+    path = Path(path)
+    try:
+        if path.is_file() and not zipfile.is_zipfile(path):
+            raise DataError(f"{path} is no {kind} or is cut off; {remedy}")
+        with path.open("rb") as file, np.load(file) as data:
+            arrays = {key: data[key] for key in data.files}
+    except OSError as error:
+        raise DataError(f"cannot read the {kind} {path}: {error.strerror or error}; {remedy}") from error
+    except DataError:
+        raise
+    except Exception as error:  # a broken archive surfaces as almost any exception
+        raise DataError(f"{path} is no {kind} or is cut off: {error}; {remedy}") from error
+    if str(arrays.get("format")) != form:
+        raise DataError(f"{path} has format {str(arrays.get('format'))!r}; expected {form!r}: {remedy}")
+    if missing := sorted(set(keys) - set(arrays)):
+        raise DataError(f"{path} lacks {', '.join(missing)}; {remedy}")
+    return arrays
