@@ -32,6 +32,26 @@ def test_what_is_heard_takes_the_noise_out_of_a_path():
     noisy = MOTIONS + std * RANDOM.normal(size=MOTIONS.shape)
     before = reckoned_poses(noisy)
     information = np.tile(np.diag(1.0 / std**2), (len(noisy), 1, 1))
-    after = refined(before, Motions(noisy, noisy[:, 2]), information, [FieldEvidence(HEARD)])
+    after = refined(before, Motions(noisy, noisy[:, 2]), information, [FieldEvidence(HEARD)]).poses
     errors = [absolute_trajectory_error_m(poses, TRUTH) for poses in (before, after)]
     assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_map_of_another_size_is_brought_to_that_of_the_odometry():
+    information = np.tile(np.diag([400.0, 400.0, 2500.0]), (len(MOTIONS), 1, 1))
+    small = TRUTH * [0.85, 0.85, 1.0]
+    after = refined(small, Motions(MOTIONS, MOTIONS[:, 2]), information, [FieldEvidence(HEARD)])
+    assert np.ptp(after.poses[:, 0]) == pytest.approx(np.ptp(TRUTH[:, 0]), rel=0.02)
+    errors = [absolute_trajectory_error_m(poses, TRUTH) for poses in (small, after.poses)]
+    assert errors[1] < 0.1 * errors[0]
+    assert refined(TRUTH, Motions(MOTIONS, MOTIONS[:, 2]), information, []).misfit == pytest.approx(0.0, abs=1e-6)
+
+
+def test_of_two_paths_the_one_that_explains_what_was_heard_fits_better():
+    information = np.tile(np.diag([400.0, 400.0, 2500.0]), (len(MOTIONS), 1, 1))
+    other = np.random.default_rng(1).permutation(HEARD)
+    right, wrong = (
+        refined(TRUTH, Motions(MOTIONS, MOTIONS[:, 2]), information, [FieldEvidence(heard)]).misfit
+        for heard in (HEARD, other)
+    )
+    assert right < wrong

@@ -83,18 +83,31 @@ def test_fingerprints_that_tell_nothing_leave_the_odometry_alone():
     assert solve(empty, RadioSlamConfig()).fell_back
 
 
-def test_wifi_and_lte_are_heard_apart_and_together():
-    wifi, truth = made_log()
-    lte, _ = made_log(seed=5, first_mac=CELL_ID_MIN)
+def heard_both(wifi: RadioLog, lte: RadioLog) -> RadioLog:
     both = [
         Fingerprint(np.concatenate([a.macs, b.macs]), np.concatenate([a.rssi_dbm, b.rssi_dbm]))
         for a, b in zip(wifi.fingerprints, lte.fingerprints, strict=True)
     ]
-    together = dataclasses.replace(wifi, fingerprints=both)
+    return dataclasses.replace(wifi, fingerprints=both)
+
+
+def test_wifi_and_lte_are_heard_apart_and_together():
+    wifi, truth = made_log()
+    lte, _ = made_log(seed=5, first_mac=CELL_ID_MIN)
+    together = heard_both(wifi, lte)
     result = solve(together, RadioSlamConfig())
     assert sorted(result.models) == ["lte", "wifi"]
-    assert absolute_trajectory_error_m(result.poses, truth) < 1.2
+    assert absolute_trajectory_error_m(result.poses, truth) < 1.0
     assert sorted(solve(together, RadioSlamConfig(), cues=("lte",)).models) == ["lte"]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_lte_beside_wifi_does_not_hurt(seed):
+    """Odometry counts 2 % too many metres, of which radio knows nothing: that alone is 0.44 m."""
+    wifi, truth = made_log(seed=seed)
+    lte, _ = made_log(seed=seed + 5, first_mac=CELL_ID_MIN)
+    alone, _ = errors(wifi, truth)
+    assert errors(heard_both(wifi, lte), truth)[0] < min(alone + 0.05, 0.6)
 
 
 def test_the_same_log_gives_the_same_bytes():

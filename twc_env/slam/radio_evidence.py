@@ -44,7 +44,9 @@ class FieldEvidence:
         """Logarithm of the evidence of positions (n, 2), per transmitter, up to a constant."""
         return self.fitted(positions_m)[0]
 
-    def fitted(self, positions_m: Array, start: Array | None = None) -> tuple[float, Array]:
+    def fitted(
+        self, positions_m: Array, start: Array | None = None, iterations: int = ITERATIONS
+    ) -> tuple[float, Array]:
         """The evidence, and the covariance's sizes under which it is so: logarithms of variances, lengths and noise,
         then of variance and length along the path.
 
@@ -54,7 +56,7 @@ class FieldEvidence:
         squared = _squared(positions_m[:: self._every])
         found = minimize(
             lambda logs: self._cost(logs, squared)[:2], start, method="L-BFGS-B", jac=True,
-            bounds=LOG_BOUNDS[: len(start)], options={"maxiter": ITERATIONS},
+            bounds=LOG_BOUNDS[: len(start)], options={"maxiter": iterations},
         )  # fmt: skip
         return -float(found.fun), found.x
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.geometry import between, wrap_angle
 from twc_env.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
-from twc_env.slam import radio_slam, robust_backend, scan_alignment
+from twc_env.slam import radio_cue, radio_slam, robust_backend, scan_alignment
 from twc_env.slam.loop_verification import LoopVerifier
 from twc_env.slam.occupancy_grid import OccupancyGrid
 
@@ -51,7 +51,7 @@ def radio_log(keyframes: Sequence[Keyframe]) -> radio_slam.RadioLog:
     return radio_slam.RadioLog(motions, wrap_angle(motions[:, 2]), [k.fingerprint for k in keyframes])
 
 
-def solve(keyframes: Sequence[Keyframe], config: EnvConfig, cues: Sequence[str] = radio_slam.CUES) -> RadioLidarResult:
+def solve(keyframes: Sequence[Keyframe], config: EnvConfig, cues: Sequence[str] = radio_cue.CUES) -> RadioLidarResult:
     """Trajectory and occupancy map from one robot's keyframes, in order."""
     radio = radio_slam.solve(radio_log(keyframes), config.slam.radio_slam, cues)
     poses = radio.poses

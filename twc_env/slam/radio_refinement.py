@@ -9,33 +9,47 @@ even, however long the path (maximum a posteriori; WiFi-SLAM, Ferris, Fox, Lawre
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from twc_env.geometry import between, wrap_angle
-from twc_env.slam.odometry_calibration import Motions, calibrated, reckoned_poses
+from twc_env.slam.odometry_calibration import Motions, calibration, reckoned_poses
 from twc_env.slam.radio_evidence import FieldEvidence
 
 Array = NDArray
 
-EVIDENCE_WEIGHT = 16.0
+EVIDENCE_WEIGHT = 32.0
 """What is heard weighs as so many independent transmitters, against odometry of the configured noise. Chosen
 in the semi-indoor twin, walks 0 to 3 and 100 to 105."""
-ROUNDS, ITERATIONS = 3, 40
-"""Each round calibrates the odometry, moves the path, then fits the covariance anew."""
+ROUNDS, ITERATIONS, SIZE_ITERATIONS = 3, 40, 30
+"""Each round calibrates the odometry, moves the path, then fits the covariance anew, which is first fitted in more."""
 
 
-def refined(poses: Array, motions: Motions, information: Array, evidences: Sequence[FieldEvidence]) -> Array:
-    """Poses (p, 3), the first where it was at the origin.
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """A refined path."""
 
-    `motions` lead from place to place, with information (p - 1, 3, 3) of which only the diagonal counts.
+    poses: Array
+    """(p, 3)."""
+    misfit: float
+    """Minus the logarithm of its probability, up to a constant: of paths by the same evidence the lowest is best."""
+
+
+def refined(poses: Array, motions: Motions, information: Array, evidences: Sequence[FieldEvidence]) -> Refined:
+    """The path that is likeliest, from poses (p, 3); its first pose is the origin.
+
+    `motions` lead from place to place, with information (p - 1, 3, 3) of which only the diagonal counts. Fields of any
+    size explain what was heard as well in a map of that size: so it is the odometry's, whatever size the poses have.
     """
     std = 1.0 / np.sqrt(np.diagonal(information, axis1=1, axis2=2))
-    sizes = [evidence.fitted(poses[:, :2])[1] for evidence in evidences]
+    poses = poses / [*2 * [calibration(motions, poses).scale], 1.0]
+    sizes = [evidence.fitted(poses[:, :2], iterations=SIZE_ITERATIONS)[1] for evidence in evidences]
+    strain = values = 0.0
     for _ in range(ROUNDS):
-        motion = calibrated(motions, poses).motion
+        motion = replace(calibration(motions, poses), scale=1.0).applied(motions).motion
 
         def cost(flat: Array, motion: Array = motion, sizes: Sequence[Array] = tuple(sizes)) -> tuple[float, Array]:
             moved = motion + std * flat.reshape(-1, 3)
@@ -51,8 +65,10 @@ def refined(poses: Array, motions: Motions, information: Array, evidences: Seque
         missed[:, 2] = wrap_angle(missed[:, 2])
         found = minimize(cost, (missed / std).ravel(), method="L-BFGS-B", jac=True, options={"maxiter": ITERATIONS})
         poses = reckoned_poses(motion + std * found.x.reshape(-1, 3))
-        sizes = [e.fitted(poses[:, :2], size)[1] for e, size in zip(evidences, sizes, strict=True)]
-    return poses
+        strain = 0.5 * float(found.x @ found.x)
+        fits = [evidence.fitted(poses[:, :2], size) for evidence, size in zip(evidences, sizes, strict=True)]
+        values, sizes = sum(value for value, _ in fits), [size for _, size in fits]
+    return Refined(poses, strain - EVIDENCE_WEIGHT * values)
 
 
 def by_motion(poses: Array, motions: Array, by_place: Array) -> Array:

@@ -1,50 +1,40 @@
 """SLAM from odometry and radio fingerprints alone: a trajectory and a radio map, without knowing any transmitter.
 
 Closures that tell distances, from the similarity of fingerprints (radio SLAM Eq. 1-3), untangle the path
-from its beginning onwards; then the fields of signal strength around each place tie it to other visits near by. After
-each fit the odometry's constant errors are taken out. `paper` does the first step only, as printed. At last the path
-moves as a whole to where all that was heard is likeliest (`radio_refinement`).
+from its beginning onwards; then the fields of signal strength around each place tie it to other visits near by
+(`radio_path`). `paper` does the first step only, as printed. At last the path moves as a whole to where all that was
+heard is likeliest (`radio_refinement`).
 
 How noisy the odometry is nobody says, so the way is gone under several assumptions, and the result stays that explains
-best what was heard without straining the odometry (`radio_evidence`). Where likeness falls with distance no better than
-it does along the odometry, the odometry is given back.
+best what was heard without straining the odometry (`radio_evidence`). Where several kinds of radio were heard the way
+is also gone by each alone, as a blurred one bends what a sharp one tells; then all that was heard chooses among the
+refined paths. Where likeness falls with distance no better than it does along the odometry, the odometry is given back.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 from scipy.stats import spearmanr
 
 from twc_env.config import RadioSlamConfig
 from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Fingerprint
-from twc_env.slam import radio_closures, radio_field
-from twc_env.slam.distance_factor import NO_DISTANCES, Distances, RadioEquations, together
+from twc_env.slam import radio_closures, radio_cue, radio_field
+from twc_env.slam.distance_factor import Distances, together
 from twc_env.slam.odometry_calibration import Calibration, Motions, calibrated, reckoned_poses
 from twc_env.slam.pose_graph import squared_errors
-from twc_env.slam.radio_evidence import FieldEvidence
-from twc_env.slam.radio_refinement import refined
-from twc_env.slam.radio_similarity import all_similarities, averaged, feature_rows, split_cues
-from twc_env.slam.similarity_model import SimilarityModel, train_on_path
+from twc_env.slam.radio_cue import CUES, RadioCue
+from twc_env.slam.radio_path import PathFit
+from twc_env.slam.radio_refinement import Refined, refined
+from twc_env.slam.similarity_model import SimilarityModel
 
 Array = NDArray
 
-CUES, REFINED_BY = ("wifi", "lte"), ("wifi",)
-FIRST_STAGE_M, STAGE_GROWTH = 60.0, 1.3
-"""The path is fitted up to here first, then up to this many times as far, and so on."""
-STAGE_ITERATIONS, FINAL_ITERATIONS, FINAL_ROUNDS = 6, 20, 4
-PAPER_APART_M, PAPER_ITERATIONS = 100.0, 60
-BANDWIDTHS_M = {"wifi": (8.0, 8.0, 5.0, 4.0, 4.0, 4.0), "lte": (40.0, 40.0, 30.0, 30.0, 25.0, 25.0, 20.0, 20.0, 20.0)}
-"""Of the fields of strength, round by round."""
-FIELD_SMOOTHING = 0.6
-"""Fields are fitted to fingerprints averaged over this share of the length that similarities are taken over."""
-MOVED_PER_BANDWIDTH = 1.5
-WORTH_ITERATIONS = 10
+PAPER_ITERATIONS = 60
 NOISE_LEVELS = ((1.0, 1.0), (1.0, 3.0), (3.0, 3.0), (6.0, 6.0), (10.0, 10.0))
 """How many times as noisy as configured odometry's positions and headings may be: each pair is tried."""
 STRAIN_NOISE, EVIDENCE_WEIGHT = 3.0, 2.0
@@ -99,19 +89,6 @@ class RadioResult:
     """Whether the odometry was given back."""
 
 
-@dataclass(slots=True, eq=False)
-class _Cue:
-    """One kind of radio at the places of the graph."""
-
-    name: str
-    similarity: Array
-    feature: Array
-    model: SimilarityModel
-    evidence: FieldEvidence
-    worth: dict[float, float] = field(default_factory=dict)
-    """Of the fields, by bandwidth."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Try:
     """Poses (p, 3) of the places, how much they strain the odometry, and how well they explain what was heard."""
@@ -147,48 +124,56 @@ class _Solver:
         turned_abs = np.concatenate([[0.0], np.cumsum(np.abs(log.turned_rad))])[self._places]
         motion = between(self._odometry[:-1], self._odometry[1:])
         self._motions = Motions(motion, np.diff(turned))
-        self._own_information = self._information = motion_information(
-            config, np.diff(self._travel_m), np.diff(turned_abs)
-        )
+        self._information = motion_information(config, np.diff(self._travel_m), np.diff(turned_abs))
         self._cell_m = max(config.cell_m, 2 * spacing_m)
-        self._cues = [cue for name in cues if (cue := self._prepare(name)) is not None]
+        found = [
+            radio_cue.prepared(name, log.fingerprints, travel_m, self._places, self._odometry, config) for name in cues
+        ]
+        self._cues = [cue for cue in found if cue is not None]
 
     def run(self, false_closures: Distances | None) -> RadioResult:
-        closures = self._closures(false_closures)
+        closures = self._closures(self._cues, false_closures)
         if len(closures) < radio_field.NEIGHBOURS_MIN:
             return self._result(self._odometry, closures, fell_back=True)
         if self._config.weighting == "paper":
-            poses = self._fit(self._odometry, self._motions, closures, robust=False, iterations=PAPER_ITERATIONS)
+            fit = PathFit(self._travel_m, self._information, self._cues, self._config, self._cell_m)
+            poses = fit.fit(self._odometry, self._motions, closures, robust=False, iterations=PAPER_ITERATIONS)
             return self._result(poses, closures, fell_back=False)
-        tries = self._tries(self._motions, closures)
-        most = max(found.evidence for found in tries) - EVIDENCE_LOSS_MAX
-        if all(found.evidence < most or found.strain > STRAIN_MAX * len(self._places) for found in tries):
-            for curl in CURLS_RAD_M:
-                tries += self._tries(Calibration(curl_rad_m=curl).applied(self._motions), closures)
-        best = self._refined(min(tries, key=lambda found: found.misfit).poses)
+        paths = [self._path(self._cues, closures)]
+        if len(self._cues) > 1:
+            for cue in self._cues:
+                alone = self._closures([cue], false_closures)
+                if len(alone) >= radio_field.NEIGHBOURS_MIN:
+                    paths.append(self._path([cue], alone))
+        best = min(paths, key=lambda path: path.misfit).poses
         if self._order(best) <= max(self._order(self._odometry), ORDER_MIN):
             return self._result(self._odometry, closures, fell_back=True)
         return self._result(best, closures, fell_back=False)
 
-    def _refined(self, poses: Array) -> Array:
-        """All of the path at once under what WiFi tells; what LTE tells is too smooth for that."""
-        sharp = [FieldEvidence(cue.feature, self._travel_m, len(poses)) for cue in self._cues if cue.name in REFINED_BY]
-        return refined(poses, self._motions, self._own_information, sharp) if sharp else poses
+    def _path(self, cues: Sequence[RadioCue], closures: Distances) -> Refined:
+        """The path by some of the cues, at last moved to where all that was heard is likeliest."""
+        tries = self._tries(cues, self._motions, closures)
+        most = max(found.evidence for found in tries) - EVIDENCE_LOSS_MAX
+        if all(found.evidence < most or found.strain > STRAIN_MAX * len(self._places) for found in tries):
+            for curl in CURLS_RAD_M:
+                tries += self._tries(cues, Calibration(curl_rad_m=curl).applied(self._motions), closures)
+        best = min(tries, key=lambda found: found.misfit).poses
+        return refined(best, self._motions, self._information, [cue.evidence_along for cue in self._cues])
 
-    def _tries(self, motions: Motions, closures: Distances) -> list[_Try]:
+    def _tries(self, cues: Sequence[RadioCue], motions: Motions, closures: Distances) -> list[_Try]:
         """The whole way under each assumption of noise."""
         tries = []
         for noise, heading_noise in NOISE_LEVELS:
             std = np.array([noise, noise, heading_noise])
-            self._information = self._own_information / (std[:, None] * std)
-            poses = self._refine(*self._grow(motions, closures))
+            information = self._information / (std[:, None] * std)
+            fit = PathFit(self._travel_m, information, cues, self._config, self._cell_m)
+            poses = fit.whole(motions, closures)
             chain = np.arange(len(poses) - 1)
             squared = squared_errors(
-                poses, np.column_stack([chain, chain + 1]), calibrated(motions, poses).motion, self._own_information
+                poses, np.column_stack([chain, chain + 1]), calibrated(motions, poses).motion, self._information
             )
             strain = 0.5 * float(squared.sum()) / STRAIN_NOISE**2
-            evidence = sum(cue.evidence.of(poses[:, :2]) for cue in self._cues)
-            tries.append(_Try(poses, strain, evidence))
+            tries.append(_Try(poses, strain, sum(cue.evidence.of(poses[:, :2]) for cue in cues)))
         return tries
 
     def _order(self, poses: Array) -> float:
@@ -200,116 +185,17 @@ class _Solver:
         near = -np.linalg.norm(poses[i, :2] - poses[j, :2], axis=1)
         return float(np.mean([spearmanr(near, cue.similarity[i, j]).statistic for cue in self._cues]))
 
-    # --- from scans to closures
-
-    def _prepare(self, name: str) -> _Cue | None:
-        config, travel_m = self._config, self._log.travel_m
-        rows = feature_rows([split_cues(f)[name] for f in self._log.fingerprints], config.similarity)
-        if rows.nnz == 0:
-            return None
-        is_ours = config.weighting == "ours"
-        smoothing_m = config.smoothing_wifi_m if name == "wifi" else config.smoothing_lte_m
-        window_m = config.window_wifi_m if name == "wifi" else config.window_lte_m
-        alike = averaged(rows, travel_m, smoothing_m if is_ours else 0.0)[self._places]
-        similarity = all_similarities(csr_array(alike))
-        model = train_on_path(
-            similarity, self._travel_m, self._odometry[:, :2], config.similarity_min, window_m, config.bin_width,
-            "repaired" if is_ours else "paper",
-        )  # fmt: skip
-        if not len(model.centre):
-            return None
-        feature = averaged(rows, travel_m, FIELD_SMOOTHING * smoothing_m)[self._places].toarray()
-        return _Cue(name, similarity, feature.astype(np.float32), model, FieldEvidence(feature))
-
-    def _closures(self, false_closures: Distances | None) -> Distances:
-        config, parts = self._config, []
-        is_ours = config.weighting == "ours"
-        for cue in self._cues:
-            if is_ours:
-                parts.append(
-                    radio_closures.closures(
-                        cue.similarity, self._travel_m, cue.model, config.similarity_min, config.apart_m, self._cell_m,
-                        config.closures_per_place,
-                    )
-                )  # fmt: skip
-                continue
-            i, j = radio_closures.alike_pairs(cue.similarity, self._travel_m, config.similarity_min, PAPER_APART_M)
-            parts.append(Distances(np.column_stack([i, j]), *cue.model.distance(cue.similarity[i, j])))
+    def _closures(self, cues: Sequence[RadioCue], false_closures: Distances | None) -> Distances:
+        """What these cues tell of distances, with the false ones among it."""
+        parts = [cue.closures(self._config, self._cell_m) for cue in cues]
         if false_closures is not None:
             near = np.abs(self._places[None] - false_closures.pairs.reshape(-1, 1)).argmin(axis=1).reshape(-1, 2)
             parts.append(Distances(np.sort(near, axis=1), false_closures.distance_m, false_closures.variance_m2))
         found = together(parts)
         found = found[found.pairs[:, 0] != found.pairs[:, 1]]
-        if is_ours:
+        if self._config.weighting == "ours":
             found = found[radio_closures.with_support(found.pairs[:, 0], found.pairs[:, 1], self._travel_m)]
         return found
-
-    # --- fitting
-
-    def _grow(self, motions: Motions, closures: Distances) -> tuple[Array, Motions]:
-        """Fit the path from its beginning on, further and further; its odometry is calibrated on the way."""
-        poses, total_m = np.zeros((1, 3)), self._travel_m[-1]
-        end_m, last = FIRST_STAGE_M, closures.pairs.max(axis=1)
-        rounds_left = FINAL_ROUNDS
-        while rounds_left:
-            is_whole = end_m >= total_m
-            count = len(self._travel_m) if is_whole else max(int(np.searchsorted(self._travel_m, end_m)), 2)
-            rest = reckoned_poses(motions.motion[len(poses) - 1 : count - 1])
-            poses = np.concatenate([poses[:-1], compose(poses[-1], rest)])
-            within = closures[last < count]
-            if len(within) >= radio_field.NEIGHBOURS_MIN:
-                iterations = FINAL_ITERATIONS if is_whole else STAGE_ITERATIONS
-                poses = self._fit(poses, motions, within, iterations=iterations)
-                motions = calibrated(motions, poses)
-            end_m *= STAGE_GROWTH
-            rounds_left -= is_whole
-        return poses, motions
-
-    def _refine(self, poses: Array, motions: Motions) -> Array:
-        """Tie places by the fields of strength, from coarse to fine."""
-        for k in range(max(len(BANDWIDTHS_M[cue.name]) for cue in self._cues)):
-            ties = [self._ties(cue, poses, motions, k) for cue in self._cues]
-            poses = self._fit(poses, motions, None, [t for t in ties if len(t.pairs)], iterations=WORTH_ITERATIONS)
-            motions = calibrated(motions, poses)
-        return poses
-
-    def _ties(self, cue: _Cue, poses: Array, motions: Motions, round_: int) -> radio_field.Ties:
-        bandwidths = BANDWIDTHS_M[cue.name]
-        bandwidth_m = max(bandwidths[min(round_, len(bandwidths) - 1)], 1.5 * self._cell_m / 2)
-        if bandwidth_m not in cue.worth:
-            reckoned = reckoned_poses(motions.motion)
-            cue.worth[bandwidth_m] = radio_field.learn_worth(cue.feature, reckoned[:, :2], self._travel_m, bandwidth_m)
-        return radio_field.ties(
-            cue.feature, poses[:, :2], self._travel_m, bandwidth_m, self._config.apart_m, cue.worth[bandwidth_m],
-            MOVED_PER_BANDWIDTH * bandwidth_m,
-        )  # fmt: skip
-
-    def _fit(
-        self, poses: Array, motions: Motions, closures: Distances | None, ties: Sequence[radio_field.Ties] = (),
-        robust: bool = True, iterations: int = FINAL_ITERATIONS,
-    ) -> Array:  # fmt: skip
-        """Poses after least squares over the odometry of their part of the path, closures and ties."""
-        count = len(poses)
-        chain = np.arange(count - 1)
-        edges, measured = [np.column_stack([chain, chain + 1])], [motions.motion[: count - 1]]
-        information = [self._information[: count - 1]]
-        for tie in ties:
-            edges.append(tie.pairs)
-            relative, its_information = tie.relative(poses)
-            measured.append(relative)
-            information.append(its_information)
-        equations = RadioEquations(
-            np.concatenate(edges), np.concatenate(measured), np.concatenate(information),
-            closures if closures is not None else NO_DISTANCES, count,
-        )  # fmt: skip
-        scale2 = self._config.robust_scale**2
-
-        def weigh(squared: Array) -> Array:
-            weight = 1.0 / (1.0 + squared / scale2) if robust else np.ones(len(squared))
-            weight[: count - 1] = 1.0
-            return weight
-
-        return equations.minimise(poses, weigh, iterations)
 
     def _result(self, place_poses: Array, closures: Distances, fell_back: bool) -> RadioResult:
         poses = spread(self._log.odometry, self._log.travel_m, self._places, place_poses)

@@ -1,0 +1,104 @@
+"""One kind of radio at the places of a path: how alike they are, what that tells of distances, fields of strength."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from twc_env.config import RadioSlamConfig
+from twc_env.messages import Fingerprint
+from twc_env.slam import radio_closures, radio_field
+from twc_env.slam.distance_factor import Distances
+from twc_env.slam.odometry_calibration import Motions, reckoned_poses
+from twc_env.slam.radio_evidence import FieldEvidence
+from twc_env.slam.radio_similarity import all_similarities, averaged, feature_rows, split_cues
+from twc_env.slam.similarity_model import SimilarityModel, train_on_path
+
+Array = NDArray
+
+CUES = ("wifi", "lte")
+PAPER_APART_M = 100.0
+BANDWIDTHS_M = {"wifi": (8.0, 8.0, 5.0, 4.0, 4.0, 4.0), "lte": (40.0, 40.0, 30.0, 30.0, 25.0, 25.0, 20.0, 20.0, 20.0)}
+"""Of the fields of strength, round by round."""
+FIELD_SMOOTHING = 0.6
+"""Fields are fitted to fingerprints averaged over this share of the length that similarities are taken over."""
+EVIDENCE_SMOOTHING_M = 3.0
+"""Evidence is taken of fingerprints averaged over this length: over longer ones places near along the path would share
+scans, and look far more alike than the floor makes them."""
+MOVED_PER_BANDWIDTH = 1.5
+
+
+@dataclass(slots=True, eq=False)
+class RadioCue:
+    """What places (n) heard of one kind of radio."""
+
+    name: str
+    travel_m: Array
+    """(n,) path length to each place."""
+    similarity: Array
+    """(n, n)."""
+    model: SimilarityModel
+    feature: Array
+    """(n, transmitters) of which fields are made."""
+    evidence: FieldEvidence
+    """Of layouts as they are."""
+    evidence_along: FieldEvidence
+    """Likewise, of all places and knowing what neighbours along the path have in common."""
+    worth: dict[float, float] = field(default_factory=dict)
+    """Of the fields, by bandwidth."""
+
+    @property
+    def rounds(self) -> int:
+        """How often fields are made, from coarse to fine."""
+        return len(BANDWIDTHS_M[self.name])
+
+    def closures(self, config: RadioSlamConfig, cell_m: float) -> Distances:
+        """Distances between alike places; by the weighting `ours`, of all between two cells the strongest."""
+        if config.weighting == "ours":
+            return radio_closures.closures(
+                self.similarity, self.travel_m, self.model, config.similarity_min, config.apart_m, cell_m,
+                config.closures_per_place,
+            )  # fmt: skip
+        i, j = radio_closures.alike_pairs(self.similarity, self.travel_m, config.similarity_min, PAPER_APART_M)
+        return Distances(np.column_stack([i, j]), *self.model.distance(self.similarity[i, j]))
+
+    def ties(self, poses: Array, motions: Motions, round_: int, apart_m: float, cell_m: float) -> radio_field.Ties:
+        """What fields of a round's bandwidth tell of places near each other, by poses (n, 3)."""
+        bandwidths = BANDWIDTHS_M[self.name]
+        bandwidth_m = max(bandwidths[min(round_, len(bandwidths) - 1)], 1.5 * cell_m / 2)
+        if bandwidth_m not in self.worth:
+            reckoned = reckoned_poses(motions.motion)
+            self.worth[bandwidth_m] = radio_field.learn_worth(self.feature, reckoned[:, :2], self.travel_m, bandwidth_m)
+        return radio_field.ties(
+            self.feature, poses[:, :2], self.travel_m, bandwidth_m, apart_m, self.worth[bandwidth_m],
+            MOVED_PER_BANDWIDTH * bandwidth_m,
+        )  # fmt: skip
+
+
+def prepared(
+    name: str, fingerprints: Sequence[Fingerprint], travel_m: Array, places: Array, odometry: Array,
+    config: RadioSlamConfig,
+) -> RadioCue | None:  # fmt: skip
+    """The cue of that name at scans `places` (n,) of a log with path length travel_m (scans,) and dead-reckoned poses
+    (n, 3) there; None where too little was heard."""
+    rows = feature_rows([split_cues(f)[name] for f in fingerprints], config.similarity)
+    if rows.nnz == 0:
+        return None
+    is_ours = config.weighting == "ours"
+    smoothing_m = config.smoothing_wifi_m if name == "wifi" else config.smoothing_lte_m
+    window_m = config.window_wifi_m if name == "wifi" else config.window_lte_m
+    similarity = all_similarities(csr_array(averaged(rows, travel_m, smoothing_m if is_ours else 0.0)[places]))
+    model = train_on_path(
+        similarity, travel_m[places], odometry[:, :2], config.similarity_min, window_m, config.bin_width,
+        "repaired" if is_ours else "paper",
+    )  # fmt: skip
+    if not len(model.centre):
+        return None
+    feature = averaged(rows, travel_m, FIELD_SMOOTHING * smoothing_m)[places].toarray().astype(np.float32)
+    sharp = averaged(rows, travel_m, EVIDENCE_SMOOTHING_M)[places].toarray()
+    along = FieldEvidence(sharp, travel_m[places], len(places))
+    return RadioCue(name, travel_m[places], similarity, model, feature, FieldEvidence(sharp), along)
