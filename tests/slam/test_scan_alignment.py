@@ -1,9 +1,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from twc_env.geometry import between, compose
-from twc_env.slam.scan_alignment import aligned
+from twc_env.slam import pose_graph
+from twc_env.slam.scan_alignment import FITS, STEPS_BACK, aligned
 
 WAY = [(-2.5, -2.0, 0.0), (-1.5, -2.0, 0.1), (-0.3, -2.1, 0.3), (0.7, -2.0, 0.9), (0.6, -0.8, 1.6), (0.3, 0.4, 2.2)]
 WAY += [
@@ -43,3 +45,24 @@ def test_neighbouring_scans_put_a_loop_right_to_millimetres(office, path_of):
 def test_scans_without_returns_leave_the_odometry_alone(path_of):
     keyframes, _, reckoned = walked(np.array([[(50.0, 50.0), (51.0, 50.0)]]), path_of, (0.03, 0.03, 0.01))
     np.testing.assert_allclose(aligned(keyframes, reckoned, 10.0), reckoned, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 4])
+def test_one_match_in_six_that_is_a_decimetre_off_does_not_bend_a_corridor(seed):
+    random = np.random.default_rng(seed)
+    truth = np.column_stack([0.5 * np.arange(60.0), np.zeros(60), np.zeros(60)])
+    chain = np.array([(k - 1, k) for k in range(1, 60)])
+    pairs = np.array([(k - back, k) for k in range(60) for back in STEPS_BACK if back <= k])
+    motions = between(truth[chain[:, 0]], truth[chain[:, 1]]) + random.normal(size=(59, 3)) * (0.06, 0.03, 0.003)
+    matches = between(truth[pairs[:, 0]], truth[pairs[:, 1]]) + random.normal(size=(len(pairs), 3)) * 0.001
+    wrong = random.random(len(pairs)) < 1 / 6
+    matches[wrong, 0] += random.uniform(0.0, 0.2, wrong.sum())
+    known = np.tile(np.diag(1.0 / np.square([0.03, 0.03, 0.005])), (59, 1, 1))
+    claimed = np.tile(np.diag(1.0 / np.square([0.005, 0.003, 0.0006])), (len(pairs), 1, 1))
+    poses = truth + random.normal(size=(60, 3)) * (0.05, 0.01, 0.001) * (np.arange(60) > 0)[:, None]
+    for fit in FITS:
+        poses = pose_graph.optimise(
+            poses, np.concatenate([chain, pairs]), np.concatenate([motions, matches]), np.concatenate([known, claimed]),
+            np.arange(59 + len(pairs)) >= 59, fit,
+        )  # fmt: skip
+    assert np.abs(poses[:, 0] - truth[:, 0]).max() < 0.01
