@@ -112,7 +112,7 @@ def test_terms_judge_one_transition():
     own = {"coverage": 0.5, "merge": 0.5, "localisation": 0.5}
     assert terms(transition, "individual")[1] == own | {"collision": 1.0, "time": 0.005, "bytes": 0.25}
     weights = RewardConfig(coverage=2.0, merge=1.0, collision=-1.0, bytes=-4.0)
-    assert weigh(terms(transition, "individual")[1], weights_of(weights)) == 1.0 + 0.5 - 1.0 - 1.0
+    assert weigh(terms(transition, "individual"), weights_of(weights))[1] == 1.0 + 0.5 - 1.0 - 1.0
 
 
 def test_the_rightly_merged_group_that_mapped_most_counts():

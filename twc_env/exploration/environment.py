@@ -231,7 +231,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             self.agents = []
         return (
             observations,
-            {agent: rewards.weigh(v, self._weights) for agent, v in zip(agents, values, strict=True)},
+            dict(zip(agents, rewards.weigh(values, self._weights), strict=True)),
             dict.fromkeys(agents, False),
             dict.fromkeys(agents, is_last),
             infos,
@@ -345,7 +345,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     def _tick(self, commands: Array) -> list[dict[str, float]]:
         """One time step: the reward terms of each robot."""
-        if not self._failures.are_all_alive(self._steps):
+        if not (self._failures.is_nothing or self._failures.are_all_alive(self._steps)):
             is_alive = self._failures.is_alive(self._steps)
             self._world.anchor(np.flatnonzero(~is_alive))
             commands = commands * is_alive[:, None]
@@ -372,16 +372,19 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """Front ends, link and mappers take in one set of frames."""
         self._frames = frames
         self._frames_of_step.append(frames)
-        self._contacts = self._failures.contacts(self._steps, self._link.contacts(self._world.poses_home))
-        engine = self.engine
-        if self._failures.are_all_alive(self._steps):
+        world, engine, failures = self._world, self.engine, self._failures
+        self._contacts = self._link.contacts(world.poses_home)
+        if failures.is_nothing:
             engine.track(frames)
         else:
-            is_alive = self._failures.is_alive(self._steps)
-            if is_alive.any():
+            self._contacts = failures.contacts(self._steps, self._contacts)
+            is_alive = failures.is_alive(self._steps)
+            if is_alive.all():
+                engine.track(frames)
+            elif is_alive.any():
                 engine.track([frame for frame in frames if is_alive[frame.robot]])
         engine.absorb(self._steps, self._contacts)
-        self._record.append(self._world.poses, engine.poses_odom, frames.odometry, self._world.contacts)
+        self._record.append(world.poses, engine.poses_odom, frames.odometry, world.contacts)
 
     def _notice(self) -> None:
         """What the robots believe now, and what their observations must remember of it."""
@@ -391,31 +394,31 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             self._viewer.follow(self)
 
     def _judge(self, is_last: bool) -> list[dict[str, float]]:
-        before, sent_before = self._standing, self._bytes_judged
+        config, before, sent_before = self.config, self._standing, self._bytes_judged
         self._bytes_judged = self.bytes_sent
-        if is_last or self._steps % self.config.reward.period_steps == 0:
+        if is_last or self._steps % config.reward.period_steps == 0:
             self._standing = verdicts.standing(self.engine, self._record, self._cells, is_last)
-        config = self.config
         sent = (self._bytes_judged - sent_before) / config.robots
         transition = rewards.Transition(before, self._standing, self._world.contacts, sent, config.max_cycles)
         return rewards.terms(transition, config.reward.sharing)
 
     def _observe(self) -> dict[str, Any]:
         """Observations of all robots; where one chooses among frontiers, they are worked out here."""
-        looker = self._pilot or self._scout
-        if looker is not None:
-            looker.look(self._beliefs)
-        pilot, masks = self._pilot, None
+        pilot, looker, masks = self._pilot, self._pilot or self._scout, None
+        if looker is None:
+            return dict(zip(self.possible_agents, self._builder.build(), strict=True))
+        looker.look(self._beliefs)
         if pilot is not None and self.config.action.kind == "frontier":
             masks = [pilot.mask(robot) for robot in range(self.config.robots)]
-        seen = self._builder.build(None if looker is None else looker.candidates, masks)
+        seen = self._builder.build(looker.candidates, masks)
         return dict(zip(self.possible_agents, seen, strict=True))
 
     def _infos(
         self, agents: list[str], time_steps: int = 0, terms: Sequence[dict[str, float]] = ()
     ) -> dict[str, dict[str, Any]]:
-        infos: dict[str, dict[str, Any]]
-        infos = dict(zip(agents, [{"reward_terms": own} for own in terms] or [{} for _ in agents], strict=True))
+        infos: dict[str, dict[str, Any]] = {agent: {} for agent in agents}
+        for info, own in zip(infos.values(), terms, strict=bool(terms)):
+            info["reward_terms"] = own
         if self._pilot is not None:
             for robot, info in enumerate(infos.values()):
                 info["is_deciding"], info["time_steps"] = bool(self._pilot.is_deciding[robot]), time_steps

@@ -20,6 +20,7 @@ Array = NDArray
 
 FREE, WALL, UNKNOWN, FRONTIER, PATH, MATES, SIGNS = range(7)
 CHANNELS = 7
+_BYTE = np.dtype(np.uint8)
 OVERVIEW_CHANNELS = 4
 """Free, wall, this robot, mates."""
 
@@ -37,27 +38,31 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
     return out
 
 
-def views(
-    grids: Sequence[GridMap], poses: Array, cells: int, cell_m: float, paths_odom: Array, path_counts: Array,
-    mates: Array, mate_counts: Array, signs: Sequence[Array],
-) -> Array:  # fmt: skip
-    """`crop_around` of each robot with its last three channels filled too: (robots, 7, cells, cells) uint8.
-
-    poses (robots, 3, 3): in the map frame, its spread, in the odom frame; paths_odom (robots, k, 2): rings that hold
-    the latest of `path_counts` places; mates (robots, m, >= 2): the first of them as each robot sees them; signs: of
-    each robot (k, 2) in the map frame. Robots that share a map are served by one compiled call.
-    """
-    out = np.empty((len(grids), CHANNELS, cells, cells), np.uint8)
-    first = 0
+def shared_maps(grids: Sequence[GridMap], signs: Sequence[Array]) -> list[tuple]:
+    """What `views` asks of the maps of robots 0, 1, ... and the signs (2, k) on each; once for all that share them."""
+    shared, first = [], 0
     for end in range(1, len(grids) + 1):
         grid, places = grids[first], signs[first]
         if end < len(grids) and grids[end].log_odds is grid.log_odds and signs[end] is places:
             continue
-        _crop_and_mark(
-            _kinds(grid), grid.origin_m, 1.0 / grid.resolution_m, poses, cell_m, paths_odom, path_counts,
-            mates, mate_counts, places, first, end, out,
-        )  # fmt: skip
+        shared.append((first, end, _kinds(grid), grid.origin_m, 1.0 / grid.resolution_m, places))
         first = end
+    return shared
+
+
+def views(
+    shared: Sequence[tuple], poses: Array, cells: int, cell_m: float, paths_odom: Array, path_counts: Array,
+    mates: Array, mate_counts: Array,
+) -> Array:  # fmt: skip
+    """`crop_around` of each robot with its last three channels filled too: (robots, 7, cells, cells) uint8.
+
+    shared: of `shared_maps`; poses (robots, 3, 3): in the map frame, its spread, in the odom frame; paths_odom
+    (robots, 2, k): rings that hold the latest of `path_counts` places; mates (robots, >= 2, m): the first of them as
+    each robot sees them. Robots that share a map are served by one compiled call.
+    """
+    out = np.empty((len(poses), CHANNELS, cells, cells), _BYTE)
+    for of_some in shared:
+        _crop_and_mark(*of_some, poses, cell_m, paths_odom, path_counts, mates, mate_counts, out)
     return out
 
 
@@ -77,17 +82,25 @@ def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
 
 
 @kernel
-def _mark(channel, points, count, x, y, heading, inverse_m):
-    """Set the cells of channel (cells, cells) under the first points of (k, 2), seen from a pose in their frame."""
-    size = channel.shape[0]
+def _mark(channel, points, count, x, y, heading, inverse_m, cells):
+    """Set the cells of channel (cells, cells) under the first points of (2, k), seen from a pose in their frame.
+
+    Which cells these are is worked out for several points at once, and only then are they set.
+    """
+    size, flat, xs, ys = channel.shape[0], channel.reshape(-1), points[0], points[1]
     c, s = math.cos(heading) * inverse_m, math.sin(heading) * inverse_m
-    middle = float(size // 2)
+    middle, end = float(size // 2), float(size)
     ahead0, left0 = middle - c * x - s * y, middle - c * y + s * x
-    for k in range(min(count, points.shape[0])):
-        px, py = points[k, 0], points[k, 1]
-        column, row = ahead0 + c * px + s * py, left0 + c * py - s * px
-        if column >= 0.0 and row >= 0.0 and column < size and row < size:
-            channel[np.uint64(row), np.uint64(column)] = 255
+    count = min(count, points.shape[1])
+    for k in range(count):
+        column, row = ahead0 + c * xs[k] + s * ys[k], left0 + c * ys[k] - s * xs[k]
+        is_inside = (column >= 0.0) & (row >= 0.0) & (column < end) & (row < end)
+        column, row = (column if is_inside else 0.0), (row if is_inside else 0.0)
+        cell = np.int32(row) * np.int32(size) + np.int32(column)
+        cells[k] = cell if is_inside else np.int32(-1)
+    for k in range(count):
+        if cells[k] >= 0:
+            flat[np.uint64(cells[k])] = 255
 
 
 @kernel
@@ -176,15 +189,16 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, numbers, levels, out):
 
 @kernel
 def _crop_and_mark(
-    kinds, origin, inverse_grid_m, poses, cell_m, paths, path_counts, mates, mate_counts, signs, first, end, out
+    first, end, kinds, origin, inverse_grid_m, signs, poses, cell_m, paths, path_counts, mates, mate_counts, out
 ):
     """All channels of the robots from `first` to before `end`: what lies around each, its path, mates and signs."""
     inverse_m = 1.0 / cell_m
     numbers, levels = np.empty(out.shape[3], np.uint32), np.empty(out.shape[2] * out.shape[3], np.uint8)
+    cells = np.empty(max(paths.shape[2], mates.shape[2], signs.shape[1]), np.int32)
     for i in range(first, end):
         here, odom = poses[i, 0], poses[i, 2]
         _crop(kinds, here[0] - origin[0], here[1] - origin[1], here[2], inverse_grid_m, cell_m, numbers, levels, out[i])
         out[i, 4:] = 0
-        _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m)
-        _mark(out[i, 5], mates[i], mate_counts[i], 0.0, 0.0, 0.0, inverse_m)
-        _mark(out[i, 6], signs, signs.shape[0], here[0], here[1], here[2], inverse_m)
+        _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m, cells)
+        _mark(out[i, 5], mates[i], mate_counts[i], 0.0, 0.0, 0.0, inverse_m, cells)
+        _mark(out[i, 6], signs, signs.shape[1], here[0], here[1], here[2], inverse_m, cells)

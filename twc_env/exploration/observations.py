@@ -13,7 +13,7 @@ from twc_env.exploration import map_view
 from twc_env.exploration.observation_blocks import block_spaces, joined
 from twc_env.exploration.recent_signs import RecentSigns
 from twc_env.exploration.small_blocks import SmallBlocks
-from twc_env.messages import Belief, SensorFrame
+from twc_env.messages import Belief, GridMap, SensorFrame
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
 from twc_env.slam.dead_reckoning import DeadReckoning
 from twc_env.team_messages import TeamBeliefs, TeamFrames
@@ -38,6 +38,9 @@ class ObservationBuilder:
         self._blank = dict.fromkeys(self._names, np.zeros(0))
         self._signs = RecentSigns(robots, shape.sign_slots)
         self._small = SmallBlocks(config, self._signs)
+        self._map_cells, self._map_cell_m = shape.map_cells, shape.map_cell_m
+        self._shared: tuple[Sequence[GridMap] | None, list[Array], list[tuple]] = None, self._signs.places, []
+        """What `shared_maps` made of the grids and the places of signs that stand before it."""
         self._overviews: list[tuple[tuple[int, int], tuple[Array, Array, float]] | None] = [None] * robots
 
     def notice(self, frames: Sequence[SensorFrame], beliefs: Sequence[Belief]) -> None:
@@ -54,7 +57,7 @@ class ObservationBuilder:
         beliefs, names = self._beliefs, self._names
         self._signs.know(beliefs.signs)
         blocks: dict[str, Sequence[Array] | Array] = dict(zip(self._small.names, self._small.build(), strict=True))
-        for name, make in self._makers:
+        for name, make in self._makers:  # not before: the map shows where the mates are
             blocks[name] = make()
         if "frontiers" in names:
             slots, lists = self._config.action.frontier_slots, candidates or [NOTHING] * len(beliefs)
@@ -74,15 +77,17 @@ class ObservationBuilder:
         return [joined(own) for own in seen] if self._is_flat else seen
 
     def _maps(self) -> Array:
-        shape, beliefs, small = self._config.observation, self._beliefs, self._small
+        beliefs, small, places = self._beliefs, self._small, self._signs.places
+        if self._shared[0] is not beliefs.grids or self._shared[1] is not places:
+            self._shared = beliefs.grids, places, map_view.shared_maps(beliefs.grids, places)
         return map_view.views(
-            beliefs.grids, beliefs.poses, shape.map_cells, shape.map_cell_m, small.paths_odom, small.path_counts,
-            small.mate_places, small.mate_counts, self._signs.places,
+            self._shared[2], beliefs.poses, self._map_cells, self._map_cell_m, small.paths_odom, small.path_counts,
+            small.mate_places, small.mate_counts,
         )  # fmt: skip
 
     def _radio_maps(self) -> list[Array]:
         """Probably free, probably wall around each robot, from signal strength alone."""
-        cells, cell_m = self._config.observation.map_cells, self._config.observation.map_cell_m
+        cells, cell_m = self._map_cells, self._map_cell_m
         return [
             np.zeros((2, cells, cells), np.uint8)
             if belief.radio_map is None

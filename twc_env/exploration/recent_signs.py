@@ -16,7 +16,7 @@ from twc_env.team_messages import KnownSigns
 
 Array = NDArray
 
-_NO_PLACES = np.zeros((0, 2))
+_NO_PLACES = np.zeros((2, 0))
 
 
 class RecentSigns:
@@ -28,7 +28,7 @@ class RecentSigns:
         self.counts = np.zeros(robots, np.int64)
         """(robots,) readings that are kept."""
         self.places = [_NO_PLACES] * robots
-        """Of each robot (k, 2): the signs that it knows, in the map frame."""
+        """Of each robot (2, k): the signs that it knows, in the map frame; another list when one of them changes."""
         self._texts: list[list[str]] = [[] for _ in range(robots)]
         self._known: Sequence[Sequence[KnownSign]] = ()
         self._known_of: list[Sequence[KnownSign]] = [()] * robots
@@ -52,7 +52,7 @@ class RecentSigns:
         """Take over the signs that each robot knows now; the same objects as before have not changed."""
         if signs is self._known:
             return
-        self._known = signs
+        self._known, self.places = signs, self.places.copy()
         for robot, own in enumerate(signs):
             if own is not self._known_of[robot]:
                 self._known_of[robot] = own
@@ -66,8 +66,8 @@ class RecentSigns:
 
 @lru_cache(maxsize=4)
 def _index_of(signs: KnownSigns) -> tuple[Array, Counter[str]]:
-    """Places (k, 2) and how often each text is known; robots of one group share the list of signs."""
-    return signs.places_m, Counter(signs.texts)
+    """Places (2, k) and how often each text is known; robots of one group share the list of signs."""
+    return signs.places_m.T.copy(), Counter(signs.texts)
 
 
 @borrowing_kernel

@@ -81,8 +81,7 @@ class Transition(NamedTuple):
 def terms(transition: Transition, sharing: str) -> list[dict[str, float]]:
     """The terms of each robot, by name; the names are those of the weights in RewardConfig."""
     before, after, contacts, bytes_per_robot, step_count_max = transition
-    touching = contacts.tolist()
-    common = _NOTHING.copy()
+    common, touching = _NOTHING.copy(), contacts.tolist()
     common["time"], common["bytes"] = 1.0 / step_count_max, min(bytes_per_robot / BYTES_MAX, 1.0)
     if after is not before and sharing == "team":
         common["coverage"], common["merge"], common["localisation"] = _gains(before.team, after.team)
@@ -90,9 +89,9 @@ def terms(transition: Transition, sharing: str) -> list[dict[str, float]]:
     if after is not before and sharing != "team":
         for own, old, new in zip(each, before.own, after.own, strict=True):
             own["coverage"], own["merge"], own["localisation"] = _gains(old, new)
-    for own, touches in zip(each, touching, strict=True):
-        if touches:
-            own["collision"] = 1.0
+    if True in touching:
+        for own, touches in zip(each, touching, strict=True):
+            own["collision"] = float(touches)
     return each
 
 
@@ -105,12 +104,15 @@ def weights_of(config: RewardConfig) -> tuple[tuple[str, float], ...]:
     return tuple((name, getattr(config, name)) for name in TERMS if getattr(config, name))
 
 
-def weigh(values: dict[str, float], weights: Sequence[tuple[str, float]]) -> float:
-    """The reward: each term that counts times its weight."""
-    reward = 0.0
-    for name, weight in weights:
-        reward += weight * values[name]
-    return reward
+def weigh(values: Sequence[dict[str, float]], weights: Sequence[tuple[str, float]]) -> list[float]:
+    """The reward of each robot: each term that counts times its weight."""
+    rewards = []
+    for own in values:
+        reward = 0.0
+        for name, weight in weights:
+            reward += weight * own[name]
+        rewards.append(reward)
+    return rewards
 
 
 def standing_of(maps: Sequence[JudgedMap], errors_m: Sequence[float] | Array) -> Standing:

@@ -24,7 +24,8 @@ HALF_WAY_M = 10.0
 HALF_AGE_S = 10.0
 HALF_COUNT = 2.0
 PATH_SPACING_M = 0.2
-_FLOAT = np.dtype(np.float32)
+_FLOATS = 5 * [np.dtype(np.float32)]
+"""Of the numbers in each block."""
 
 
 class SmallBlocks:
@@ -35,10 +36,10 @@ class SmallBlocks:
     def __init__(self, config: EnvConfig, signs: RecentSigns):
         robots, shape = config.robots, config.observation
         mates = max(robots - 1, 1)
-        self.paths_odom = np.zeros((robots, max(1, round(shape.path_m / PATH_SPACING_M)), 2))
-        """Rings of the latest places of each robot."""
+        self.paths_odom = np.zeros((robots, 2, max(1, round(shape.path_m / PATH_SPACING_M))))
+        """(robots, 2, k) rings of the latest places of each robot."""
         self.path_counts = np.zeros(robots, np.int64)
-        self.mate_places, self.mate_counts = np.zeros((robots, mates, 3)), np.zeros(robots, np.int64)
+        self.mate_places, self.mate_counts = np.zeros((robots, 3, mates)), np.zeros(robots, np.int64)
         """Pose, in the robot's frame, of each mate of the group; as of the last `build`."""
         self._shapes = (
             (robots, config.lidar.beam_count), (robots, len(POSE_LIMITS)), (robots, shape.wifi_slots),
@@ -67,7 +68,7 @@ class SmallBlocks:
         return blocks
 
     def _make_room(self) -> list[Array]:
-        return [np.empty(shape, _FLOAT) for shape in self._shapes]
+        return list(map(np.empty, self._shapes, _FLOATS))
 
     def _fill(self, blocks: list[Array], is_shown: bool) -> None:
         frames, beliefs = self._frames, self._beliefs
@@ -82,13 +83,13 @@ class SmallBlocks:
 
 @kernel
 def _extend_paths(poses, ends, counts, paths):
-    """Note where each robot has come to, in rings (robots, k, 2); poses (robots, 3, 3): the last is that in odom."""
+    """Note where each robot has come to, in rings (robots, 2, k); poses (robots, 3, 3): the last is that in odom."""
     for i in range(poses.shape[0]):
         x, y = poses[i, 2, 0], poses[i, 2, 1]
         dx, dy = x - ends[i, 0], y - ends[i, 1]
         if dx * dx + dy * dy >= PATH_SPACING_M * PATH_SPACING_M:
-            at = counts[i] % paths.shape[1]
-            paths[i, at, 0], paths[i, at, 1] = x, y
+            at = counts[i] % paths.shape[2]
+            paths[i, 0, at], paths[i, 1, at] = x, y
             ends[i, 0], ends[i, 1] = x, y
             counts[i] += 1
 
@@ -122,24 +123,15 @@ def _fill_signs(readings, count, now_s, memory_s, pose, rows):
 
 
 @kernel
-def _as_seen_from(pose, others, out):
-    """`geometry.between` of a pose and another (3,)."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    dx, dy, turn = others[0] - pose[0], others[1] - pose[1], others[2] - pose[2]
-    out[0], out[1] = c * dx + s * dy, c * dy - s * dx
-    out[2] = (turn + math.pi) % (2.0 * math.pi) - math.pi
-
-
-@kernel
 def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, places, rows):
     """The block `team`: the step in which each mate was last heard of, and where those of the same map are.
 
-    Also these places (m, 3) in the robot's frame; gives how many they are.
+    Also these places (3, m) in the robot's frame; gives how many they are.
     """
     for k in range(rows.shape[0]):
         for j in range(rows.shape[1]):
             rows[k, j] = 0.0
-    count = 0
+    c, s, count = math.cos(pose[2]), math.sin(pose[2]), 0
     for k in range(contact_steps.shape[0]):
         step = contact_steps[k]
         if step != NOBODY:
@@ -148,11 +140,12 @@ def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, 
         mate = mates[k]
         if mate < 0:
             continue
-        place, row = places[count], rows[mate if mate < robot else mate - 1]
-        _as_seen_from(pose, mate_poses[k], place)
-        away = math.sqrt(place[0] * place[0] + place[1] * place[1])
-        row[0], row[1] = 1.0, math.atan2(place[1], place[0]) / math.pi
-        row[2], row[3] = away / (away + HALF_WAY_M), place[2] / math.pi
+        dx, dy, turn = mate_poses[k, 0] - pose[0], mate_poses[k, 1] - pose[1], mate_poses[k, 2] - pose[2]
+        ahead, left, turn = c * dx + s * dy, c * dy - s * dx, (turn + math.pi) % (2.0 * math.pi) - math.pi
+        places[0, count], places[1, count], places[2, count] = ahead, left, turn
+        away, row = math.sqrt(ahead * ahead + left * left), rows[mate if mate < robot else mate - 1]
+        row[0], row[1] = 1.0, math.atan2(left, ahead) / math.pi
+        row[2], row[3] = away / (away + HALF_WAY_M), turn / math.pi
         count += 1
     return count
 

@@ -91,9 +91,9 @@ class Dynamics:
 
     def make_room(self) -> None:
         """New arrays for the poses and contacts of a step, which `advance` or `collide` fills."""
-        self.poses = np.empty((self._count, 3))
+        self.poses: Array = np.empty((self._count, 3))
         """(n, 3) true poses, a new array with every step."""
-        self.contacts = np.empty(self._count, _BOOL)
+        self.contacts: Array = np.empty(self._count, _BOOL)
         """(n,) whether the robot touches a wall or a robot at the end of the step; a new array with every step."""
 
     def collide(self) -> None:

@@ -16,7 +16,8 @@ class Failures:
 
     def __init__(self, config: FailureConfig, robots: int):
         self._config = config
-        self._is_nothing = not config.robots and config.link_begin_step >= config.link_end_step
+        self.is_nothing = not config.robots and config.link_begin_step >= config.link_end_step
+        """Whether nothing ever breaks."""
         self._everyone = np.ones(robots, np.bool_)
         self._survivors = np.arange(robots) < robots - config.robots
         self._everyone.flags.writeable = self._survivors.flags.writeable = False
@@ -31,7 +32,7 @@ class Failures:
 
     def contacts(self, step: int, contacts: Contacts) -> Contacts:
         """What is left of the contacts of a step: the dead neither speak nor hear, and in a cut nobody does."""
-        if self._is_nothing:
+        if self.is_nothing:
             return contacts
         config = self._config
         if config.link_begin_step <= step < config.link_end_step:

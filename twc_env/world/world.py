@@ -33,8 +33,9 @@ START_SPACING_M = 1.5
 """Distance between drawn starts."""
 START_SPACING_MIN_M = 0.6
 _PLACES_MAX = 2000
-_NO_RANGES = np.empty((0, 0))
-_INT = np.dtype(np.int64)
+_BOOL, _FLOAT, _INT = np.dtype(np.bool_), np.dtype(np.float64), np.dtype(np.int64)
+_TYPES = _BOOL, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _INT, _FLOAT, _INT
+"""Of what a step fills: contacts, poses, odometry, turn rates, ranges; addresses heard, how strongly, and how many."""
 _TOUCHING, _UNSEEN = -1, -2
 """In place of how many signs are in view: somebody may touch something; the walls around robot 0 are unknown."""
 _START_TRIES = 20
@@ -52,7 +53,7 @@ class World:
         self._home = plan.home
         self._is_moved = bool(plan.pose_building_home.any())
         self._radio = _radio_model(config.radio, self._home)
-        self._transmitter_count = len(self._radio.macs)
+        self._time_step_s = config.dynamics.time_step_s
         self._wifi_period = _period_steps(config.radio.scan_period_s, config)
         self._camera_period = _period_steps(config.signs.period_s, config)
         self._hearing = _turns(self._wifi_period, config.robots)
@@ -80,6 +81,7 @@ class World:
         ]
         self._wifi = WifiReceivers(self._radio, self._receivers)
         self._hears_at_once = self._receivers[0].is_plain
+        self._shapes = [self._shapes_of(len(heard)) for heard in self._hearing]
         self._cameras = [SignCamera(config.signs, self._home, robot, seed, config.dynamics) for robot in range(robots)]
         self._sights, self._hidden = self._cameras[0].make_room(robots)
         self._sight_counts = np.zeros(robots, np.int64)
@@ -129,48 +131,51 @@ class World:
     def tick(self, commands: Array) -> TeamFrames:
         """`step`, then `sense`: where nobody touches anything, in one compiled call."""
         self._step += 1
-        self._dynamics.make_room()
-        return self._read(np.asarray(commands, float))
+        return self._read(commands)
 
     def _read(self, commands: Array | None) -> TeamFrames:
         """What all sensors read, once the robots have followed the commands of this step, if there are any."""
-        step, robots, dynamics = self._step, self.config.robots, self._dynamics
-        odometry, turn_rates = np.empty((robots, 3)), np.empty(robots)
-        is_plain = self._lidar.is_plain
-        ranges = np.empty((robots, self.config.lidar.beam_count)) if is_plain else _NO_RANGES
-        scans = self._scans_of_step()
+        step, dynamics, is_plain = self._step, self._dynamics, self._lidar.is_plain
+        turn = step % self._wifi_period
+        if turn == 0 and self._hears_at_once:
+            self._wifi.begin_round()
+        outputs: list[Array]
+        contacts, poses, *outputs = map(np.empty, self._shapes[turn], _TYPES)
+        if commands is None:
+            poses = dynamics.poses
+        else:
+            dynamics.contacts, dynamics.poses = contacts, poses
         arguments = (
-            self._sensed_poses, dynamics.poses, step, self._odometry.noise.next_row(),
-            self._lidar.noise.next_row() if is_plain else 0, self._wifi.row, odometry, turn_rates, ranges, *scans[1:],
+            self._sensed_poses, poses, step, self._odometry.noise.next_row(),
+            self._lidar.noise.next_row() if is_plain else 0, self._wifi.row, *outputs,
         )  # fmt: skip
         if commands is None:
             sighted = _sense(self._kit(), *arguments)
         else:
-            sighted = _move_and_sense(self._kit(), commands, dynamics.contacts, *arguments)
+            sighted = _move_and_sense(self._kit(), commands, contacts, *arguments)
         while sighted < 0:
             if sighted == _TOUCHING:
                 dynamics.collide()
             else:
-                self._radio.crossings.prepare(*dynamics.poses[_UNSEEN - sighted, :2].tolist())
+                self._radio.crossings.prepare(*poses[_UNSEEN - sighted, :2].tolist())
             sighted = _sense(self._kit(), *arguments)
-        self._sensed_poses = dynamics.poses
+        self._sensed_poses = poses
+        odometry, turn_rates, ranges, *heard = outputs
         if not is_plain:
-            ranges = self._lidar.scan(dynamics.poses)
+            ranges = self._lidar.scan(poses)
         if step == 0:
             odometry[:], turn_rates[:] = 0.0, 0.0
-        time_s = step * self.config.dynamics.time_step_s
-        wifi = scans if self._hears_at_once else self._hear_one_by_one(time_s)
+        time_s = step * self._time_step_s
+        wifi: WifiScans | list[WifiScan | None]
+        wifi = WifiScans(self._hearing_robots[turn], *heard) if self._hears_at_once else self._hear_one_by_one(time_s)
         return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, self._read_signs(sighted))
 
-    def _scans_of_step(self) -> WifiScans:
-        """Room for what is heard in this step."""
-        turn = self._step % self._wifi_period
-        if self._hears_at_once and turn == 0:
-            self._wifi.begin_round()
-        robots = self._hearing_robots[turn]
-        count = len(robots) if self._hears_at_once else 0
-        shape = count, self._transmitter_count
-        return WifiScans(robots, np.empty(shape, _INT), np.empty(shape), np.empty(count, _INT))
+    def _shapes_of(self, hearing: int) -> tuple[tuple[int, ...], ...]:
+        """Of what a step fills in which so many robots hear; in the order of `_TYPES`."""
+        robots, beams = self.config.robots, self.config.lidar.beam_count
+        laser, heard = ((robots, beams) if self._lidar.is_plain else (0, 0)), (hearing if self._hears_at_once else 0)
+        radio = heard, len(self._radio.macs)
+        return (robots,), (robots, 3), (robots, 3), (robots,), laser, radio, radio, (heard,)
 
     def _hear_one_by_one(self, time_s: float) -> list[WifiScan | None]:
         wifi: list[WifiScan | None] = [None] * self.config.robots
