@@ -8,14 +8,20 @@ from pathlib import Path
 
 from twc_env.errors import DataError, TwcError
 
+SEEDS = 2**31
+"""torch and numpy take no larger ones, with the steps added that were taken before a resumption."""
+
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command; returns the exit status."""
+    """Run one command; returns the exit status: 0 done, 2 wrong input, 130 interrupted."""
     options = _parser().parse_args(arguments)
     try:
         return options.run(options)
     except TwcError as error:
         print(f"error: {error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        print("interrupted; ppo --resume goes on from the last model that was saved", file=sys.stderr)
+        return 130
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("torch", "stable_baselines3", "tqdm"):
             raise
@@ -59,6 +65,8 @@ def _train_ppo(options: argparse.Namespace) -> int:
 
     if options.steps < 1:
         raise DataError(f"--steps must be at least 1; got {options.steps}")
+    if not 0 <= options.seed < SEEDS:
+        raise DataError(f"--seed must be 0 to {SEEDS - 1}; got {options.seed}")
     overrides: dict[str, object] = dict(_assignment(text) for text in options.set)
     task = Task(
         options.map, area_m2=options.area, robots=options.robots, max_cycles=options.max_cycles, overrides=overrides

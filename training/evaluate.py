@@ -13,11 +13,11 @@ from stable_baselines3 import PPO
 
 import twc_env
 from agents.policy import make_policy
-from training.ppo import ChoicePolicy, clock_of
+from training.model_file import load_model
+from training.ppo import ChoicePolicy, clock_of, clocked
 from training.progress import progress_bar
 from training.run_folder import Task, read_settings, task_of
 from twc_env.config import override
-from twc_env.errors import DataError
 
 Choose = Callable[[dict, int], dict]
 """Observations and time steps gone by -> actions."""
@@ -79,10 +79,8 @@ def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True)
     """
     torch.set_num_threads(1)
     task = task_of(read_settings(model_path.parent))
-    try:
-        model = PPO.load(model_path, device="cpu", custom_objects={"policy_class": ChoicePolicy})
-    except (OSError, ValueError, KeyError) as error:
-        raise DataError(f"cannot read the model {model_path}: {error}") from error
+    env = twc_env.parallel_env(config=task.config)
+    model = load_model(model_path, ChoicePolicy, clocked(env.observation_space("robot_0")), env.action_space("robot_0"))
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
     for seed in progress_bar(seeds, unit="building", disable=not show_progress):
         choosers = {"trained": _trained(model, task, seed), "random": _random(seed), "nearest": _nearest}

@@ -22,6 +22,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from torch import nn
 
+from training.model_file import load_model, save_model
 from training.progress import progress_bar
 from training.run_folder import Task, read_settings, write_settings
 from twc_env.errors import DataError
@@ -150,9 +151,7 @@ class FixedHorizon(VecEnvWrapper):
     """
 
     def __init__(self, teams: TeamVecEnv, max_cycles: int):
-        assert isinstance(teams.observation_space, spaces.Dict)
-        clock = spaces.Box(0.0, 1.0, (1,), np.float32)
-        super().__init__(teams, spaces.Dict({**teams.observation_space.spaces, "clock": clock}))
+        super().__init__(teams, clocked(teams.observation_space))
         self.max_cycles = max_cycles
         self.elapsed = np.zeros(self.num_envs)
 
@@ -172,6 +171,12 @@ class FixedHorizon(VecEnvWrapper):
 
     def _with_clock(self, observations: dict) -> dict:
         return {**observations, "clock": clock_of(self.elapsed, self.max_cycles)[:, None]}
+
+
+def clocked(space: spaces.Space) -> spaces.Dict:
+    """What is seen, with the clock."""
+    assert isinstance(space, spaces.Dict)
+    return spaces.Dict({**space.spaces, "clock": spaces.Box(0.0, 1.0, (1,), np.float32)})
 
 
 def clock_of(elapsed, max_cycles: int) -> np.ndarray:
@@ -201,7 +206,7 @@ def train(
     try:
         write_settings(folder, "ppo", task, asdict(settings))
         if resume:
-            model = PPO.load(model_path, teams, device="cpu")
+            model = load_model(model_path, ChoicePolicy, teams.observation_space, teams.action_space, teams)
             teams.seed(settings.seed + model.num_timesteps)
             model.set_random_seed(settings.seed + model.num_timesteps)
         else:
@@ -209,7 +214,7 @@ def train(
         if steps > model.num_timesteps:
             progress = Progress(folder, steps, show_progress)
             model.learn(steps - model.num_timesteps, progress, tb_log_name="ppo", reset_num_timesteps=False)
-            _save(model, model_path)
+            save_model(model, model_path)
     finally:
         teams.close()
     return model_path
@@ -242,13 +247,6 @@ def _check_same_run(folder: Path, task: Task, settings: Settings) -> None:
         raise DataError(f"{folder} was trained with another {' and '.join(changed)}; name the same or another --out")
 
 
-def _save(model: PPO, path: Path) -> None:
-    """Save so that a crash in between leaves the old model whole."""
-    part = path.with_name("model.part.zip")
-    model.save(part)
-    part.replace(path)
-
-
 class Progress(BaseCallback):
     """After each rollout: a line in metrics.csv, a saved model, and the progress bar moves."""
 
@@ -261,12 +259,14 @@ class Progress(BaseCallback):
         self.started, self.steps_before = time.perf_counter(), self.num_timesteps
         self.bar = progress_bar(total=self.steps, initial=self.num_timesteps, unit="decision", disable=not self.show)
         self.path = self.folder / "metrics.csv"
+        rows: list[list[str]] = []
         if self.num_timesteps > 0 and self.path.exists():
             with self.path.open(newline="") as file:
-                self.episodes = max((int(row["episodes"]) for row in csv.DictReader(file)), default=0)
-        else:
-            with self.path.open("w", newline="") as file:
-                csv.writer(file).writerow(COLUMNS)
+                rows = [row for row in csv.reader(file) if len(row) == len(COLUMNS) and row[0].isdigit()]
+        rows = [row for row in rows if int(row[0]) <= self.num_timesteps]  # a kill may leave one ahead of its model
+        self.episodes = int(rows[-1][1]) if rows else 0
+        with self.path.open("w", newline="") as file:
+            csv.writer(file).writerows([COLUMNS, *rows])
 
     def _on_step(self) -> bool:
         self.bar.update(self.training_env.num_envs)
@@ -283,7 +283,7 @@ class Progress(BaseCallback):
             csv.writer(file).writerow(row)
         self.bar.set_postfix_str(f"mean return {mean_return:.3f}", refresh=False)
         if self.num_timesteps > self.steps_before:
-            _save(self.model, self.folder / "model.zip")
+            save_model(self.model, self.folder / "model.zip")
 
     def _on_training_end(self) -> None:
         self.bar.close()

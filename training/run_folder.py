@@ -8,7 +8,8 @@ from pathlib import Path
 
 import twc_env
 from twc_env import config as configuration
-from twc_env.errors import DataError
+from twc_env.errors import DataError, TwcError
+from twc_env.json_values import write_json
 
 HELD_OUT_SEED = 100_000
 """Generated buildings from this seed on are never trained in."""
@@ -65,7 +66,6 @@ class Task:
 
 def write_settings(folder: Path, algorithm: str, task: Task, settings: dict) -> None:
     """Write `config.json`: everything needed to repeat the run or to evaluate its model."""
-    folder.mkdir(parents=True, exist_ok=True)
     record = {
         "algorithm": algorithm,
         "task": asdict(task),
@@ -74,7 +74,7 @@ def write_settings(folder: Path, algorithm: str, task: Task, settings: dict) -> 
         "config_digest": configuration.digest(task.config),
         "version": twc_env.__version__,
     }
-    (folder / "config.json").write_text(json.dumps(record, indent=2) + "\n")
+    write_json(folder / "config.json", record)
 
 
 def read_settings(folder: Path) -> dict:
@@ -84,12 +84,19 @@ def read_settings(folder: Path) -> dict:
         record = json.loads(path.read_text())
     except FileNotFoundError:
         raise DataError(f"{folder} holds no training run (no config.json); train first or name its folder") from None
+    except OSError as error:
+        raise DataError(f"cannot read {path}: {error.strerror}; train first or name another folder") from error
     except ValueError as error:
         raise DataError(f"{path} is not valid JSON: {error}") from error
-    missing = {"task", "settings", "config_digest"} - set(record)
+    missing = {"task", "settings", "config_digest"} - set(record if isinstance(record, dict) else ())
     if missing:
         raise DataError(f"{path} lacks {', '.join(sorted(missing))}; it was not written by this program")
-    digest = configuration.digest(task_of(record).config)
+    try:
+        digest = configuration.digest(task_of(record).config)
+    except TwcError:
+        raise
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise DataError(f"{path} holds a task of another form: {error}; train anew") from error
     if digest != record["config_digest"]:
         raise DataError(
             f"{path} was written for config digest {record['config_digest']}, this version of twc_env gives {digest}; "

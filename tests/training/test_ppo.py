@@ -3,8 +3,11 @@ import importlib.util
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
+import zipfile
+from dataclasses import replace
 
 import pytest
 
@@ -95,6 +98,59 @@ def test_training_resumes_where_it_stopped_and_keeps_the_learning_curve(tmp_path
 
 
 @needs_torch
+def test_a_line_ahead_of_its_model_is_dropped_when_a_killed_training_resumes(tmp_path):
+    from training.ppo import train
+
+    train(small_task(), small_settings(), 64, tmp_path, show_progress=False)
+    with (tmp_path / "metrics.csv").open("a") as file:
+        file.write("128,9,0.5,3.0,100.0\n160,1")  # killed before the model was saved, and within a line
+    train(small_task(), small_settings(), 128, tmp_path, resume=True, show_progress=False)
+    rows = metrics_of(tmp_path)
+    assert [int(row["steps"]) for row in rows] == [64, 128]
+    assert rows[1]["steps_per_s"] != "100.0"
+
+
+@needs_torch
+def test_a_model_that_is_broken_or_of_another_task_is_named(run, tmp_path, capsys):
+    from stable_baselines3 import PPO
+
+    from training.run_folder import write_settings
+
+    shutil.copy(run / "config.json", tmp_path)
+    sound, model = (run / "model.zip").read_bytes(), tmp_path / "model.zip"
+    bent = bytearray(sound)
+    bent[len(bent) // 2] ^= 255
+    with zipfile.ZipFile(tmp_path / "foreign.zip", "w") as file:
+        file.writestr("hello", "")
+    PPO("MlpPolicy", "CartPole-v1", device="cpu").save(tmp_path / "other.zip")
+    foreign = [(tmp_path / name).read_bytes() for name in ("foreign.zip", "other.zip")]
+    for content in (sound[:1000], bytes(bent), b"", *foreign):
+        model.write_bytes(content)
+        assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
+        assert f"cannot read the model {model}" in capsys.readouterr().err
+    model.write_bytes(sound)
+    task = small_task()
+    write_settings(tmp_path, "ppo", replace(task, overrides={**task.overrides, "observation.sign_slots": 2}), {})
+    assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
+    assert "was trained to see or choose something else" in capsys.readouterr().err
+    model.unlink()
+    assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
+    assert "there is no model" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("change", ['{"kindz": 1}', "3", '{"kinds": [], "area_m2": "big"}'])
+def test_settings_of_a_run_that_are_no_settings_are_named(change, tmp_path):
+    from training.run_folder import read_settings
+
+    (tmp_path / "config.json").write_text(f'{{"task": {change}, "settings": {{}}, "config_digest": ""}}')
+    with pytest.raises(DataError, match="holds a task of another form"):
+        read_settings(tmp_path)
+    (tmp_path / "config.json").write_text("[]")
+    with pytest.raises(DataError, match="lacks config_digest"):
+        read_settings(tmp_path)
+
+
+@needs_torch
 def test_a_wrong_map_leaves_no_run_folder(tmp_path):
     from training.ppo import train
     from training.run_folder import Task
@@ -131,6 +187,8 @@ def test_a_finished_run_is_not_overwritten(run):
         (["ppo", "--set", "lidar.beam_count"], "--set needs KEY=VALUE"),
         (["ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
         (["ppo", "--resume"], "holds no training run"),
+        (["ppo", "--seed", "-1"], "--seed must be 0 to"),
+        (["ppo", "--out", "/dev/null/run"], "cannot write /dev/null/run/config.json"),
     ],
 )
 def test_a_wrong_command_ends_in_one_line_that_names_the_remedy(arguments, message, tmp_path, capsys, monkeypatch):
