@@ -129,6 +129,8 @@ def _benchmark(options: argparse.Namespace) -> int:
 def _compare(options: argparse.Namespace) -> int:
     config = _config(options, None, options.steps)
     maps = options.maps or [f"test/{number:04d}" for number in range(options.buildings)]
+    if not maps:
+        raise ConfigError("nothing to compare the teams in: --buildings must be at least 1")
     for name in maps:
         load_map(name)
     found = compare.compare(

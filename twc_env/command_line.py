@@ -1,7 +1,8 @@
-"""What the commands share: settings given as KEY=VALUE, and folders to write to."""
+"""What the commands share: settings given as KEY=VALUE, numbers that count, and folders to write to."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +16,22 @@ def assignments(texts: Sequence[str]) -> dict[str, object]:
         if not separator:
             raise ConfigError(f"--set takes KEY=VALUE, for example lidar.beam_count=360; got {key!r}")
     return {key: value for key, _, value in pairs}
+
+
+def count(text: str) -> int:
+    """A number of things, from 1 on, as an argument's type."""
+    return _whole_number(text, 1)
+
+
+def natural(text: str) -> int:
+    """A whole number from 0 on, as an argument's type."""
+    return _whole_number(text, 0)
+
+
+def _whole_number(text: str, least: int) -> int:
+    if not (text.isascii() and text.isdigit()) or int(text) < least:
+        raise argparse.ArgumentTypeError(f"must be a whole number from {least} on; got {text!r}")
+    return int(text)
 
 
 def make_folder(folder: Path) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from twc_env.command_line import count, natural
+
 
 def add_ocr_parser(commands) -> None:
     """The `ocr` command."""
@@ -17,9 +19,9 @@ def add_ocr_parser(commands) -> None:
         description="Interrupted, it goes on where it was. The table that the package ships came from the defaults.",
     )
     make.add_argument("--out", type=Path, required=True, metavar="FILE", help="table to write, json")
-    make.add_argument("--seed", type=int, default=0, help="default: %(default)s")
-    make.add_argument("--signs", type=int, default=40, help="per grid point (default: %(default)s)")
-    make.add_argument("--processes", type=int, default=2, help="at once (default: %(default)s)")
+    make.add_argument("--seed", type=natural, default=0, help="default: %(default)s")
+    make.add_argument("--signs", type=count, default=40, help="per grid point (default: %(default)s)")
+    make.add_argument("--processes", type=count, default=2, help="at once (default: %(default)s)")
     make.add_argument("--cache", type=Path, default=Path("runs/ocr"), help="finished parts (default: %(default)s)")
     make.set_defaults(run=_measure)
 

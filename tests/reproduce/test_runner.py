@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from twc_env.__main__ import main as command
 from twc_env.errors import ConfigError, DataError
 from twc_env.reproduce.runner import Runner, data_folder, parse_seeds, print_rows
 
@@ -61,3 +62,30 @@ def test_parts_of_another_code_are_not_taken(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     assert Runner("table", tmp_path, {}).each([0], lambda _: 2) == [2]
     assert "1 finished parts were computed by other code" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["0", "5-1", "-1", "1.5", ""])
+def test_no_seeds_at_all_are_refused(text):
+    with pytest.raises(ConfigError, match="--seeds takes a count"):
+        parse_seeds(text)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("intel --seeds x", "takes a count like 20 or a range like 0-9; got 'x'"),
+        ("intel --robots 0", "must be a whole number from 1 on; got '0'"),
+        ("merging --buildings 0", "must be a whole number from 1 on; got '0'"),
+        ("merging --seed -1", "must be a whole number from 0 on; got '-1'"),
+        ("matching --points many", "must be a whole number from 1 on; got 'many'"),
+    ],
+)
+def test_numbers_that_make_no_table_are_refused_by_the_command_line(arguments, message, capsys):
+    with pytest.raises(SystemExit):
+        command(["reproduce", *arguments.split()])
+    assert message in capsys.readouterr().err
+
+
+def test_an_unknown_experiment_is_refused_with_those_there_are(capsys, tmp_path):
+    assert command(["reproduce", "sfw-table1", "--experiments", "E9", "--cache", str(tmp_path)]) == 2
+    assert "takes numbers out of 1,2,3,4,5,6; got 'E9'" in capsys.readouterr().err

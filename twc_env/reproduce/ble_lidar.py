@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env import metrics
+from twc_env.command_line import count
 from twc_env.config import EnvConfig, from_dict
 from twc_env.datasets.ble_drive import DRIVES, Drive, read_ble_drive
 from twc_env.datasets.ble_flat import read_flat
@@ -72,7 +73,7 @@ SETTINGS: dict = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument("--runs", nargs="+", choices=DRIVES, default=list(DRIVES), help="drives (default: all)")
-    parser.add_argument("--frames", type=int, default=10_000, help="only the first frames of a drive (default: all)")
+    parser.add_argument("--frames", type=count, default=10_000, help="only the first frames of a drive (default: all)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -22,11 +22,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.command_line import count
 from twc_env.config import EnvConfig, from_dict
 from twc_env.datasets.scan_log import Relations, ScanLog, read_relations, read_scan_log, sensor_frames
 from twc_env.geometry import between, compose, wrap_angle
 from twc_env.messages import SensorFrame
-from twc_env.reproduce.runner import Runner, data_folder, parse_seeds
+from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.particle_filter import ParticleFilterSettings, map_frames
@@ -64,10 +65,10 @@ SETTINGS: dict = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--robots", type=int, nargs="+", default=[1, 3], help="pieces of the log (default: 1 3)")
-    parser.add_argument("--particles", type=int, default=20, help="of the particle filter (default: 20)")
-    parser.add_argument("--seeds", type=parse_seeds, default=[0, 1, 2], help="of the particle filter (default: 0-2)")
-    parser.add_argument("--scans", type=int, default=910, help="only the first scans of the log (default: all)")
+    parser.add_argument("--robots", type=count, nargs="+", default=[1, 3], help="pieces of the log (default: 1 3)")
+    parser.add_argument("--particles", type=count, default=20, help="of the particle filter (default: 20)")
+    parser.add_argument("--seeds", type=seeds_argument, default=[0, 1, 2], help="of the particle filter (default: 0-2)")
+    parser.add_argument("--scans", type=count, default=910, help="only the first scans of the log (default: all)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -18,6 +18,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.command_line import count
 from twc_env.config import EnvConfig, override
 from twc_env.geometry import between, compose, wrap_angle
 from twc_env.maps import load_map
@@ -45,9 +46,9 @@ GOALS_MS = {"with": 0.5, "without": 12.0}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--buildings", type=int, default=20, help="of the test split (default: %(default)s)")
-    parser.add_argument("--pairs", type=int, default=5, help="of scans per building (default: %(default)s)")
-    parser.add_argument("--points", type=int, default=600, help="beams of a scan (default: %(default)s)")
+    parser.add_argument("--buildings", type=count, default=20, help="of the test split (default: %(default)s)")
+    parser.add_argument("--pairs", type=count, default=5, help="of scans per building (default: %(default)s)")
+    parser.add_argument("--points", type=count, default=600, help="beams of a scan (default: %(default)s)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.command_line import count, natural
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.exploration.evaluation import map_at
@@ -44,9 +45,9 @@ STUCK_STEPS, ESCAPE_STEPS = 30, 12
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument("--buildings", type=int, default=100, help="of the test split (default: %(default)s)")
-    parser.add_argument("--robots", type=int, default=3, help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=0, help="of noise (default: %(default)s)")
+    parser.add_argument("--buildings", type=count, default=100, help="of the test split (default: %(default)s)")
+    parser.add_argument("--robots", type=count, default=3, help="default: %(default)s")
+    parser.add_argument("--seed", type=natural, default=0, help="of noise (default: %(default)s)")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
 
 

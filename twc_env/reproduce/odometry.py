@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from twc_env.config import OdometryConfig
 from twc_env.datasets.scan_log import Relations, read_relations, read_scan_log
 from twc_env.geometry import between, compose, wrap_angle
-from twc_env.reproduce.runner import Runner, data_folder, parse_seeds
+from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
 from twc_env.world.odometry import PRESETS, Odometry
 
 Array = NDArray
@@ -32,7 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument("--platform", choices=tuple(PRESETS), default="pioneer-intel")
     parser.add_argument("--drift", type=float, default=1.0)
-    parser.add_argument("--seeds", type=parse_seeds, default=list(range(100)), help="simulated drives (default: 0-99)")
+    parser.add_argument(
+        "--seeds", type=seeds_argument, default=list(range(100)), help="simulated drives (default: 0-99)"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twc_env.command_line import count
 from twc_env.errors import ConfigError
 from twc_env.reproduce.radio_papers import fingerprint_slam_studies, k_visibility_studies
 from twc_env.reproduce.radio_study import Figures, Study
@@ -48,7 +49,7 @@ STUDIES: tuple[Study, ...] = tuple(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--seeds", type=int, default=6, metavar="N", help="simulated runs (default: %(default)s)")
+    parser.add_argument("--seeds", type=count, default=6, metavar="N", help="simulated runs (default: %(default)s)")
     parser.add_argument("--only", default="", metavar="TEXT", help="only sets whose name holds this text")
     parser.add_argument("--quick", action="store_true", help="a small part of each set: shows that it runs")
 

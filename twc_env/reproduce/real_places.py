@@ -23,7 +23,7 @@ from twc_env.datasets.geojson import read_geojson
 from twc_env.datasets.indoor20 import FRESH_S, read_indoor20
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.place_pairs import average_precision, precision_recall_curve, recall_at_full_precision
-from twc_env.reproduce.runner import Runner, data_folder, parse_seeds
+from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
 from twc_env.slam.radio_statistics import FLOOR_DBM, RadioStatistics
 from twc_env.slam.text_likelihood import log_text_likelihood
 from twc_env.slam.text_similarity import normalise
@@ -77,7 +77,7 @@ class Places:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--seeds", type=parse_seeds, default=list(range(10)), help="draws (default: 0-9)")
+    parser.add_argument("--seeds", type=seeds_argument, default=list(range(10)), help="draws (default: 0-9)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -28,6 +28,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.command_line import count
 from twc_env.config import RadioSlamConfig
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.datasets.step_heading import WalkerTrace, read_walks
@@ -50,8 +51,8 @@ SCALE_STD, CURL_STD_RAD_M, HEADING_STD_RAD = 0.03, 0.01, 0.01
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce real-radio`."""
     parser.add_argument("--floors", default=",".join((*FLOORS, "uw_floor")), help="default: %(default)s")
-    parser.add_argument("--seeds", type=int, default=5, help="drifts put on uw_floor (default: %(default)s)")
-    parser.add_argument("--traces", type=int, metavar="N", help="only the first N walks of a mall")
+    parser.add_argument("--seeds", type=count, default=5, help="drifts put on uw_floor (default: %(default)s)")
+    parser.add_argument("--traces", type=count, metavar="N", help="only the first N walks of a mall")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

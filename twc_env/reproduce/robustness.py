@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.command_line import count
 from twc_env.config import PoseGraphConfig
 from twc_env.datasets.g2o import read_g2o
 from twc_env.errors import ConfigError, DataError
@@ -68,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--other-seeds", default="1", help="of the other methods (default: %(default)s)")
     parser.add_argument("--datasets", default=",".join(DATASETS), help="default: %(default)s")
     parser.add_argument("--shares", default="0,0.2,0.5,0.8", help="of false closures (default: %(default)s)")
-    parser.add_argument("--processes", type=int, default=2, help="default: %(default)s")
+    parser.add_argument("--processes", type=count, default=2, help="default: %(default)s")
     parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
 
 

@@ -119,9 +119,20 @@ def parse_seeds(text: str) -> list[int]:
     """Seeds of a command line: a count ("20": 0 to 19) or a range ("0-9")."""
     try:
         first, dash, last = text.partition("-")
-        return list(range(int(first), int(last) + 1)) if dash else list(range(int(first)))
+        seeds = list(range(int(first), int(last) + 1)) if dash else list(range(int(first)))
     except ValueError:
-        raise ConfigError(f"--seeds takes a count like 20 or a range like 0-9; got {text!r}") from None
+        seeds = []
+    if not seeds:
+        raise ConfigError(f"--seeds takes a count like 20 or a range like 0-9; got {text!r}")
+    return seeds
+
+
+def seeds_argument(text: str) -> list[int]:
+    """`parse_seeds` as an argument's type."""
+    try:
+        return parse_seeds(text)
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(str(error).removeprefix("--seeds ")) from None
 
 
 def add_parser(commands) -> None:

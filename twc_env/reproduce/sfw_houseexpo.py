@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twc_env.command_line import count
 from twc_env.config import radio_preset
 from twc_env.datasets.house_expo import read_house_expo
 from twc_env.errors import MapError
@@ -35,7 +36,7 @@ _ALONG_SHARE = 0.85
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-houseexpo`."""
     parser.add_argument(
-        "--plans", type=int, default=30, help="how many, the smallest files first (default: %(default)s)"
+        "--plans", type=count, default=30, help="how many, the smallest files first (default: %(default)s)"
     )
     parser.add_argument("--out", type=Path, default=Path("runs/sfw-houseexpo"), help="pictures (default: %(default)s)")
 

@@ -16,7 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from twc_env.command_line import natural
 from twc_env.config import radio_preset
+from twc_env.errors import ConfigError
 from twc_env.maps import load_map
 from twc_env.reproduce import sfw_scoring as scoring
 from twc_env.reproduce.runner import Runner, parse_seeds
@@ -49,9 +51,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--routers", choices=("known", "unknown"), default="known", help="whether `ours` is told where routers stand"
     )
     parser.add_argument(
-        "--flats", type=int, default=0, metavar="N", help="measure N flats drawn by seed instead of the six experiments"
+        "--flats",
+        type=natural,
+        default=0,
+        metavar="N",
+        help="measure N flats drawn by seed instead of the six experiments",
     )
     parser.add_argument("--out", type=Path, default=Path("runs/sfw-table1"), help="pictures (default: %(default)s)")
+
+
+def _experiments(text: str) -> list[int]:
+    numbers = text.split(",")
+    if not set(numbers) <= {str(number) for number in _PRINTED_IOU}:
+        known = ",".join(map(str, _PRINTED_IOU))
+        raise ConfigError(f"--experiments takes numbers out of {known}; got {text!r}")
+    return [int(number) for number in numbers]
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
@@ -59,7 +73,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     if options.flats:
         return _flat_rows(options, runner)
     seeds = parse_seeds(options.seeds)
-    experiments = [int(text) for text in options.experiments.split(",")]
+    experiments = _experiments(options.experiments)
     parts = [(experiment, seed) for experiment in experiments for seed in seeds]
     runs = runner.each(
         parts,

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.command_line import count
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import ConfigError
 from twc_env.reproduce.robustness import DATASETS, absolute_error_m, dead_reckoning, read_graph
@@ -31,7 +32,7 @@ SUMMARY = "our pose-graph solver beside gtsam's, on public graphs from odometry"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce solver`."""
     parser.add_argument("--datasets", default=",".join(DATASETS), help="default: %(default)s")
-    parser.add_argument("--repeats", type=int, default=5, help="runs of each solver, by turns (default: %(default)s)")
+    parser.add_argument("--repeats", type=count, default=5, help="runs of each solver, by turns (default: %(default)s)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -20,6 +20,7 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.command_line import count, natural
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.random_streams import random_stream
@@ -39,9 +40,9 @@ FIGURES = {"merged": "merged_share", "ate": "ate_m", "coverage": "coverage_corre
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument("--buildings", type=int, default=10, help="of the test split (default: %(default)s)")
-    parser.add_argument("--robots", type=int, default=3, help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=0, help="of noise (default: %(default)s)")
+    parser.add_argument("--buildings", type=count, default=10, help="of the test split (default: %(default)s)")
+    parser.add_argument("--robots", type=count, default=3, help="default: %(default)s")
+    parser.add_argument("--seed", type=natural, default=0, help="of noise (default: %(default)s)")
     parser.add_argument("--conditions", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), help="default: all")
 
 

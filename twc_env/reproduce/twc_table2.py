@@ -41,7 +41,7 @@ from twc_env.reproduce.offline_mapping import (
     wall_thickness_m,
 )
 from twc_env.reproduce.routes import Walk
-from twc_env.reproduce.runner import Runner, parse_seeds
+from twc_env.reproduce.runner import Runner, seeds_argument
 from twc_env.reproduce.twc_scenes import SCENES, SIGNS, walk_scene
 from twc_env.slam.team import TeamMapper
 
@@ -69,7 +69,7 @@ PRINT = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--seeds", type=parse_seeds, default=list(range(20)), help="walks (default: 0-19)")
+    parser.add_argument("--seeds", type=seeds_argument, default=list(range(20)), help="walks (default: 0-19)")
     parser.add_argument("--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="default: both")
     parser.add_argument("--signs", choices=SIGNS, default=SIGNS[0], help="on the walls (default: %(default)s)")
     parser.add_argument("--verified", action="store_true", help="every back end gets only what scan matching confirms")
