@@ -6,6 +6,7 @@ on all robots at once takes the arrays. Like the records, they can hold no true 
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, TypeVar, cast
 
@@ -35,8 +36,9 @@ class _Team(Sequence[_Record]):
     """Told quicker than whether something is an instance of an abstract class's child."""
     _records: list[_Record] | None
 
+    @abstractmethod
     def _make(self) -> list[_Record]:
-        raise NotImplementedError
+        """One record for each robot."""
 
     def _all(self) -> list[_Record]:
         if self._records is None:
@@ -242,7 +244,7 @@ class TeamBeliefs(_Team[Belief]):
                 row[:] = pose
             for other, step in belief.contact_steps.items():
                 contact_steps[k, other if other < k else other - 1] = step
-        team = TeamBeliefs(
+        team = _GivenBeliefs(
             np.concatenate(rows).reshape(-1, 3, 3),
             np.array([belief.since_closure_m for belief in beliefs]),
             [belief.grid for belief in beliefs],
@@ -251,8 +253,19 @@ class TeamBeliefs(_Team[Belief]):
             mate_poses,
             contact_steps,
         )
-        team._records = list(beliefs)
+        team._records = team._given = list(beliefs)
         return team
 
     def __len__(self) -> int:
         return len(self.grids)
+
+
+class _GivenBeliefs(TeamBeliefs):
+    """Beliefs that were made one by one before they were stacked."""
+
+    __slots__ = ("_given",)
+
+    _given: list[Belief]
+
+    def _make(self) -> list[Belief]:
+        return self._given
