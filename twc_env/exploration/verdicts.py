@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twc_env import metrics
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.rewards import JudgedMap, Standing, standing_of
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import GridMap
 from twc_env.metrics.merging import WRONG_M, WRONG_RAD, find_frames, find_wrong
 from twc_env.metrics.trajectory import HEADING_LEVER_M, align
@@ -74,7 +74,7 @@ def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, pose, is_wrong
     return find_wrong(frames, x, y, WRONG_M, WRONG_RAD, is_wrong)
 
 
-@kernel
+@borrowing_kernel
 def _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true, owner):
     """Estimated and true poses of some robots' keyframes, robot by robot, and whose they are; count and mean place.
 
@@ -84,8 +84,9 @@ def _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true,
     for a in range(robots.shape[0]):
         for k in range(poses.shape[0]):
             if robot_of_node[k] == robots[a] and count < poses.shape[0]:
-                estimated[count] = poses[k]
-                true[count] = truth[step_of_node[k], robots[a]]
+                step = step_of_node[k]
+                for axis in range(3):
+                    estimated[count, axis], true[count, axis] = poses[k, axis], truth[step, robots[a], axis]
                 owner[count] = a
                 x += poses[k, 0]
                 y += poses[k, 1]
