@@ -36,6 +36,9 @@ class Refined:
     """(p, 3)."""
     misfit: float
     """Minus the logarithm of its probability, up to a constant: of paths by the same evidence the lowest is best."""
+    explained: float
+    """Share of what was heard, by variance, that places explain: the rest is noise, or shared by neighbours along the
+    path only."""
 
 
 def refined(poses: Array, motions: Motions, information: Array, evidences: Sequence[FieldEvidence]) -> Refined:
@@ -68,7 +71,14 @@ def refined(poses: Array, motions: Motions, information: Array, evidences: Seque
         strain = 0.5 * float(found.x @ found.x)
         fits = [evidence.fitted(poses[:, :2], size) for evidence, size in zip(evidences, sizes, strict=True)]
         values, sizes = sum(value for value, _ in fits), [size for _, size in fits]
-    return Refined(poses, strain - EVIDENCE_WEIGHT * values)
+    shares = [_explained(size) for size in sizes]
+    return Refined(poses, strain - EVIDENCE_WEIGHT * values, sum(shares) / max(len(shares), 1))
+
+
+def _explained(size: Array) -> float:
+    """Share of the variance of a fitted covariance (`FieldEvidence.fitted`) that depends on places."""
+    places, rest = np.exp(size[:2]).sum(), np.exp(size[4:6]).sum()
+    return float(places / (places + rest))
 
 
 def by_motion(poses: Array, motions: Array, by_place: Array) -> Array:

@@ -40,9 +40,10 @@ NOISE_LEVELS = ((1.0, 1.0), (1.0, 3.0), (3.0, 3.0), (6.0, 6.0), (10.0, 10.0))
 STRAIN_NOISE, EVIDENCE_WEIGHT = 3.0, 2.0
 """A result is strained by what odometry of this many times the configured noise cannot explain; against that weighs the
 evidence of as many transmitters (what they hear is far from independent)."""
-STRAIN_MAX, EVIDENCE_LOSS_MAX, CURLS_RAD_M = 0.15, 20.0, (-0.012, 0.012)
-"""Where every result either strains the odometry more than this per place or has so much less evidence than another,
-the path went astray from the beginning: then it is also begun with these curls."""
+STRAIN_MAX, EVIDENCE_LOSS_MAX, EXPLAINED_MIN, CURLS_RAD_M = 0.15, 20.0, 0.6, (-0.012, 0.012)
+"""Where every result either strains the odometry more than this per place or has so much less evidence than another, or
+where places explain less than this share of what was heard, the path went astray from the beginning: then it is also
+begun with these curls."""
 ORDER_MIN = 0.1
 """Fingerprints that fit the distances of places with a lower rank correlation tell nothing."""
 JUDGES_MAX = 50_000
@@ -154,9 +155,16 @@ class _Solver:
         """The path by some of the cues, at last moved to where all that was heard is likeliest."""
         tries = self._tries(cues, self._motions, closures)
         most = max(found.evidence for found in tries) - EVIDENCE_LOSS_MAX
-        if all(found.evidence < most or found.strain > STRAIN_MAX * len(self._places) for found in tries):
+        is_astray = all(found.evidence < most or found.strain > STRAIN_MAX * len(self._places) for found in tries)
+        path = None if is_astray else self._refined(tries)
+        if path is None or path.explained < EXPLAINED_MIN:
             for curl in CURLS_RAD_M:
                 tries += self._tries(cues, Calibration(curl_rad_m=curl).applied(self._motions), closures)
+            path = self._refined(tries)
+        return path
+
+    def _refined(self, tries: Sequence[_Try]) -> Refined:
+        """The best try, moved to where all that was heard is likeliest."""
         best = min(tries, key=lambda found: found.misfit).poses
         return refined(best, self._motions, self._information, [cue.evidence_along for cue in self._cues])
 
