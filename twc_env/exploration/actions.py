@@ -58,9 +58,9 @@ def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config:
     try:
         for agent in agents:
             action = actions[agent]
-            if action.shape != (2,) or action.dtype.kind not in "fiu":
+            if action.dtype.kind not in "fiu":
                 raise TypeError
-            ahead, left = action.tolist()
+            ahead, left = action.tolist()  # of another shape: not two, or no numbers
             if not (-1.0 <= ahead <= 1.0 and -1.0 <= left <= 1.0):
                 raise ValueError
             commands += ahead * speed_max_m_s, left * turn_rate_max_rad_s

@@ -35,6 +35,7 @@ class ObservationBuilder:
             "map": self._maps, "overview": self._whole_maps, "radio": self._radio_maps
         }  # fmt: skip
         self._makers = [(name, make) for name, make in made.items() if name in self._names]
+        self._robots = range(robots)
         self._blank = dict.fromkeys(self._names, np.zeros(0))
         self._signs = RecentSigns(robots, shape.sign_slots)
         self._small = SmallBlocks(config, self._signs)
@@ -68,10 +69,10 @@ class ObservationBuilder:
             blocks["action_mask"] = (
                 [np.zeros(0, np.int8)] * len(beliefs) if masks is None else [m.copy() for m in masks]
             )
-        columns, seen = [(name, blocks[name]) for name in names], []
-        for robot in range(len(beliefs)):
+        columns, seen = list(map(blocks.__getitem__, names)), []
+        for robot in self._robots:
             own = self._blank.copy()  # quicker to fill than an empty one
-            for name, column in columns:
+            for name, column in zip(names, columns, strict=True):
                 own[name] = column[robot]
             seen.append(own)
         return [joined(own) for own in seen] if self._is_flat else seen

@@ -57,14 +57,15 @@ def _place(robot, macs, rssi_dbm, scans, slot_macs_of, last_scan_of, levels_of):
     strongest, is_waiting, at_slot = np.empty(slots, np.int64), np.zeros(heard, np.bool_), np.empty(slots, np.int64)
     count = 0
     for k in range(heard):  # inserted in falling order; of equals, the first stays ahead
-        at = count
-        while at > 0 and rssi_dbm[strongest[at - 1]] < rssi_dbm[k]:
+        level = rssi_dbm[k]
+        if count == slots and rssi_dbm[strongest[slots - 1]] >= level:
+            continue
+        count = min(count + 1, slots)
+        at = count - 1
+        while at > 0 and rssi_dbm[strongest[at - 1]] < level:
+            strongest[at] = strongest[at - 1]
             at -= 1
-        if at < slots:
-            count = min(count + 1, slots)
-            for i in range(count - 1, at, -1):
-                strongest[i] = strongest[i - 1]
-            strongest[at] = k
+        strongest[at] = k
     for i in range(count):
         is_waiting[strongest[i]] = True
     for slot in range(slots):
