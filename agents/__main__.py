@@ -10,6 +10,7 @@ from typing import Any
 from agents import benchmark, compare, picture, radio_survey
 from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
+from agents.seeds import parse_seeds
 from twc_env import ConfigError, EnvConfig, TwcError, load_map, map_names
 from twc_env.config import load, override
 from twc_env.json_values import check_writable, write_json
@@ -93,7 +94,7 @@ def _folder_name(map_name: str) -> str:
 def _benchmark(options: argparse.Namespace) -> int:
     if not options.no_pictures:
         picture.require_libraries(gif=False)
-    seeds = benchmark.parse_seeds(options.seeds)
+    seeds = parse_seeds(options.seeds)
     jobs, names = [], {}
     for name in options.maps:
         config = _config(options, name, options.steps)
@@ -143,7 +144,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _radio_survey(options: argparse.Namespace) -> int:
-    seeds = benchmark.parse_seeds(options.seeds)
+    seeds = parse_seeds(options.seeds)
     found = radio_survey.compare(
         options.maps, seeds, options.steps, options.out, lambda text: print(text, file=sys.stderr)
     )

@@ -14,7 +14,7 @@ from typing import Any
 
 import twc_env
 from agents.explore import explore, origin_of, write_run
-from twc_env import ConfigError, EnvConfig
+from twc_env import EnvConfig
 from twc_env.config import digest
 
 COLUMNS = (
@@ -51,17 +51,6 @@ def passes(report: dict[str, Any]) -> bool:
         and report["team_ate_m"] <= ATE_PASS_M
         and report["coverage_correct"] >= COVERAGE_PASS
     )
-
-
-def parse_seeds(text: str) -> tuple[int, ...]:
-    """Seeds of a list such as 0-3,7 -> (0, 1, 2, 3, 7). Raises ConfigError for anything else."""
-    seeds: list[int] = []
-    for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdigit() or (dash and not last.isdigit()) or (dash and int(last) < int(first)):
-            raise ConfigError(f"seeds must be numbers and ranges such as 0-9 or 1,4,7-9; got {text!r}")
-        seeds += range(int(first), int(last if dash else first) + 1)
-    return tuple(dict.fromkeys(seeds))
 
 
 def run_jobs(jobs: Iterable[Job], processes: int = 1) -> Iterator[tuple[Job, dict[str, Any], bool]]:

@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from agents.seeds import parse_seeds
 from twc_env.errors import DataError, TwcError
 
 SEEDS = 2**31
@@ -80,7 +81,7 @@ def _train_ppo(options: argparse.Namespace) -> int:
 def _evaluate(options: argparse.Namespace) -> int:
     from training.evaluate import evaluate
 
-    print(evaluate(options.model, seeds_of(options.seeds)).table)
+    print(evaluate(options.model, parse_seeds(options.seeds)).table)
     return 0
 
 
@@ -89,20 +90,6 @@ def _assignment(text: str) -> tuple[str, str]:
     if not equals:
         raise DataError(f"--set needs KEY=VALUE, as in lidar.beam_count=90; got {text!r}")
     return key, value
-
-
-def seeds_of(text: str) -> list[int]:
-    """The seeds named by "0-4" or "1,5,7"; raises DataError for anything else."""
-    try:
-        seeds: list[int] = []
-        for part in text.split(","):
-            first, _, last = part.partition("-")
-            seeds.extend(range(int(first), int(last or first) + 1))
-    except ValueError:
-        seeds = []
-    if not seeds:
-        raise DataError(f"--seeds must look like 0-4 or 1,5,7; got {text!r}")
-    return seeds
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import pytest
 
 from agents import benchmark
 from agents.__main__ import main
+from agents.seeds import parse_seeds
 from twc_env import ConfigError, EnvConfig
 from twc_env.maps import bundled_folder
 
@@ -34,13 +35,14 @@ def test_a_seed_passes_only_when_every_criterion_holds(changes, verdict):
 
 
 def test_seeds_are_numbers_and_ranges():
-    assert benchmark.parse_seeds("0-3,7, 9-9,2") == (0, 1, 2, 3, 7, 9)
+    assert parse_seeds("0-3,7, 9-9,2") == (0, 1, 2, 3, 7, 9)
+    assert parse_seeds("1,5,7-8") == (1, 5, 7, 8)
 
 
 @pytest.mark.parametrize("text", ["", "a", "3-1", "-2", "1;2"])
 def test_other_seeds_are_refused(text):
     with pytest.raises(ConfigError, match="seeds must be"):
-        benchmark.parse_seeds(text)
+        parse_seeds(text)
 
 
 def test_the_summary_is_mean_deviation_and_extremes():
