@@ -1,4 +1,6 @@
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -118,3 +120,18 @@ def test_ctrl_c_ends_a_command_with_one_word(monkeypatch, capsys):
     monkeypatch.setattr("twc_env.maps_cli.load_map", interrupt)
     assert main(["maps", "list"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    command = f"{sys.executable} -m twc_env maps list | head -n 1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert done.stdout.startswith("map ") and done.stderr == ""
+
+
+def test_an_interrupted_table_says_that_it_can_go_on(monkeypatch, tmp_path, capsys):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("twc_env.reproduce.matching.rows", interrupt)
+    assert main(["reproduce", "matching", "--cache", str(tmp_path)]) == 130
+    assert capsys.readouterr().err == "\nfinished parts are kept: the same command goes on from there\ninterrupted\n"

@@ -154,7 +154,11 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     """Run one table, print it, write it."""
     settings = {k: v for k, v in vars(options).items() if k not in ("run", "json", "cache", "out", "processes")}
     runner = Runner(name, options.cache, settings)
-    rows = plain(module.rows(options, runner))
+    try:
+        rows = plain(module.rows(options, runner))
+    except KeyboardInterrupt:
+        print("\nfinished parts are kept: the same command goes on from there", file=sys.stderr)
+        raise
     print_rows(rows)
     print("".join(note + "\n" for note in runner.notes), end="")
     for remark in getattr(module, "remarks", lambda _: ())(rows):
