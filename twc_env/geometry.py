@@ -65,6 +65,13 @@ def between(pose_m_a: ArrayLike, pose_m_b: ArrayLike) -> Array:
     return compose(inverse(pose_m_a), pose_m_b)
 
 
+def seen_from(information: Array, heading_rad: float) -> Array:
+    """Information (3, 3) on a pose along the axes of a frame, along the pose's own axes, with its heading in it."""
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return turn.T @ information @ turn
+
+
 def transform_points(pose_a_b: ArrayLike, points_b: ArrayLike) -> Array:
     """Points (n, 2) of frame b, expressed in frame a."""
     pose, points = np.asarray(pose_a_b, float), np.asarray(points_b, float)

@@ -106,7 +106,7 @@ class Keyframe:
     motion: Array
     """(3,) pose in the frame of the previous keyframe (zeros for the first)."""
     motion_covariance: Array
-    """(3, 3) covariance of `motion` [m2, m rad, rad2]."""
+    """(3, 3) covariance of `motion` [m2, m rad, rad2], along the axes of this keyframe's own frame."""
     travel_m: float
     """Path length up to here."""
     ranges_m: Array
@@ -154,7 +154,7 @@ class LoopClosure:
     pose_target_source: Array
     """(3,) measured pose of the source in the target's frame."""
     covariance: Array
-    """(3, 3) of the measurement."""
+    """(3, 3) of the measurement, along the axes of the source's frame, as pose graphs in g2o files have it."""
     overlap: float
     """Share of the source's points that lie on the target's walls."""
     status: str

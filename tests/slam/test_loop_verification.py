@@ -9,8 +9,10 @@ from twc_env.config import OdometryFilterConfig, VerificationConfig
 from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate
 from twc_env.slam.loop_verification import LoopVerifier
+from twc_env.slam.pose_graph import squared_errors
 
 RANGE_MAX_M = 10.0
+EDGE = np.array([[0, 1]])
 FIRST = [(-2.5, -1.0, 0.0), (-1.5, -1.0, 0.2), (-0.5, -0.6, 0.6), (0.0, 0.3, 1.2)]
 SECOND = [(2.5, 2.0, 3.0), (1.5, 1.8, -2.9), (0.5, 1.2, -2.5), (-0.3, 0.6, -2.2)]
 
@@ -91,6 +93,21 @@ def test_a_corridor_closure_says_that_its_axis_is_uncertain(walls, path_of):
     assert closure.status == "accepted"
     assert math.sqrt(along) > 1.0
     assert math.sqrt(across) < 0.1
+
+
+def test_the_uncertain_axis_of_a_closure_is_told_in_the_frame_in_which_the_pose_graph_measures(walls, path_of):
+    """A robot that stands across the corridor: it may lie anywhere to its own left and right."""
+    corridor = walls((-40, -1.2), (40, -1.2), (40, 1.2), (-40, 1.2))
+    first, second = [(0, 0, 0), (1, 0.1, 0)], [(3, 0.2, math.pi / 2), (4, 0.1, math.pi / 2)]
+    guess = between(np.array(first[-1]), np.array(second[-1]))
+    closure = verify(path_of(0, corridor, first), path_of(1, corridor, second), guess, recogniser="proximity")
+    information = np.linalg.inv(closure.covariance)[None]
+
+    def error(x: float, y: float) -> float:
+        moved = closure.pose_target_source + np.array([x, y, 0.0])
+        return squared_errors(np.array([np.zeros(3), moved]), EDGE, closure.pose_target_source[None], information)[0]
+
+    assert error(0.5, 0.0) < 1.0 < 10.0 < error(0.0, 0.5)
 
 
 def test_a_shared_sign_says_more_about_the_axis_than_nearness_does(walls, path_of):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import OdometryFilterConfig, VerificationConfig
-from twc_env.geometry import beam_directions
+from twc_env.geometry import beam_directions, seen_from
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.global_matching import match_globally
@@ -143,7 +143,7 @@ class LoopVerifier:
             reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
         prior = NEAR_INFORMATION if candidate.recogniser in SIGNLESS else SIGN_INFORMATION
         information = match.information(self._noise.match_std_m, self._noise.match_correlation) + prior
-        covariance = invert_symmetric(information) + MATCH_COVARIANCE_MIN
+        covariance = invert_symmetric(seen_from(information, match.pose[2])) + MATCH_COVARIANCE_MIN
         status = "rejected" if reason else "accepted"
         return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
 

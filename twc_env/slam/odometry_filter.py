@@ -124,7 +124,7 @@ def _process_values(config: OdometryFilterConfig) -> Array:
 
 @kernel
 def motion_covariance(variance, heading, matched, std_min, out):
-    """Write the covariance (3, 3) of the motion since a keyframe with this heading, in that keyframe's frame.
+    """Write the covariance (3, 3) of the motion since the last keyframe to a pose with this heading, in its own frame.
 
     variance (3,): odometry's, gathered on the way; matched (3, 3): information of the pose now, in the odom frame
     (zeros when nothing was matched); std_min (3,): nothing is known better than this.

@@ -33,7 +33,7 @@ REDRAW_SPACING_M = 0.9
 def _measure_motion(
     last, pose, steps, length, step_variance, metre_variance, turn_variance, matched, motion, covariance
 ):
-    """Where a pose (3,) lies in the frame of the last keyframe's, and the covariance of that.
+    """Where a pose (3,) lies in the frame of the last keyframe's, and the covariance of that, in its own frame.
 
     Odometry's variances grow with every step and every metre; the last match tells half of what it says of the pose.
     """
@@ -42,7 +42,7 @@ def _measure_motion(
     motion[0], motion[1] = c * dx + s * dy, c * dy - s * dx
     motion[2] = (pose[2] - last[2] + math.pi) % (2 * math.pi) - math.pi
     moved = steps * step_variance + length * metre_variance
-    motion_covariance((moved, moved, steps * turn_variance), last[2], 0.5 * matched, MOTION_STD_MIN, covariance)
+    motion_covariance((moved, moved, steps * turn_variance), pose[2], 0.5 * matched, MOTION_STD_MIN, covariance)
 
 
 class FrontEnds:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import PoseGraphConfig
-from twc_env.geometry import between
+from twc_env.geometry import between, seen_from
 from twc_env.messages import Keyframe
 from twc_env.slam import pose_graph
 from twc_env.slam.scan_matching import LineField, scan_points
@@ -94,7 +94,7 @@ def _measured(scans: Array, poses: Array, pairs: Array, range_max_m: float) -> t
             continue
         kept.append((earlier, later))
         measured.append(match.pose)
-        information.append(match.information(BEAM_STD_M, CORRELATION))
+        information.append(seen_from(match.information(BEAM_STD_M, CORRELATION), match.pose[2]))
     if not kept:
         return np.zeros((0, 2), np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3))
     covariance = np.linalg.inv(np.array(information) + OPEN_INFORMATION * np.eye(3)) + np.diag(np.square(STD_MIN))

@@ -226,7 +226,10 @@ class Match:
     """(2,) the direction that the walls fix least, unit length."""
 
     def information(self, beam_std_m: float, correlation: float) -> Array:
-        """(3, 3) information of `pose`; none along a degenerate direction, as a corridor does not fix its own axis."""
+        """(3, 3) information of `pose`, along the field's axes.
+
+        None along a degenerate direction, as a corridor does not fix its own axis.
+        """
         h, information = self.hessian, np.empty((3, 3))
         upper = np.array([h[0, 0], h[0, 1], h[0, 2], h[1, 1], h[1, 2], h[2, 2]])
         _information(upper, self.is_degenerate, *self.direction, beam_std_m**2 * correlation, information)
