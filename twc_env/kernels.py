@@ -30,7 +30,7 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 def borrowing_kernel(function: Callable[..., Any]) -> Any:
     """The same for a function that only reads and fills the arrays it is given: it makes none, gets none from the
-    kernels it calls and returns none. Nothing then counts who holds an array: a call costs 50 to 100 ns less for each.
+    kernels it calls and returns none. Nothing then counts who holds an array, so that calls with many cost less.
     """
     return _compiled(function, counts_references=False)
 

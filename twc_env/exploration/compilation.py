@@ -122,8 +122,8 @@ FIRST_START = FirstStart()
 class _Announcer(event.Listener):
     """Told of every kernel that is really compiled, not read from disk; speaks up at the first of this package.
 
-    Numba makes so many small objects which all live until it is done that looking for garbage among them takes an
-    eighth of the time; so nobody looks while it is at work.
+    Numba makes many small objects of which nearly all live until it is done: nobody looks for garbage among them while
+    it is at work.
     """
 
     def __init__(self, prepare: Callable[[str | None], None] = lambda _folder: None) -> None:
