@@ -1,9 +1,13 @@
+import argparse
+from importlib import import_module
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from twc_env.__main__ import main as command
 from twc_env.errors import ConfigError, DataError
-from twc_env.reproduce.runner import Runner, data_folder, parse_seeds, print_rows
+from twc_env.reproduce.runner import TABLES, Runner, data_folder, main, parse_seeds, print_rows
 
 
 def test_finished_parts_are_read_back_after_an_interruption(tmp_path):
@@ -25,6 +29,25 @@ def test_finished_parts_are_read_back_after_an_interruption(tmp_path):
 def test_other_settings_start_anew(tmp_path):
     Runner("table", tmp_path, {"a": 1}).each([0], lambda _: 1)
     assert Runner("table", tmp_path, {"a": 2}).each([0], lambda _: 2) == [2]
+
+
+def test_more_seeds_take_the_parts_that_are_there_again(tmp_path):
+    done = []
+
+    def rows(options, runner):
+        return runner.each(options.seeds, lambda seed: done.append((seed, options.noise)) or {"seed": seed})
+
+    for seeds, noise in (([0, 1], 1.0), ([0, 1, 2], 1.0), ([1], 1.0), ([1], 2.0)):
+        options = argparse.Namespace(seeds=seeds, noise=noise, json=None, cache=tmp_path)
+        main("toy", SimpleNamespace(rows=rows, CHOOSES=("seeds",)), options)
+    assert done == [(0, 1.0), (1, 1.0), (2, 1.0), (1, 2.0)]
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_options_that_choose_parts_are_options_of_the_table(name):
+    module, parser = import_module(f"twc_env.reproduce.{TABLES[name]}"), argparse.ArgumentParser()
+    module.add_arguments(parser)
+    assert set(getattr(module, "CHOOSES", ())) <= set(vars(parser.parse_args([])))
 
 
 def test_rows_are_printed_in_aligned_columns(capsys):
@@ -77,6 +100,7 @@ def test_no_seeds_at_all_are_refused(text):
         ("intel --robots 0", "must be a whole number from 1 on; got '0'"),
         ("merging --buildings 0", "must be a whole number from 1 on; got '0'"),
         ("merging --seed -1", "must be a whole number from 0 on; got '-1'"),
+        ("radio-table1 --processes 0", "must be a whole number from 1 on; got '0'"),
         ("matching --points many", "must be a whole number from 1 on; got 'many'"),
     ],
 )

@@ -5,7 +5,7 @@ import pytest
 
 from twc_env.maps import load_map
 from twc_env.metrics.k_visibility import score_structure
-from twc_env.reproduce import sfw_table1
+from twc_env.reproduce import sfw_authors, sfw_ble, sfw_houseexpo, sfw_table1
 from twc_env.reproduce.runner import Runner
 from twc_env.reproduce.sfw_flats import flat
 from twc_env.reproduce.sfw_registration import register
@@ -90,3 +90,30 @@ def test_the_engine_drives_the_route_and_believes_it_was_there():
     true, believed = slam_walk(plan, way, 200, seed=0)
     assert np.linalg.norm(true[:, None] - way, axis=2).min(axis=1).max() < 0.1
     assert 0.001 < np.linalg.norm(true - believed, axis=1).mean() < 0.1
+
+
+class _Labels:
+    """A runner that keeps the labels of the parts and runs none."""
+
+    def __init__(self):
+        self.seen, self.notes = [], []
+
+    def each(self, parts, work, label=str):
+        self.seen += [label(part) for part in parts]
+        raise StopIteration
+
+
+@pytest.mark.parametrize("flats", [0, 1])
+@pytest.mark.parametrize("table", [sfw_authors, sfw_ble, sfw_houseexpo, sfw_table1])
+def test_pictures_asked_for_in_another_folder_are_drawn_again(table, flats, tmp_path, monkeypatch):
+    (tmp_path / "houseexpo").mkdir()
+    (tmp_path / "houseexpo" / "plan.json").write_text("{}", encoding="utf-8")
+    monkeypatch.setenv("TWC_DATA", str(tmp_path))
+    labels = []
+    for folder in ("a", "b"):
+        runner = _Labels()
+        options = argparse.Namespace(out=folder, seeds="2", experiments="1", routers="known", flats=flats, plans=1)
+        with pytest.raises(StopIteration):
+            table.rows(options, runner)
+        labels.append(runner.seen)
+    assert labels[0][0] != labels[1][0]

@@ -1,7 +1,8 @@
 """One file per published table: `python -m twc_env reproduce NAME --json FILE` runs it and prints it beside the print.
 
 A table is a module with `SUMMARY` (one line), `add_arguments(parser)` and `rows(options, runner)`, which gives the rows
-as flat dictionaries; `remarks(rows)`, where there is one, gives lines that are printed below the table. `Runner` shows
+as flat dictionaries; `remarks(rows)`, where there is one, gives lines that are printed below the table. `CHOOSES` names
+the options that only say which parts are run: with more seeds, the parts that are there are taken again. `Runner` shows
 progress and resumes after an interruption.
 """
 

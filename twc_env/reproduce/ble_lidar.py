@@ -38,6 +38,7 @@ from twc_env.world.floorplan import Floorplan
 Array = NDArray
 
 SUMMARY = "radio and LiDAR on real drives through a flat: trajectory and map"
+CHOOSES = ("runs",)
 
 BEAMS, RANGE_MAX_M = 360, 12.0
 RECOGNISERS = {"lidar": "lidar", "radio+lidar": "fused"}

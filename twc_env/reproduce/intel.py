@@ -35,6 +35,7 @@ from twc_env.slam.particle_filter import ParticleFilterSettings, map_frames
 Array = NDArray
 
 SUMMARY = "the Intel Lab log from raw odometry to a map, as one robot and cut into three that merge by geometry"
+CHOOSES = ("robots", "seeds")
 
 BEAMS, RANGE_MAX_M = 360, 20.0
 DISPUTED_DEG = 3.0

@@ -35,6 +35,7 @@ from twc_env.world.world import start_places
 Array = NDArray
 
 SUMMARY = "time and success of verifying one loop candidate, with a guess and without"
+CHOOSES = ("buildings",)
 APART_M = 1.5
 GUESS_OFF = np.array([0.25, 0.25, 0.12])
 FAR_OFF = np.array([1.0, 1.0, math.radians(20.0)])

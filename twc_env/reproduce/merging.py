@@ -34,6 +34,7 @@ from twc_env.world.floorplan import Floorplan
 Array = NDArray
 
 SUMMARY = "map merging from unknown start frames in 100 unseen generated buildings"
+CHOOSES = ("buildings",)
 ROOMS_MAX = 4
 """Rooms of its own strip that a robot tours."""
 STEPS_PER_M = 20.0

@@ -21,6 +21,7 @@ from twc_env.world.odometry import PRESETS, Odometry
 Array = NDArray
 
 SUMMARY = "raw odometry of the Intel Lab log beside the simulated platform at the same relations"
+CHOOSES = ("seeds",)
 
 _BANDS_M = ((0.0, 0.5), (5.0, 200.0), (200.0, 1000.0))
 """Path between the two scans of a relation."""

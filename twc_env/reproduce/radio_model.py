@@ -31,6 +31,7 @@ from twc_env.reproduce.radio_surveys import (
 from twc_env.reproduce.runner import Runner, data_folder
 
 SUMMARY = "path loss, walls, detection, noise and similarity of the radio model beside real surveys"
+CHOOSES = ("seeds", "only")
 
 NEAR = 0.15
 """A simulated figure this near to the real one, as a share of it, is near enough."""

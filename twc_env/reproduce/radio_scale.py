@@ -29,6 +29,7 @@ from twc_env.slam.radio_trail import RadioTrail
 Array = NDArray
 
 SUMMARY = "radio SLAM over ten kilometres: memory and time of a scan; similarity over 100,000 fingerprints"
+CHOOSES = ("seeds",)
 PLACE = PLACES["semi-indoor"]
 HEARD = 44
 """Addresses in each fingerprint of the search."""

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.command_line import count
 from twc_env.config import EnvConfig, LidarConfig, OdometryConfig, RadioConfig, RadioSlamConfig, from_dict
 from twc_env.errors import ConfigError
 from twc_env.geometry import compose
@@ -37,6 +38,7 @@ from twc_env.world.odometry import Odometry
 Array = NDArray
 
 SUMMARY = "radio SLAM in twins of its three environments: WiFi, LTE, WiFi with laser"
+CHOOSES = ("seeds", "places")
 LIDAR = LidarConfig(beam_count=360, range_max_m=20.0)
 FALSE_DISTANCE_M, FALSE_VARIANCE_M2 = 3.0, 4.0
 """What a false closure claims: about what true ones do."""
@@ -95,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", default="4-9", help="count or range; 0-3 chose settings (default: %(default)s)")
     parser.add_argument("--places", default=",".join(PLACES), help="default: %(default)s")
     parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
-    parser.add_argument("--processes", type=int, default=2, help="walks measured at once (default: %(default)s)")
+    parser.add_argument("--processes", type=count, default=2, help="walks measured at once (default: %(default)s)")
     parser.add_argument("--share", type=float, default=1.0, help="of the printed length (for a quick look)")
     parser.add_argument("--sweep", action="store_true", help="instead: error against access points, drift and distance")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="draw the models and the trajectories (Fig. 3, 4)")

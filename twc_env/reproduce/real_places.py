@@ -33,6 +33,7 @@ from twc_env.world.signs import SignCamera
 Array = NDArray
 
 SUMMARY = "same place within 5 m on two real floors: text, WiFi, both, and all cues fused"
+CHOOSES = ("seeds",)
 
 FLOORS = {"B1": "site1_B1", "F6": "site2_F6"}
 METHODS = ("text", "wifi", "twc", "fused")

@@ -42,6 +42,7 @@ from twc_env.slam import radio_slam, trace_joining
 Array = NDArray
 
 SUMMARY = "real phone walks joined by WiFi alone, and a robot's floor with drift"
+CHOOSES = ("floors",)
 FLOORS = ("site1_B1", "site2_F6")
 WEIGHTINGS = ("paper", "ours")
 SCALE_STD, CURL_STD_RAD_M, HEADING_STD_RAD = 0.03, 0.01, 0.01

@@ -35,6 +35,7 @@ from twc_env.slam.pose_graph import Graph
 Array = NDArray
 
 SUMMARY = "back ends against false closures on public pose graphs"
+CHOOSES = ("seeds", "other_seeds", "datasets", "shares", "methods")
 DATASETS = {"intel": "intel", "MIT": "MIT", "M3500": "manhattan", "ringCity": "ringCity"}
 METHODS = ("plain", "cauchy", "dcs", "gnc", "pcm", "ours")
 KINDS = ("random", "grouped")

@@ -152,7 +152,8 @@ def add_parser(commands) -> None:
 
 def main(name: str, module, options: argparse.Namespace) -> None:
     """Run one table, print it, write it."""
-    settings = {k: v for k, v in vars(options).items() if k not in ("run", "json", "cache", "out", "processes")}
+    changes_no_part = ("run", "json", "cache", "out", "processes", *getattr(module, "CHOOSES", ()))
+    settings = {k: v for k, v in vars(options).items() if k not in changes_no_part}
     runner = Runner(name, options.cache, settings)
     try:
         rows = plain(module.rows(options, runner))

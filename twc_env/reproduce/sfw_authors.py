@@ -48,9 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per walk and method."""
     folder = data_folder() / "sfw_authors"
-    return [
-        row for part in runner.each((1, 2), lambda n: measure(n, folder, options.out), "walk {}".format) for row in part
-    ]
+    walks = runner.each(
+        (1, 2), lambda routers: measure(routers, folder, options.out), lambda n: f"walk {n}, drawn in {options.out}"
+    )
+    return [row for walk in walks for row in walk]
 
 
 def remarks(table: list[dict]) -> list[str]:

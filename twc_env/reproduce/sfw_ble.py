@@ -42,7 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per drive, k_max and method, over all transmitters."""
     folder = data_folder() / "wifi" / "ble_lidar"
-    runs = runner.each(_RUNS, lambda run: measure(run, folder, options.out))
+    runs = runner.each(
+        _RUNS, lambda run: measure(run, folder, options.out), lambda run: f"{run}, drawn in {options.out}"
+    )
     table = []
     for name, run in zip(_RUNS, runs, strict=True):
         for k_max in (1, 2, 3):

@@ -24,6 +24,7 @@ from twc_env.reproduce.sfw_walks import length_m, read_walk, resampled, wall_fol
 from twc_env.world.floorplan import Floorplan
 
 SUMMARY = "structure from WiFi on HouseExpo plans, route along all walls, with a reliability curve"
+CHOOSES = ("plans",)
 _READINGS_PER_M = 40.0
 _WALL_FACES = 2
 _WALL_LOSS_SCALE = 1.6
@@ -44,7 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per plan and method, and the mean of all at the end."""
     paths = sorted((data_folder() / "houseexpo").glob("*.json"), key=lambda path: path.stat().st_size)[: options.plans]
-    runs = [run for run in runner.each(paths, lambda path: measure(path, options), lambda path: path.stem[:8]) if run]
+    found = runner.each(
+        paths, lambda path: measure(path, options), lambda path: f"{path.stem[:8]}, drawn in {options.out}"
+    )
+    runs = [run for run in found if run]
     table = []
     for method in scoring.METHODS:
         own = [row for run in runs for row in run["rows"] if row["method"] == method]

@@ -18,6 +18,7 @@ from twc_env.slam.k_visibility_signal import locate_router
 from twc_env.slam.path_bins import bin_along_path
 
 SUMMARY = "routers located from signal strength alone, in the k-visibility twins"
+CHOOSES = ("seeds",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -33,6 +33,7 @@ _UPDATE_SIGNAL = (-29.0, 1.25, 8.0, 4.0)
 WITH_SLAM = "ours, SLAM"
 METHODS = ("paper", scoring.COMPENSATED, "ours", WITH_SLAM)
 SUMMARY = "inverse k-visibility Table I: walls crossed and maps of six plans from signal strength"
+CHOOSES = ("seeds", "experiments", "flats")
 POINTS = {1: 3159, 2: 4713, 3: 6001, 4: 1803, 5: 492, 6: 393}
 _PRINTED_ACCURACY = {1: 84.93, 2: 82.79, 3: 85.32, 4: 94.18, 5: 95.73, 6: 96.44}
 _PRINTED_IOU = {1: 0.8531, 2: 0.9028, 3: 0.8321, 4: 0.9349, 5: 0.8364, 6: 0.9627}
@@ -75,12 +76,14 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     seeds = parse_seeds(options.seeds)
     experiments = _experiments(options.experiments)
     parts = [(experiment, seed) for experiment in experiments for seed in seeds]
+
+    def drawn_in(part: tuple[int, int]) -> Path | None:
+        return options.out if part[1] == seeds[0] else None
+
     runs = runner.each(
         parts,
-        lambda part: measure(
-            part[0], part[1], options.out if part[1] == seeds[0] else None, options.routers == "known"
-        ),
-        lambda part: f"experiment {part[0]} seed {part[1]}",
+        lambda part: measure(part[0], part[1], drawn_in(part), options.routers == "known"),
+        lambda part: f"experiment {part[0]} seed {part[1]}" + (f", drawn in {options.out}" if drawn_in(part) else ""),
     )
     table = []
     for experiment in experiments:
@@ -99,7 +102,7 @@ def _flat_rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     runs = runner.each(
         parts,
         lambda part: measure_flat(part[0], part[1], options.out, options.routers == "known"),
-        lambda part: f"flat {part[0]}, {part[1]} router(s)",
+        lambda part: f"flat {part[0]}, {part[1]} router(s), drawn in {options.out}",
     )
     table = []
     for routers in (1, 2):

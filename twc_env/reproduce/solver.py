@@ -27,6 +27,7 @@ from twc_env.slam.pose_graph import Graph
 Array = NDArray
 
 SUMMARY = "our pose-graph solver beside gtsam's, on public graphs from odometry"
+CHOOSES = ("datasets",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -31,6 +31,7 @@ from twc_env.world.floorplan import Floorplan
 Array = NDArray
 
 SUMMARY = "the engine without signs, WiFi, link or a robot, with an odd device and with repeated names"
+CHOOSES = ("buildings", "conditions")
 CONDITIONS = ("normal", "no signs", "no WiFi", "link cut", "robot lost", "odd device", "repeated names")
 CRUISE_STEPS_PER_M = 14.0
 """About how many steps a walker needs for a metre; failures come at shares of the longest way."""

@@ -37,6 +37,7 @@ Array = NDArray
 
 RSSI_MODES = (*BY_DISTANCE, *COSINES, "paper")
 SUMMARY = "TWC-SLAM Table I: precision and recall of text, WiFi, both, laser and all cues fused"
+CHOOSES = ("seeds", "scenes")
 
 PRINT = {
     "#01": {"text": ((35, 89), (52, 78), (78, 31)), "wifi": ((45, 86), (62, 72), (68, 70)),

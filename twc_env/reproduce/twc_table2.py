@@ -48,6 +48,7 @@ from twc_env.slam.team import TeamMapper
 Array = NDArray
 
 SUMMARY = "TWC-SLAM Table II: errors of the maps by text, WiFi, both, laser and all cues fused, by back end"
+CHOOSES = ("seeds", "scenes")
 
 METHODS: dict[str, dict[str, object]] = {
     "lidar": {},
