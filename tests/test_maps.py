@@ -68,6 +68,15 @@ def test_an_unknown_name_is_answered_with_the_nearest_and_the_list():
     assert "\n" not in message
 
 
+def test_a_folder_is_no_map_and_its_maps_are_named(tmp_path):
+    with pytest.raises(MapError, match="is a folder: name a map file in it; it holds none"):
+        load_map(tmp_path)
+    for name in ("b.pgm", "a.yaml", "notes.txt"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(MapError, match=r"is a folder: name a map file in it; it holds a\.yaml, b\.pgm$"):
+        load_map(tmp_path)
+
+
 def test_a_map_is_read_once_and_shared():
     assert load_map("twin-01") is load_map("twin-01")
 

@@ -11,6 +11,7 @@ from twc_env.world.floorplan import Floorplan
 from twc_env.world.floorplan_check import validate
 from twc_env.world.floorplan_file import floorplan_from_values, load_json, read_floorplan
 
+_SUFFIXES = (".json", ".geojson", ".yaml", ".yml", ".png", ".pgm", ".gz")
 _INSTALLED, _CHECKOUT = Path(__file__).parent / "maps", Path(__file__).parent.parent / "maps"
 
 
@@ -44,7 +45,7 @@ def load_map(name_or_path: str | Path, seed: int = 0) -> Floorplan:
         return plan
     path, level = _file(name)
     if path is None:
-        raise MapError(_unknown(name))
+        raise MapError(_in_folder(Path(name)) if _is_folder(name) else _unknown(name))
     try:
         return _read_file(path, path.stat().st_mtime_ns, seed, level)
     except (RecursionError, MemoryError) as error:
@@ -75,6 +76,22 @@ def _file(name: str) -> tuple[Path | None, str | None]:
         except (OSError, ValueError):  # no file can have that name
             continue
     return None, None
+
+
+def _is_folder(name: str) -> bool:
+    try:
+        return Path(name).is_dir() and bool(name)
+    except (OSError, ValueError):  # nothing can have that name
+        return False
+
+
+def _in_folder(folder: Path) -> str:
+    try:
+        files = sorted(path.name for path in folder.iterdir() if path.suffix in _SUFFIXES and path.is_file())
+    except OSError as error:
+        return f"{folder} is a folder that cannot be read: {error.strerror}; name a map file"
+    found = f"it holds {', '.join(files[:5])}{' ...' if len(files) > 5 else ''}" if files else "it holds none"
+    return f"{folder} is a folder: name a map file in it; {found}"
 
 
 def _unknown(name: str) -> str:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig
-from twc_env.datasets.geojson import DRAWING_CLASSES, read_geojson
+from twc_env.datasets.competition_floor import DRAWING_CLASSES
+from twc_env.datasets.geojson import read_geojson
 from twc_env.errors import MapError
 from twc_env.maps import load_map
 from twc_env.world.world import World
@@ -141,6 +142,8 @@ def test_door_widths_that_are_no_numbers_become_plain_doors(tmp_path, width):
         ({"features": [polygon([(0, 0), (1, 0), (2, 0)])]}, "outline has no area"),
         ({"features": [polygon([(0, 0), (float("nan"), 0), (2, 5)])]}, "must hold closed rings"),
         ({"features": [polygon(box(0, 0, 9, 9)), polygon(box(0, 0, 9, 9))]}, "leaves no floor between its places"),
+        ({"crs": {"type": "name", "properties": {"name": "EPSG:3857"}}}, "is drawn in EPSG:3857; export it in long"),
+        ({"crs": "here"}, "is drawn in here; export it in longitude and latitude"),
     ],
 )
 def test_faulty_floors_are_refused(floor, changes, expected):
@@ -164,6 +167,38 @@ def test_a_floor_without_its_size_is_refused(floor, info, expected):
         (path.parent / "floor_info.json").write_text(info)
     with pytest.raises(MapError, match=expected):
         read_geojson(path)
+
+
+@pytest.mark.parametrize("name", ["urn:ogc:def:crs:OGC:1.3:CRS84", "EPSG:4326", "urn:ogc:def:crs:EPSG::4326"])
+def test_a_file_that_says_that_it_is_in_degrees_is_read(floor, name):
+    crs = {"type": "name", "properties": {"name": name}}
+    assert read_geojson(floor(crs=crs)).floor_area_m2 == pytest.approx(read_geojson(floor()).floor_area_m2)
+
+
+@pytest.mark.parametrize("place", [[2138456.5, 6024123.25], [19.0, 95.0]])
+def test_a_building_in_metres_of_a_projection_is_refused_with_the_remedy(tmp_path, place):
+    values = level()
+    values["features"][0]["geometry"]["coordinates"][0][1] = place
+    path = tmp_path / "building.geojson"
+    path.write_text(json.dumps(values))
+    with pytest.raises(MapError, match=r"is no longitude and latitude in degrees; export it in .*EPSG:4326") as caught:
+        load_map(path)
+    assert f"[{place[0]:.9g}, {place[1]:.9g}]" in str(caught.value)
+    values = level()
+    values["features"][3]["geometry"]["coordinates"] = place
+    path.write_text(json.dumps(values))
+    with pytest.raises(MapError, match="is no longitude and latitude"):
+        load_map(path)
+
+
+def test_a_building_in_metres_from_a_corner_is_told_from_one_in_degrees(tmp_path):
+    values = level()
+    ring = values["features"][0]["geometry"]["coordinates"][0]
+    ring[:] = [[0, 0], [8, 0], [8, 4], [4, 4], [0, 4], [0, 0]]
+    path = tmp_path / "building.geojson"
+    path.write_text(json.dumps(values))
+    with pytest.raises(MapError, match="is wider than 2000 m; cut out one building, or, if its numbers are metres"):
+        load_map(path)
 
 
 def area_m2(ring: np.ndarray) -> float:

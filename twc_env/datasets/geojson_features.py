@@ -1,0 +1,138 @@
+"""Features of a GeoJSON file: names, tags, and rings of longitudes and latitudes as areas in metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.datasets.outline import simplified_ring
+from twc_env.errors import MapError
+
+Array = NDArray
+
+SIMPLIFY_M = 0.05
+EXTENT_MAX_M = 2000.0
+"""Of one floor, from side to side."""
+_DOOR_WIDTH_M = 1.0
+_DOOR_WIDTHS_M = (0.9, 3.0)
+_DEGREES = ("CRS84", ":4326")
+"""How the names of WGS 84 in degrees end."""
+_REMEDY = "export it in longitude and latitude (WGS 84, EPSG:4326)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Area:
+    """One polygon of the file in metres."""
+
+    name: str
+    ring_m: Array
+    """(k, 2), not closed, counter-clockwise."""
+
+
+def metric(lonlat: Array, origin: Array, scale: Array) -> Array:
+    """Places (..., 2) in degrees as metres from the origin (2,), with metres per degree (2,)."""
+    return (lonlat - origin) * scale
+
+
+def sides_of(ring: Array) -> Array:
+    """(k, 2, 2) ends of the sides of a ring (k, 2)."""
+    return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
+
+
+def walls_of(ring: Array) -> Array:
+    """(j, 2, 2) ends of the walls along a ring (k, 2), straightened to `SIMPLIFY_M`."""
+    sides = sides_of(simplified_ring(ring, SIMPLIFY_M))
+    return sides[np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1) > 1e-3]
+
+
+def signed_area_m2(ring: Array) -> float:
+    """Positive when the ring runs counter-clockwise."""
+    x, y = ring.T
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+
+
+def properties_of(feature: dict) -> dict:
+    """The table of properties; an empty one where there is none."""
+    properties = feature.get("properties")
+    return properties if isinstance(properties, dict) else {}
+
+
+def name_of(feature: dict) -> str:
+    """The name among the properties; "" where there is none."""
+    name = properties_of(feature).get("name")
+    return name.strip() if isinstance(name, str) else ""
+
+
+def tag_of(feature: dict, key: str) -> str:
+    """An OpenStreetMap tag; "" where there is none."""
+    tags = properties_of(feature).get("tags")
+    value = tags.get(key, "") if isinstance(tags, dict) else ""
+    return value.strip() if isinstance(value, str) else ""
+
+
+def levels_of(feature: dict) -> list[str]:
+    """The levels that an OpenStreetMap feature is part of."""
+    relations = properties_of(feature).get("relations")
+    tables = [r.get("reltags") for r in relations if isinstance(r, dict)] if isinstance(relations, list) else []
+    return [t["level"] for t in tables if isinstance(t, dict) and isinstance(t.get("level"), str)]
+
+
+def width_m_of(feature: dict) -> float:
+    """Width of a door, as tagged or else usual."""
+    try:
+        width_m = float(tag_of(feature, "width").removesuffix("m"))
+    except ValueError:
+        width_m = _DOOR_WIDTH_M
+    return float(np.clip(width_m, *_DOOR_WIDTHS_M)) if np.isfinite(width_m) else _DOOR_WIDTH_M
+
+
+def rings_of(feature: dict, where: str) -> list[Array]:
+    """Rings (k, 2) [degrees] of a polygon feature, the outer first, each counter-clockwise; [] for other shapes."""
+    geometry = feature.get("geometry")
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
+    if not isinstance(geometry, dict) or kind not in ("Polygon", "MultiPolygon"):
+        return []
+    try:
+        polygons = [geometry["coordinates"]] if kind == "Polygon" else list(geometry["coordinates"])
+        rings = [np.array(ring, dtype=float) for polygon in polygons for ring in polygon]
+        if any(ring.ndim != 2 or ring.shape[1] < 2 or len(ring) < 4 or not np.isfinite(ring).all() for ring in rings):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise MapError(f"{where}: a {kind} must hold closed rings of [longitude, latitude]; export it again") from None
+    rings = [ring[:-1, :2] for ring in rings]
+    for ring in rings:
+        _check_degrees(ring, where)
+    return [ring if signed_area_m2(ring) > 0 else ring[::-1] for ring in rings]
+
+
+def point_of(feature: dict, where: str) -> Array:
+    """(2,) [degrees] of a door."""
+    try:
+        point = np.array(feature["geometry"]["coordinates"][:2], dtype=float)
+        if point.shape != (2,):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise MapError(f"{where}: a door must be a Point [longitude, latitude]; export it again") from None
+    _check_degrees(point[None], where)
+    return point
+
+
+def check_reference(values: dict, where: str) -> None:
+    """Raise MapError where a file's `crs`, which only the format's first version has, is not WGS 84 in degrees."""
+    crs = values.get("crs")
+    if crs is None:
+        return
+    table = crs.get("properties") if isinstance(crs, dict) else None
+    name = str(table.get("name") if isinstance(table, dict) else crs)
+    if not name.upper().endswith(_DEGREES):
+        raise MapError(f"{where} is drawn in {name[:60]}; {_REMEDY}")
+
+
+def _check_degrees(places: Array, where: str) -> None:
+    """Raise MapError where places (k, 2) cannot be longitudes and latitudes."""
+    is_odd = ~(np.abs(places) <= (180.0, 90.0)).all(axis=1)
+    if is_odd.any():
+        x, y = places[is_odd][0]
+        raise MapError(f"{where}: [{x:.9g}, {y:.9g}] is no longitude and latitude in degrees; {_REMEDY}")

@@ -1,0 +1,150 @@
+"""A level of an OpenStreetMap building: rooms and corridors, which meet at doors."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.datasets.geojson_features import (
+    EXTENT_MAX_M,
+    Area,
+    levels_of,
+    metric,
+    point_of,
+    rings_of,
+    sides_of,
+    tag_of,
+    walls_of,
+    width_m_of,
+)
+from twc_env.datasets.house_expo import interior_point
+from twc_env.datasets.name_plate import hung_sign
+from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
+from twc_env.errors import MapError
+from twc_env.world.floorplan import Floorplan, Room
+
+Array = NDArray
+
+_METRES_PER_DEGREE = 111_320.0
+_DOOR_WIDTH_MIN_M = 0.6
+_FRAME_M = 0.05
+_WALL_THICKNESS_MAX_M = 0.6
+"""Two rooms whose outlines are this near share a wall."""
+_PLATE_OFFSET_M = 0.3
+
+
+def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorplan:
+    """Rooms of one level, joined by the doors that are corners of their outlines."""
+    parts = [feature for feature in features if tag_of(feature, "buildingpart") not in ("", "shell")]
+    levels = sorted({lvl for feature in parts for lvl in levels_of(feature)})
+    chosen = [feature for feature in parts if level in levels_of(feature) and rings_of(feature, where)]
+    if not chosen:
+        raise MapError(
+            f"{where} has no level {level!r}; levels are {', '.join(levels) or 'not given'}: write FILE#LEVEL"
+        )
+    rings = [(tag_of(feature, "name"), ring) for feature in chosen for ring in rings_of(feature, where)[:1]]
+    origin = np.mean([ring.mean(axis=0) for _, ring in rings], axis=0)
+    scale = _METRES_PER_DEGREE * np.array([np.cos(np.deg2rad(origin[1])), 1.0])
+    areas = [Area(text, metric(ring, origin, scale)) for text, ring in rings]
+    if max(np.abs(area.ring_m).max() for area in areas) > EXTENT_MAX_M:
+        raise MapError(
+            f"{where}: level {level!r} is wider than {EXTENT_MAX_M:g} m; cut out one building, or, "
+            "if its numbers are metres, export it in longitude and latitude (WGS 84, EPSG:4326)"
+        )
+    walls = [walls_of(area.ring_m) for area in areas]
+    plates: list[tuple[str, Array, Array]] = []  # text, (2, 2) either side of the door, normal
+    jambs = []
+    for feature in features:
+        if tag_of(feature, "door"):
+            place = metric(point_of(feature, where)[None], origin, scale)[0]
+            jambs += _open_door(areas, walls, place, width_m_of(feature), plates)
+    table = np.concatenate([*walls, np.array(jambs).reshape(-1, 2, 2)])
+    # Every room seeds the floor; then only what hangs together is kept.
+    seeds = np.array([interior_point(area.ring_m, where) for area in areas])
+    plan = Floorplan(name, table, np.full(len(table), WALL_LOSS_DB / 2), interior_m=seeds)
+    cells = plan.cells()
+    row, column = deepest_cell(largest_part(cells.free))
+    plan = dataclasses.replace(
+        plan, interior_m=(cells.origin_m + (np.array([column, row]) + 0.5) * cells.resolution_m)[None]
+    )
+    reached = plan.cells().is_free(seeds)
+    rooms = [Room(area.name or f"ROOM {i + 1}", area.ring_m) for i, area in enumerate(areas) if reached[i]]
+    tries = [[hung_sign(plan, text, at, normal) for at in sides] for text, sides, normal in plates]
+    signs = [sign for both in tries for sign in [s for s in both if s is not None][:1]]
+    return dataclasses.replace(plan, rooms=tuple(rooms), signs=tuple(signs))
+
+
+def _open_door(
+    areas: list[Area], walls: list[Array], place: Array, width_m: float, plates: list[tuple[str, Array, Array]]
+) -> list[Array]:
+    """Cut a door into the room whose outline has it as a corner and into the room behind; returns the two jambs."""
+    corner_gaps = [np.linalg.norm(area.ring_m - place, axis=1).min() for area in areas]
+    room = int(np.argmin(corner_gaps))
+    if corner_gaps[room] > 0.05:
+        return []
+    gaps = [np.inf if i == room else _nearest(sides_of(area.ring_m), place)[1] for i, area in enumerate(areas)]
+    behind = int(np.argmin(gaps))
+    if gaps[behind] > _WALL_THICKNESS_MAX_M:
+        return []
+    side, _ = _nearest(sides_of(areas[behind].ring_m), place)
+    begin, end = sides_of(areas[behind].ring_m)[side]
+    length_m = float(np.linalg.norm(end - begin))
+    along = (end - begin) / length_m
+    at = float((place - begin) @ along)
+    low, high = _straight_stretch(sides_of(areas[room].ring_m), place, begin, along)
+    first = max(at - width_m / 2, _FRAME_M, low + _FRAME_M)
+    last = min(at + width_m / 2, length_m - _FRAME_M, high - _FRAME_M)
+    if last - first < _DOOR_WIDTH_MIN_M:
+        return []
+    across = (place - begin) - at * along
+    for number in (room, behind):
+        walls[number] = _cut(walls[number], begin, along, first, last)
+    into_behind = np.array([-along[1], along[0]])  # outlines run counter-clockwise
+    for number, normal, other in ((room, into_behind, behind), (behind, -into_behind, room)):
+        base = begin if other == behind else begin + across
+        text = areas[number].name
+        if text:
+            offsets = np.array([last + _PLATE_OFFSET_M, first - _PLATE_OFFSET_M])
+            plates.append((text, base + offsets[:, None] * along, normal))
+    frame = _FRAME_M * into_behind  # outlines are straight to a centimetre or two; a frame leaves no gap
+    return [np.stack([begin + s * along + frame, begin + s * along + across - frame]) for s in (first, last)]
+
+
+def _straight_stretch(sides: Array, place: Array, begin: Array, along: Array) -> tuple[float, float]:
+    """From where to where a room's outline runs straight through a place, in metres along a line."""
+    normal = np.array([-along[1], along[0]])
+    is_straight = (np.abs((sides - place) @ normal) < 0.1).all(axis=1)
+    spans = np.sort((sides[is_straight] - begin) @ along, axis=1)
+    at = float((place - begin) @ along)
+    low = high = at
+    for _ in spans:
+        touching = (spans[:, 0] <= high + 0.02) & (spans[:, 1] >= low - 0.02)
+        if touching.any():
+            low, high = min(low, float(spans[touching, 0].min())), max(high, float(spans[touching, 1].max()))
+    return low, high
+
+
+def _cut(walls: Array, begin: Array, along: Array, first: float, last: float) -> Array:
+    """Walls (w, 2, 2) without what lies between first and last along a line, close to it."""
+    normal = np.array([-along[1], along[0]])
+    pieces = []
+    for a, b in walls:
+        sa, sb = float((a - begin) @ along), float((b - begin) @ along)
+        far = max(abs(float((a - begin) @ normal)), abs(float((b - begin) @ normal)))
+        if far > _WALL_THICKNESS_MAX_M or max(sa, sb) <= first or min(sa, sb) >= last or abs(sb - sa) < 1e-9:
+            pieces.append((a, b))
+            continue
+        for s0, s1 in ((min(sa, sb), first), (last, max(sa, sb))):
+            if s1 - s0 > 1e-3:
+                pieces.append((a + (s0 - sa) / (sb - sa) * (b - a), a + (s1 - sa) / (sb - sa) * (b - a)))
+    return np.array(pieces).reshape(-1, 2, 2)
+
+
+def _nearest(sides: Array, place: Array) -> tuple[int, float]:
+    """Number and distance of the side (k, 2, 2) nearest to a place."""
+    a, e = sides[:, 0], sides[:, 1] - sides[:, 0]
+    t = np.clip(((place - a) * e).sum(axis=1) / np.maximum((e * e).sum(axis=1), 1e-12), 0, 1)
+    gaps = np.linalg.norm(place - a - t[:, None] * e, axis=1)
+    return int(np.argmin(gaps)), float(gaps.min())
