@@ -147,6 +147,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         count = self.config.robots
         self.possible_agents = [f"robot_{i}" for i in range(count)]
         self.agents: list[str] = []
+        self._all_false, self._all_true = (dict.fromkeys(self.possible_agents, each) for each in (False, True))
+        self._numbered = tuple(enumerate(self.possible_agents))
         shared_observation, shared_action = observation_space(self.config), self._action_space()
         self.observation_spaces = dict.fromkeys(self.possible_agents, shared_observation)
         self.action_spaces = dict.fromkeys(self.possible_agents, shared_action)
@@ -203,7 +205,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._think(frames)
         self._notice()
         self._bytes_judged = self.bytes_sent
-        return self._observe(), self._infos(self.agents)
+        return self._observe(), self._infos()
 
     def step(self, actions: Mapping[str, Any]):
         """Act, sense, run SLAM, judge: one time step, or as many as the action lasts.
@@ -223,19 +225,15 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._frames_of_step = []
         values = self._fly() if commands is None else self._tick(commands)
         is_last = self._steps >= self.config.max_cycles
-        observations, infos = self._observe(), self._infos(agents, self._steps - began, values)
+        observations, infos = self._observe(), self._infos(self._steps - began, values)
         if is_last:
             figures = {k: v for k, v in self.result().figures.items() if isinstance(v, (int, float))}
             for info in infos.values():
                 info.update(figures)
             self.agents = []
-        return (
-            observations,
-            dict(zip(agents, rewards.weigh(values, self._weights), strict=True)),
-            dict.fromkeys(agents, False),
-            dict.fromkeys(agents, is_last),
-            infos,
-        )
+        earned = self._by_agent(rewards.weigh(values, self._weights))
+        truncated = self._all_true if is_last else self._all_false
+        return observations, earned, self._all_false.copy(), truncated.copy(), infos
 
     @property
     def engine(self) -> Engine:
@@ -406,19 +404,23 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """Observations of all robots; where one chooses among frontiers, they are worked out here."""
         pilot, looker, masks = self._pilot, self._pilot or self._scout, None
         if looker is None:
-            return dict(zip(self.possible_agents, self._builder.build(), strict=True))
+            return self._by_agent(self._builder.build())
         looker.look(self._beliefs)
         if pilot is not None and self.config.action.kind == "frontier":
             masks = [pilot.mask(robot) for robot in range(self.config.robots)]
-        seen = self._builder.build(looker.candidates, masks)
-        return dict(zip(self.possible_agents, seen, strict=True))
+        return self._by_agent(self._builder.build(looker.candidates, masks))
 
-    def _infos(
-        self, agents: list[str], time_steps: int = 0, terms: Sequence[dict[str, float]] = ()
-    ) -> dict[str, dict[str, Any]]:
-        infos: dict[str, dict[str, Any]] = {agent: {} for agent in agents}
-        for info, own in zip(infos.values(), terms, strict=bool(terms)):
-            info["reward_terms"] = own
+    def _by_agent(self, values: Sequence[Any]) -> dict[str, Any]:
+        """One value per robot, under the names of the agents."""
+        named = {}
+        for robot, agent in self._numbered:
+            named[agent] = values[robot]
+        return named
+
+    def _infos(self, time_steps: int = 0, terms: Sequence[dict[str, float]] = ()) -> dict[str, dict[str, Any]]:
+        infos: dict[str, dict[str, Any]] = {}
+        for robot, agent in self._numbered:
+            infos[agent] = {"reward_terms": terms[robot]} if terms else {}
         if self._pilot is not None:
             for robot, info in enumerate(infos.values()):
                 info["is_deciding"], info["time_steps"] = bool(self._pilot.is_deciding[robot]), time_steps

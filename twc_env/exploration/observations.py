@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +37,10 @@ class ObservationBuilder:
         }  # fmt: skip
         self._makers = [(name, make) for name, make in made.items() if name in self._names]
         self._robots = range(robots)
-        self._blank = dict.fromkeys(self._names, np.zeros(0))
+        self._blank: dict[str, Any] = dict.fromkeys(self._names)
         self._signs = RecentSigns(robots, shape.sign_slots)
         self._small = SmallBlocks(config, self._signs)
+        self._small_blocks = [(k, name) for k, name in enumerate(self._small.names) if name in self._names]
         self._map_cells, self._map_cell_m = shape.map_cells, shape.map_cell_m
         self._shared: tuple[Sequence[GridMap] | None, list[Array], list[tuple]] = None, self._signs.places, []
         """What `shared_maps` made of the grids and the places of signs that stand before it."""
@@ -57,7 +59,9 @@ class ObservationBuilder:
         """The observation of each robot after the step that was noticed last; `masks`: its choices that count."""
         beliefs, names = self._beliefs, self._names
         self._signs.know(beliefs.signs)
-        blocks: dict[str, Sequence[Array] | Array] = dict(zip(self._small.names, self._small.build(), strict=True))
+        blocks, small = self._blank.copy(), self._small.build()  # a copy is quicker to fill than an empty one
+        for number, name in self._small_blocks:
+            blocks[name] = small[number]
         for name, make in self._makers:  # not before: the map shows where the mates are
             blocks[name] = make()
         if "frontiers" in names:
@@ -69,11 +73,11 @@ class ObservationBuilder:
             blocks["action_mask"] = (
                 [np.zeros(0, np.int8)] * len(beliefs) if masks is None else [m.copy() for m in masks]
             )
-        columns, seen = list(map(blocks.__getitem__, names)), []
+        seen = []
         for robot in self._robots:
-            own = self._blank.copy()  # quicker to fill than an empty one
-            for name, column in zip(names, columns, strict=True):
-                own[name] = column[robot]
+            own = blocks.copy()
+            for name in names:
+                own[name] = own[name][robot]
             seen.append(own)
         return [joined(own) for own in seen] if self._is_flat else seen
 
