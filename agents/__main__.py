@@ -11,9 +11,10 @@ from agents import benchmark, compare, picture, radio_survey
 from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from agents.seeds import parse_seeds
-from twc_env import ConfigError, EnvConfig, TwcError, load_map, map_names
+from twc_env import EnvConfig, TwcError, load_map, map_names
+from twc_env.command_line import assignments, count, natural
 from twc_env.config import load, override
-from twc_env.json_values import check_writable, write_json
+from twc_env.json_values import check_folder, check_writable, write_json
 
 _EXPLORE_HELP = """\
 Let a scripted team explore one building and write a run folder:
@@ -68,7 +69,7 @@ def _explore(options: argparse.Namespace) -> int:
     if not options.no_pictures:
         picture.require_libraries(has_gif)
     folder = options.out or Path("runs") / f"{_folder_name(config.map)}-{options.agent}-seed{options.seed}"
-    check_writable(folder / "report.json")
+    check_folder(folder)
     progress = Progress(config.max_cycles, f"{_folder_name(config.map)} seed {options.seed}")
     try:
         run = explore(config, options.agent, options.seed, picture.Film() if has_gif else None, progress)
@@ -94,6 +95,7 @@ def _folder_name(map_name: str) -> str:
 def _benchmark(options: argparse.Namespace) -> int:
     if not options.no_pictures:
         picture.require_libraries(gif=False)
+    check_folder(options.out)
     seeds = parse_seeds(options.seeds)
     jobs, names = [], {}
     for name in options.maps:
@@ -110,11 +112,11 @@ def _benchmark(options: argparse.Namespace) -> int:
     reports: dict[str, list[dict[str, Any]]] = {name: [] for name in options.maps}
     was_interrupted = False
     try:
-        for count, (job, report, was_there) in enumerate(benchmark.run_jobs(jobs, options.jobs), 1):
+        for done, (job, report, was_there) in enumerate(benchmark.run_jobs(jobs, options.jobs), 1):
             reports[names[job.folder]].append(report)
             verdict = "passes" if benchmark.passes(report) else "fails"
             origin = " (was there)" if was_there else ""
-            print(f"[{count}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {verdict}{origin}", file=sys.stderr)
+            print(f"[{done}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {verdict}{origin}", file=sys.stderr)
     except KeyboardInterrupt:
         was_interrupted = True
     summaries = {name: benchmark.summary_of(rows) | {"reports": rows} for name, rows in reports.items() if rows}
@@ -130,8 +132,6 @@ def _benchmark(options: argparse.Namespace) -> int:
 def _compare(options: argparse.Namespace) -> int:
     config = _config(options, None, options.steps)
     maps = options.maps or [f"test/{number:04d}" for number in range(options.buildings)]
-    if not maps:
-        raise ConfigError("nothing to compare the teams in: --buildings must be at least 1")
     for name in maps:
         load_map(name)
     found = compare.compare(
@@ -145,6 +145,8 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _radio_survey(options: argparse.Namespace) -> int:
     seeds = parse_seeds(options.seeds)
+    for name in options.maps:
+        load_map(name)
     found = radio_survey.compare(
         options.maps, seeds, options.steps, options.out, lambda text: print(text, file=sys.stderr)
     )
@@ -173,13 +175,7 @@ def _config(options: argparse.Namespace, map_name: str | None, steps: int | None
     config = load(options.config) if options.config else EnvConfig()
     named = {"map": map_name, "robots": options.robots, "max_cycles": steps}
     config = override(config, {key: value for key, value in named.items() if value is not None})
-    assignments = {}
-    for text in options.set:
-        key, equals, value = text.partition("=")
-        if not equals or not key:
-            raise ConfigError(f"--set takes section.key=value, for example odometry.drift=2; got {text!r}")
-        assignments[key] = value
-    return override(config, assignments)
+    return override(config, assignments(options.set))
 
 
 def _write_report(place: Path | None, values: dict[str, Any]) -> None:
@@ -199,7 +195,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     one = _command(commands, "explore", "run one episode and write a run folder", _EXPLORE_HELP)
     one.add_argument("--map", help=f"one of {', '.join(map_names())}, or a map file (default: twin-01)")
-    one.add_argument("--seed", type=_natural, default=0, help="of starts, noise and furnishing (default: 0)")
+    one.add_argument("--seed", type=natural, default=0, help="of starts, noise and furnishing (default: 0)")
     one.add_argument("--out", type=Path, help="run folder (default: runs/MAP-AGENT-seedSEED)")
     one.add_argument("--no-gif", action="store_true", help="do not film the episode")
     one.set_defaults(run=_explore)
@@ -207,33 +203,31 @@ def _parser() -> argparse.ArgumentParser:
     many.add_argument("--maps", nargs="+", default=["twin-01", "twin-02"], help="names or files (default: both twins)")
     many.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9 (default: 0-9)")
     many.add_argument("--out", type=Path, default=Path("runs/benchmark"), help="folder of all runs")
-    many.add_argument("--jobs", type=_natural, default=1, help="processes (default: 1)")
+    many.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     many.set_defaults(run=_benchmark)
     teams = _command(commands, "compare", "several agents in the same buildings, in pairs", _COMPARE_HELP)
     teams.add_argument(
         "--agents", nargs="+", default=list(_TEAMS), metavar="AGENT", help=f"of {', '.join(policy_names())}"
     )
-    teams.add_argument(
-        "--buildings", type=_natural, default=10, help="the first of the test split (default: %(default)s)"
-    )
+    teams.add_argument("--buildings", type=count, default=10, help="the first of the test split (default: %(default)s)")
     teams.add_argument("--maps", nargs="+", help="names or files instead")
     teams.add_argument(
         "--out", type=Path, default=Path("runs/compare"), help="finished episodes (default: %(default)s)"
     )
-    teams.add_argument("--jobs", type=_natural, default=1, help="processes (default: 1)")
+    teams.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     teams.set_defaults(run=_compare)
     walk = _command(commands, "radio-survey", "the map from radio by path length: active walk against walls", "")
     walk.add_argument("--maps", nargs="+", default=[f"sfw-e{n}" for n in range(1, 7)], help="names or files")
     walk.add_argument("--seeds", default="0-2", help="numbers and ranges (default: %(default)s)")
-    walk.add_argument("--steps", type=_natural, default=1500, help="steps at most (default: %(default)s)")
+    walk.add_argument("--steps", type=count, default=1500, help="steps at most (default: %(default)s)")
     walk.add_argument("--out", type=Path, default=Path("runs/radio-survey"), help="finished walks (%(default)s)")
     walk.set_defaults(run=_radio_survey)
     for command in (one, many):
         command.add_argument("--agent", default="nearest-frontier", help=f"one of {', '.join(policy_names())}")
         command.add_argument("--no-pictures", action="store_true", help="write neither map.png nor episode.gif")
     for command in (one, many, teams):
-        command.add_argument("--robots", type=_natural, help="number of robots (default: 3)")
-        command.add_argument("--steps", type=_natural, help="steps at most (default: 2000)")
+        command.add_argument("--robots", type=count, help="number of robots (default: 3)")
+        command.add_argument("--steps", type=count, help="steps at most (default: 2000)")
         command.add_argument("--config", type=Path, metavar="FILE", help="TOML or JSON file of settings")
         command.add_argument(
             "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change one setting"
@@ -248,12 +242,6 @@ def _command(commands: Any, name: str, summary: str, text: str) -> argparse.Argu
     return commands.add_parser(
         name, help=summary, description=text, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-
-
-def _natural(text: str) -> int:
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0; got {text!r}")
-    return int(text)
 
 
 if __name__ == "__main__":

@@ -55,6 +55,7 @@ PUBLIC_MODULES = {
     "twc_env.vector",
     "twc_env.sb3",
     "twc_env.video",
+    "twc_env.command_line",
     "twc_env.config",
     "twc_env.messages",
     "twc_env.geometry",

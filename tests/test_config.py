@@ -54,20 +54,22 @@ def test_what_is_not_named_keeps_its_default():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"lidr": {}}, r"config\.lidr is unknown; did you mean 'lidar'\?"),
-        ({"lidar": {"beam_cuont": 9}}, r"config\.lidar\.beam_cuont is unknown; did you mean 'beam_count'\?"),
-        ({"slam": {"merging": {"wifi": True}}}, r"config\.slam\.merging\.wifi is unknown"),
-        ({"lidar": {"beam_count": 90.5}}, r"beam_count must be of type int; got 90\.5"),
-        ({"lidar": {"beam_count": True}}, r"beam_count must be of type int; got True"),
-        ({"lidar": {"beam_count": "90"}}, r"beam_count must be of type int; got '90'"),
-        ({"lidar": {"range_max_m": None}}, r"range_max_m must be of type float; got None"),
+        ({"lidr": {}}, r"there is no setting lidr; did you mean 'lidar'\?"),
+        ({"lidar": {"beam_cuont": 9}}, r"there is no setting lidar\.beam_cuont; did you mean 'beam_count'\?"),
+        ({"slam": {"merging": {"wifi": True}}}, r"there is no setting slam\.merging\.wifi"),
+        ({"lidar": {"beam_count": 90.5}}, r"beam_count must be a whole number; got 90\.5"),
+        ({"lidar": {"beam_count": True}}, r"beam_count must be a whole number; got True"),
+        ({"lidar": {"beam_count": "90"}}, r"beam_count must be a whole number; got '90'"),
+        ({"lidar": {"range_max_m": None}}, r"range_max_m must be a number; got None"),
         ({"lidar": {"beam_count": 2}}, r"lidar\.beam_count must lie in \[8, 4096\]; got 2"),
         ({"lidar": {"range_max_m": math.nan}}, r"lidar\.range_max_m must lie in \[0\.5, 100\]; got nan"),
         ({"lidar": {"range_max_m": math.inf}}, r"lidar\.range_max_m must lie in \[0\.5, 100\]; got inf"),
-        ({"lidar": 3}, r"config\.lidar must be a table of settings; got 3"),
+        ({"lidar": 3}, r"lidar must be a table of settings; got 3"),
         ({"odometry": {"platform": "weeled"}}, r"platform must be one of .*; got 'weeled'; did you mean 'wheeled'\?"),
-        ({"map": 3}, r"config\.map must be of type str; got 3"),
-        ({"slam": {"merging": {"wifi_check": 1}}}, r"wifi_check must be of type bool; got 1"),
+        ({"map": 3}, r"map must be text; got 3"),
+        ({"robots": 0}, r"^robots must lie in \[1, 64\]; got 0"),
+        ({"slam": {"local_map": {"resolution_m": 0.0}}}, r"^slam\.local_map\.resolution_m must lie in .*; got 0"),
+        ({"slam": {"merging": {"wifi_check": 1}}}, r"wifi_check must be true or false; got 1"),
     ],
 )
 def test_a_wrong_setting_is_refused_in_one_line_that_names_it(values, message):
@@ -103,16 +105,32 @@ def test_override_reads_text_as_the_type_of_the_field():
 @pytest.mark.parametrize(
     ("assignments", "message"),
     [
-        ({"lidar.beam_cuont": 9}, r"config\.lidar\.beam_cuont is unknown; did you mean 'beam_count'\?"),
-        ({"lidar.beam_count.more": 9}, r"config\.lidar\.beam_count\.more is unknown"),
-        ({"lidar.beam_count": "many"}, r"config\.lidar\.beam_count must be of type int; got 'many'"),
+        ({"lidar.beam_cuont": 9}, r"there is no setting lidar\.beam_cuont; did you mean 'beam_count'\?"),
+        ({"lidar.beam_count.more": 9}, r"there is no setting lidar\.beam_count\.more"),
+        ({"lidar.beam_count": "many"}, r"lidar\.beam_count must be a whole number; got 'many'"),
+        ({"lidar": "many"}, r"lidar is a section; set one of lidar\.beam_count, lidar\.range_max_m"),
         ({"slam.merging.wifi_check": "perhaps"}, r"must be true or false; got 'perhaps'"),
-        ({"lidar": 3}, r"config\.lidar must be a table of settings; got 3"),
+        ({"lidar": 3}, r"lidar must be a table of settings; got 3"),
     ],
 )
 def test_a_wrong_override_is_refused(assignments, message):
     with pytest.raises(ConfigError, match=message):
         override(EnvConfig(), assignments)
+
+
+def test_a_run_folder_stands_for_the_config_in_it(tmp_path):
+    config = override(EnvConfig(), {"lidar.beam_count": 90})
+    (tmp_path / "config.json").write_text(json.dumps(to_dict(config)), encoding="utf-8")
+    assert load(tmp_path) == config
+    with pytest.raises(ConfigError, match=r"cannot read the config file .*empty.config\.json: No such file"):
+        (tmp_path / "empty").mkdir()
+        load(tmp_path / "empty")
+
+
+def test_a_wrong_setting_in_a_file_is_named_with_the_file(tmp_path):
+    (tmp_path / "mine.toml").write_text("robotz = 3", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"mine\.toml: there is no setting robotz; did you mean 'robots'\?"):
+        load(tmp_path / "mine.toml")
 
 
 def test_override_leaves_the_original_alone():

@@ -75,7 +75,7 @@ def test_bundled_maps_belong_to_the_code(tmp_path, package, monkeypatch):
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(DataError, match="cannot keep finished parts"):
+    with pytest.raises(DataError, match="cannot write to the folder"):
         FinishedParts(tmp_path / "file", "table", {}).once("x", lambda: 1)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twc_env.errors import DataError
-from twc_env.json_values import check_writable, plain, write_json
+from twc_env.json_values import check_folder, check_writable, plain, write_json
 
 
 def test_json_never_holds_nan(tmp_path):
@@ -32,6 +32,16 @@ def test_a_place_that_cannot_be_written_is_refused_before_and_after(tmp_path):
         for place in (tmp_path / "file" / "a.json", tmp_path / "file" / "b" / "a.json", tmp_path):
             with pytest.raises(DataError, match="cannot write"):
                 refuse(place)
+
+
+def test_a_folder_that_cannot_be_made_is_refused_and_one_that_can_is_not(tmp_path):
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "deep"):
+        with pytest.raises(DataError, match=r"cannot write to the folder .*file is a file; choose another folder"):
+            check_folder(folder)
+    for folder in (None, tmp_path, tmp_path / "new" / "deep"):
+        check_folder(folder)
+    assert not (tmp_path / "new").exists()
 
 
 def test_looking_at_a_place_makes_nothing(tmp_path):

@@ -42,6 +42,15 @@ def test_bad_input_ends_with_one_line_and_status_2(arguments, message, capsys):
     assert error.startswith("error: ") and message in error and error.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    "arguments", ["soak --steps 0", "bench --episodes 0", "bench --robots x", "record --out r --steps 0"]
+)
+def test_counts_that_make_no_run_are_refused_by_the_command_line(arguments, capsys):
+    with pytest.raises(SystemExit):
+        main(arguments.split())
+    assert "must be a whole number from 1 on; got" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("kind", ["compiled", "filterpy"])
 def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, capsys):
     env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=50)
@@ -134,4 +143,4 @@ def test_an_interrupted_table_says_that_it_can_go_on(monkeypatch, tmp_path, caps
 
     monkeypatch.setattr("twc_env.reproduce.matching.rows", interrupt)
     assert main(["reproduce", "matching", "--cache", str(tmp_path)]) == 130
-    assert capsys.readouterr().err == "\nfinished parts are kept: the same command goes on from there\ninterrupted\n"
+    assert capsys.readouterr().err == "finished parts are kept: the same command goes on from there\ninterrupted\n"

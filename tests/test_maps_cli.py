@@ -40,6 +40,15 @@ def test_show_writes_a_picture_with_and_without_signal(tmp_path, capsys):
     assert "drawn: " in capsys.readouterr().out
 
 
+def test_a_picture_without_a_suffix_is_a_png_and_its_name_is_said(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    assert run("show", "sfw-e5", "--no-signal", "--out", tmp_path / "plan") == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.png"]
+    assert f"drawn: {tmp_path / 'plan.png'}" in capsys.readouterr().out
+    assert run("show", "sfw-e5", "--out", tmp_path) == 2
+    assert "it is a folder; name a file in it" in capsys.readouterr().err
+
+
 def test_generate_writes_the_building_of_that_name(tmp_path):
     path = tmp_path / "ward.json"
     assert run("generate", "ward", 250, "--seed", 4, "--out", path) == 0

@@ -7,7 +7,9 @@ import sys
 from pathlib import Path
 
 from agents.seeds import parse_seeds
+from twc_env.command_line import assignments, natural
 from twc_env.errors import DataError, TwcError
+from twc_env.json_values import check_folder
 
 SEEDS = 2**31
 """torch and numpy take no larger ones, with the steps added that were taken before a resumption."""
@@ -42,7 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     ppo.add_argument("--robots", type=int, default=2, help="robots per team (default %(default)s)")
     ppo.add_argument("--steps", type=int, default=60_000, help="decisions of all robots (default %(default)s)")
     ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode (default %(default)s)")
-    ppo.add_argument("--workers", type=int, default=2, help="processes (default %(default)s; 0: this one)")
+    ppo.add_argument("--workers", type=natural, default=2, help="processes (default %(default)s; 0: this one)")
     ppo.add_argument("--seed", type=int, default=0)
     ppo.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the environment")
     ppo.add_argument("--out", type=Path, default=Path("runs/ppo"), help="run folder (default %(default)s)")
@@ -68,9 +70,13 @@ def _train_ppo(options: argparse.Namespace) -> int:
         raise DataError(f"--steps must be at least 1; got {options.steps}")
     if not 0 <= options.seed < SEEDS:
         raise DataError(f"--seed must be 0 to {SEEDS - 1}; got {options.seed}")
-    overrides: dict[str, object] = dict(_assignment(text) for text in options.set)
+    check_folder(options.out)
     task = Task(
-        options.map, area_m2=options.area, robots=options.robots, max_cycles=options.max_cycles, overrides=overrides
+        options.map,
+        area_m2=options.area,
+        robots=options.robots,
+        max_cycles=options.max_cycles,
+        overrides=assignments(options.set),
     )
     settings = ppo.Settings(seed=options.seed, workers=options.workers)
     model_path = ppo.train(task, settings, options.steps, options.out, options.resume)
@@ -83,13 +89,6 @@ def _evaluate(options: argparse.Namespace) -> int:
 
     print(evaluate(options.model, parse_seeds(options.seeds)).table)
     return 0
-
-
-def _assignment(text: str) -> tuple[str, str]:
-    key, equals, value = text.partition("=")
-    if not equals:
-        raise DataError(f"--set needs KEY=VALUE, as in lidar.beam_count=90; got {text!r}")
-    return key, value
 
 
 if __name__ == "__main__":

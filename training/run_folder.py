@@ -83,7 +83,9 @@ def read_settings(folder: Path) -> dict:
     try:
         record = json.loads(path.read_text())
     except FileNotFoundError:
-        raise DataError(f"{folder} holds no training run (no config.json); train first or name its folder") from None
+        raise DataError(
+            f"{folder.resolve()} holds no training run (no config.json); train first or name its folder"
+        ) from None
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror}; train first or name another folder") from error
     except ValueError as error:

@@ -1,9 +1,10 @@
-"""What the commands share: settings given as KEY=VALUE, numbers that count, and folders to write to."""
+"""What the commands share: settings given as KEY=VALUE, numbers that count or measure, and folders to write to."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from twc_env.errors import ConfigError, DataError
@@ -12,9 +13,9 @@ from twc_env.errors import ConfigError, DataError
 def assignments(texts: Sequence[str]) -> dict[str, object]:
     """`KEY=VALUE` texts of the command line as a dictionary."""
     pairs = [text.partition("=") for text in texts]
-    for key, separator, _ in pairs:
-        if not separator:
-            raise ConfigError(f"--set takes KEY=VALUE, for example lidar.beam_count=360; got {key!r}")
+    for text, (key, separator, _) in zip(texts, pairs, strict=True):
+        if not separator or not key:
+            raise ConfigError(f"--set takes KEY=VALUE, for example lidar.beam_count=360; got {text!r}")
     return {key: value for key, _, value in pairs}
 
 
@@ -32,6 +33,21 @@ def _whole_number(text: str, least: int) -> int:
     if not (text.isascii() and text.isdigit()) or int(text) < least:
         raise argparse.ArgumentTypeError(f"must be a whole number from {least} on; got {text!r}")
     return int(text)
+
+
+def number(least: float, most: float) -> Callable[[str], float]:
+    """A number from `least` to `most`, as an argument's type."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"must be a number from {least:g} to {most:g}; got {text!r}")
+        return value
+
+    return read
 
 
 def make_folder(folder: Path) -> None:

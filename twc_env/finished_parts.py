@@ -17,7 +17,7 @@ from typing import Any
 
 from twc_env._version import __version__
 from twc_env.errors import DataError
-from twc_env.json_values import plain
+from twc_env.json_values import check_folder, plain
 from twc_env.maps import bundled_folder
 
 SUFFIXES = (".py", ".json")
@@ -43,12 +43,16 @@ def _places(package: str) -> Iterable[str]:
 
 
 class FinishedParts:
-    """A folder of finished parts, of one computation with one set of settings by one state of the code."""
+    """A folder of finished parts, of one computation with one set of settings by one state of the code.
+
+    Raises DataError, before anything is computed, where nothing can be written.
+    """
 
     def __init__(self, folder: Path, name: str, settings: Any, packages: tuple[str, ...] = ()):
         text = json.dumps(plain(settings), sort_keys=True, default=str)
         stem = f"{name}-{__version__}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
         self.folder = folder / f"{stem}-{code_digest(*packages)}"
+        check_folder(folder)
         self.of_other_code = sum(
             1 for other in folder.glob(f"{stem}-*") if other != self.folder for _ in other.glob("*.json")
         )

@@ -41,8 +41,23 @@ def check_writable(path: Path | None) -> None:
         return
     if path.is_dir():
         raise DataError(f"cannot write {path}: it is a folder; name a file in it")
-    place = path
-    while not os.path.lexists(place) and place != place.parent:
-        place = place.parent
+    place = _nearest(path)
     if (place != path and not place.is_dir()) or not os.access(place, os.W_OK):
         raise DataError(f"cannot write {path}: {place} is no place to write to; choose another place")
+
+
+def check_folder(folder: Path | None) -> None:
+    """The same for a folder that will be written to; it need not be there yet."""
+    if folder is None:
+        return
+    place = _nearest(folder)
+    if not place.is_dir() or not os.access(place, os.W_OK):
+        what = "cannot be written to" if place.is_dir() else "is a file"
+        raise DataError(f"cannot write to the folder {folder}: {place} {what}; choose another folder")
+
+
+def _nearest(path: Path) -> Path:
+    """The path itself, or what there is of it."""
+    while not os.path.lexists(path) and path != path.parent:
+        path = path.parent
+    return path

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twc_env.command_line import assignments, make_folder
+from twc_env.command_line import assignments, count, make_folder, natural
 from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
@@ -26,9 +26,11 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         "(true poses); docs/frames.md describes both. `python -m agents explore` records its episodes too.",
     )
     record.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
-    record.add_argument("--robots", type=int, default=3, help="default: %(default)s")
-    record.add_argument("--steps", type=int, default=600, help="default: %(default)s")
-    record.add_argument("--seed", type=int, default=0, help="default: %(default)s")
+    record.add_argument("--robots", type=count, default=3, help="how many (default: %(default)s)")
+    record.add_argument("--steps", type=count, default=600, help="of a tenth of a second (default: %(default)s)")
+    record.add_argument(
+        "--seed", type=natural, default=0, help="of starts, noise and furnishing (default: %(default)s)"
+    )
     record.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
     record.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
     record.set_defaults(run=_record)
@@ -118,10 +120,10 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     engine = CooperativeSlam(config, robots)
     odom_poses = []
     contacts = read_contacts(log)
-    for count, frames in enumerate(steps):
-        engine.update(frames, contacts[count] if contacts else None)
+    for k, frames in enumerate(steps):
+        engine.update(frames, contacts[k] if contacts else None)
         odom_poses.append(engine.poses_odom)
-        _progress(count + 1, len(steps))
+        _progress(k + 1, len(steps))
     if steps[-1][0].step >= config.max_cycles:  # the episode was played to its end, where the mapper clears its desk
         engine.finish()
     team = engine.team

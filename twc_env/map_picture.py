@@ -26,6 +26,7 @@ def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = No
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MapError("drawing a map needs matplotlib; run `pip install twc_env[viz]`") from error
+    path = Path(path) if Path(path).suffix else Path(f"{path}.png")
     x0, y0, x1, y1 = plan.bounds_m
     width = 12.0
     # The height follows the building; a legend and a colour bar need a few centimetres more.
@@ -61,8 +62,9 @@ def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = No
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:
-        raise MapError(f"cannot write the picture {path}: {error}; name a .png in an existing folder") from error
-    return Path(path)
+        reason = getattr(error, "strerror", None) or error
+        raise MapError(f"cannot write the picture {path}: {reason}; name a .png in an existing folder") from error
+    return path
 
 
 def _draw_signs(axes, plan: Floorplan) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from twc_env.errors import MapError
-from twc_env.json_values import write_json
+from twc_env.json_values import check_writable, write_json
 from twc_env.maps import load_map, map_names, schema
 from twc_env.world.floorplan import Floorplan
 
@@ -145,7 +145,8 @@ def _show(options: argparse.Namespace) -> None:
 
     plan = load_map(options.map, options.seed)
     path = options.out or Path(f"{_file_stem(plan.name)}.png")
-    draw_plan(plan, path, with_signal=not options.no_signal)
+    check_writable(path)
+    path = draw_plan(plan, path, with_signal=not options.no_signal)
     print(_row(plan))
     print(f"drawn: {path}")
 

@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from twc_env.command_line import assignments
-from twc_env.errors import ConfigError, TwcError
+from twc_env.command_line import assignments, count, natural
+from twc_env.errors import TwcError
 from twc_env.json_values import write_json
 
 
@@ -20,20 +20,20 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
         "split. Prints what memory did after a warm-up; an exception ends it with the seed of its episode. With "
         "--actions or --observations, that is done instead.",
     )
-    long.add_argument("--steps", type=int, default=1_000_000, help="time steps in all (default: %(default)s)")
+    long.add_argument("--steps", type=count, default=1_000_000, help="time steps in all (default: %(default)s)")
     long.add_argument(
         "--actions",
-        type=int,
+        type=count,
         metavar="COUNT",
         help="throw so many broken actions; each must be refused and leave no mark",
     )
     long.add_argument(
         "--observations",
-        type=int,
+        type=count,
         metavar="STEPS",
         help="random steps of all kinds of action, all blocks on: in their spaces, never constant, no shared memory",
     )
-    long.add_argument("--seed", type=int, default=0, help="of the first episode (default: %(default)s)")
+    long.add_argument("--seed", type=natural, default=0, help="of the first episode (default: %(default)s)")
     long.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
     long.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one flat object")
     long.set_defaults(run=_soak)
@@ -62,7 +62,6 @@ def _misuse(options: argparse.Namespace) -> None:
     figures: dict[str, object] = {}
     faults: list[str] = []
     if options.actions is not None:
-        _at_least_one("--actions", options.actions)
         thrown = fuzz_actions(options.actions, options.seed, _count)
         print(
             f"{thrown.count} broken actions: {thrown.refused} refused, {thrown.accepted} sound after all, "
@@ -72,7 +71,6 @@ def _misuse(options: argparse.Namespace) -> None:
         faults += thrown.escaped[:5] + [f"refused actions of kind {kind} left a mark" for kind in thrown.changed]
         figures["actions"] = {name: getattr(thrown, name) for name in thrown.__slots__}
     if options.observations is not None:
-        _at_least_one("--observations", options.observations)
         seen = check_observations(options.observations, options.seed, _count)
         print(f"{seen.steps} random steps, {seen.blocks} blocks looked at, {len(seen.faults)} faults")
         faults += seen.faults
@@ -80,11 +78,6 @@ def _misuse(options: argparse.Namespace) -> None:
     write_json(options.json, figures)
     if faults:
         raise TwcError("; ".join(faults))
-
-
-def _at_least_one(name: str, value: int) -> None:
-    if value < 1:
-        raise ConfigError(f"{name} must be 1 or more; got {value}")
 
 
 def _count(done: int, total: int) -> None:

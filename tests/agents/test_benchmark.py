@@ -45,6 +45,22 @@ def test_other_seeds_are_refused(text):
         parse_seeds(text)
 
 
+@pytest.mark.parametrize("command", ["explore", "benchmark", "compare --buildings 1", "radio-survey"])
+def test_a_folder_that_cannot_be_written_is_refused_before_the_first_episode(command, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("twc_env.parallel_env", None)
+    (tmp_path / "file").write_text("")
+    assert main([*command.split(), "--out", str(tmp_path / "file")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: cannot write to the folder") and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", ["benchmark --jobs 0", "compare --buildings 0", "explore --steps 0"])
+def test_counts_that_make_no_run_are_refused(arguments, capsys):
+    with pytest.raises(SystemExit):
+        main(arguments.split())
+    assert "must be a whole number from 1 on; got '0'" in capsys.readouterr().err
+
+
 def test_the_summary_is_mean_deviation_and_extremes():
     summary = benchmark.summary_of([some_report(seed) for seed in range(4)])
     ate = summary["figures"]["team_ate_m"]

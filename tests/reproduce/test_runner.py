@@ -101,6 +101,10 @@ def test_no_seeds_at_all_are_refused(text):
         ("merging --buildings 0", "must be a whole number from 1 on; got '0'"),
         ("merging --seed -1", "must be a whole number from 0 on; got '-1'"),
         ("radio-table1 --processes 0", "must be a whole number from 1 on; got '0'"),
+        ("radio-table1 --share nan", "must be a number from 0.01 to 1; got 'nan'"),
+        ("radio-scale --length -1", "must be a number from 100 to 1e+06; got '-1'"),
+        ("ocr --hidden 2", "must be a number from 0 to 0.95; got '2'"),
+        ("odometry --drift wide", "must be a number from 0 to 10; got 'wide'"),
         ("matching --points many", "must be a whole number from 1 on; got 'many'"),
     ],
 )
@@ -108,6 +112,34 @@ def test_numbers_that_make_no_table_are_refused_by_the_command_line(arguments, m
     with pytest.raises(SystemExit):
         command(["reproduce", *arguments.split()])
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("merging --set robots", "--set takes KEY=VALUE"),
+        ("merging --set robotz=3", "there is no setting robotz; did you mean 'robots'?"),
+        ("merging --cache {file}", "file is a file; choose another folder"),
+        ("sfw-table1 --out {file}", "file is a file; choose another folder"),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_the_first_part(arguments, message, tmp_path, capsys):
+    file = tmp_path / "file"
+    file.write_text("")
+    texts = arguments.format(file=file).split()
+    assert command(["reproduce", *(texts if "--cache" in texts else [*texts, "--cache", str(tmp_path / "parts")])]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and message in error and error.count("\n") == 1
+    assert file.read_text() == ""
+
+
+def test_an_error_in_a_part_stands_on_a_line_of_its_own(tmp_path, capsys):
+    def rows(options, runner):
+        return runner.each([1, 2], lambda part: 1 / (part - 2))
+
+    with pytest.raises(ZeroDivisionError):
+        main("toy", SimpleNamespace(rows=rows), argparse.Namespace(json=None, cache=tmp_path))
+    assert capsys.readouterr().err.endswith("\n")
 
 
 def test_an_unknown_experiment_is_refused_with_those_there_are(capsys, tmp_path):

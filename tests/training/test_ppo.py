@@ -184,11 +184,14 @@ def test_a_finished_run_is_not_overwritten(run):
         (["evaluate", "--model", "nowhere/model.zip"], "nowhere holds no training run"),
         (["evaluate", "--seeds", "a-b"], "seeds must be numbers and ranges"),
         (["ppo", "--steps", "0"], "--steps must be at least 1; got 0"),
-        (["ppo", "--set", "lidar.beam_count"], "--set needs KEY=VALUE"),
+        (["ppo", "--set", "lidar.beam_count"], "--set takes KEY=VALUE"),
         (["ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
         (["ppo", "--resume"], "holds no training run"),
         (["ppo", "--seed", "-1"], "--seed must be 0 to"),
-        (["ppo", "--out", "/dev/null/run"], "cannot write /dev/null/run/config.json"),
+        (
+            ["ppo", "--out", "/dev/null/run"],
+            "cannot write to the folder /dev/null/run: /dev/null is a file; choose another",
+        ),
     ],
 )
 def test_a_wrong_command_ends_in_one_line_that_names_the_remedy(arguments, message, tmp_path, capsys, monkeypatch):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import typing
+from collections.abc import Iterator
 from dataclasses import field
 
 from twc_env.errors import ConfigError
@@ -26,16 +28,30 @@ class Checked:
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        where = type(self).__name__.removesuffix("Config").lower()
         for f in dataclasses.fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
             if (choices := f.metadata.get("choices")) and value not in choices:
                 near = difflib.get_close_matches(str(value), choices, n=1)
                 hint = f"; did you mean {near[0]!r}?" if near else ""
-                raise ConfigError(f"{where}.{f.name} must be one of {', '.join(choices)}; got {value!r}{hint}")
+                raise ConfigError(f"{self._name(f)} must be one of {', '.join(choices)}; got {value!r}{hint}")
             if "minimum" in f.metadata:
                 low, high = f.metadata["minimum"], f.metadata["maximum"]
                 if isinstance(value, bool) or not isinstance(value, (int, float)):
-                    raise ConfigError(f"{where}.{f.name} must be a number; got {value!r}")
+                    raise ConfigError(f"{self._name(f)} must be a number; got {value!r}")
                 if not low <= value <= high:
-                    raise ConfigError(f"{where}.{f.name} must lie in [{low:g}, {high:g}]; got {value!r}")
+                    raise ConfigError(f"{self._name(f)} must lie in [{low:g}, {high:g}]; got {value!r}")
+
+    def _name(self, setting: dataclasses.Field) -> str:
+        """What a config file calls the field, as in slam.local_map.resolution_m."""
+        from twc_env.config.environment import EnvConfig
+
+        section = next((name for name, cls in _sections(EnvConfig, "") if cls is type(self)), "")
+        return f"{section}.{setting.name}".lstrip(".")
+
+
+def _sections(cls: type, name: str) -> Iterator[tuple[str, type]]:
+    """Dotted names and classes of a section and of all inside it."""
+    yield name, cls
+    for key, kind in typing.get_type_hints(cls).items():
+        if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+            yield from _sections(kind, f"{name}.{key}".lstrip("."))

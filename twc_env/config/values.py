@@ -37,36 +37,46 @@ def to_dict(config: EnvConfig) -> dict:
     return dataclasses.asdict(config)
 
 
-def from_dict(values: dict, cls: type = EnvConfig, where: str = "config"):
+_KINDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false", dict: "a table of settings"}
+
+
+def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
     """Build a (nested) config from plain values; what is not named keeps its default.
+
+    `where` is the dotted name of a section, for errors.
 
     Raises ConfigError for an unknown key (with the nearest known one), a wrong type or a value out of range.
     """
     if not isinstance(values, dict):
-        raise ConfigError(f"{where} must be a table of settings; got {values!r}")
+        raise ConfigError(f"{where or 'a config'} must be a table of settings; got {values!r}")
     types = typing.get_type_hints(cls)
     arguments: dict = {}
     if cls is RadioConfig and "preset" in values:
         values = dict(values)
         values = _merged(dataclasses.asdict(radio_preset(values.pop("preset"))), values)
     for key, value in values.items():
+        name = f"{where}.{key}" if where else str(key)
         if key not in types:
-            raise ConfigError(f"{where}.{key} is unknown{_did_you_mean(key, types)}")
-        arguments[key] = _value(types[key], value, f"{where}.{key}")
+            raise ConfigError(f"there is no setting {name}{_did_you_mean(key, types)}")
+        arguments[key] = _value(types[key], value, name)
     return cls(**arguments)
 
 
 def load(path: str | Path) -> EnvConfig:
-    """Read a TOML or JSON file that overrides the defaults it names."""
+    """Read a TOML or JSON file that overrides the defaults it names; of a run folder the config.json in it."""
     path = Path(path)
+    path = path / "config.json" if path.is_dir() else path
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8")
         values = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except OSError as error:
         raise ConfigError(f"cannot read the config file {path}: {error.strerror}") from error
     except ValueError as error:
-        raise ConfigError(f"{path} is not valid {path.suffix[1:].upper() or 'TOML'}: {error}") from error
-    return from_dict(values)
+        raise ConfigError(f"{path} is not valid {'JSON' if path.suffix == '.json' else 'TOML'}: {error}") from error
+    try:
+        return from_dict(values)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
 
 
 def override(config: EnvConfig, assignments: dict[str, object]) -> EnvConfig:
@@ -83,7 +93,8 @@ def override(config: EnvConfig, assignments: dict[str, object]) -> EnvConfig:
         for depth, part in enumerate(parts):
             if not isinstance(node, dict) or part not in node:
                 known = node if isinstance(node, dict) else ()
-                raise ConfigError(f"config.{'.'.join(parts[: depth + 1])} is unknown{_did_you_mean(part, known)}")
+                name = ".".join(parts[: depth + 1])
+                raise ConfigError(f"there is no setting {name}{_did_you_mean(part, known)}")
             if depth < len(parts) - 1:
                 node = node[part]
         node[parts[-1]] = _from_text(value, node[parts[-1]], dotted)
@@ -96,7 +107,7 @@ def _value(kind: type, value, where: str):
     if kind is float and type(value) is int:
         return float(value)
     if type(value) is not kind:
-        raise ConfigError(f"{where} must be of type {kind.__name__}; got {value!r}")
+        raise ConfigError(f"{where} must be {_KINDS[kind]}; got {value!r}")
     return value
 
 
@@ -115,11 +126,13 @@ def _from_text(value, old, where: str):
     if isinstance(old, bool):
         if value.lower() in ("true", "false"):
             return value.lower() == "true"
-        raise ConfigError(f"config.{where} must be true or false; got {value!r}")
+        raise ConfigError(f"{where} must be true or false; got {value!r}")
+    if isinstance(old, dict):
+        raise ConfigError(f"{where} is a section; set one of {', '.join(f'{where}.{key}' for key in old)}")
     try:
         return type(old)(value)
     except (TypeError, ValueError):
-        raise ConfigError(f"config.{where} must be of type {type(old).__name__}; got {value!r}") from None
+        raise ConfigError(f"{where} must be {_KINDS[type(old)]}; got {value!r}") from None
 
 
 def _did_you_mean(key, known) -> str:

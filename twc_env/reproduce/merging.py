@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.command_line import count, natural
+from twc_env.command_line import assignments, count, natural
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.exploration.evaluation import map_at
@@ -55,7 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """A row per building, and one for all of them at the end."""
     names = [f"test/{k:04d}" for k in range(options.buildings)]
-    settings = dict(text.split("=", 1) for text in options.set)
+    settings = assignments(options.set)
+    override(EnvConfig(), settings)  # a misspelt setting fails now
     found = runner.each(names, lambda name: merge_in(name, options.robots, options.seed, settings))
     merged = [row["first_merge_s"] for row in found if row["first_merge_s"] is not None]
     total = {

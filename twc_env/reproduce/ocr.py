@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.command_line import count, natural
+from twc_env.command_line import count, natural, number
 from twc_env.config import SignsConfig
 from twc_env.errors import DataError
 from twc_env.maps import load_map
@@ -42,7 +42,9 @@ MAPS = ("twin-01", "twin-02", *(f"test/{k:04d}" for k in range(12)))
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
     parser.add_argument("--signs", type=count, default=1000, help="read per distance (default: %(default)s)")
-    parser.add_argument("--hidden", type=float, default=0.0, help="share of each text behind something (default: 0)")
+    parser.add_argument(
+        "--hidden", type=number(0.0, 0.95), default=0.0, help="share of each text behind something (default: 0)"
+    )
     parser.add_argument("--seed", type=natural, default=0, help="of signs and views (default: %(default)s)")
 
 

@@ -12,6 +12,7 @@ import argparse
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.command_line import number
 from twc_env.config import OdometryConfig
 from twc_env.datasets.scan_log import Relations, read_relations, read_scan_log
 from twc_env.geometry import between, compose, wrap_angle
@@ -31,8 +32,12 @@ _LONG_S = 60.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--platform", choices=tuple(PRESETS), default="pioneer-intel")
-    parser.add_argument("--drift", type=float, default=1.0)
+    parser.add_argument(
+        "--platform", choices=tuple(PRESETS), default="pioneer-intel", help="preset of odometry (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--drift", type=number(0.0, 10.0), default=1.0, help="how many times the preset's errors (default: %(default)s)"
+    )
     parser.add_argument(
         "--seeds", type=seeds_argument, default=list(range(100)), help="simulated drives (default: 0-99)"
     )

@@ -15,7 +15,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.command_line import count
+from twc_env.command_line import count, number
 from twc_env.config import RadioSlamConfig
 from twc_env.geometry import compose
 from twc_env.maps import load_map
@@ -40,7 +40,9 @@ BULK, REPEATS = 4000, 5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce radio-scale`."""
     parser.add_argument("--seeds", default="2", help="a count or a range like 0-9 (default: %(default)s)")
-    parser.add_argument("--length", type=float, default=10_000.0, help="metres to drive (default: %(default)s)")
+    parser.add_argument(
+        "--length", type=number(100.0, 1e6), default=10_000.0, help="metres to drive (default: %(default)s)"
+    )
     parser.add_argument("--stored", type=count, default=100_000, help="fingerprints to search (default: %(default)s)")
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
-from twc_env.json_values import plain, write_json
+from twc_env.json_values import check_folder, plain, write_json
 from twc_env.threads import single_threaded
 
 TABLES: dict[str, str] = {
@@ -50,6 +50,7 @@ class Runner:
     def __init__(self, name: str, folder: Path, settings: dict):
         self._parts = FinishedParts(folder, name, settings)
         self._started = time.monotonic()
+        self._is_in_line = False
         if self._parts.remark:
             print(self._parts.remark, file=sys.stderr)
         self.notes: list[str] = []
@@ -83,8 +84,15 @@ class Runner:
         return results
 
     def _say(self, text: str, end: str = "") -> None:
+        self._is_in_line = not end
         elapsed = time.monotonic() - self._started
         print(f"\r[{elapsed:5.0f} s] {text[:100]:<100}", end=end, file=sys.stderr, flush=True)
+
+    def end_line(self) -> None:
+        """Let what is said next begin a line of its own."""
+        if self._is_in_line:
+            print(file=sys.stderr)
+            self._is_in_line = False
 
 
 def print_rows(rows: Iterable[dict]) -> None:
@@ -154,12 +162,16 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     """Run one table, print it, write it."""
     changes_no_part = ("run", "json", "cache", "out", "processes", *getattr(module, "CHOOSES", ()))
     settings = {k: v for k, v in vars(options).items() if k not in changes_no_part}
+    check_folder(getattr(options, "out", None))
     runner = Runner(name, options.cache, settings)
     try:
         rows = plain(module.rows(options, runner))
     except KeyboardInterrupt:
-        print("\nfinished parts are kept: the same command goes on from there", file=sys.stderr)
+        runner.end_line()
+        print("finished parts are kept: the same command goes on from there", file=sys.stderr)
         raise
+    finally:
+        runner.end_line()
     print_rows(rows)
     print("".join(note + "\n" for note in runner.notes), end="")
     for remark in getattr(module, "remarks", lambda _: ())(rows):

@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.command_line import number
 from twc_env.config import EnvConfig, override
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.runner import Runner, seeds_argument
@@ -65,7 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="likeness of strengths, Eq. 10; paper: accept distances of at least gamma (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument("--alternatives", action="store_true", help="add rows for the other readings of Eq. 7 and 10")
-    parser.add_argument("--tolerance-db", type=float, default=5.0, help="tau of papers.md T8 (default: %(default)s)")
+    parser.add_argument(
+        "--tolerance-db", type=number(0.1, 50.0), default=5.0, help="tau of papers.md T8 (default: %(default)s)"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
