@@ -95,12 +95,13 @@ class CooperativeSlam:
         """As `TeamBeliefs` has them."""
         self._others = np.array([[r for r in range(robot_count) if r != k] for k in range(robot_count)], np.int64)
         """(robots, robots - 1) all the others of each robot."""
+        self._everyone = np.arange(robot_count)
         self._heard_poses = np.zeros_like(self._mate_poses)
         """Where each robot has its own mapper: where its mates were when they were heard of last."""
         self._maps: HeldMaps | None = None
         """None: they are to be looked up anew."""
-        self._located = [[-1] * robot_count for _ in self.mappers]
-        """The state of each mapper, by its counts of changes, that these were taken from."""
+        self._located = [-1] * len(self.mappers)
+        """The state of each mapper, by its count of changes, that these were taken from."""
         self._regroupings = [-1] * len(self.mappers)
         self._beliefs: TeamBeliefs | None = None
         """Once asked for, until something changes."""
@@ -191,21 +192,13 @@ class CooperativeSlam:
 
     def _relocate(self, number: int, mapper: TeamMapper) -> None:
         """What a mapper says of robots has changed; beliefs hold what it said before."""
-        since_m, last_steps = self._since_closure_m.copy(), np.array(mapper.last_steps)
-        robots = range(len(self.robots)) if self._is_central else (number,)
-        changes, located = mapper.changes, self._located[number]
-        for robot in robots:
-            if changes[robot] != located[robot]:
-                since_m[robot] = mapper.locate(robot, self._poses_map_odom[robot], self._std[robot])
-        if self._is_central:
-            heard = last_steps[self._others]
-        else:
-            heard = self._contact_steps.copy()
-            heard[number] = last_steps[self._others[number]]
+        since_m, heard = self._since_closure_m.copy(), self._contact_steps.copy()
+        robots = self._everyone if self._is_central else self._everyone[number : number + 1]
+        mapper.locate(robots, self._others, (self._poses_map_odom, self._std, since_m, heard))
         if mapper.regroupings != self._regroupings[number] or not self._is_central:
-            self._find_mates(robots, mapper)
+            self._find_mates(robots.tolist(), mapper)
         self._since_closure_m, self._contact_steps, self._maps = since_m, heard, None
-        self._located[number], self._regroupings[number] = changes.copy(), mapper.regroupings
+        self._located[number], self._regroupings[number] = mapper.changes, mapper.regroupings
 
     def _find_mates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
         """Who shares the map of each of these robots."""

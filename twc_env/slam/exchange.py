@@ -78,10 +78,11 @@ class Exchange:
         if self._is_central and self._made == self._heard and not wanted[0]:
             return _NOTHING
         deliveries = [Delivery() for _ in self._held]
+        before = self._held
         if not self._is_central:
             for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
                 self._hand_over(delivery, robot, robot, len(self._paths[robot]))
-        before = [held.copy() for held in self._held]
+            before = [held.copy() for held in self._held]
         if contacts is not self._pairs_of:
             self._pairs_of = contacts
             self._pairs = [(i, k, bool(contacts.heard[i, k])) for i, k in np.argwhere(contacts.tried).tolist()]
@@ -89,7 +90,8 @@ class Exchange:
             if not self._is_central:
                 self._tell_holdings(listener, sender, is_heard)
             self._tell_keyframes(deliveries[listener], listener, sender, before, is_heard)
-            self._tell_scans(deliveries[listener], listener, sender, wanted[listener], is_heard)
+            if wanted[listener]:
+                self._tell_scans(deliveries[listener], listener, sender, wanted[listener], is_heard)
         return deliveries
 
     def _tell_holdings(self, listener: int, sender: int, is_heard: bool) -> None:
@@ -101,11 +103,12 @@ class Exchange:
             self._told[listener][sender] = self._held[listener].copy()
 
     def _tell_keyframes(self, delivery: Delivery, listener: int, sender: int, before, is_heard: bool) -> None:
+        held = self._held[listener]
         for robot in (sender,) if self._is_central else range(len(self._paths)):
             end = len(self._paths[robot]) if robot == sender else before[sender][robot]
-            if end <= self._held[listener][robot]:
+            if end <= held[robot]:
                 continue
-            for keyframe in self._paths[robot][self._held[listener][robot] : end]:
+            for keyframe in self._paths[robot][held[robot] : end]:
                 self._count(keyframe)
             if is_heard:
                 self._hand_over(delivery, listener, robot, end)
@@ -132,7 +135,8 @@ class Exchange:
     def _count(self, keyframe: Keyframe) -> None:
         sent = self.bytes_sent
         sent["pose"] += BYTES_PER_POSE + BYTES_PER_COVARIANCE
-        sent["text"] += sum(len(sign.text.encode()) + BYTES_PER_POSE for sign in keyframe.signs)
+        for sign in keyframe.signs:
+            sent["text"] += len(sign.text.encode()) + BYTES_PER_POSE
         sent["fingerprint"] += BYTES_PER_FINGERPRINT_MAC * len(keyframe.fingerprint.macs)
         if not self._on_request:
             sent["scan"] += BYTES_PER_BEAM * len(keyframe.ranges_m)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import Pack, borrowing_kernel, kernel, pack
 from twc_env.messages import Keyframe
 from twc_env.slam.odometry_filter import invert3
 
@@ -53,25 +53,59 @@ def _put_edge(edge, first, second, measurement, covariance, closure, is_used, en
     kinds[edge], used[edge] = closure, is_used
 
 
-@borrowing_kernel
-def _follow(
-    node, previous, edge, robot, step, travel, motion, covariance, ranges,
-    poses, scans, robots, steps, travels, strains, ends, measured, information, kinds, used,
-):  # fmt: skip
-    """A node, and the edge of odometry that leads to it unless it is the first of its robot."""
+@kernel
+def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covariance, ranges):
+    """Write a robot's next node, and the edge of odometry that leads to it; whether there is one."""
+    (
+        poses, scans, robots, steps, travels, strains, ends, measured, information, kinds, used, rows, counts, tied,
+        latest_odom,
+    ) = graph.parts  # fmt: skip
+    count = counts[robot]
+    previous = rows[robot, count - 1] if count > 0 else np.int64(-1)
     _put_node(
         node, previous, robot, step, travel, motion, covariance, ranges, poses, scans, robots, steps, travels, strains
     )
-    if previous >= 0:
-        _put_edge(
-            edge, previous, node, motion, covariance, ODOMETRY, True, ends, measured, information, kinds, used
-        )  # fmt: skip
+    rows[robot, count], counts[robot] = node, count + 1
+    for axis in range(3):
+        latest_odom[robot, axis] = pose_odom[axis]
+    if previous < 0:
+        tied[robot] = node
+        return False
+    _put_edge(
+        edge, previous, node, motion, covariance, ODOMETRY, True, ends, measured, information, kinds, used
+    )  # fmt: skip
+    return True
+
+
+@kernel
+def _locate(robots, others, graph, poses_map_odom, std, since_m, heard_steps):
+    """See `GraphArrays.locate`."""
+    poses, _, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom = graph.parts
+    for k in robots:
+        for a in range(others.shape[1]):
+            other = others[k, a]
+            heard_steps[k, a] = steps[rows[other, counts[other] - 1]] if counts[other] > 0 else -1
+        if counts[k] == 0:
+            since_m[k] = 0.0
+            for axis in range(3):
+                poses_map_odom[k, axis] = std[k, axis] = 0.0
+            continue
+        node, first, pose_odom = rows[k, counts[k] - 1], tied[k], latest_odom[k]
+        c, s = math.cos(pose_odom[2]), math.sin(pose_odom[2])
+        x, y = -c * pose_odom[0] - s * pose_odom[1], s * pose_odom[0] - c * pose_odom[1]
+        c, s = math.cos(poses[node, 2]), math.sin(poses[node, 2])
+        poses_map_odom[k, 0] = poses[node, 0] + c * x - s * y
+        poses_map_odom[k, 1] = poses[node, 1] + s * x + c * y
+        poses_map_odom[k, 2] = _wrap(poses[node, 2] - pose_odom[2])
+        for axis in range(3):
+            std[k, axis] = math.sqrt(max(strains[node, axis] - strains[first, axis], 0.0))
+        since_m[k] = travels[node] - travels[first]
 
 
 class GraphArrays:
     """Row by row: nodes are keyframes in the order of their arrival, edges odometry and closures."""
 
-    def __init__(self, beam_count: int):
+    def __init__(self, robot_count: int, beam_count: int):
         self.node_count = self.edge_count = 0
         self._nodes: list[Array] = [
             np.zeros((_ROOM, 3)),
@@ -88,28 +122,61 @@ class GraphArrays:
             np.zeros(_ROOM, np.int64),
             np.zeros(_ROOM, bool),
         ]
+        self._rows = np.zeros((robot_count, _ROOM), np.int64)
+        """The nodes of each robot, of which there are `_counts`."""
+        self._counts = np.zeros(robot_count, np.int64)
+        self.tied = np.zeros(robot_count, np.int64)
+        """(robots,) the node of each robot's last keyframe with a closure that is used; its first without any."""
+        self._latest_odom = np.zeros((robot_count, 3))
+        """Where each robot's odometry has its last keyframe."""
+        self._pack: Pack | None = None
 
-    def add_node(self, keyframe: Keyframe, previous: int) -> int:
-        """A keyframe, put where odometry leads from the robot's previous node (-1 for its first); gives its node."""
-        node, edge = self.node_count, self.edge_count
+    @property
+    def _all(self) -> Pack:
+        if self._pack is None:
+            self._pack = pack((*self._nodes, *self._edges, self._rows, self._counts, self.tied, self._latest_odom))
+        return self._pack
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_pack": None}
+
+    def add_node(self, keyframe: Keyframe) -> int:
+        """A keyframe, put where odometry leads from the robot's last one; gives its node."""
+        node = self.node_count
         if node == len(self._nodes[0]):
             self._nodes = [_doubled(rows) for rows in self._nodes]
-        if edge == len(self._edges[0]):
-            self._edges = [_doubled(rows) for rows in self._edges]
-        _follow(
-            node, previous, edge, keyframe.robot, keyframe.step, keyframe.travel_m, keyframe.motion,
-            keyframe.motion_covariance, keyframe.ranges_m, *self._nodes, *self._edges,
+            self._rows, self._pack = _doubled(self._rows.T).T.copy(), None
+        self._make_room_for_edge()
+        self.edge_count += _follow(
+            self._all, node, self.edge_count, keyframe.robot, keyframe.step, keyframe.travel_m, keyframe.pose_odom,
+            keyframe.motion, keyframe.motion_covariance, keyframe.ranges_m,
         )  # fmt: skip
         self.node_count += 1
-        self.edge_count += previous >= 0
         return node
 
     def add_edge(self, ends: tuple[int, int], measured: Array, covariance: Array, closure: int, is_used: bool) -> None:
         """A measured pose (3,) of the second end in the frame of the first; `closure` is the closure's number."""
-        if self.edge_count == len(self._edges[0]):
-            self._edges = [_doubled(rows) for rows in self._edges]
+        self._make_room_for_edge()
         _put_edge(self.edge_count, *ends, measured, covariance, closure, is_used, *self._edges)
         self.edge_count += 1
+
+    def _make_room_for_edge(self) -> None:
+        if self.edge_count == len(self._edges[0]):
+            self._edges, self._pack = [_doubled(rows) for rows in self._edges], None
+
+    def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
+        """Where some robots (k,) are in the maps of their groups; others (robots, robots - 1): all but each.
+
+        Fills in their rows: where the odom frame lies (robots, 3); what may have gone astray since the last closure, or
+        without any since the start, by the front end's own covariances (robots, 3) [m, m, rad]; the path length since
+        then (robots,) [m]; and the step of the newest keyframe of each other robot (robots, robots - 1), -1 for none.
+        A robot without keyframes is its own map.
+        """
+        _locate(robots, others, self._all, *into)
+
+    def nodes_of(self, robot: int) -> Array:
+        """(keyframes,) its nodes, ascending."""
+        return self._rows[robot, : self._counts[robot]]
 
     @property
     def poses(self) -> Array:
@@ -135,11 +202,6 @@ class GraphArrays:
     def travels_m(self) -> Array:
         """(nodes,) path length of the robot up to each."""
         return self._nodes[4][: self.node_count]
-
-    @property
-    def strains(self) -> Array:
-        """(nodes, 3) variances gathered along the robot's path up to each [m2, m2, rad2]."""
-        return self._nodes[5][: self.node_count]
 
     @property
     def ends(self) -> Array:

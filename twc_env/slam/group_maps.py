@@ -127,7 +127,7 @@ class GroupMaps:
         """Carry group b into the map of group a; b's number goes to the group after it."""
         into, other = self.groups[a], self.groups[b]
         moved = self._graph.nodes_of(other.robots)
-        self._graph.place(moved, compose(pose_a_b, self._graph.poses[moved]), other.robots)
+        self._graph.place(moved, compose(pose_a_b, self._graph.poses[moved]))
         robots = tuple(sorted(into.robots + other.robots))
         self.groups[a] = Group(robots, into.grid, into.version + other.version + 1)
         del self.groups[b]

@@ -88,8 +88,12 @@ def mark_mates(ranges, range_max, radius, directions, out, discs):
 
 
 @borrowing_kernel
-def _unmark(scan, discs, pose, seen, following, travel, time):
-    """See `StillDiscs.unmark`; gives the row of `seen` that is overwritten next."""
+def unmark(scan, discs, pose, seen, following, travel, time):
+    """Make the beams (beams,) on discs (k, 4) that stood still for long, seen from more than one place, walls again.
+
+    discs: as `mark_mates` has them; seen: a robot's row of `StillDiscs.seen`, of which the row `following` is
+    overwritten next. Gives the one after.
+    """
     beams = scan.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for d in range(discs.shape[0]):
@@ -110,14 +114,10 @@ def _unmark(scan, discs, pose, seen, following, travel, time):
 
 
 class StillDiscs:
-    """Remembers where discs were seen, so that a pillar as wide as a robot is drawn after all: it never moves."""
+    """Where each robot saw discs, so that a pillar as wide as a robot is drawn after all: it never moves."""
 
-    def __init__(self):
-        self._seen = np.full((MEMORY, 4), np.inf)
-        """Rows (x, y in the odom frame, travel and time when first seen there); the oldest is overwritten."""
-        self._next = 0
-
-    def unmark(self, scan: Array, discs: Array, pose_odom: Array, travel_m: float, time_s: float) -> None:
-        """Make the beams (beams,) on discs that stood still for long, seen from more than one place, walls again."""
-        if len(discs):
-            self._next = _unmark(scan, discs, pose_odom, self._seen, self._next, travel_m, time_s)
+    def __init__(self, robots: int):
+        self.seen = np.full((robots, MEMORY, 4), np.inf)
+        """Rows (x, y in the odom frame, travel and time when first seen there) of each robot."""
+        self.following = np.zeros(robots, np.int64)
+        """(robots,) the row that is overwritten next, the oldest."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.geometry import beam_directions
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import Pack, borrowing_kernel, kernel, pack
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import note_kinds
 
@@ -187,12 +187,13 @@ def _integrate_inside(log_odds, kinds, bounds, reached, inverse_m, poses, direct
         note_kinds(log_odds, bottom, left, top, right, kinds)
 
 
-@borrowing_kernel
-def _integrate_many(log_odds, kinds, boxes, inverse_m, poses, directions, scans, range_max, crossings, reached):
+@kernel
+def _integrate_many(grid, poses, scans):
     """Fold in scans that lie inside the first box, and widen the second by what these can touch.
 
     Writes that box to `reached` (4,); whether it lay inside.
     """
+    log_odds, kinds, boxes, inverse_m, directions, range_max, crossings, reached = grid.parts
     low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0
     for k in range(poses.shape[0]):
         low_x, high_x = min(low_x, poses[k, 0]), max(high_x, poses[k, 0])
@@ -232,6 +233,10 @@ class OccupancyGrid:
         self._boxes_m = np.array([NOWHERE_M] * 2)
         """The box of all cells, and of those that scans can have touched."""
         self._snapshot: GridMap | None = None
+        self._pack: Pack | None = None
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_pack": None}
 
     def integrate(self, poses: Array, scans: Array) -> None:
         """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall."""
@@ -243,10 +248,14 @@ class OccupancyGrid:
 
     def _fold_in(self, poses: Array, scans: Array) -> bool:
         """Whether the scans could be folded in: not where they touch more than there are cells."""
-        inside: bool = _integrate_many(
-            self.log_odds, self._kinds, self._boxes_m, 1.0 / self.resolution_m, poses, self._directions, scans,
-            self.range_max_m, self._crossings, self._touched_m,
-        )  # fmt: skip
+        if self._pack is None:
+            self._pack = pack(
+                (
+                    self.log_odds, self._kinds, self._boxes_m, 1.0 / self.resolution_m, self._directions,
+                    self.range_max_m, self._crossings, self._touched_m,
+                )
+            )  # fmt: skip
+        inside: bool = _integrate_many(self._pack, poses, scans)
         return inside
 
     def snapshot(self) -> GridMap:
@@ -292,6 +301,6 @@ class OccupancyGrid:
             c, r = np.round(self.origin_m / self.resolution_m - first).astype(int)
             grown[r : r + rows, c : c + columns] = self.log_odds
             kinds[r : r + rows, c : c + columns] = self._kinds
-        self.log_odds, self._kinds, self._snapshot = grown, kinds, None
+        self.log_odds, self._kinds, self._snapshot, self._pack = grown, kinds, None, None
         self.origin_m = first * self.resolution_m
         self._boxes_m[0] = *self.origin_m, *(self.origin_m + shape[::-1] * self.resolution_m)

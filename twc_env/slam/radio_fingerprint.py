@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import Pack, borrowing_kernel, kernel, pack
 from twc_env.messages import Fingerprint, WifiScan
 from twc_env.team_messages import WifiScans
 
@@ -26,6 +26,20 @@ class ScanWindows:
         self._macs, self._rssi_dbm, self._ages_s = _rings(receivers, scans_max, 32)
         self._counts, self._times_s = np.zeros((receivers, scans_max), np.int64), np.zeros((receivers, scans_max))
         self._added = np.zeros(receivers, np.int64)
+        self._found = _found(scans_max, 32)
+        self._pack: Pack | None = None
+
+    @property
+    def rings(self) -> Pack:
+        """All of it, for `fingerprint_of`."""
+        if self._pack is None:
+            self._pack = pack(
+                (self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added, *self._found)
+            )
+        return self._pack
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_pack": None}
 
     def add(self, time_s: float, receivers: Array, scans: WifiScans, ages_s: Array = NO_AGES) -> None:
         """Keep scans of these receivers (k,), a row for each; the oldest of each gives way.
@@ -33,14 +47,10 @@ class ScanWindows:
         ages_s: of the readings, as the other fields of `scans`; `NO_AGES` where all are new.
         """
         _, macs, rssi_dbm, counts = scans
-        most = 1
-        while most:
-            most = _keep(
-                time_s, receivers, macs, rssi_dbm, ages_s, counts, self._macs, self._rssi_dbm, self._ages_s,
-                self._counts, self._times_s, self._added,
-            )  # fmt: skip
-            if most:
-                self._widen(most)
+        most = _keep(time_s, receivers, macs, rssi_dbm, ages_s, counts, self.rings)
+        if most:
+            self._widen(most)
+            _keep(time_s, receivers, macs, rssi_dbm, ages_s, counts, self.rings)
 
     def fingerprint(
         self,
@@ -51,12 +61,11 @@ class ScanWindows:
         age_max_s: float = math.inf,
     ) -> Fingerprint:
         """See `fingerprint`, of the kept scans of one receiver that are younger than a time."""
-        size = self._macs[receiver].size
-        macs, levels = np.empty(size, np.int64), np.empty(size)
-        count = _fingerprint_of(
-            receiver, self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added, after_s,
-            age_max_s, detection_min, STD_MODES[std_mode], macs, levels,
-        )  # fmt: skip
+        return self.latest(fingerprint_of(receiver, self.rings, after_s, age_max_s, detection_min, STD_MODES[std_mode]))
+
+    def latest(self, count: int) -> Fingerprint:
+        """The fingerprint that `fingerprint_of` found last, of so many transmitters."""
+        macs, levels = self._found
         return Fingerprint(macs[:count].copy(), levels[:count].copy()) if count else EMPTY
 
     def _widen(self, count: int) -> None:
@@ -65,6 +74,7 @@ class ScanWindows:
         for new, old in zip(wider, (self._macs, self._rssi_dbm, self._ages_s), strict=True):
             new[..., :width] = old
         self._macs, self._rssi_dbm, self._ages_s = wider
+        self._found, self._pack = _found(scans, 2 * count), None
 
 
 def _rings(receivers: int, scans: int, width: int) -> tuple[Array, Array, Array]:
@@ -72,9 +82,15 @@ def _rings(receivers: int, scans: int, width: int) -> tuple[Array, Array, Array]
     return np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape)
 
 
-@borrowing_kernel
-def _keep(time, receivers, macs, levels, ages, heard, kept_macs, kept_levels, kept_ages, counts, times, added):
+def _found(scans: int, width: int) -> tuple[Array, Array]:
+    """Room for the transmitters of a fingerprint and their strengths."""
+    return np.empty(scans * width, np.int64), np.empty(scans * width)
+
+
+@kernel
+def _keep(time, receivers, macs, levels, ages, heard, rings):
     """Write scans to the rings, without ages as all new, and give 0; or nothing, and how many readings need room."""
+    kept_macs, kept_levels, kept_ages, counts, times, added, _, _ = rings.parts
     most = np.int64(0)
     for a in range(receivers.shape[0]):
         most = max(most, heard[a])
@@ -115,17 +131,6 @@ def ages_of(scans: Sequence[WifiScan | None]) -> Array:
     for row, scan in zip(ages_s, heard, strict=True):
         row[: len(scan.macs)] = 0.0 if scan.age_s is None else scan.age_s
     return ages_s
-
-
-@borrowing_kernel
-def _fingerprint_of(
-    receiver, macs, levels, ages, counts, times, added, after, age_max, detection_min, std_mode, out_macs, out_levels
-):  # fmt: skip
-    """`_clipped_means` of one receiver."""
-    return _clipped_means(
-        macs[receiver], levels[receiver], ages[receiver], counts[receiver], times[receiver], added[receiver], after,
-        age_max, detection_min, std_mode, out_macs, out_levels,
-    )  # fmt: skip
 
 
 @kernel
@@ -184,6 +189,16 @@ def _clipped_means(
         out_macs[found] = mac
         out_levels[found] = kept_total / kept if kept else mean
         found += 1
+
+
+@kernel
+def fingerprint_of(receiver, rings, after, age_max, detection_min, std_mode):
+    """`_clipped_means` of one receiver of `ScanWindows.rings`, found there."""
+    macs, levels, ages, counts, times, added, found_macs, found_levels = rings.parts
+    return _clipped_means(
+        macs[receiver], levels[receiver], ages[receiver], counts[receiver], times[receiver], added[receiver], after,
+        age_max, detection_min, std_mode, found_macs, found_levels,
+    )  # fmt: skip
 
 
 def mac_similarity(a: Fingerprint, b: Fingerprint) -> float:

@@ -244,14 +244,13 @@ class LineField:
         size_m: float,
         resolution_m: float,
         range_max_m: float,
-        storage: tuple[Array, Array] | None = None,
+        storage: tuple[Array, Array, Array] | None = None,
     ):
-        """Empty and centred on 0, 0. storage: walls (cells, cells, 4) and corner (2,) to use instead of new arrays."""
+        """Empty and centred on 0, 0. storage: as of `field_storage`, to use instead of new arrays."""
         self.range_max_m = range_max_m
         self._inverse_m = 1.0 / resolution_m
-        self._walls, self._origin_m = storage or field_storage(size_m, resolution_m)
-        self._drawn = np.array([0, 0, len(self._walls), len(self._walls)])
-        """Left, bottom, right and top end of the cells that may know a wall."""
+        self._walls, self._origin_m, self._drawn = storage or field_storage(size_m, resolution_m)
+        self._drawn[:] = 0, 0, len(self._walls), len(self._walls)
         self._scratch = line_scratch()
         self.reset(np.zeros(2))
 
@@ -265,12 +264,11 @@ class LineField:
 
     def add(self, poses: Array, scans: Array) -> None:
         """Draw the walls seen by scans (k, beams) [m] at poses (k, 3). Raises DataError for what is no number."""
-        if not ((scans > -np.inf).all() and np.isfinite(poses).all()):
-            raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
         directions = beam_directions(scans.shape[1])
-        draw_scans(
+        if not draw_scans(
             self._walls, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m, self._drawn
-        )
+        ):
+            raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
 
     def refine(self, points: Array, guess: Array, distance_max_m: float, iterations: int, degenerate_share: float):
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
@@ -319,11 +317,12 @@ class LineFields:
 
     def __init__(self, count: int, rule: LocalMapConfig, range_max_m: float, variance_m2: float):
         """variance_m2: the squared error of one beam, times how many beams count as one."""
-        self.walls, self.origins_m = field_storage(rule.size_m, rule.resolution_m, count)
+        self.walls, self.origins_m, self.drawn = field_storage(rule.size_m, rule.resolution_m, count)
+        self.inverse_m, self.range_max_m = 1.0 / rule.resolution_m, range_max_m
         self.rule = np.array(
             [
                 range_max_m,
-                1.0 / rule.resolution_m,
+                self.inverse_m,
                 rule.match_distance_max_m,
                 rule.degenerate_share,
                 variance_m2,
@@ -331,16 +330,17 @@ class LineFields:
             ]
         )
         """What `match_scan` goes by."""
-        self.fields = [
+        self.each = [
             LineField(rule.size_m, rule.resolution_m, range_max_m, storage)
-            for storage in zip(self.walls, self.origins_m, strict=True)
+            for storage in zip(self.walls, self.origins_m, self.drawn, strict=True)
         ]
 
 
-def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Array, Array]:
-    """Walls ([count,] cells, cells, 4), each cell with normal, offset and distance, and corners ([count,] 2)."""
+def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Array, Array, Array]:
+    """Walls ([count,] cells, cells, 4), each cell with normal, offset and distance; corners ([count,] 2); and left,
+    bottom, right and top end ([count,] 4) of the cells that may know a wall."""
     cells = int(round(size_m / resolution_m))
-    return np.zeros((*count, cells, cells, 4), np.float32), np.zeros((*count, 2))
+    return np.zeros((*count, cells, cells, 4), np.float32), np.zeros((*count, 2)), np.zeros((*count, 4), np.int64)
 
 
 def scan_points(ranges_m: Array, range_max_m: float) -> Array:

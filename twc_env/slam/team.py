@@ -118,14 +118,9 @@ class TeamMapper:
         return self._graph.closures
 
     @property
-    def changes(self) -> list[int]:
-        """Of each robot: grows whenever its keyframe arrives, its poses move or its closure is believed or refused."""
+    def changes(self) -> int:
+        """Grows whenever a keyframe arrives, poses move or a closure is believed or refused."""
         return self._graph.changes
-
-    @property
-    def last_steps(self) -> list[int]:
-        """The step of the newest keyframe that arrived from each robot; -1 when none has."""
-        return self._graph.last_steps
 
     @property
     def merges_undone(self) -> int:
@@ -162,12 +157,9 @@ class TeamMapper:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
         return self._graph.pose_map_odom(robot)
 
-    def locate(self, robot: int, pose_map_odom: Array, std: Array) -> float:
-        """Path length since the robot's last closure [m].
-
-        Writes `pose_map_odom` (3,), and how far the robot may have strayed since (3,) [m, m, rad].
-        """
-        return self._graph.locate(robot, pose_map_odom, std)
+    def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
+        """Where some robots are in the maps of their groups, see `GraphArrays.locate`."""
+        self._graph.locate(robots, others, into)
 
     def grid_of(self, group: int) -> GridMap:
         """The merged map of a group, as it is now."""
@@ -325,5 +317,5 @@ class TeamMapper:
         if self._radio is not None:
             local = self._graph.places_among(robots, nodes)
             poses = self._radio.fit(robots, graph.of(result.accepted), poses, local, fixed)
-        self._graph.place(nodes, poses, robots)
+        self._graph.place(nodes, poses)
         self._maps.redraw_if_moved(group)

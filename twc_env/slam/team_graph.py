@@ -12,7 +12,6 @@ from twc_env.geometry import compose, inverse
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe, LoopClosure
 from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays
-from twc_env.slam.growing import Growing
 from twc_env.slam.odometry_filter import squared_error
 from twc_env.slam.pose_graph import Graph
 from twc_env.slam.sign_readings import SignReadings
@@ -31,20 +30,6 @@ def _nearest(poses, nodes, travels, travel_max, x, y):
         if dx * dx + dy * dy < best_squared:
             best, best_squared = k, dx * dx + dy * dy
     return best, math.sqrt(best_squared)
-
-
-@borrowing_kernel
-def _locate(poses, travels, strains, pose_odom, node, tied, pose_map_odom, std):
-    """See `TeamGraph.locate`; tied is the node of the robot's last closure."""
-    c, s = math.cos(pose_odom[2]), math.sin(pose_odom[2])
-    x, y = -c * pose_odom[0] - s * pose_odom[1], s * pose_odom[0] - c * pose_odom[1]
-    c, s = math.cos(poses[node, 2]), math.sin(poses[node, 2])
-    pose_map_odom[0] = poses[node, 0] + c * x - s * y
-    pose_map_odom[1] = poses[node, 1] + s * x + c * y
-    pose_map_odom[2] = (poses[node, 2] - pose_odom[2] + math.pi) % (2 * math.pi) - math.pi
-    for axis in range(3):
-        std[axis] = math.sqrt(max(strains[node, axis] - strains[tied, axis], 0.0))
-    return travels[node] - travels[tied]
 
 
 @borrowing_kernel
@@ -105,22 +90,16 @@ class TeamGraph:
 
     def __init__(self, robot_count: int, beam_count: int, keeps_refused: bool = False):
         self._keeps_refused = keeps_refused
-        self.changes = [0] * robot_count
-        """Of each robot: grows whenever its keyframe arrives, its poses move or its closure is believed or refused."""
-        self.last_steps = [-1] * robot_count
-        """The step of the newest keyframe of each robot; -1 before the first."""
+        self.changes = 0
+        """Grows whenever a keyframe arrives, poses move or a closure is believed or refused."""
         self.refusals = 0
         """How often a well measured closure was refused."""
         self._sound: set[int] = set()
         self.keyframes: list[list[Keyframe]] = [[] for _ in range(robot_count)]
         self.closures: list[LoopClosure] = []
         """Every closure that was ever verified, with what became of it."""
-        self._arrays = GraphArrays(beam_count)
+        self._arrays = GraphArrays(robot_count, beam_count)
         self._nodes: list[list[int]] = [[] for _ in range(robot_count)]
-        self._node_rows = [Growing(dtype=np.int64) for _ in range(robot_count)]
-        """The same once more, to index with."""
-        self._tied = [0] * robot_count
-        """Each robot's last keyframe with a closure that is used."""
         self._readings = SignReadings(robot_count)
         self._edge_of_closure: dict[int, int] = {}
 
@@ -151,19 +130,19 @@ class TeamGraph:
 
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) of one robot."""
-        return self.poses[self._node_rows[robot].rows]
+        return self.poses[self._arrays.nodes_of(robot)]
 
     def scans_of(self, robot: int) -> Array:
         """(keyframes, beams) of one robot [m]."""
-        return self.scans[self._node_rows[robot].rows]
+        return self.scans[self._arrays.nodes_of(robot)]
 
     def steps_of(self, robot: int) -> Array:
         """(keyframes,) the step at which each was taken."""
-        return self.step_of_node[self._node_rows[robot].rows]
+        return self.step_of_node[self._arrays.nodes_of(robot)]
 
     def travels_of(self, robot: int) -> Array:
         """(keyframes,) path length up to each [m]."""
-        return self.travels_m[self._node_rows[robot].rows]
+        return self.travels_m[self._arrays.nodes_of(robot)]
 
     def nodes_of(self, robots: Sequence[int]) -> Array:
         """(k,) nodes of some robots, ascending."""
@@ -183,20 +162,9 @@ class TeamGraph:
         """A robot's keyframe."""
         return self.keyframes[key[0]][key[1]]
 
-    def locate(self, robot: int, pose_map_odom: Array, std: Array) -> float:
-        """Path length from the robot's last closure to its last keyframe [m]; without any closure, since its start.
-
-        Writes (3,) where its odom frame lies in its group's map, and (3,) what may have gone astray on that path:
-        standard deviations [m, m, rad] by the front end's own covariances. A robot without keyframes is its own map.
-        """
-        nodes, arrays = self._nodes[robot], self._arrays
-        if not nodes:
-            pose_map_odom[:] = std[:] = 0.0
-            return 0.0
-        pose_odom, tied = self.keyframes[robot][-1].pose_odom, nodes[self._tied[robot]]
-        return _locate(
-            arrays.poses, arrays.travels_m, arrays.strains, pose_odom, nodes[-1], tied, pose_map_odom, std
-        )  # fmt: skip
+    def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
+        """See `GraphArrays.locate`."""
+        self._arrays.locate(robots, others, into)
 
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
@@ -206,14 +174,13 @@ class TeamGraph:
 
     def add_keyframe(self, keyframe: Keyframe) -> int:
         """The node of a new keyframe, put where odometry leads from the robot's last one."""
-        robot, nodes = keyframe.robot, self._nodes[keyframe.robot]
-        self.changes[robot] += 1
-        self.last_steps[robot] = keyframe.step
-        node = self._arrays.add_node(keyframe, nodes[-1] if nodes else -1)
-        nodes.append(node)
-        self._node_rows[robot].append(node)
+        robot = keyframe.robot
+        self.changes += 1
+        node = self._arrays.add_node(keyframe)
+        self._nodes[robot].append(node)
         self.keyframes[robot].append(keyframe)
-        self._readings.add(keyframe, node)
+        if keyframe.signs:
+            self._readings.add(keyframe, node)
         return node
 
     def add_closure(self, closure: LoopClosure) -> None:
@@ -224,9 +191,9 @@ class TeamGraph:
     def accept(self, closure: LoopClosure) -> None:
         """Use a noted closure as an edge."""
         closure.status, closure.reason = "accepted", ""
-        for robot, index in (closure.candidate.target, closure.candidate.source):
-            self.changes[robot] += 1
-            self._tied[robot] = max(self._tied[robot], index)
+        self.changes += 1
+        for key in (closure.candidate.target, closure.candidate.source):
+            self._arrays.tied[key[0]] = max(self._arrays.tied[key[0]], self.node(key))
         self._tie(closure, True)
 
     def refuse(self, closure: LoopClosure, reason: str) -> None:
@@ -236,15 +203,16 @@ class TeamGraph:
         self.refusals += 1
         if self._keeps_refused or closure.number in self._edge_of_closure:
             self._tie(closure, False)
-        for robot, index in (closure.candidate.target, closure.candidate.source):
-            self.changes[robot] += 1
-            if self._tied[robot] == index:
-                self._tied[robot] = self._last_tied(robot)
+        self.changes += 1
+        for key in (closure.candidate.target, closure.candidate.source):
+            if self._arrays.tied[key[0]] == self.node(key):
+                self._arrays.tied[key[0]] = self._last_tied(key[0])
 
     def _last_tied(self, robot: int) -> int:
-        """The robot's last keyframe with an accepted closure; 0 without any."""
+        """The node of the robot's last keyframe with an accepted closure; its first without any."""
         used = [c.candidate for c in self.closures if c.status == "accepted"]
-        return max((i for c in used for r, i in (c.target, c.source) if r == robot), default=0)
+        last = max((i for c in used for r, i in (c.target, c.source) if r == robot), default=0)
+        return self._nodes[robot][last]
 
     def _tie(self, closure: LoopClosure, is_used: bool) -> None:
         number = closure.number
@@ -279,13 +247,12 @@ class TeamGraph:
 
         (-1, inf) where there is none.
         """
-        return _nearest(self.poses, self._node_rows[robot].rows, self.travels_m, travel_max_m, pose[0], pose[1])
+        return _nearest(self.poses, self._arrays.nodes_of(robot), self.travels_m, travel_max_m, pose[0], pose[1])
 
-    def place(self, nodes: Sequence[int] | Array, poses: Array, robots: Sequence[int]) -> None:
-        """Move nodes, all of these robots, to new poses."""
+    def place(self, nodes: Sequence[int] | Array, poses: Array) -> None:
+        """Move nodes to new poses."""
         self.poses[nodes] = poses
-        for robot in robots:
-            self.changes[robot] += 1
+        self.changes += 1
 
     def part(self, robots: Sequence[int]) -> tuple[Array, Array, Graph, Array]:
         """Nodes (n,) and edges (e,) among some robots, these as a graph of their own, and which edges are used (e,)."""
@@ -301,7 +268,7 @@ class TeamGraph:
         return {
             (robot, index): place
             for robot in robots
-            for index, place in enumerate(np.searchsorted(nodes, self._node_rows[robot].rows).tolist())
+            for index, place in enumerate(np.searchsorted(nodes, self._arrays.nodes_of(robot)).tolist())
         }
 
     def mark(self, edges: Array, is_used: Array, reasons: dict[int, str]) -> None:

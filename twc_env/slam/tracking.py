@@ -44,8 +44,9 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
     """Poses after the step, path lengths, and whether each robot has come to a new place.
 
     rule: share of explained beams from which a place is known; then how far a new one is, how far where little is
-    known, and how far turned.
+    known, and how far turned. Gives whether one of them has.
     """
+    has_arrived = False
     for a in range(robots.shape[0]):
         k = robots[a]
         poses[k, 0], poses[k, 1] = states[k, 0], states[k, 1]
@@ -57,11 +58,13 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
         turned = (poses[k, 2] - keyframe_poses[k, 2] + math.pi) % (2 * math.pi) - math.pi
         share = 1.0 if explained[k] >= rule[0] else rule[2] / rule[1]
         is_new[k] = not (math.sqrt(dx * dx + dy * dy) < share * rule[1] and abs(turned) < share * rule[3])
+        has_arrived |= is_new[k]
+    return has_arrived
 
 
 @kernel
 def _track(robots, ranges, odometry, turn_rates, now_s, poses, apparatus):
-    """A whole step with the compiled filters."""
+    """A whole step with the compiled filters; whether a robot has come to a new place."""
     (
         states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, walls, origins,
         match_rule, has_lidar, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
@@ -83,7 +86,9 @@ def _track(robots, ranges, odometry, turn_rates, now_s, poses, apparatus):
         k = robots[a]
         if is_matched[k] and believes_scans:
             update_state(states[k], covariances[k], matched[k], information[k])
-    _arrive(robots, odometry, dts, states, explained, keyframe_rule, keyframe_poses, poses, travels, steps, is_new)
+    return _arrive(
+        robots, odometry, dts, states, explained, keyframe_rule, keyframe_poses, poses, travels, steps, is_new
+    )
 
 
 class Tracker:
@@ -94,24 +99,26 @@ class Tracker:
         self._filters = make_filters(noise, count, config.slam.oracle != "poses")
         variance_m2 = noise.match_std_m**2 * noise.match_correlation
         fields = LineFields(count, config.slam.local_map, config.lidar.range_max_m, variance_m2)
-        self.fields = fields.fields
-        """The local map of each robot."""
+        self.fields = fields
+        """The local maps of all robots."""
         self.poses_odom = np.zeros((count, 3))
         """(n, 3) the estimates after the latest frames; a new array with every update."""
         self.marked_m = np.zeros((count, beams))
         """(n, beams) the scans, in which the beams that met a mate are negative: free up to there, but no wall."""
-        self._discs, self._disc_counts = np.zeros((count, DISCS_MAX, 4)), np.zeros(count, np.int64)
+        self.discs, self.disc_counts = np.zeros((count, DISCS_MAX, 4)), np.zeros(count, np.int64)
+        """A row (x [m], y [m], first beam, beams) for each mate last seen, its centre in the robot frame; and how many
+        there are (n,)."""
         self.information = np.zeros((count, 3, 3))
         """(n, 3, 3) of the latest matches; zeros where nothing was matched."""
         self.keyframe_poses = np.full((count, 3), np.nan)
         """(n, 3) where each robot's last keyframe was taken; NaN before the first. Whoever takes one notes it here."""
         self.times_s, self.travels_m, self.steps = np.zeros(count), np.zeros(count), np.zeros(count, np.int64)
         """(n,) of each robot: time of its latest frame, length of its path, steps since its last keyframe."""
-        self.is_new = np.zeros(count, bool)
-        """(n,) whether it has come to a new place."""
+        self.is_new, self.has_arrived = np.zeros(count, bool), False
+        """(n,) whether it has come to a new place; and whether one of those in the latest frames has."""
         masks = rule.mask_mates and config.robots > 1
         mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
-        self._marking = (beam_directions(beams), mate_radius_m, self.marked_m, self._discs, self._disc_counts)
+        self._marking = (beam_directions(beams), mate_radius_m, self.marked_m, self.discs, self.disc_counts)
         self._matching = (fields.walls, fields.origins_m, fields.rule, config.slam.cues.lidar)
         self._apparatus: Pack | None = None
         self._keyframe_rule = np.array([rule.explained_min, rule.distance_m, rule.distance_new_m, rule.turn_rad])
@@ -124,7 +131,7 @@ class Tracker:
                 self._update_stepwise(robots, frames)
                 return
             self._apparatus = self._packed(self._filters)
-        _track(
+        self.has_arrived = _track(
             robots, frames.ranges_m, frames.odometry, frames.turn_rates_rad_s, frames.time_s, self.poses_odom,
             self._apparatus,
         )  # fmt: skip
@@ -142,10 +149,6 @@ class Tracker:
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_apparatus": None}
 
-    def discs_of(self, robot: int) -> Array:
-        """A row (x [m], y [m], first beam, beams) for each mate last seen, its centre in the robot frame."""
-        return self._discs[robot, : self._disc_counts[robot]]
-
     def _update_stepwise(self, robots: Array, frames: TeamFrames) -> None:
         """The same, with filters that are not compiled."""
         count = len(self.poses_odom)
@@ -158,7 +161,7 @@ class Tracker:
             self.information, is_matched, explained,
         )  # fmt: skip
         self._filters.update(robots, matched, self.information, is_matched)
-        _arrive(
+        self.has_arrived = _arrive(
             robots, frames.odometry, dts_s, self._filters.states, explained, self._keyframe_rule,
             self.keyframe_poses, self.poses_odom, self.travels_m, self.steps, self.is_new,
         )  # fmt: skip

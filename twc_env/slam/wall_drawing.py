@@ -147,7 +147,7 @@ def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, end
 
 @kernel
 def _add_scans(walls, origin, inverse_m, poses, directions, scans, range_max, drawn):
-    """See `draw_scans`."""
+    """Draw scans whose numbers are sound."""
     ends = np.empty((scans.shape[1] + 1, 2))
     squares = np.empty(int((2 * JUMP_MAX_M + 2 * REACH_M) * inverse_m) + 3, np.float32)
     for k in range(poses.shape[0]):
@@ -155,10 +155,26 @@ def _add_scans(walls, origin, inverse_m, poses, directions, scans, range_max, dr
 
 
 @borrowing_kernel
+def _are_sound(poses, scans):
+    """Whether all poses are finite, and ranges numbers; infinite ones mean no return."""
+    are_sound = True
+    for k in range(poses.shape[0]):
+        for axis in range(3):
+            are_sound &= math.isfinite(poses[k, axis])
+        for i in range(scans.shape[1]):
+            are_sound &= scans[k, i] > -np.inf
+    return are_sound
+
+
+@borrowing_kernel
 def draw_scans(walls, origin, inverse_m, poses, directions, scans, range_max, drawn):
     """Draw scans (k, beams) [m] taken at poses (k, 3) into walls (rows, columns, 4): normal, offset, distance.
 
     origin (2,): the field's corner, from which the offsets are measured. directions (beams, 2): cosine and sine.
-    drawn (4,): left, bottom, right and top end of the cells drawn so far, widened here.
+    drawn (4,): left, bottom, right and top end of the cells drawn so far, widened here. Gives False, and draws nothing,
+    where a range is no number or a pose is not finite.
     """
+    if not _are_sound(poses, scans):
+        return False
     _add_scans(walls, origin, inverse_m, poses, directions, scans, range_max, drawn)
+    return True

@@ -1,0 +1,121 @@
+"""Take a keyframe: from a robot's marked scan to what is remembered and drawn of it, in one compiled call."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import beam_directions
+from twc_env.kernels import Pack, kernel, pack
+from twc_env.messages import Keyframe, SignObservation
+from twc_env.slam.mate_detection import StillDiscs, unmark
+from twc_env.slam.odometry_filter import motion_covariance
+from twc_env.slam.radio_fingerprint import STD_MODES, ScanWindows, fingerprint_of
+from twc_env.slam.tracking import Tracker
+from twc_env.slam.wall_drawing import draw_scans
+
+Array = NDArray
+
+MOTION_STD_MIN = (0.013, 0.013, 0.004)
+"""Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""
+
+
+@kernel
+def _measure_motion(last, pose, steps, length, variances, matched, motion, covariance):
+    """Where a pose (3,) lies in the frame of the last keyframe's, and the covariance of that, in its own frame.
+
+    Odometry's variances grow with every step and every metre; the last match tells half of what it says of the pose.
+    """
+    c, s = math.cos(last[2]), math.sin(last[2])
+    dx, dy = pose[0] - last[0], pose[1] - last[1]
+    motion[0], motion[1] = c * dx + s * dy, c * dy - s * dx
+    motion[2] = (pose[2] - last[2] + math.pi) % (2 * math.pi) - math.pi
+    moved = steps * variances[0] + length * variances[1]
+    motion_covariance((moved, moved, steps * variances[2]), pose[2], 0.5 * matched, MOTION_STD_MIN, covariance)
+
+
+@kernel
+def _take(k, time, poses, apparatus, rings, scan, pose, motion, covariance):
+    """Fill the arrays of a keyframe of robot k, scan (1, beams) and pose (1, 3), and draw it into the local map.
+
+    Gives how many transmitters there are in the fingerprint, the length of the path, and whether the scan was drawn:
+    not where the robot has left the middle of its map, or where the numbers are not sound.
+    """
+    (
+        marked, discs, disc_counts, seen, following, travels, steps, information, last_poses, last_travels, variances,
+        window, std_mode, walls, origins, drawn, centres, reach, inverse_m, range_max, directions,
+    ) = apparatus.parts  # fmt: skip
+    here = poses[k]
+    for i in range(scan.shape[1]):
+        scan[0, i] = marked[k, i]
+    if disc_counts[k] > 0:
+        following[k] = unmark(scan[0], discs[k, : disc_counts[k]], here, seen[k], following[k], travels[k], time)
+    if math.isnan(last_poses[k, 0]):
+        motion[:] = 0.0
+        covariance[:] = 0.0
+    else:
+        length = travels[k] - last_travels[k]
+        _measure_motion(last_poses[k], here, steps[k], length, variances, information[k], motion, covariance)
+    for axis in range(3):
+        pose[0, axis] = last_poses[k, axis] = here[axis]
+    last_travels[k], steps[k] = travels[k], 0
+    heard = fingerprint_of(k, rings, time - window[0], window[1], window[2], std_mode)
+    dx, dy = here[0] - centres[k, 0], here[1] - centres[k, 1]
+    is_drawn = math.hypot(dx, dy) <= reach and draw_scans(
+        walls[k], origins[k], inverse_m, pose, directions, scan, range_max, drawn[k]
+    )
+    return heard, travels[k], is_drawn
+
+
+class KeyframeTaker:
+    """Takes the keyframes of all robots, each from where the tracker has it and from the scans it heard last."""
+
+    def __init__(self, config: EnvConfig, tracker: Tracker, radio: ScanWindows):
+        self._tracker, self._radio = tracker, radio
+        count, noise, rule = len(tracker.poses_odom), config.slam.odometry_filter, config.slam.keyframe
+        self._still = StillDiscs(count)
+        self._last_travels_m = np.zeros(count)
+        self.centres_m = np.zeros((count, 2))
+        """(n, 2) the middle of each robot's local map."""
+        self._reach_m = max(0.5 * config.slam.local_map.size_m - config.lidar.range_max_m - 1.0, 1.0)
+        self._variances = np.square([noise.position_std_m, noise.position_std_per_m, noise.turn_std_rad])
+        """Odometry's, of a step [m2], of a metre [m2] and of the turn in a step [rad2]."""
+        self._window = np.array([rule.fingerprint_window_s, rule.fingerprint_age_max_s, rule.fingerprint_detection_min])
+        self._std_mode = STD_MODES[rule.std_mode]
+        self._apparatus: Pack | None = None
+
+    def take(
+        self, robot: int, index: int, step: int, time_s: float, signs: tuple[SignObservation, ...]
+    ) -> tuple[Keyframe, bool]:
+        """The robot's keyframe of this number, and whether it was drawn: not where its local map must move on first."""
+        if self._apparatus is None:
+            self._apparatus = self._packed()
+        scan, pose = np.empty((1, self._tracker.marked_m.shape[1])), np.empty((1, 3))
+        motion, covariance = np.empty(3), np.empty((3, 3))
+        heard, travel_m, is_drawn = _take(
+            robot, time_s, self._tracker.poses_odom, self._apparatus, self._radio.rings, scan, pose, motion, covariance
+        )
+        fingerprint = self._radio.latest(heard)
+        keyframe = Keyframe(
+            robot, index, step, time_s, pose[0], motion, covariance, travel_m, scan[0], signs, fingerprint
+        )
+        return keyframe, is_drawn
+
+    def _packed(self) -> Pack:
+        """What `_take` needs every time."""
+        tracker, fields = self._tracker, self._tracker.fields
+        return pack(
+            (
+                tracker.marked_m, tracker.discs, tracker.disc_counts, self._still.seen, self._still.following,
+                tracker.travels_m, tracker.steps, tracker.information, tracker.keyframe_poses, self._last_travels_m,
+                self._variances, self._window, self._std_mode, fields.walls, fields.origins_m, fields.drawn,
+                self.centres_m, self._reach_m, fields.inverse_m, fields.range_max_m,
+                beam_directions(tracker.marked_m.shape[1]),
+            )
+        )  # fmt: skip
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_apparatus": None}
