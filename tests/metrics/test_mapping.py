@@ -157,7 +157,6 @@ def test_the_area_under_a_mask_of_the_floor_is_the_area_counted_on_the_floor(see
     log_odds[20:150, 15 : int(random.integers(60, 160))] = FREE
     log_odds[40:50, 30:40] = WALL
     pose, origin = random.uniform((-3, -3, -3), (12, 10, 3)), random.uniform(-5, 2, 2)
-    box = (20, 15, 150, 160)
-    counted = mapping.correct_area_m2(log_odds, origin, 0.1, pose, free, ORIGIN_M, 0.1, box=box)
+    counted = mapping.correct_area_m2(log_odds, origin, 0.1, pose, free, ORIGIN_M, 0.1)
     mask = mapping.floor_mask(log_odds.shape, origin, 0.1, pose, free, ORIGIN_M, 0.1)
-    assert mapping.masked_area_m2(log_odds, mask, box, 0.1) == pytest.approx(counted, abs=0.6)
+    assert mapping.masked_area_m2(log_odds, mask, 0.1) == pytest.approx(counted, abs=0.6)

@@ -15,6 +15,7 @@ Array = NDArray
 
 _AT_ONCE = 64
 """Steps that are put into the record together."""
+_TRUE, _ODOM, _MOTION, _CONTACT = range(4)
 
 
 class EpisodeRecord:
@@ -22,11 +23,11 @@ class EpisodeRecord:
 
     def __init__(self, robots: int):
         self.count = 0
-        self._poses = np.zeros((256, 3, robots, 3))
-        """True pose, front-end pose and measured motion of each step; grows."""
-        self._contacts = np.zeros((256, robots), bool)
-        self._fresh: list[tuple[Array, Array, Array, Array]] = []
-        """The latest steps, that are still to be put there."""
+        shape = 256, robots
+        self._kept = [np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape, bool)]
+        """True pose, front-end pose, measured motion and contact of each step; grow."""
+        self._fresh: tuple[list[Array], ...] = [], [], [], []
+        """The same of the latest steps, where it is still to be put there."""
         self.wrong_pairs: set[tuple[int, int]] = set()
         self.floor_masks = FloorMasks()
 
@@ -35,51 +36,53 @@ class EpisodeRecord:
 
         The arrays are kept: nobody may change them any more.
         """
-        self._fresh.append((true_poses, odom_poses, motions, contacts))
+        true, odom, motion, contact = self._fresh
+        true.append(true_poses)
+        odom.append(odom_poses)
+        motion.append(motions)
+        contact.append(contacts)
         self.count += 1
-        if len(self._fresh) == _AT_ONCE:
-            self._settle()
+        if len(contact) == _AT_ONCE:
+            for kind in range(4):
+                self._settled(kind)
 
-    def _settle(self) -> None:
-        if not self._fresh:
-            return
-        begin, fresh = self.count - len(self._fresh), list(zip(*self._fresh, strict=True))
-        self._fresh = []
-        if self.count > len(self._poses):
-            self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
-            self._contacts = np.concatenate([self._contacts, np.zeros_like(self._contacts)])
-        for kind in range(3):
-            self._poses[begin : self.count, kind] = np.concatenate(fresh[kind]).reshape(-1, *self._poses.shape[2:])
-        self._contacts[begin : self.count] = np.concatenate(fresh[3]).reshape(self.count - begin, -1)
+    def _settled(self, kind: int) -> Array:
+        """(steps + 1, robots, ...) one kind of what was noted."""
+        fresh, count = self._fresh[kind], self.count
+        if fresh:
+            if count > len(self._kept[kind]):
+                self._kept[kind] = np.concatenate([self._kept[kind], np.zeros_like(self._kept[kind])])
+            kept = self._kept[kind]
+            kept[count - len(fresh) : count] = np.concatenate(fresh).reshape(-1, *kept.shape[1:])
+            fresh.clear()
+        return self._kept[kind][:count]
 
     @property
     def contact_count(self) -> int:
         """Contacts that began after the start, summed over robots."""
-        self._settle()
-        contacts = self._contacts[: self.count]
+        contacts = self._settled(_CONTACT)
         return int(np.count_nonzero(contacts[1:] & ~contacts[:-1]))
 
     @property
     def true_poses_now(self) -> Array:
         """(robots, 3) building frame, after the latest step."""
-        return self._fresh[-1][0] if self._fresh else self._poses[self.count - 1, 0]
+        fresh = self._fresh[_TRUE]
+        return fresh[-1] if fresh else self._kept[_TRUE][self.count - 1]
 
     @property
     def true_poses(self) -> Array:
         """(steps + 1, robots, 3) building frame."""
-        self._settle()
-        return self._poses[: self.count, 0]
+        return self._settled(_TRUE)
 
     @property
     def odom_poses(self) -> Array:
         """(steps + 1, robots, 3) front-end estimate, each in its robot's odom frame."""
-        self._settle()
-        return self._poses[: self.count, 1]
+        return self._settled(_ODOM)
 
     def odometry_poses(self) -> Array:
         """(steps + 1, robots, 3) dead reckoning from the true start, building frame."""
         poses = self.true_poses.copy()
-        _reckon(self._poses[: self.count, 2], poses)
+        _reckon(self._settled(_MOTION), poses)
         return poses
 
 

@@ -22,27 +22,24 @@ class FloorMasks:
     """The mask of each map; they follow from what they are asked for, so copies may begin without any."""
 
     def __init__(self) -> None:
-        self._held: dict[int, tuple[tuple[float, ...], Array]] = {}
+        self._held: dict[int, tuple[GridMap, tuple[int, int, int], metrics.FloorMask]] = {}
 
     def __reduce__(self):
         return FloorMasks, ()
 
-    def correct_area_m2(
-        self, owner: int, grid: GridMap, box: tuple[int, int, int, int], pose_building_map: Array, cells: Cells
-    ) -> float:
+    def correct_area_m2(self, owner: int, grid: GridMap, pose_building_map: Array, cells: Cells) -> float:
         """`metrics.correct_area_m2` with a rounded pose, counting cells of the map instead of the floor.
 
-        owner: whose map it is, of those whose masks are kept; box: the part of the map in which anything is known.
+        owner: whose map it is, of those whose masks are kept. A grid that has grown is another one.
         """
         x, y, turn = pose_building_map.tolist()
         place = round(x / PLACE_M), round(y / PLACE_M), round(turn / TURN_RAD)
-        key = (*place, *grid.origin_m.tolist(), *grid.log_odds.shape)
         held = self._held.get(owner)
-        if held is None or held[0] != key:
+        if held is None or held[0] is not grid or held[1] != place:
             rounded = np.array([place[0] * PLACE_M, place[1] * PLACE_M, place[2] * TURN_RAD])
             mask = metrics.floor_mask(
                 grid.log_odds.shape, grid.origin_m, grid.resolution_m, rounded, cells.free, cells.origin_m,
                 cells.resolution_m,
             )  # fmt: skip
-            held = self._held[owner] = (key, mask)
-        return metrics.masked_area_m2(grid.log_odds, held[1], box, grid.resolution_m)
+            held = self._held[owner] = (grid, place, mask)
+        return metrics.masked_area_m2(grid.log_odds, held[2], grid.resolution_m)

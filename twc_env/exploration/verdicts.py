@@ -39,9 +39,9 @@ class GroupVerdict:
 
 def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     """Lay a group's map on the building and measure it."""
-    pose, wrong = _lay(view, record)
-    grid, area_m2 = view.mapper.grid_of(view.group), 0.0
-    if any(view.mapper.keyframes[robot] for robot in view.robots):
+    place = _lay(view, record)
+    grid, area_m2, (pose, wrong) = view.mapper.grid_of(view.group), 0.0, place or (np.zeros(3), ())
+    if place is not None:
         area_m2 = metrics.correct_area_m2(
             grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m,
             box=view.mapper.known_box_of(view.group),
@@ -49,23 +49,24 @@ def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     return GroupVerdict(view, view.robots, grid, pose, wrong, area_m2)
 
 
-def _lay(view: View, record: EpisodeRecord) -> tuple[Array, tuple[tuple[int, int], ...]]:
-    """The pose (3,) that lays a group's map on the building, zeros without keyframes, and its wrongly merged pairs."""
-    robots, pose = view.robots, np.zeros(3)
+def _lay(view: View, record: EpisodeRecord) -> tuple[Array, tuple[tuple[int, int], ...]] | None:
+    """The pose (3,) that lays a group's map on the building, and its wrongly merged pairs; None without keyframes."""
+    robots, pose = view.robots, np.empty(3)
     is_wrong = np.zeros((len(robots), len(robots)), bool)
-    if not _lay_paths(np.array(robots), *view.mapper.nodes, record.true_poses, pose, is_wrong):
-        return pose, ()
-    return pose, tuple((robots[i], robots[j]) for i, j in np.argwhere(is_wrong).tolist())
+    count = _lay_paths(np.array(robots), *view.mapper.nodes, record.true_poses, pose, is_wrong)
+    if count < 0:
+        return None
+    return pose, tuple((robots[i], robots[j]) for i, j in np.argwhere(is_wrong).tolist()) if count else ()
 
 
 @kernel
 def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, pose, is_wrong):
-    """See `_lay`; gives how many pairs are wrong. pose (3,) stays as it is where no keyframe is."""
+    """See `_lay`; gives how many pairs are wrong, or -1 without keyframes."""
     estimated, true = np.empty_like(poses), np.empty_like(poses)
     owner = np.empty(poses.shape[0], np.int64)
     count, x, y = _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true, owner)
     if count == 0:
-        return 0
+        return -1
     align(estimated[:count], true[:count], HEADING_LEVER_M, pose)
     if robots.shape[0] == 1:
         return 0
@@ -110,33 +111,27 @@ def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerd
 
 def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool = False) -> Standing:
     """The potentials that rewards look at, judged now; the last time by every cell of the floor, as the report does."""
-    whole_m2, true, maps = floor_m2(cells), record.true_poses_now[:, :2].tolist(), []
+    whole_m2, true, maps = floor_m2(cells), record.true_poses_now.tolist(), []
     errors_m = [0.0] * len(true)
     for view in engine.views():
         x, y, c, s = 0.0, 0.0, 1.0, 0.0
-        if any([view.mapper.keyframes[robot] for robot in view.robots]):
-            pose, area_m2, wrong = _measured(view, record, cells, is_last)
+        place = _lay(view, record)
+        if place is not None:
+            pose, wrong = place
             record.wrong_pairs.update(wrong)
             x, y, turn = pose.tolist()
             c, s = math.cos(turn), math.sin(turn)
+            grid = view.mapper.grid_of(view.group)
+            if is_last:
+                area_m2 = judge_view(view, record, cells).correct_area_m2
+            else:
+                area_m2 = record.floor_masks.correct_area_m2(view.viewers[0], grid, pose, cells)
             maps.append(JudgedMap(view.viewers, len(view.robots), not wrong, area_m2 / whole_m2))
         for robot in view.viewers:
             ahead, left, _ = engine.pose_map_robot(robot).tolist()
             believed = x + c * ahead - s * left, y + s * ahead + c * left
-            errors_m[robot] = math.dist(believed, true[robot])
+            errors_m[robot] = math.dist(believed, true[robot][:2])
     return standing_of(maps, errors_m)
-
-
-def _measured(
-    view: View, record: EpisodeRecord, cells: Cells, is_last: bool
-) -> tuple[Array, float, tuple[tuple[int, int], ...]]:
-    """Where a map with keyframes lies, the area it shows rightly and whom it merges wrongly."""
-    if is_last:
-        verdict = judge_view(view, record, cells)
-        return verdict.pose_building_map, verdict.correct_area_m2, verdict.wrong_pairs
-    pose, wrong = _lay(view, record)
-    grid, box = view.mapper.grid_of(view.group), view.mapper.known_box_of(view.group)
-    return pose, record.floor_masks.correct_area_m2(view.viewers[0], grid, box, pose, cells), wrong
 
 
 @lru_cache(maxsize=8)

@@ -2,6 +2,7 @@
 
 from twc_env.metrics.closures import ClosureScore, closure_is_correct, closures_are_correct, score_closures
 from twc_env.metrics.mapping import (
+    FloorMask,
     MapScore,
     correct_area_m2,
     floor_mask,
@@ -21,6 +22,7 @@ from twc_env.metrics.trajectory import (
 
 __all__ = [
     "ClosureScore",
+    "FloorMask",
     "MapScore",
     "absolute_trajectory_error_m",
     "align_team",
