@@ -77,8 +77,11 @@ def test_an_empty_map_is_all_unknown():
 def test_path_mates_and_signs_stand_where_the_robot_sees_them(room):
     poses = np.zeros((1, 3, 3))
     poses[0, 0], poses[0, 2] = (5.0, 4.0, 0.5 * math.pi), (1.0, 1.0, 0.0)
-    path, mates = np.array([[[2.1, 1.1, 90.0], [1.1, 0.4, 0.0]]]), np.array([[[1.1], [-1.1], [0.0]]])
+    path, mates = (
+        np.array([[[2.1, 1.1, 90.0], [1.1, 0.4, 0.0]]]),
+        np.array([[[1.1, math.nan], [-1.1, 0.0], [0.0, 0.0]]]),
+    )
     shared = map_view.shared_maps([room], [np.array([[5.1], [6.1]])])
-    views = map_view.views(shared, poses, CELLS, CELL_M, path, np.array([3]), mates, np.array([1]))
+    views = map_view.views(shared, poses, CELLS, CELL_M, path, np.array([3]), mates)
     cells = [np.argwhere(views[0, k]).tolist() for k in (map_view.PATH, map_view.MATES, map_view.SIGNS)]
     assert cells == [[[HALF - 3, HALF], [HALF, HALF + 4]], [[HALF - 5, HALF + 4]], [[HALF - 1, HALF + 8]]]

@@ -52,17 +52,17 @@ def shared_maps(grids: Sequence[GridMap], signs: Sequence[Array]) -> list[tuple]
 
 def views(
     shared: Sequence[tuple], poses: Array, cells: int, cell_m: float, paths_odom: Array, path_counts: Array,
-    mates: Array, mate_counts: Array,
+    mates: Array,
 ) -> Array:  # fmt: skip
     """`crop_around` of each robot with its last three channels filled too: (robots, 7, cells, cells) uint8.
 
     shared: of `shared_maps`; poses (robots, 3, 3): in the map frame, its spread, in the odom frame; paths_odom
-    (robots, 2, k): rings that hold the latest of `path_counts` places; mates (robots, >= 2, m): the first of them as
-    each robot sees them. Robots that share a map are served by one compiled call.
+    (robots, 2, k): rings that hold the latest of `path_counts` places; mates (robots, >= 2, m): where each robot sees
+    them, NaN for none. Robots that share a map are served by one compiled call.
     """
     out = np.empty((len(poses), CHANNELS, cells, cells), _BYTE)
     for of_some in shared:
-        _crop_and_mark(*of_some, poses, cell_m, paths_odom, path_counts, mates, mate_counts, out)
+        _crop_and_mark(*of_some, poses, cell_m, paths_odom, path_counts, mates, out)
     return out
 
 
@@ -188,9 +188,7 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, numbers, levels, out):
 
 
 @kernel
-def _crop_and_mark(
-    first, end, kinds, origin, inverse_grid_m, signs, poses, cell_m, paths, path_counts, mates, mate_counts, out
-):
+def _crop_and_mark(first, end, kinds, origin, inverse_grid_m, signs, poses, cell_m, paths, path_counts, mates, out):
     """All channels of the robots from `first` to before `end`: what lies around each, its path, mates and signs."""
     inverse_m = 1.0 / cell_m
     numbers, levels = np.empty(out.shape[3], np.uint32), np.empty(out.shape[2] * out.shape[3], np.uint8)
@@ -200,5 +198,5 @@ def _crop_and_mark(
         _crop(kinds, here[0] - origin[0], here[1] - origin[1], here[2], inverse_grid_m, cell_m, numbers, levels, out[i])
         out[i, 4:] = 0
         _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m, cells)
-        _mark(out[i, 5], mates[i], mate_counts[i], 0.0, 0.0, 0.0, inverse_m, cells)
+        _mark(out[i, 5], mates[i], mates.shape[2], 0.0, 0.0, 0.0, inverse_m, cells)
         _mark(out[i, 6], signs, signs.shape[1], here[0], here[1], here[2], inverse_m, cells)

@@ -87,7 +87,7 @@ class ObservationBuilder:
             self._shared = beliefs.grids, places, map_view.shared_maps(beliefs.grids, places)
         return map_view.views(
             self._shared[2], beliefs.poses, self._map_cells, self._map_cell_m, small.paths_odom, small.path_counts,
-            small.mate_places, small.mate_counts,
+            small.mate_places,
         )  # fmt: skip
 
     def _radio_maps(self) -> list[Array]:

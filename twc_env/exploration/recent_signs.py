@@ -25,8 +25,7 @@ class RecentSigns:
     def __init__(self, robots: int, slots: int):
         self.readings = np.zeros((robots, slots, 4))
         """Newest first: time, x and y in the odom frame, and in how many other places the text is known."""
-        self.counts = np.zeros(robots, np.int64)
-        """(robots,) readings that are kept."""
+        self.readings[:, :, 0] = -math.inf
         self.places = [_NO_PLACES] * robots
         """Of each robot (2, k): the signs that it knows, in the map frame; another list when one of them changes."""
         self._texts: list[list[str]] = [[] for _ in range(robots)]
@@ -42,7 +41,7 @@ class RecentSigns:
                 continue
             texts = self._texts[robot]
             for sign in own:
-                _note_reading(poses, robot, time_s, sign.bearing_rad, sign.range_m, self.readings, self.counts)
+                _note_reading(poses, robot, time_s, sign.bearing_rad, sign.range_m, self.readings)
                 texts = [sign.text, *texts[: slots - 1]]
             self._texts[robot] = texts
             if self._text_counts[robot]:
@@ -71,7 +70,7 @@ def _index_of(signs: KnownSigns) -> tuple[Array, Counter[str]]:
 
 
 @borrowing_kernel
-def _note_reading(poses, robot, time_s, bearing, away, readings, counts):
+def _note_reading(poses, robot, time_s, bearing, away, readings):
     """Put a sign before the other readings of a robot; as yet its text is known from nowhere else."""
     rows, angle = readings[robot], poses[robot, 2, 2] + bearing
     for k in range(rows.shape[0] - 1, 0, -1):
@@ -79,4 +78,3 @@ def _note_reading(poses, robot, time_s, bearing, away, readings, counts):
             rows[k, j] = rows[k - 1, j]
     rows[0, 0], rows[0, 3] = time_s, 0.0
     rows[0, 1], rows[0, 2] = poses[robot, 2, 0] + away * math.cos(angle), poses[robot, 2, 1] + away * math.sin(angle)
-    counts[robot] = min(counts[robot] + 1, rows.shape[0])

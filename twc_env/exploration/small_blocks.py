@@ -39,17 +39,15 @@ class SmallBlocks:
         self.paths_odom = np.zeros((robots, 2, max(1, round(shape.path_m / PATH_SPACING_M))))
         """(robots, 2, k) rings of the latest places of each robot."""
         self.path_counts = np.zeros(robots, np.int64)
-        self.mate_places, self.mate_counts = np.zeros((robots, 3, mates)), np.zeros(robots, np.int64)
-        """Pose, in the robot's frame, of each mate of the group; as of the last `build`."""
+        self.mate_places = np.full((robots, 3, mates), math.nan)
+        """Pose, in the robot's frame, of each mate of the group, then NaN; as of the last `build`."""
         self._shapes = (
             (robots, config.lidar.beam_count), (robots, len(POSE_LIMITS)), (robots, shape.wifi_slots),
             (robots, shape.sign_slots, 5), (robots, mates, 5),
         )  # fmt: skip
         rule = np.array([1.0 / config.lidar.range_max_m, shape.sign_memory_s, config.dynamics.time_step_s])
-        self._kept = (
-            *slots_for(robots, shape.wifi_slots), np.full((robots, 2), math.inf), self.path_counts, self.paths_odom,
-            signs.readings, signs.counts, self.mate_places, self.mate_counts, POSE_LIMITS, rule,
-        )  # fmt: skip
+        self._slots = slots_for(robots, shape.wifi_slots)
+        self._kept = self.path_counts, self.paths_odom, self._slots[-1], signs.readings, self.mate_places, rule
         self._unseen = self._make_room()
         self._frames: TeamFrames | None = None
         """What was noticed last; taken in once it is shown, or once there is more."""
@@ -57,6 +55,9 @@ class SmallBlocks:
 
     def notice(self, frames: TeamFrames, beliefs: TeamBeliefs) -> None:
         """Take in one step of all robots, whether or not it is ever shown: path and radio."""
+        scans = frames.scans
+        if len(scans.robots):
+            take_scans(*scans, *self._slots)
         if not self._is_taken_in:
             self._fill(self._unseen, False)
         self._frames, self._beliefs, self._is_taken_in = frames, beliefs, False
@@ -74,42 +75,40 @@ class SmallBlocks:
         frames, beliefs = self._frames, self._beliefs
         assert frames is not None
         _fill_small(
-            *self._kept, not self._is_taken_in, is_shown, frames.time_s, frames.step, *frames.scans,
-            frames.ranges_m, beliefs.poses, beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates,
-            beliefs.mate_poses, *blocks,
+            *self._kept, not self._is_taken_in, is_shown, frames.time_s, frames.step, frames.ranges_m, beliefs.poses,
+            beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, *blocks,
         )  # fmt: skip
         self._is_taken_in = True
 
 
 @kernel
-def _extend_paths(poses, ends, counts, paths):
+def _extend_paths(poses, counts, paths):
     """Note where each robot has come to, in rings (robots, 2, k); poses (robots, 3, 3): the last is that in odom."""
     for i in range(poses.shape[0]):
-        x, y = poses[i, 2, 0], poses[i, 2, 1]
-        dx, dy = x - ends[i, 0], y - ends[i, 1]
-        if dx * dx + dy * dy >= PATH_SPACING_M * PATH_SPACING_M:
+        x, y, last = poses[i, 2, 0], poses[i, 2, 1], (counts[i] - 1) % paths.shape[2]
+        dx, dy = x - paths[i, 0, last], y - paths[i, 1, last]
+        if counts[i] == 0 or dx * dx + dy * dy >= PATH_SPACING_M * PATH_SPACING_M:
             at = counts[i] % paths.shape[2]
             paths[i, 0, at], paths[i, 1, at] = x, y
-            ends[i, 0], ends[i, 1] = x, y
             counts[i] += 1
 
 
 @kernel
-def _fill_pose(pose, std, since_m, limits, out):
+def _fill_pose(pose, std, since_m, out):
     out[0], out[1] = pose[0], pose[1]
     out[2], out[3] = math.cos(pose[2]), math.sin(pose[2])
     out[4], out[5], out[6], out[7] = std[0], std[1], std[2], since_m
     for k in range(8):
-        out[k] = min(max(out[k], -limits[k]), limits[k])
+        out[k] = min(max(out[k], -POSE_LIMITS[k]), POSE_LIMITS[k])
 
 
 @kernel
-def _fill_signs(readings, count, now_s, memory_s, pose, rows):
+def _fill_signs(readings, now_s, memory_s, pose, rows):
     """The block `signs`: readings (slots, 4), newest first, that are not older than the memory."""
     for k in range(rows.shape[0]):
         for j in range(rows.shape[1]):
             rows[k, j] = 0.0
-    for k in range(min(count, rows.shape[0])):
+    for k in range(rows.shape[0]):
         age_s = now_s - readings[k, 0]
         if age_s > memory_s + 1e-9:
             return
@@ -126,7 +125,7 @@ def _fill_signs(readings, count, now_s, memory_s, pose, rows):
 def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, places, rows):
     """The block `team`: the step in which each mate was last heard of, and where those of the same map are.
 
-    Also these places (3, m) in the robot's frame; gives how many they are.
+    Also these places in the robot's frame: (3, m), where they end NaN.
     """
     for k in range(rows.shape[0]):
         for j in range(rows.shape[1]):
@@ -147,14 +146,14 @@ def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, 
         row[0], row[1] = 1.0, math.atan2(left, ahead) / math.pi
         row[2], row[3] = away / (away + HALF_WAY_M), turn / math.pi
         count += 1
-    return count
+    for k in range(count, places.shape[1]):
+        places[0, k] = math.nan
 
 
 @borrowing_kernel
 def _fill_small(
-    scans, slot_macs, last_scan, levels, path_ends, path_counts, paths, readings, reading_counts, mate_places,
-    mate_counts, limits, rule, is_new, is_shown, now_s, step, scan_robots, macs, rssi_dbm, heard_counts, ranges, poses,
-    since_m, contact_steps, mates, mate_poses, lidar, pose, wifi, signs, team,
+    path_counts, paths, levels, readings, mate_places, rule, is_new, is_shown, now_s, step, ranges, poses, since_m,
+    contact_steps, mates, mate_poses, lidar, pose, wifi, signs, team,
 ):  # fmt: skip
     """Take in a step that `is_new`; fill the blocks of all robots if it `is_shown`, and the places of mates.
 
@@ -162,8 +161,7 @@ def _fill_small(
     """
     per_metre, memory_s, time_step_s = rule[0], rule[1], rule[2]
     if is_new:
-        _extend_paths(poses, path_ends, path_counts, paths)
-        take_scans(scan_robots, macs, rssi_dbm, heard_counts, scans, slot_macs, last_scan, levels)
+        _extend_paths(poses, path_counts, paths)
     if not is_shown:
         return
     for i in range(ranges.shape[0]):
@@ -171,8 +169,8 @@ def _fill_small(
             lidar[i, b] = min(max(ranges[i, b] * per_metre, 0.0), 1.0)
         for k in range(wifi.shape[1]):
             wifi[i, k] = levels[i, k]
-        _fill_pose(poses[i, 0], poses[i, 1], since_m[i], limits, pose[i])
-        _fill_signs(readings[i], reading_counts[i], now_s, memory_s, poses[i, 2], signs[i])
-        mate_counts[i] = _fill_team(
+        _fill_pose(poses[i, 0], poses[i, 1], since_m[i], pose[i])
+        _fill_signs(readings[i], now_s, memory_s, poses[i, 2], signs[i])
+        _fill_team(
             i, step, time_step_s, contact_steps[i], mates[i], poses[i, 0], mate_poses[i], mate_places[i], team[i]
         )

@@ -51,9 +51,11 @@ def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
 
 def _lay(view: View, record: EpisodeRecord) -> tuple[Array, tuple[tuple[int, int], ...]] | None:
     """The pose (3,) that lays a group's map on the building, and its wrongly merged pairs; None without keyframes."""
-    robots, pose = view.robots, np.empty(3)
+    robots, nodes, pose = view.robots, view.mapper.nodes, np.empty(3)
+    if not len(nodes[0]):
+        return None
     is_wrong = np.zeros((len(robots), len(robots)), bool)
-    count = _lay_paths(np.array(robots), *view.mapper.nodes, record.true_poses, pose, is_wrong)
+    count = _lay_paths(np.array(robots), *nodes, record.true_poses, pose, is_wrong)
     if count < 0:
         return None
     return pose, tuple((robots[i], robots[j]) for i, j in np.argwhere(is_wrong).tolist()) if count else ()
