@@ -12,7 +12,7 @@ from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from agents.seeds import parse_seeds
 from twc_env import EnvConfig, TwcError, load_map, map_names
-from twc_env.command_line import assignments, count, natural
+from twc_env.command_line import Paragraphs, assignments, count, natural
 from twc_env.config import load, override
 from twc_env.json_values import check_folder, check_writable, write_json
 
@@ -26,6 +26,7 @@ examples:
   python -m agents explore --map twin-02 --robots 3 --seed 1 --out runs/twin-02
   python -m agents explore --map office.yaml --steps 6000 --set odometry.drift=2 --set lidar.beam_count=360
   python -m agents explore --agent random --no-pictures --json -
+  python -m agents explore --config runs/twin-02 --seed 1        the same episode again, to the byte
 """
 _BENCHMARK_HELP = """\
 Run many seeds on several maps and print one table per map. Runs that are already in the output folder with the same
@@ -44,6 +45,14 @@ has 90 % of the floor mapped rightly, with a 95 % interval. Episodes that the sa
 examples:
   python -m agents compare --buildings 20 --jobs 2
   python -m agents compare --agents nearest-frontier radio-frontier --robots 1 --set slam.k_visibility.enabled=true
+"""
+_SURVEY_HELP = """\
+Let one robot map flats from WiFi alone, once along the walls and once where its map is least sure (`radio-walk`), and
+print how much of the map each has by how long a way. Walks that the same code finished are not run again.
+
+examples:
+  python -m agents radio-survey
+  python -m agents radio-survey --maps sfw-e4 sfw-e5 --seeds 0
 """
 _TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
 
@@ -188,7 +197,10 @@ def _write_report(place: Path | None, values: dict[str, Any]) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m agents", description="Scripted teams that explore buildings. Each command has its own --help."
+        prog="python -m agents",
+        description="Scripted teams that explore buildings. Each command has its own --help.",
+        epilog="example:\n  python -m agents explore --map twin-01 --out runs/mine",
+        formatter_class=Paragraphs,
     )
     commands = parser.add_subparsers(
         dest="command", required=True, metavar="explore | benchmark | compare | radio-survey"
@@ -202,12 +214,18 @@ def _parser() -> argparse.ArgumentParser:
     many = _command(commands, "benchmark", "run many seeds on several maps", _BENCHMARK_HELP)
     many.add_argument("--maps", nargs="+", default=["twin-01", "twin-02"], help="names or files (default: both twins)")
     many.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9 (default: 0-9)")
-    many.add_argument("--out", type=Path, default=Path("runs/benchmark"), help="folder of all runs")
+    many.add_argument(
+        "--out", type=Path, default=Path("runs/benchmark"), help="folder of all runs (default: %(default)s)"
+    )
     many.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     many.set_defaults(run=_benchmark)
     teams = _command(commands, "compare", "several agents in the same buildings, in pairs", _COMPARE_HELP)
     teams.add_argument(
-        "--agents", nargs="+", default=list(_TEAMS), metavar="AGENT", help=f"of {', '.join(policy_names())}"
+        "--agents",
+        nargs="+",
+        default=list(_TEAMS),
+        metavar="AGENT",
+        help=f"of {', '.join(policy_names())} (default: the first four and random)",
     )
     teams.add_argument("--buildings", type=count, default=10, help="the first of the test split (default: %(default)s)")
     teams.add_argument("--maps", nargs="+", help="names or files instead")
@@ -216,19 +234,28 @@ def _parser() -> argparse.ArgumentParser:
     )
     teams.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     teams.set_defaults(run=_compare)
-    walk = _command(commands, "radio-survey", "the map from radio by path length: active walk against walls", "")
-    walk.add_argument("--maps", nargs="+", default=[f"sfw-e{n}" for n in range(1, 7)], help="names or files")
+    walk = _command(
+        commands, "radio-survey", "the map from radio by path length: active walk against walls", _SURVEY_HELP
+    )
+    walk.add_argument(
+        "--maps",
+        nargs="+",
+        default=[f"sfw-e{n}" for n in range(1, 7)],
+        help="names or files (default: sfw-e1 to sfw-e6)",
+    )
     walk.add_argument("--seeds", default="0-2", help="numbers and ranges (default: %(default)s)")
     walk.add_argument("--steps", type=count, default=1500, help="steps at most (default: %(default)s)")
     walk.add_argument("--out", type=Path, default=Path("runs/radio-survey"), help="finished walks (%(default)s)")
     walk.set_defaults(run=_radio_survey)
     for command in (one, many):
-        command.add_argument("--agent", default="nearest-frontier", help=f"one of {', '.join(policy_names())}")
+        command.add_argument(
+            "--agent", default="nearest-frontier", help=f"one of {', '.join(policy_names())} (default: %(default)s)"
+        )
         command.add_argument("--no-pictures", action="store_true", help="write neither map.png nor episode.gif")
     for command in (one, many, teams):
         command.add_argument("--robots", type=count, help="number of robots (default: 3)")
         command.add_argument("--steps", type=count, help="steps at most (default: 2000)")
-        command.add_argument("--config", type=Path, metavar="FILE", help="TOML or JSON file of settings")
+        command.add_argument("--config", type=Path, metavar="FILE", help="settings: TOML, JSON or a run folder")
         command.add_argument(
             "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change one setting"
         )
@@ -239,9 +266,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _command(commands: Any, name: str, summary: str, text: str) -> argparse.ArgumentParser:
-    return commands.add_parser(
-        name, help=summary, description=text, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    return commands.add_parser(name, help=summary, description=text, formatter_class=Paragraphs)
 
 
 if __name__ == "__main__":

@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 from agents.seeds import parse_seeds
-from twc_env.command_line import assignments, natural
+from twc_env.command_line import Paragraphs, assignments, natural
 from twc_env.errors import DataError, TwcError
-from twc_env.json_values import check_folder
+from twc_env.json_values import check_folder, check_writable, write_json
 
 SEEDS = 2**31
 """torch and numpy take no larger ones, with the steps added that were taken before a resumption."""
@@ -33,10 +33,26 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m training", description="Learn to explore.")
+    parser = argparse.ArgumentParser(
+        prog="python -m training",
+        description="Learn to explore: one policy for all robots of a team. Each command has its own --help.",
+        epilog="examples:\n  python -m training ppo --steps 60000 --out runs/ppo\n"
+        "  python -m training evaluate --model runs/ppo/model.zip --seeds 0-19",
+        formatter_class=Paragraphs,
+    )
     commands = parser.add_subparsers(required=True, metavar="command")
 
-    ppo = commands.add_parser("ppo", help="train with proximal policy optimisation")
+    ppo = commands.add_parser(
+        "ppo",
+        help="train with proximal policy optimisation",
+        description="Train one policy for all robots with PPO, in small generated buildings or one map. The run "
+        "folder gets config.json, model.zip, metrics.csv and tensorboard/; the model is saved after each round of "
+        "learning, so an interrupted run goes on with --resume. A new run needs a new folder.",
+        epilog="examples:\n  python -m training ppo --steps 60000 --out runs/ppo\n"
+        "  python -m training ppo --steps 120000 --out runs/ppo --resume\n"
+        "  python -m training ppo --map twin-01 --robots 3 --set odometry.drift=2 --out runs/twin",
+        formatter_class=Paragraphs,
+    )
     ppo.add_argument("--map", help="one bundled map or map file, instead of small generated buildings")
     ppo.add_argument(
         "--area", type=float, default=250.0, help="floor of generated buildings [m2] (default %(default)s)"
@@ -45,16 +61,27 @@ def _parser() -> argparse.ArgumentParser:
     ppo.add_argument("--steps", type=int, default=60_000, help="decisions of all robots (default %(default)s)")
     ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode (default %(default)s)")
     ppo.add_argument("--workers", type=natural, default=2, help="processes (default %(default)s; 0: this one)")
-    ppo.add_argument("--seed", type=int, default=0)
+    ppo.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes (default %(default)s)")
     ppo.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the environment")
     ppo.add_argument("--out", type=Path, default=Path("runs/ppo"), help="run folder (default %(default)s)")
     ppo.add_argument("--resume", action="store_true", help="go on from the model in the run folder")
     ppo.set_defaults(run=_train_ppo)
 
     evaluate = commands.add_parser(
-        "evaluate", help="compare a trained model with random and scripted teams on held-out buildings"
+        "evaluate",
+        help="compare a trained model with random and scripted teams on held-out buildings",
+        description="Play one episode per held-out building with the trained team, random choices, the nearest "
+        "frontier and the scripted nearest-frontier team; print means with 95 % intervals.",
+        epilog="example:\n  python -m training evaluate --model runs/ppo/model.zip --json runs/ppo/held-out.json",
+        formatter_class=Paragraphs,
     )
-    evaluate.add_argument("--model", type=Path, default=Path("runs/ppo/model.zip"))
+    evaluate.add_argument(
+        "--model",
+        type=Path,
+        default=Path("runs/ppo/model.zip"),
+        help="with config.json beside it (default %(default)s)",
+    )
+    evaluate.add_argument("--json", type=Path, metavar="FILE", help="write every episode and the means")
     evaluate.add_argument(
         "--seeds", default="0-19", help="held-out buildings, as in 0-4 or 1,5,7 (default %(default)s)"
     )
@@ -87,7 +114,10 @@ def _train_ppo(options: argparse.Namespace) -> int:
 def _evaluate(options: argparse.Namespace) -> int:
     from training.evaluate import evaluate
 
-    print(evaluate(options.model, parse_seeds(options.seeds)).table)
+    check_writable(options.json)
+    found = evaluate(options.model, parse_seeds(options.seeds))
+    print(found.table)
+    write_json(options.json, found.as_json())
     return 0
 
 

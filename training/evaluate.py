@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +55,18 @@ class Evaluation:
             wrong = sum(e.wrong_merges for e in episodes)
             lines.append(f"{name:<18}{_interval(end):>18}{_interval(over):>18}{ahead:>22}{merged:>8.2f}{wrong:>7}")
         return "\n".join(lines)
+
+    def as_json(self) -> dict:
+        """Every episode, and each policy's means and lead of the trained policy over it with 95 % half-widths."""
+        table = {}
+        for name, episodes in self.episodes.items():
+            means = {key: float(np.mean([getattr(e, key) for e in episodes])) for key in Episode.__slots__}
+            lead, half_width = self.ahead(name)
+            table[name] = {
+                "means": means, "trained_leads": lead, "trained_leads_95": half_width,
+                "episodes": [{"seed": seed, **asdict(e)} for seed, e in zip(self.seeds, episodes, strict=True)],
+            }  # fmt: skip
+        return table
 
     def ahead(self, other: str) -> tuple[float, float]:
         """Mean paired lead of the trained policy over another one in `mean_coverage`, and its 95 % half-width."""

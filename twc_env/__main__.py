@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 
 from twc_env.bench_cli import add_bench_parser
+from twc_env.command_line import Paragraphs
 from twc_env.errors import TwcError
 from twc_env.json_values import check_writable
 from twc_env.log_cli import add_log_parsers
@@ -39,6 +40,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m twc_env",
         description="Look at maps and settings, record and replay sensor logs, measure speed, reproduce tables.",
+        epilog="examples:\n  python -m twc_env maps show twin-01\n  python -m twc_env settings > mine.toml\n"
+        "  python -m twc_env reproduce merging\n\nEach command has its own --help. Teams explore with: "
+        "python -m agents --help",
+        formatter_class=Paragraphs,
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for add in (

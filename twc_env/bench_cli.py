@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twc_env.command_line import assignments, count
+from twc_env.command_line import Paragraphs, assignments, count
 from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
@@ -21,9 +21,13 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
         help="steps per second of the world alone and of the whole step with SLAM",
         description="Robots wander by reflex through whole episodes; medians over the episodes are printed. "
         "Compare figures from one machine and one run only.",
+        epilog="examples:\n  python -m twc_env bench --json bench.json\n"
+        "  python -m twc_env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
+        "  python -m twc_env bench --parts",
+        formatter_class=Paragraphs,
     )
     speed.add_argument("--map", default="twin-01", help="bundled name or file (default: %(default)s)")
-    speed.add_argument("--robots", type=count, default=3, help="default: %(default)s")
+    speed.add_argument("--robots", type=count, default=3, help="how many (default: %(default)s)")
     speed.add_argument("--beams", type=count, default=180, help="beams per scan (default: %(default)s)")
     speed.add_argument("--steps", type=count, default=1500, help="steps per episode (default: %(default)s)")
     speed.add_argument("--episodes", type=count, default=3, help="seeds 0, 1, ... (default: %(default)s)")

@@ -4,10 +4,30 @@ from __future__ import annotations
 
 import argparse
 import math
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from twc_env.errors import ConfigError, DataError
+
+
+class Paragraphs(argparse.HelpFormatter):
+    """Help whose paragraphs are filled one by one; lines that begin with two spaces, as examples do, stay."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return "\n\n".join(self._filled(part, width) for part in text.strip().split("\n\n"))
+
+    @staticmethod
+    def _filled(part: str, width: int) -> str:
+        prose: list[str] = []
+        lines: list[str] = []
+        for line in [*part.splitlines(), None]:
+            if line is not None and not line.startswith("  "):
+                prose.append(line)
+                continue
+            lines += textwrap.wrap(" ".join(prose), width) + ([] if line is None else [line])
+            prose = []
+        return "\n".join(lines)
 
 
 def assignments(texts: Sequence[str]) -> dict[str, object]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twc_env.command_line import assignments, count, make_folder, natural
+from twc_env.command_line import Paragraphs, assignments, count, make_folder, natural
 from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         help="record what robots sense in an episode, the truth in a separate file",
         description="Robots wander by reflex. Writes frames.npz (sensor frames and settings, no truth) and truth.npz "
         "(true poses); docs/frames.md describes both. `python -m agents explore` records its episodes too.",
+        epilog="example:\n  python -m twc_env record --map twin-02 --steps 900 --out runs/log",
+        formatter_class=Paragraphs,
     )
     record.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
     record.add_argument("--robots", type=count, default=3, help="how many (default: %(default)s)")
@@ -42,6 +44,10 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         "Prints what it found; the same log gives the same numbers every time. With --html, nothing is run: the run "
         "folder's trace.npz and report.json become one page with a time slider, to be opened in any browser; with "
         "--rerun a recording for the Rerun viewer (`rerun RUN/replay.rrd`).",
+        epilog="examples:\n  python -m twc_env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
+        "  python -m twc_env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
+        "  python -m twc_env replay runs/demo --html",
+        formatter_class=Paragraphs,
     )
     replay.add_argument("log", type=Path, help="a run folder, or a frame log (frames.npz)")
     replay.add_argument(

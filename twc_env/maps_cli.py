@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from twc_env.command_line import Paragraphs
 from twc_env.errors import MapError
 from twc_env.json_values import check_writable, write_json
 from twc_env.maps import load_map, map_names, schema
@@ -31,17 +32,29 @@ def add_maps_parser(commands) -> None:
         "maps",
         help="list, draw, generate, import, export and check floor plans",
         description="Floor plans: list, draw, generate, import, export and check them.",
-        epilog=_NAMES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="examples:\n  python -m twc_env maps list\n  python -m twc_env maps show gen:ward:600:2\n\n" + _NAMES,
+        formatter_class=Paragraphs,
     )
     maps.set_defaults(run=_list, maps=[])
     parts = maps.add_subparsers(metavar="COMMAND")
 
-    listing = _part(parts, "list", _list, "sizes and contents of the bundled maps, or of those named")
+    listing = _part(
+        parts,
+        "list",
+        _list,
+        "sizes and contents of the bundled maps, or of those named",
+        "example:\n  python -m twc_env maps list twin-01 gen:office:800:7",
+    )
     listing.add_argument("maps", nargs="*", metavar="MAP", help="default: all bundled maps")
 
-    show = _part(parts, "show", _show, "draw a map: walls, rooms, signs, access points and signal strength")
-    show.add_argument("map", metavar="MAP")
+    show = _part(
+        parts,
+        "show",
+        _show,
+        "draw a map: walls, rooms, signs, access points and signal strength",
+        "example:\n  python -m twc_env maps show test/0003 --out building.png",
+    )
+    show.add_argument("map", metavar="MAP", help="as below")
     show.add_argument("--out", type=Path, metavar="FILE.png", help="default: the map's name in this folder")
     show.add_argument("--no-signal", action="store_true", help="leave the signal-strength overlay out")
     _seed(show)
@@ -51,7 +64,7 @@ def add_maps_parser(commands) -> None:
         "generate",
         _generate,
         "draw buildings by kind, area and seed, and write them as native JSON",
-        "example: python -m twc_env maps generate office 800 --seed 7 --out office.json\n"
+        "example:\n  python -m twc_env maps generate office 800 --seed 7 --out office.json\n"
         "The same building is the map gen:office:800:7 wherever a map is named.",
     )
     from twc_env.world.generate import AREA_MAX_M2, AREA_MIN_M2
@@ -59,7 +72,7 @@ def add_maps_parser(commands) -> None:
 
     make.add_argument("kind", metavar="KIND", help=f"one of {', '.join(KINDS)}")
     make.add_argument("area", type=float, metavar="AREA", help=f"gross floor area, {AREA_MIN_M2} to {AREA_MAX_M2} m2")
-    make.add_argument("--seed", type=int, default=0, help="default: %(default)s")
+    make.add_argument("--seed", type=int, default=0, help="of the building (default: %(default)s)")
     make.add_argument("--count", type=int, default=1, help="this many, with seeds that count on (default: %(default)s)")
     make.add_argument("--out", type=Path, metavar="FILE.json", help="default: KIND-AREA-SEED.json in this folder")
 
@@ -68,6 +81,7 @@ def add_maps_parser(commands) -> None:
         "import",
         _import,
         "read a file of another format, check it, and write native JSON",
+        "example:\n  python -m twc_env maps import plan.png --resolution 0.02 --out plan.json\n"
         "Formats without signs and access points are furnished by --seed. Edit the JSON to your liking.",
     )
     bring.add_argument("map", metavar="FILE", help="file, or FILE#LEVEL of an OpenStreetMap building")
@@ -77,8 +91,14 @@ def add_maps_parser(commands) -> None:
     bring.add_argument("--out", type=Path, metavar="FILE.json", help="default: the file's stem in this folder")
     _seed(bring)
 
-    give = _part(parts, "export", _export, "write a map as .json (native), .yaml + .pgm (ROS map_server) or .png")
-    give.add_argument("map", metavar="MAP")
+    give = _part(
+        parts,
+        "export",
+        _export,
+        "write a map as .json (native), .yaml + .pgm (ROS map_server) or .png",
+        "example:\n  python -m twc_env maps export twin-01 twin-01.yaml",
+    )
+    give.add_argument("map", metavar="MAP", help="as below")
     give.add_argument("out", type=Path, metavar="FILE", help="the suffix picks the format")
     give.add_argument(
         "--resolution", type=float, default=0.05, metavar="M", help="metres per pixel (default: %(default)s)"
@@ -90,6 +110,7 @@ def add_maps_parser(commands) -> None:
         "check",
         _check,
         "say whether maps are sound and every room can be reached; exit status 2 if one is not",
+        "examples:\n  python -m twc_env maps check mine.json\n  python -m twc_env maps check --splits\n\n"
         "--splits draws all 1,200 buildings of the splits and compares their layouts, turned and mirrored too.\n"
         "--fuzz reads that many mutated files: nothing but a one-line error may come of them.",
     )
@@ -101,7 +122,13 @@ def add_maps_parser(commands) -> None:
     check.add_argument("--json", type=Path, metavar="FILE", help="write the findings")
     _seed(check)
 
-    _part(parts, "schema", _schema, "print the JSON schema of the native format")
+    _part(
+        parts,
+        "schema",
+        _schema,
+        "print the JSON schema of the native format",
+        "example:\n  python -m twc_env maps schema > floorplan.schema.json",
+    )
 
 
 def _part(parts, name: str, run, help_text: str, epilog: str = "") -> argparse.ArgumentParser:
@@ -110,7 +137,7 @@ def _part(parts, name: str, run, help_text: str, epilog: str = "") -> argparse.A
         help=help_text,
         description=help_text[0].upper() + help_text[1:] + ".",
         epilog=f"{epilog}\n\n{_NAMES}" if epilog else _NAMES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=Paragraphs,
     )
     parser.set_defaults(run=run)
     return parser

@@ -5,27 +5,40 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.command_line import count, natural
+from twc_env.command_line import Paragraphs, count, natural
 
 
 def add_ocr_parser(commands) -> None:
     """The `ocr` command."""
-    parser = commands.add_parser("ocr", help="measure how a real OCR misreads signs, or show the measured table")
+    parser = commands.add_parser(
+        "ocr",
+        help="measure how a real OCR misreads signs, or show the measured table",
+        description="Measure how a real OCR misreads signs, or show the measured table (docs/ocr.md).",
+        epilog="example:\n  python -m twc_env ocr show --out runs/ocr.png",
+        formatter_class=Paragraphs,
+    )
     actions = parser.add_subparsers(required=True, metavar="ACTION")
 
     make = actions.add_parser(
         "measure",
         help="draw signs, read them with a real OCR, write the table of errors (about 10 minutes; extra `ocr`)",
         description="Interrupted, it goes on where it was. The table that the package ships came from the defaults.",
+        epilog="example:\n  python -m twc_env ocr measure --signs 4 --out runs/ocr/table.json",
+        formatter_class=Paragraphs,
     )
     make.add_argument("--out", type=Path, required=True, metavar="FILE", help="table to write, json")
-    make.add_argument("--seed", type=natural, default=0, help="default: %(default)s")
+    make.add_argument("--seed", type=natural, default=0, help="of signs and views (default: %(default)s)")
     make.add_argument("--signs", type=count, default=40, help="per grid point (default: %(default)s)")
     make.add_argument("--processes", type=count, default=2, help="at once (default: %(default)s)")
     make.add_argument("--cache", type=Path, default=Path("runs/ocr"), help="finished parts (default: %(default)s)")
     make.set_defaults(run=_measure)
 
-    show = actions.add_parser("show", help="picture of drawn signs and of the error rates in the table (extra `ocr`)")
+    show = actions.add_parser(
+        "show",
+        help="picture of drawn signs and of the error rates in the table (extra `ocr`)",
+        epilog="example:\n  python -m twc_env ocr show --out runs/ocr.png",
+        formatter_class=Paragraphs,
+    )
     show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write, png")
     show.set_defaults(run=_show)
 

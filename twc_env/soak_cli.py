@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from twc_env.command_line import assignments, count, natural
+from twc_env.command_line import Paragraphs, assignments, count, natural
 from twc_env.errors import TwcError
 from twc_env.json_values import write_json
 
@@ -19,6 +19,9 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
         description="Robots wander by reflex through episodes of 500 steps, each in another building of the training "
         "split. Prints what memory did after a warm-up; an exception ends it with the seed of its episode. With "
         "--actions or --observations, that is done instead.",
+        epilog="examples:\n  python -m twc_env soak --steps 100000 --set observation.kind=flat\n"
+        "  python -m twc_env soak --actions 100000 --observations 10000",
+        formatter_class=Paragraphs,
     )
     long.add_argument("--steps", type=count, default=1_000_000, help="time steps in all (default: %(default)s)")
     long.add_argument(

@@ -104,6 +104,15 @@ def test_wrong_input_is_one_line_and_exit_code_two(arguments, message, capsys, t
     assert not (tmp_path / "run").exists()
 
 
+def test_a_run_folder_is_enough_to_have_the_same_episode_again(tmp_path):
+    first, again = tmp_path / "first", tmp_path / "again"
+    settings = ["--map", "sfw-e4", "--robots", "2", "--steps", "40", "--set", "odometry.drift=2"]
+    assert main(["explore", *settings, "--seed", "3", "--no-pictures", "--out", str(first)]) == 0
+    assert main(["explore", "--config", str(first), "--seed", "3", "--no-pictures", "--out", str(again)]) == 0
+    for name in ("config.json", "frames.npz", "pose_graph.g2o", "map.pgm", "trajectories/robot_1_estimated.tum"):
+        assert (first / name).read_bytes() == (again / name).read_bytes(), name
+
+
 @pytest.mark.parametrize("command", ["explore", "benchmark"])
 def test_help_teaches_by_example(command, capsys):
     with pytest.raises(SystemExit) as stop:

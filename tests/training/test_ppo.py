@@ -67,9 +67,13 @@ def test_a_short_training_leaves_a_complete_run_folder(run):
 
 
 @needs_torch
-def test_a_trained_model_is_evaluated_against_random_actions(run, capsys):
-    assert main(["evaluate", "--model", str(run / "model.zip"), "--seeds", "0-1"]) == 0
+def test_a_trained_model_is_evaluated_against_random_actions(run, tmp_path, capsys):
+    figures = tmp_path / "figures.json"
+    assert main(["evaluate", "--model", str(run / "model.zip"), "--seeds", "0-1", "--json", str(figures)]) == 0
     table = capsys.readouterr().out.splitlines()
+    written = json.loads(figures.read_text())
+    assert set(written) == {"trained", "random", "nearest", "nearest-frontier"}
+    assert all(f"{of['means']['coverage']:+.3f}" in line for of, line in zip(written.values(), table[1:], strict=True))
     assert [line.split()[0] for line in table] == ["policy", "trained", "random", "nearest", "nearest-frontier"]
     assert all(math.isfinite(float(line.split()[1])) for line in table[1:])
 

@@ -51,7 +51,9 @@ STUDIES: tuple[Study, ...] = tuple(
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument("--seeds", type=count, default=6, metavar="N", help="simulated runs (default: %(default)s)")
-    parser.add_argument("--only", default="", metavar="TEXT", help="only sets whose name holds this text")
+    parser.add_argument(
+        "--only", default="", metavar="TEXT", help="only sets whose name holds this text (default: all)"
+    )
     parser.add_argument("--quick", action="store_true", help="a small part of each set: shows that it runs")
 
 

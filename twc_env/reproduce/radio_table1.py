@@ -98,7 +98,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--places", default=",".join(PLACES), help="default: %(default)s")
     parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
     parser.add_argument("--processes", type=count, default=2, help="walks measured at once (default: %(default)s)")
-    parser.add_argument("--share", type=number(0.01, 1.0), default=1.0, help="of the printed length (for a quick look)")
+    parser.add_argument(
+        "--share",
+        type=number(0.01, 1.0),
+        default=1.0,
+        help="of the printed length, for a quick look (default: %(default)s)",
+    )
     parser.add_argument("--sweep", action="store_true", help="instead: error against access points, drift and distance")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="draw the models and the trajectories (Fig. 3, 4)")
 

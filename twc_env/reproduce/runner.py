@@ -13,6 +13,7 @@ from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
 
+from twc_env.command_line import Paragraphs
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
 from twc_env.json_values import check_folder, plain, write_json
@@ -42,6 +43,15 @@ TABLES: dict[str, str] = {
     "real-radio": "real_radio",
 }
 """Name on the command line -> module of this package."""
+
+
+_EPILOG = """\
+example:
+  python -m twc_env reproduce {name} --json runs/{name}.json
+
+Interrupted, the same command goes on where it stopped; with more seeds, places or buildings it takes what is there.
+Tables from real data read the folder that the environment variable TWC_DATA names.
+"""
 
 
 class Runner:
@@ -145,11 +155,25 @@ def seeds_argument(text: str) -> list[int]:
 
 def add_parser(commands) -> None:
     """The `reproduce` command of `python -m twc_env`."""
-    parser = commands.add_parser("reproduce", help="run a published table and print it beside the print")
+    parser = commands.add_parser(
+        "reproduce",
+        help="run a published table and print it beside the print",
+        description="Run a published table and print it beside the print; docs/papers.md goes through the papers item "
+        "by item. Each table has its own --help.",
+        epilog=_EPILOG.format(name="sfw-routers"),
+        formatter_class=Paragraphs,
+    )
     tables = parser.add_subparsers(required=True, metavar="TABLE")
     for name, module_name in TABLES.items():
         module = import_module(f"twc_env.reproduce.{module_name}")
-        table = tables.add_parser(name, help=module.SUMMARY, description=module.__doc__)
+        needs_data = " (needs TWC_DATA)" if hasattr(module, "data_folder") and name != "ocr" else ""
+        table = tables.add_parser(
+            name,
+            help=module.SUMMARY + needs_data,
+            description=module.__doc__,
+            epilog=_EPILOG.format(name=name),
+            formatter_class=Paragraphs,
+        )
         module.add_arguments(table)
         table.add_argument("--json", type=Path, metavar="FILE", help="write the rows, and pictures beside them")
         table.add_argument(

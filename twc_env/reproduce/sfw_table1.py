@@ -49,7 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--experiments", default="1,2,3,4,5,6", help="which of the six (default: %(default)s)")
     parser.add_argument(
-        "--routers", choices=("known", "unknown"), default="known", help="whether `ours` is told where routers stand"
+        "--routers",
+        choices=("known", "unknown"),
+        default="known",
+        help="whether `ours` is told where routers stand (default: %(default)s)",
     )
     parser.add_argument(
         "--flats",

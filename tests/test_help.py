@@ -1,0 +1,55 @@
+"""Every --help teaches: what each option means, its default, and an example that the parser takes."""
+
+import argparse
+import shlex
+
+import pytest
+
+import agents.__main__
+import training.__main__
+import twc_env.__main__
+from twc_env.command_line import Paragraphs
+
+PROGRAMS = {"twc_env": twc_env.__main__, "agents": agents.__main__, "training": training.__main__}
+
+
+def parsers(parser):
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                yield from parsers(below)
+
+
+ALL = [below for program in PROGRAMS.values() for below in parsers(program._parser())]
+
+
+def options(parser):
+    return [a for a in parser._actions if not isinstance(a, argparse._SubParsersAction) and a.dest != "help"]
+
+
+@pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
+def test_every_option_says_what_it_means_and_its_default(parser):
+    for option in options(parser):
+        name = (option.option_strings or [option.dest])[0]
+        assert option.help, f"{name} is not explained"
+        has_default = option.option_strings and option.default not in (None, False, [], argparse.SUPPRESS)
+        assert not has_default or "default" in option.help, f"{name} does not say its default"
+
+
+@pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
+def test_every_command_gives_examples_that_are_taken(parser):
+    examples = [line.split("   ")[0] for line in parser.format_help().splitlines() if line.startswith("  python -m ")]
+    assert examples
+    for example in examples:
+        name, *arguments = shlex.split(example.split(" > ")[0])[2:]
+        PROGRAMS[name]._parser().parse_args(arguments)
+
+
+def test_paragraphs_are_filled_and_examples_stay():
+    parser = argparse.ArgumentParser(
+        formatter_class=lambda prog: Paragraphs(prog, width=32),
+        description="One two three four five six seven eight.\n\nNine\nten:\n  an example that is longer than a line",
+    )
+    text = parser.format_help()
+    assert "One two three four five six\nseven eight.\n\nNine ten:\n  an example that is longer than a line\n" in text
