@@ -98,7 +98,10 @@ class TeamFrames(_Team[SensorFrame]):
         wifi: WifiScans | Sequence[WifiScan | None],
         signs: Sequence[tuple[SignReading, ...]],
     ):
-        """A row for each robot, with what the fields of `SensorFrame` mean; records show read-only views of them."""
+        """A row for each robot, with what the fields of `SensorFrame` mean; records show read-only views of them.
+
+        Arrays are of float64 and contiguous in memory.
+        """
         self._records = None
         self.step, self.time_s = step, time_s
         self.odometry, self.turn_rates_rad_s, self.ranges_m = odometry, turn_rates_rad_s, ranges_m

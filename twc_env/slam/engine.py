@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import CuesConfig, EnvConfig
-from twc_env.kernels import borrowing_kernel
+from twc_env.kernels import borrowing_kernel, bound
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
@@ -103,11 +103,16 @@ class CooperativeSlam:
         self._located = [-1] * len(self.mappers)
         """The state of each mapper, by its count of changes, that these were taken from."""
         self._regroupings = [-1] * len(self.mappers)
+        self._run: Callable[..., None] | None = None
+        """`_believed_poses` of where the odom frames are."""
         self._beliefs: TeamBeliefs | None = None
         """Once asked for, until something changes."""
         self._last_step = 0
         radio = config.slam.k_visibility
         self._radio = RadioStructure(radio, config.slam.resolution_m, robot_count) if radio.enabled else None
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_run": None}
 
     def give_starts(self, poses: Array) -> None:
         """Tell all mappers where the robots started (robots, 3): an oracle, for comparison only (`slam.oracle`)."""
@@ -185,10 +190,13 @@ class CooperativeSlam:
                 self._relocate(number, mapper)
         self._poses, self._mate_poses = np.empty(self._poses.shape), np.empty(self._heard_poses.shape)
         self._beliefs = None
-        _believed_poses(
-            self._poses_map_odom, self._std, self._front_ends.poses_odom, self._mates, self._is_central,
-            self._heard_poses, self._poses, self._mate_poses,
+        now = (
+            self._std, self._front_ends.poses_odom, self._mates, self._is_central, self._heard_poses, self._poses,
+            self._mate_poses,
         )  # fmt: skip
+        if self._run is None:
+            self._run = bound(_believed_poses, self._poses_map_odom, *now)
+        self._run(*now)
 
     def _relocate(self, number: int, mapper: TeamMapper) -> None:
         """What a mapper says of robots has changed; beliefs hold what it said before."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Pack, borrowing_kernel, kernel, pack
+from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack
 from twc_env.messages import Keyframe
 from twc_env.slam.odometry_filter import invert3
 
@@ -78,7 +79,7 @@ def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covarianc
 
 
 @kernel
-def _locate(robots, others, graph, poses_map_odom, std, since_m, heard_steps):
+def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
     """See `GraphArrays.locate`."""
     poses, _, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom = graph.parts
     for k in robots:
@@ -129,28 +130,35 @@ class GraphArrays:
         """(robots,) the node of each robot's last keyframe with a closure that is used; its first without any."""
         self._latest_odom = np.zeros((robot_count, 3))
         """Where each robot's odometry has its last keyframe."""
-        self._pack: Pack | None = None
+        self._let_go()
 
-    @property
+    def _let_go(self) -> None:
+        """Arrays are others now, or have moved to another process."""
+        self._follow: Callable[..., bool] | None = None
+        self._locate: Callable[..., None] | None = None
+        """The kernels of these names with all of this."""
+
     def _all(self) -> Pack:
-        if self._pack is None:
-            self._pack = pack((*self._nodes, *self._edges, self._rows, self._counts, self.tied, self._latest_odom))
-        return self._pack
+        return pack((*self._nodes, *self._edges, self._rows, self._counts, self.tied, self._latest_odom))
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_pack": None}
+        return self.__dict__ | {"_follow": None, "_locate": None}
 
     def add_node(self, keyframe: Keyframe) -> int:
         """A keyframe, put where odometry leads from the robot's last one; gives its node."""
         node = self.node_count
         if node == len(self._nodes[0]):
             self._nodes = [_doubled(rows) for rows in self._nodes]
-            self._rows, self._pack = _doubled(self._rows.T).T.copy(), None
+            self._rows = _doubled(self._rows.T).T.copy()
+            self._let_go()
         self._make_room_for_edge()
-        self.edge_count += _follow(
-            self._all, node, self.edge_count, keyframe.robot, keyframe.step, keyframe.travel_m, keyframe.pose_odom,
+        new = (
+            node, self.edge_count, keyframe.robot, keyframe.step, keyframe.travel_m, keyframe.pose_odom,
             keyframe.motion, keyframe.motion_covariance, keyframe.ranges_m,
         )  # fmt: skip
+        if self._follow is None:
+            self._follow = bound(_follow, self._all(), *new)
+        self.edge_count += self._follow(*new)
         self.node_count += 1
         return node
 
@@ -162,7 +170,8 @@ class GraphArrays:
 
     def _make_room_for_edge(self) -> None:
         if self.edge_count == len(self._edges[0]):
-            self._edges, self._pack = [_doubled(rows) for rows in self._edges], None
+            self._edges = [_doubled(rows) for rows in self._edges]
+            self._let_go()
 
     def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
         """Where some robots (k,) are in the maps of their groups; others (robots, robots - 1): all but each.
@@ -172,7 +181,9 @@ class GraphArrays:
         then (robots,) [m]; and the step of the newest keyframe of each other robot (robots, robots - 1), -1 for none.
         A robot without keyframes is its own map.
         """
-        _locate(robots, others, self._all, *into)
+        if self._locate is None:
+            self._locate = bound(_locate, self._all(), robots, others, *into)
+        self._locate(robots, others, *into)
 
     def nodes_of(self, robot: int) -> Array:
         """(keyframes,) its nodes, ascending."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Pack, kernel, pack
+from twc_env.kernels import Pack, bound, kernel, pack
 from twc_env.messages import Keyframe, SignObservation
 from twc_env.slam.mate_detection import StillDiscs, unmark
 from twc_env.slam.odometry_filter import motion_covariance
@@ -38,7 +39,7 @@ def _measure_motion(last, pose, steps, length, variances, matched, motion, covar
 
 
 @kernel
-def _take(k, time, poses, apparatus, rings, scan, pose, motion, covariance):
+def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
     """Fill the arrays of a keyframe of robot k, scan (1, beams) and pose (1, 3), and draw it into the local map.
 
     Gives how many transmitters there are in the fingerprint, the length of the path, and whether the scan was drawn:
@@ -85,19 +86,19 @@ class KeyframeTaker:
         """Odometry's, of a step [m2], of a metre [m2] and of the turn in a step [rad2]."""
         self._window = np.array([rule.fingerprint_window_s, rule.fingerprint_age_max_s, rule.fingerprint_detection_min])
         self._std_mode = STD_MODES[rule.std_mode]
-        self._apparatus: Pack | None = None
+        self._run: Callable[..., tuple[int, float, bool]] | None = None
+        """`_take` with all that it needs every time."""
 
     def take(
         self, robot: int, index: int, step: int, time_s: float, signs: tuple[SignObservation, ...]
     ) -> tuple[Keyframe, bool]:
         """The robot's keyframe of this number, and whether it was drawn: not where its local map must move on first."""
-        if self._apparatus is None:
-            self._apparatus = self._packed()
         scan, pose = np.empty((1, self._tracker.marked_m.shape[1])), np.empty((1, 3))
         motion, covariance = np.empty(3), np.empty((3, 3))
-        heard, travel_m, is_drawn = _take(
-            robot, time_s, self._tracker.poses_odom, self._apparatus, self._radio.rings, scan, pose, motion, covariance
-        )
+        now = robot, time_s, self._tracker.poses_odom, self._radio.rings, scan, pose, motion, covariance
+        if self._run is None:
+            self._run = bound(_take, self._packed(), *now)
+        heard, travel_m, is_drawn = self._run(*now)
         fingerprint = self._radio.latest(heard)
         keyframe = Keyframe(
             robot, index, step, time_s, pose[0], motion, covariance, travel_m, scan[0], signs, fingerprint
@@ -118,4 +119,4 @@ class KeyframeTaker:
         )  # fmt: skip
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_apparatus": None}
+        return self.__dict__ | {"_run": None}

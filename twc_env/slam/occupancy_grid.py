@@ -7,12 +7,13 @@ a beam are then raised. A cell is free below 0, wall above 0, unknown at 0.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Pack, borrowing_kernel, kernel, pack
+from twc_env.kernels import borrowing_kernel, bound, kernel, pack
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import note_kinds
 
@@ -233,30 +234,32 @@ class OccupancyGrid:
         self._boxes_m = np.array([NOWHERE_M] * 2)
         """The box of all cells, and of those that scans can have touched."""
         self._snapshot: GridMap | None = None
-        self._pack: Pack | None = None
+        self._run: Callable[..., bool] | None = None
+        """`_integrate_many` with all of this."""
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_pack": None}
+        return self.__dict__ | {"_run": None}
 
     def integrate(self, poses: Array, scans: Array) -> None:
         """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall."""
         if len(poses) == 0:
             return
+        poses, scans = np.ascontiguousarray(poses, float), np.ascontiguousarray(scans, float)
         if not self._fold_in(poses, scans):
             self._grow(self._touched_m[:2], self._touched_m[2:])
             self._fold_in(poses, scans)
 
     def _fold_in(self, poses: Array, scans: Array) -> bool:
         """Whether the scans could be folded in: not where they touch more than there are cells."""
-        if self._pack is None:
-            self._pack = pack(
+        if self._run is None:
+            grid = pack(
                 (
                     self.log_odds, self._kinds, self._boxes_m, 1.0 / self.resolution_m, self._directions,
                     self.range_max_m, self._crossings, self._touched_m,
                 )
             )  # fmt: skip
-        inside: bool = _integrate_many(self._pack, poses, scans)
-        return inside
+            self._run = bound(_integrate_many, grid, poses, scans)
+        return self._run(poses, scans)
 
     def snapshot(self) -> GridMap:
         """A read-only view of the cells as they are now; valid until the next `integrate`."""
@@ -301,6 +304,6 @@ class OccupancyGrid:
             c, r = np.round(self.origin_m / self.resolution_m - first).astype(int)
             grown[r : r + rows, c : c + columns] = self.log_odds
             kinds[r : r + rows, c : c + columns] = self._kinds
-        self.log_odds, self._kinds, self._snapshot, self._pack = grown, kinds, None, None
+        self.log_odds, self._kinds, self._snapshot, self._run = grown, kinds, None, None
         self.origin_m = first * self.resolution_m
         self._boxes_m[0] = *self.origin_m, *(self.origin_m + shape[::-1] * self.resolution_m)

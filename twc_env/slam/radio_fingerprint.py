@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Pack, borrowing_kernel, kernel, pack
+from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack
 from twc_env.messages import Fingerprint, WifiScan
 from twc_env.team_messages import WifiScans
 
@@ -28,6 +28,8 @@ class ScanWindows:
         self._added = np.zeros(receivers, np.int64)
         self._found = _found(scans_max, 32)
         self._pack: Pack | None = None
+        self._run: Callable[..., int] | None = None
+        """`_keep` with all of this."""
 
     @property
     def rings(self) -> Pack:
@@ -39,7 +41,7 @@ class ScanWindows:
         return self._pack
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_pack": None}
+        return self.__dict__ | {"_pack": None, "_run": None}
 
     def add(self, time_s: float, receivers: Array, scans: WifiScans, ages_s: Array = NO_AGES) -> None:
         """Keep scans of these receivers (k,), a row for each; the oldest of each gives way.
@@ -47,10 +49,14 @@ class ScanWindows:
         ages_s: of the readings, as the other fields of `scans`; `NO_AGES` where all are new.
         """
         _, macs, rssi_dbm, counts = scans
-        most = _keep(time_s, receivers, macs, rssi_dbm, ages_s, counts, self.rings)
-        if most:
+        given = time_s, receivers, macs, rssi_dbm, ages_s, counts
+        while True:
+            if self._run is None:
+                self._run = bound(_keep, self.rings, *given)
+            most = self._run(*given)
+            if not most:
+                return
             self._widen(most)
-            _keep(time_s, receivers, macs, rssi_dbm, ages_s, counts, self.rings)
 
     def fingerprint(
         self,
@@ -74,7 +80,7 @@ class ScanWindows:
         for new, old in zip(wider, (self._macs, self._rssi_dbm, self._ages_s), strict=True):
             new[..., :width] = old
         self._macs, self._rssi_dbm, self._ages_s = wider
-        self._found, self._pack = _found(scans, 2 * count), None
+        self._found, self._pack, self._run = _found(scans, 2 * count), None, None
 
 
 def _rings(receivers: int, scans: int, width: int) -> tuple[Array, Array, Array]:
@@ -88,7 +94,7 @@ def _found(scans: int, width: int) -> tuple[Array, Array]:
 
 
 @kernel
-def _keep(time, receivers, macs, levels, ages, heard, rings):
+def _keep(rings, time, receivers, macs, levels, ages, heard):
     """Write scans to the rings, without ages as all new, and give 0; or nothing, and how many readings need room."""
     kept_macs, kept_levels, kept_ages, counts, times, added, _, _ = rings.parts
     most = np.int64(0)

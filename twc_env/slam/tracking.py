@@ -6,13 +6,14 @@ One compiled call does it for all of them; no robot's estimate depends on anothe
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Pack, borrowing_kernel, kernel, pack
+from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack
 from twc_env.slam.line_equations import line_scratch
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
 from twc_env.slam.odometry_filter import CompiledFilters, make_filters, predict_state, update_state
@@ -63,7 +64,7 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
 
 
 @kernel
-def _track(robots, ranges, odometry, turn_rates, now_s, poses, apparatus):
+def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses):
     """A whole step with the compiled filters; whether a robot has come to a new place."""
     (
         states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, walls, origins,
@@ -120,21 +121,22 @@ class Tracker:
         mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
         self._marking = (beam_directions(beams), mate_radius_m, self.marked_m, self.discs, self.disc_counts)
         self._matching = (fields.walls, fields.origins_m, fields.rule, config.slam.cues.lidar)
-        self._apparatus: Pack | None = None
+        self._run: Callable[..., bool] | None = None
+        """`_track` with all that it needs in every step."""
         self._keyframe_rule = np.array([rule.explained_min, rule.distance_m, rule.distance_new_m, rule.turn_rad])
 
     def update(self, robots: Array, frames: TeamFrames) -> None:
         """Take in the frames of these robots (k,), a row for each."""
         self.poses_odom = self.poses_odom.copy()
-        if self._apparatus is None:
+        now = (
+            robots, frames.ranges_m, frames.odometry, frames.turn_rates_rad_s, frames.time_s, self.poses_odom
+        )  # fmt: skip
+        if self._run is None:
             if not isinstance(self._filters, CompiledFilters):
                 self._update_stepwise(robots, frames)
                 return
-            self._apparatus = self._packed(self._filters)
-        self.has_arrived = _track(
-            robots, frames.ranges_m, frames.odometry, frames.turn_rates_rad_s, frames.time_s, self.poses_odom,
-            self._apparatus,
-        )  # fmt: skip
+            self._run = bound(_track, self._packed(self._filters), *now)
+        self.has_arrived = self._run(*now)
 
     def _packed(self, filters: CompiledFilters) -> Pack:
         """What `_track` needs in every step."""
@@ -147,7 +149,7 @@ class Tracker:
         )  # fmt: skip
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_apparatus": None}
+        return self.__dict__ | {"_run": None}
 
     def _update_stepwise(self, robots: Array, frames: TeamFrames) -> None:
         """The same, with filters that are not compiled."""
