@@ -27,11 +27,9 @@ def span_inside(start, step, limit, count):
 
 
 @borrowing_kernel
-def look_up_row(cells, width, row, column, row_step, column_step, count, numbers, levels):
-    """Write to levels the first `count` samples from (row, column) on, in fixed point; all of them lie in the grid.
-
-    cells: the grid (rows, width) as one row; numbers: scratch, (count,) uint32 at least. Where the samples lie is
-    worked out first, for many of them at once.
+def number_row(width, row, column, row_step, column_step, count, numbers):
+    """Write to numbers (uint32) in which cells of a grid (rows, width) the first `count` samples from (row, column) on
+    lie, in fixed point; all of them lie in the grid.
     """
     bits, stride = np.uint64(FIXED_BITS), np.uint64(width)
     r, k, up, right = np.uint64(row), np.uint64(column), np.uint64(row_step), np.uint64(column_step)
@@ -39,5 +37,20 @@ def look_up_row(cells, width, row, column, row_step, column_step, count, numbers
         numbers[j] = np.uint32((r >> bits) * stride + (k >> bits))
         r += up
         k += right
+
+
+@borrowing_kernel
+def look_up(cells, numbers, count, levels):
+    """Write to levels the first `count` cells of these numbers; cells: a grid as one row."""
     for j in range(count):  # unsigned numbers index without a check for negative ones
         levels[j] = cells[np.uint64(numbers[j])]
+
+
+@borrowing_kernel
+def look_up_row(cells, width, row, column, row_step, column_step, count, numbers, levels):
+    """Write to levels the samples that `number_row` numbers; numbers: scratch, (count,) at least.
+
+    Where the samples lie is worked out first, for many of them at once.
+    """
+    number_row(width, row, column, row_step, column_step, count, numbers)
+    look_up(cells, numbers, count, levels)

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up_row, span_inside
+from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up, look_up_row, number_row, span_inside
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import FREE as FREE_CELL
 from twc_env.slam.cell_kinds import UNKNOWN as UNKNOWN_CELL
 from twc_env.slam.cell_kinds import WALL as WALL_CELL
 from twc_env.slam.cell_kinds import kinds_of
+from twc_env.team_messages import read_only
 
 Array = NDArray
 
@@ -33,41 +35,43 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
     """
     out = np.zeros((CHANNELS, cells, cells), np.uint8)
     x, y = (pose_map_robot[:2] - grid.origin_m).tolist()
-    numbers, levels = np.empty(cells, np.uint32), np.empty(cells * cells, np.uint8)
+    numbers, levels = np.empty(cells * cells, np.uint32), np.empty(cells * cells, np.uint8)
     _crop(_kinds(grid), x, y, float(pose_map_robot[2]), 1.0 / grid.resolution_m, cell_m, numbers, levels, out)
     return out
 
 
-def shared_maps(grids: Sequence[GridMap], signs: Sequence[Array]) -> list[tuple]:
-    """What `views` asks of the maps of robots 0, 1, ... and the signs (2, k) on each; once for all that share them."""
-    shared, first = [], 0
-    for end in range(1, len(grids) + 1):
-        grid, places = grids[first], signs[first]
-        if end < len(grids) and grids[end].log_odds is grid.log_odds and signs[end] is places:
-            continue
-        shared.append((first, end, _kinds(grid), grid.origin_m, 1.0 / grid.resolution_m, places))
-        first = end
-    return shared
+class BelievedMaps(NamedTuple):
+    """What `views` looks up of the maps of robots 0, 1, ...; robots may share them."""
+
+    kinds: tuple[Array, ...]
+    """What stands in each cell of each robot's map, see `cell_kinds`; all of one type."""
+    places: Array
+    """(robots, 3) x and y of its lower left corner [m], and how many cells go into a metre."""
+    signs: tuple[Array, ...]
+    """(2, k) the signs on it."""
+
+    @classmethod
+    def of(cls, grids: Sequence[GridMap], signs: Sequence[Array]) -> BelievedMaps:
+        """The same of grids, and of the signs (2, k) on each."""
+        places = [(*grid.origin_m.tolist(), 1.0 / grid.resolution_m) for grid in grids]
+        return cls(tuple(map(_kinds, grids)), np.array(places), tuple(signs))
 
 
 def views(
-    shared: Sequence[tuple], poses: Array, cells: int, cell_m: float, paths_odom: Array, path_counts: Array,
-    mates: Array,
-) -> Array:  # fmt: skip
+    maps: BelievedMaps, poses: Array, cells: int, cell_m: float, paths_odom: Array, path_counts: Array, mates: Array
+) -> Array:
     """`crop_around` of each robot with its last three channels filled too: (robots, 7, cells, cells) uint8.
 
-    shared: of `shared_maps`; poses (robots, 3, 3): in the map frame, its spread, in the odom frame; paths_odom
-    (robots, 2, k): rings that hold the latest of `path_counts` places; mates (robots, >= 2, m): where each robot sees
-    them, NaN for none. Robots that share a map are served by one compiled call.
+    poses (robots, 3, 3): in the map frame, its spread, in the odom frame; paths_odom (robots, 2, k): rings that hold
+    the latest of `path_counts` places; mates (robots, >= 2, m): where each robot sees them, NaN for none.
     """
     out = np.empty((len(poses), CHANNELS, cells, cells), _BYTE)
-    for of_some in shared:
-        _crop_and_mark(*of_some, poses, cell_m, paths_odom, path_counts, mates, out)
+    _crop_and_mark(*maps, poses, cell_m, paths_odom, path_counts, mates, out)
     return out
 
 
 def _kinds(grid: GridMap) -> Array:
-    return kinds_of(grid.log_odds) if grid.kinds is None else grid.kinds
+    return read_only(kinds_of(grid.log_odds) if grid.kinds is None else grid.kinds)
 
 
 def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
@@ -134,7 +138,10 @@ def _shrink(log_odds, out):
 
 @kernel
 def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, numbers, levels):
-    """The kinds of cells around a place, robot in the middle and looking along +column: to levels (size * size,)."""
+    """The kinds of cells around a place, robot in the middle and looking along +column: to levels (size * size,).
+
+    numbers: scratch, as large.
+    """
     height, width = kinds.shape
     step = cell_m * inverse_m
     c, s = math.cos(heading) * step, math.sin(heading) * step
@@ -143,19 +150,25 @@ def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, numbers, levels)
     cells = kinds.reshape(-1)
     dx, dy = int(c * FIXED_POINT), int(s * FIXED_POINT)
     rows, columns = height << FIXED_BITS, width << FIXED_BITS
+    is_inside = True
+    for i in (0, size - 1):
+        k, r = int(math.floor((x0 - s * i) * FIXED_POINT)), int(math.floor((y0 + c * i) * FIXED_POINT))
+        for j in (0, size - 1):
+            is_inside &= 0 <= k + j * dx < columns and 0 <= r + j * dy < rows
     for i in range(size):
         k, r = int(math.floor((x0 - s * i) * FIXED_POINT)), int(math.floor((y0 + c * i) * FIXED_POINT))
-        out = levels[i * size : (i + 1) * size]
-        last_k, last_r = k + dx * (size - 1), r + dy * (size - 1)
-        if min(k, last_k) >= 0 and min(r, last_r) >= 0 and max(k, last_k) < columns and max(r, last_r) < rows:
-            look_up_row(cells, width, r, k, dy, dx, size, numbers, out)
+        if is_inside:
+            number_row(width, r, k, dy, dx, size, numbers[i * size : (i + 1) * size])
             continue
+        out = levels[i * size : (i + 1) * size]
         out[:] = UNKNOWN_CELL
         first_k, end_k = span_inside(k, dx, columns, size)
         first_r, end_r = span_inside(r, dy, rows, size)
         begin, end = max(first_k, first_r), min(end_k, end_r)
         if begin < end:
             look_up_row(cells, width, r + begin * dy, k + begin * dx, dy, dx, end - begin, numbers, out[begin:])
+    if is_inside:
+        look_up(cells, numbers, size * size, levels)
 
 
 @kernel
@@ -188,15 +201,15 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, numbers, levels, out):
 
 
 @kernel
-def _crop_and_mark(first, end, kinds, origin, inverse_grid_m, signs, poses, cell_m, paths, path_counts, mates, out):
-    """All channels of the robots from `first` to before `end`: what lies around each, its path, mates and signs."""
-    inverse_m = 1.0 / cell_m
-    numbers, levels = np.empty(out.shape[3], np.uint32), np.empty(out.shape[2] * out.shape[3], np.uint8)
-    cells = np.empty(max(paths.shape[2], mates.shape[2], signs.shape[1]), np.int32)
-    for i in range(first, end):
-        here, odom = poses[i, 0], poses[i, 2]
-        _crop(kinds, here[0] - origin[0], here[1] - origin[1], here[2], inverse_grid_m, cell_m, numbers, levels, out[i])
+def _crop_and_mark(kinds, places, signs, poses, cell_m, paths, path_counts, mates, out):
+    """All channels of all robots: what lies around each, its path, mates and signs."""
+    inverse_m, count = 1.0 / cell_m, out.shape[2] * out.shape[3]
+    numbers, levels = np.empty(count, np.uint32), np.empty(count, np.uint8)
+    for i in range(len(kinds)):
+        here, odom, place = poses[i, 0], poses[i, 2], places[i]
+        _crop(kinds[i], here[0] - place[0], here[1] - place[1], here[2], place[2], cell_m, numbers, levels, out[i])
         out[i, 4:] = 0
+        cells = np.empty(max(paths.shape[2], mates.shape[2], signs[i].shape[1]), np.int32)
         _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m, cells)
         _mark(out[i, 5], mates[i], mates.shape[2], 0.0, 0.0, 0.0, inverse_m, cells)
-        _mark(out[i, 6], signs, signs.shape[1], here[0], here[1], here[2], inverse_m, cells)
+        _mark(out[i, 6], signs[i], signs[i].shape[1], here[0], here[1], here[2], inverse_m, cells)

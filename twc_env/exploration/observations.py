@@ -42,8 +42,9 @@ class ObservationBuilder:
         self._small = SmallBlocks(config, self._signs)
         self._small_blocks = [(k, name) for k, name in enumerate(self._small.names) if name in self._names]
         self._map_cells, self._map_cell_m = shape.map_cells, shape.map_cell_m
-        self._shared: tuple[Sequence[GridMap] | None, list[Array], list[tuple]] = None, self._signs.places, []
-        """What `shared_maps` made of the grids and the places of signs that stand before it."""
+        self._seen_of: tuple[Sequence[GridMap] | None, list[Array]] = None, self._signs.places
+        self._seen = map_view.BelievedMaps.of([], [])
+        """What pictures show of those grids and places of signs; a grid that has grown is another one."""
         self._overviews: list[tuple[tuple[int, int], tuple[Array, Array, float]] | None] = [None] * robots
 
     def notice(self, frames: Sequence[SensorFrame], beliefs: Sequence[Belief]) -> None:
@@ -83,10 +84,10 @@ class ObservationBuilder:
 
     def _maps(self) -> Array:
         beliefs, small, places = self._beliefs, self._small, self._signs.places
-        if self._shared[0] is not beliefs.grids or self._shared[1] is not places:
-            self._shared = beliefs.grids, places, map_view.shared_maps(beliefs.grids, places)
+        if self._seen_of[0] != beliefs.grids or self._seen_of[1] is not places:
+            self._seen_of, self._seen = (beliefs.grids, places), map_view.BelievedMaps.of(beliefs.grids, places)
         return map_view.views(
-            self._shared[2], beliefs.poses, self._map_cells, self._map_cell_m, small.paths_odom, small.path_counts,
+            self._seen, beliefs.poses, self._map_cells, self._map_cell_m, small.paths_odom, small.path_counts,
             small.mate_places,
         )  # fmt: skip
 

@@ -51,10 +51,10 @@ class RecentSigns:
         """Take over the signs that each robot knows now; the same objects as before have not changed."""
         if signs is self._known:
             return
-        self._known, self.places = signs, self.places.copy()
+        self._known = signs
         for robot, own in enumerate(signs):
             if own is not self._known_of[robot]:
-                self._known_of[robot] = own
+                self._known_of[robot], self.places = own, self.places.copy()
                 self.places[robot], self._text_counts[robot] = _index_of(KnownSigns.of(own))
                 self._count_elsewhere(robot)
 

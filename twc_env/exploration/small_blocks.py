@@ -46,8 +46,10 @@ class SmallBlocks:
             (robots, shape.sign_slots, 5), (robots, mates, 5),
         )  # fmt: skip
         rule = np.array([1.0 / config.lidar.range_max_m, shape.sign_memory_s, config.dynamics.time_step_s])
-        self._slots = slots_for(robots, shape.wifi_slots)
-        self._kept = self.path_counts, self.paths_odom, self._slots[-1], signs.readings, self.mate_places, rule
+        self._kept = (
+            self.path_counts, self.paths_odom, *slots_for(robots, shape.wifi_slots), signs.readings, self.mate_places,
+            rule,
+        )  # fmt: skip
         self._unseen = self._make_room()
         self._frames: TeamFrames | None = None
         """What was noticed last; taken in once it is shown, or once there is more."""
@@ -55,9 +57,6 @@ class SmallBlocks:
 
     def notice(self, frames: TeamFrames, beliefs: TeamBeliefs) -> None:
         """Take in one step of all robots, whether or not it is ever shown: path and radio."""
-        scans = frames.scans
-        if len(scans.robots):
-            take_scans(*scans, *self._slots)
         if not self._is_taken_in:
             self._fill(self._unseen, False)
         self._frames, self._beliefs, self._is_taken_in = frames, beliefs, False
@@ -75,8 +74,8 @@ class SmallBlocks:
         frames, beliefs = self._frames, self._beliefs
         assert frames is not None
         _fill_small(
-            *self._kept, not self._is_taken_in, is_shown, frames.time_s, frames.step, frames.ranges_m, beliefs.poses,
-            beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, *blocks,
+            *self._kept, not self._is_taken_in, is_shown, frames.time_s, frames.step, *frames.scans, frames.ranges_m,
+            beliefs.poses, beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, *blocks,
         )  # fmt: skip
         self._is_taken_in = True
 
@@ -152,8 +151,9 @@ def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, 
 
 @borrowing_kernel
 def _fill_small(
-    path_counts, paths, levels, readings, mate_places, rule, is_new, is_shown, now_s, step, ranges, poses, since_m,
-    contact_steps, mates, mate_poses, lidar, pose, wifi, signs, team,
+    path_counts, paths, wifi_slots, levels, readings, mate_places, rule, is_new, is_shown, now_s, step, scan_robots,
+    macs, rssi_dbm, heard_counts, ranges, poses, since_m, contact_steps, mates, mate_poses, lidar, pose, wifi, signs,
+    team,
 ):  # fmt: skip
     """Take in a step that `is_new`; fill the blocks of all robots if it `is_shown`, and the places of mates.
 
@@ -162,6 +162,7 @@ def _fill_small(
     per_metre, memory_s, time_step_s = rule[0], rule[1], rule[2]
     if is_new:
         _extend_paths(poses, path_counts, paths)
+        take_scans(step + 1, scan_robots, macs, rssi_dbm, heard_counts, wifi_slots, levels)
     if not is_shown:
         return
     for i in range(ranges.shape[0]):

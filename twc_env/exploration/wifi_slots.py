@@ -12,27 +12,23 @@ Array = NDArray
 RSSI_ZERO_DBM, RSSI_SPAN_DB = -100.0, 80.0
 
 
-def slots_for(robots: int, count: int) -> tuple[Array, Array, Array, Array]:
+def slots_for(robots: int, count: int) -> tuple[Array, Array]:
     """What `take_scans` keeps. Each transmitter keeps its slot until a stronger one needs it; every robot has its own.
 
-    Scans taken in (robots,), transmitter of each slot (robots, slots), the scan in which it was last among the
-    strongest, and its level (robots, slots) in the latest scan: 0 at -100 dBm or not heard, 1 at -20 dBm.
+    Of each slot the transmitter, and when it was last among the strongest: (robots, 2, slots); and its level
+    (robots, slots) in the latest scan: 0 at -100 dBm or not heard, 1 at -20 dBm.
     """
-    shape = robots, count
-    return (
-        np.zeros(robots, np.int64),
-        np.full(shape, -1, np.int64),
-        np.zeros(shape, np.int64),
-        np.zeros(shape, np.float32),
-    )
+    kept = np.zeros((robots, 2, count), np.int64)
+    kept[:, 0] = -1
+    return kept, np.zeros((robots, count), np.float32)
 
 
 @kernel
-def take_scans(robots, macs, rssi_dbm, counts, scans, slot_macs, last_scan, levels):
-    """Take in the scans of a step, given as the fields of `WifiScans`."""
+def take_scans(now, robots, macs, rssi_dbm, counts, kept, levels):
+    """Take in the scans of a step, given as the fields of `WifiScans`; now > 0 grows from step to step."""
     for k in range(robots.shape[0]):
         count = min(counts[k], macs.shape[1])
-        _place(robots[k], macs[k, :count], rssi_dbm[k, :count], scans, slot_macs, last_scan, levels)
+        _place(now, macs[k, :count], rssi_dbm[k, :count], kept[robots[k], 0], kept[robots[k], 1], levels[robots[k]])
 
 
 @kernel
@@ -49,10 +45,8 @@ def _find(ascending, number):
 
 
 @kernel
-def _place(robot, macs, rssi_dbm, scans, slot_macs_of, last_scan_of, levels_of):
+def _place(now, macs, rssi_dbm, slot_macs, last_scan, levels):
     """The strongest transmitters take, or keep, the slots. Those longest out of the strongest give way."""
-    scans[robot] += 1
-    scan, slot_macs, last_scan, levels = scans[robot], slot_macs_of[robot], last_scan_of[robot], levels_of[robot]
     slots, heard = slot_macs.shape[0], rssi_dbm.shape[0]
     strongest, is_waiting, at_slot = np.empty(slots, np.int64), np.zeros(heard, np.bool_), np.empty(slots, np.int64)
     count = 0
@@ -72,14 +66,14 @@ def _place(robot, macs, rssi_dbm, scans, slot_macs_of, last_scan_of, levels_of):
         k = at_slot[slot] = _find(macs, slot_macs[slot])
         if k >= 0 and is_waiting[k]:
             is_waiting[k] = False
-            last_scan[slot] = scan
+            last_scan[slot] = now
     for i in range(count):
         if is_waiting[strongest[i]]:
             oldest = 0
             for slot in range(1, slots):
                 if last_scan[slot] < last_scan[oldest]:
                     oldest = slot
-            slot_macs[oldest], last_scan[oldest], at_slot[oldest] = macs[strongest[i]], scan, strongest[i]
+            slot_macs[oldest], last_scan[oldest], at_slot[oldest] = macs[strongest[i]], now, strongest[i]
     for slot in range(slots):
         level = 0.0 if at_slot[slot] < 0 else (rssi_dbm[at_slot[slot]] - RSSI_ZERO_DBM) / RSSI_SPAN_DB
         levels[slot] = min(max(level, 0.0), 1.0)
