@@ -14,7 +14,7 @@ NUMBERS = {
     "world_env_steps_per_s", "slam_env_steps_per_s", "world_env_steps_per_cpu_s", "slam_env_steps_per_cpu_s",
     "slam_step_p99_ms",
 }  # fmt: skip
-PROBED = {"first_step_warm_s", "first_step_cold_s", "memory_per_env_mb", "workers2_speedup"}
+PROBED = {"first_step_warm_s", "first_step_cold_s", "all_kernels_cold_s", "memory_per_env_mb", "workers2_speedup"}
 ROW = {"what": "walls", "value": 206, "walls": 206, "access_points": 20, "us_per_env_step": 61.5}
 OF_PEERS = {"irsim_env_steps_per_s", "mpe2_env_steps_per_s", "world_over_irsim", "slam_over_mpe2"}
 

@@ -7,18 +7,15 @@ its file imports in this way, so that a change of any of it compiles the callers
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from functools import partial
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-from numba import njit, types
-from numba.core.dispatcher import Dispatcher
+from numba import types
 from numba.experimental import structref
 
-_CONSTANTS = (bool, int, float, str, bytes, tuple, np.generic)
+from twc_env.kernel_compiler import KernelDispatcher
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -37,34 +34,14 @@ def borrowing_kernel(function: Callable[..., Any]) -> Any:
 
 
 def _compiled(function: Callable[..., Any], counts_references: bool) -> Any:
-    options = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts_references}
-    compiled: Any = njit(cache=True, **options)(function)
-    file = getattr(compiled._cache, "_cache_file", None)
-    if file is None or not hasattr(file, "_source_stamp"):  # a numba that keeps it elsewhere: rather slow than wrong
-        return njit(**options)(function)
-    file._source_stamp = _foundation(function, repr(file._source_stamp))
-    return compiled
-
-
-def _foundation(function: Callable[..., Any], own_file: str) -> bytes:
-    """Digest of all that a kernel may be made of: its file, and the kernels and constants that this file imports."""
-    digest = hashlib.sha256(own_file.encode())
-    for name, value in sorted(function.__globals__.items()):
-        if name.startswith("__"):
-            continue
-        if isinstance(value, Dispatcher):
-            digest.update(value._cache._cache_file._source_stamp)  # type: ignore[attr-defined]
-        elif isinstance(value, np.ndarray):
-            digest.update(f"{name} {value.dtype.str} {value.shape}".encode() + value.tobytes())
-        elif isinstance(value, _CONSTANTS):
-            digest.update(f"{name} {value!r}".encode())
-        elif name in function.__code__.co_names and _is_of_the_package(value):
+    for name in function.__code__.co_names:
+        value = function.__globals__.get(name)
+        if isinstance(value, ModuleType) and value.__name__.startswith("twc_env."):
             raise TypeError(f"kernel {function.__name__}: import names from {value.__name__}, not the module")
-    return digest.digest()
-
-
-def _is_of_the_package(value: object) -> bool:
-    return isinstance(value, ModuleType) and value.__name__.startswith("twc_env.")
+    options = {"nopython": True, "boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True}
+    compiled = KernelDispatcher(function, targetoptions={**options, "_nrt": counts_references})
+    compiled.enable_caching()
+    return compiled
 
 
 @structref.register

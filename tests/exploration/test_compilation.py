@@ -1,4 +1,3 @@
-import contextlib
 import gc
 import json
 import logging
@@ -12,6 +11,7 @@ from numba import njit
 
 from twc_env.exploration import compilation
 from twc_env.exploration.compilation import FirstStart, _Announcer, announce_compilation
+from twc_env.file_lock import FileLock
 
 
 def compiled(module: str):
@@ -62,23 +62,31 @@ def test_nobody_looks_for_garbage_while_kernels_are_compiled(collects):
 
 
 class FakeProcess:
-    """Notes what is asked of it."""
+    """Notes what is asked of it; at work until it is killed."""
 
     def __init__(self, command, **settings):
         self.command, self.events = command, []
+
+    def poll(self):
+        return -9 if "killed" in self.events else None
+
+    def kill(self):
+        self.events.append("killed")
 
     def wait(self, timeout=None):
         self.events.append("waited")
 
 
 @pytest.fixture
-def started(monkeypatch):
-    """The processes that were started; there are two cores."""
+def started(monkeypatch, tmp_path):
+    """The processes that were started; there are two cores and no helper of another process."""
     processes = []
     monkeypatch.setattr(
         compilation.subprocess, "Popen", lambda *a, **k: processes.append(FakeProcess(*a, **k)) or processes[-1]
     )
     monkeypatch.setattr(compilation, "core_count", lambda: 2)
+    monkeypatch.setattr(compilation, "helpers_lock", lambda: FileLock(tmp_path / "helper.lock"))
+    monkeypatch.setattr(compilation.atexit, "register", lambda _function: None)
     return processes
 
 
@@ -88,77 +96,85 @@ def first_start() -> FirstStart:
     return start
 
 
-def test_a_reset_that_must_compile_calls_a_helper_once_and_awaits_it_after_the_own_share(started, tmp_path):
+def test_a_process_that_must_compile_calls_one_helper_and_ends_it_with_itself(started):
     start = first_start()
-    with start:
-        start.prepare(str(tmp_path))
-        start.prepare(str(tmp_path))
-        (process,) = started
-        assert process.command[-1] == "twc_env.slam.warm_up"
-        start.join(lambda: process.events.append("own share"))
-        start.join(lambda: process.events.append("never"))
-    assert process.events == ["own share", "waited"]
+    assert not start.is_helped
+    start.prepare()
+    start.prepare()
+    (process,) = started
+    assert process.command[-1] == "twc_env.exploration.warm_up"
+    assert start.is_helped
+    start.dismiss()
+    start.dismiss()
+    assert process.events == ["killed", "waited"]
+    assert not start.is_helped
 
 
-def test_the_announcer_says_where_the_kernel_will_stand():
-    folders = []
-    dispatcher = compiled_function("twc_env.world.lidar")
-    dispatcher.enable_caching()
-    announcer = _Announcer(folders.append)
-    announcer.on_start(SimpleNamespace(data={"dispatcher": dispatcher}))
-    announcer.on_end(None)
-    assert folders == [dispatcher._cache.cache_path]
-
-
-@pytest.mark.parametrize("lacking", ["engine", "core", "reset"])
-def test_no_helper_is_called_without_need(started, monkeypatch, tmp_path, lacking):
+def test_a_copy_of_the_process_leaves_the_helper_alone(started):
     start = first_start()
-    start.is_engine_wanted = lacking != "engine"
+    start.prepare()
+    start._owner = -1  # as after a fork
+    start.dismiss()
+    assert not start.is_helped
+    assert started[0].events == []
+
+
+def test_the_announcer_prepares_for_kernels_of_this_package_only():
+    calls = []
+    announcer = _Announcer(lambda: calls.append("prepared"))
+    for module in ("another.package", "twc_env.world.lidar"):
+        announcer.on_start(SimpleNamespace(data={"dispatcher": compiled_function(module)}))
+        announcer.on_end(None)
+        calls.append(module)
+    assert calls == ["another.package", "prepared", "twc_env.world.lidar"]
+
+
+@pytest.mark.parametrize("lacking", ["engine", "core", "right"])
+def test_no_helper_is_called_without_need(started, monkeypatch, lacking):
+    start = first_start()
+    start.is_engine_wanted, start.may_call = lacking != "engine", lacking != "right"
     monkeypatch.setattr(compilation, "core_count", lambda: 1 if lacking == "core" else 2)
-    with contextlib.nullcontext() if lacking == "reset" else start:
-        start.prepare(str(tmp_path))
+    start.prepare()
     assert not started
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
-def test_of_processes_that_start_at_once_one_compiles_and_the_others_wait_for_it(started, monkeypatch, tmp_path):
-    first, second = first_start(), first_start()
-    naps = []
-
-    def nap(_seconds):
-        naps.append(len(started))
-        if len(naps) == 2:
-            first.__exit__()
-
-    monkeypatch.setattr(compilation.time, "sleep", nap)
-    with second:
-        with first:
-            first.prepare(str(tmp_path))
-            second.prepare(str(tmp_path))
-        assert naps == [1, 1]
-        with first_start() as _, (third := first_start()):
-            third.prepare(str(tmp_path))
-            assert len(started) == 2, "who has waited keeps nobody else waiting"
-
-
-def test_nobody_waits_for_ever(started, monkeypatch, tmp_path):
-    clock = iter(range(0, 10_000, 50))
-    monkeypatch.setattr(compilation.time, "monotonic", lambda: next(clock))
-    monkeypatch.setattr(compilation.time, "sleep", lambda _seconds: None)
-    first, second = first_start(), first_start()
-    with first, second:
-        first.prepare(str(tmp_path))
-        second.prepare(str(tmp_path))
+def test_an_engine_that_is_wanted_later_gets_its_helper_then(started):
+    start = FirstStart()
+    start.prepare()
+    start.is_engine_wanted = True
+    start.prepare()
     assert len(started) == 1
 
 
-def test_a_folder_that_cannot_be_locked_keeps_nobody_from_compiling(started, tmp_path):
-    (tmp_path / "file").write_text("")
-    for folder in (None, str(tmp_path / "file")):
-        start = first_start()
-        with start:
-            start.prepare(folder)
-    assert len(started) == 2
+@pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
+def test_of_processes_that_start_at_once_one_calls_a_helper(started):
+    lock = compilation.helpers_lock()
+    assert lock.take()
+    first_start().prepare()
+    assert not started
+    lock.release()
+    first_start().prepare()
+    assert len(started) == 1
+
+
+@pytest.mark.parametrize("is_worker", [False, True])
+def test_where_nobody_can_tell_only_workers_call_no_helper(started, monkeypatch, tmp_path, is_worker):
+    monkeypatch.setattr(compilation.multiprocessing, "parent_process", lambda: object() if is_worker else None)
+    for lock in (None, FileLock(tmp_path / "no such folder" / "helper.lock")):
+        monkeypatch.setattr(compilation, "helpers_lock", lambda lock=lock: lock)
+        first_start().prepare()
+    assert len(started) == (0 if is_worker else 2)
+
+
+def test_a_helper_that_cannot_be_started_is_done_without(started, monkeypatch):
+    def refuse(*_arguments, **_settings):
+        raise OSError
+
+    monkeypatch.setattr(compilation.subprocess, "Popen", refuse)
+    start = first_start()
+    start.prepare()
+    start.dismiss()
+    assert not start.is_helped
 
 
 def compiled_function(module: str):

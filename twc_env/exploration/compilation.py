@@ -1,12 +1,14 @@
-"""The first start on a machine: say what takes so long, share it with a second process, and let no third repeat it.
+"""The first start on a machine: say what takes so long, and let a second process share it.
 
-Kernels stand on disk once they are compiled, for all processes. So while this one compiles those of the world and of
-the observations, a helper runs the engine on made-up frames (`twc_env.slam.warm_up`); then both halves are there. Of
-several processes that begin at once, as workers do, one compiles and the others wait until it has.
+Kernels stand on disk once they are compiled, for all processes, and no two processes compile the same one at once
+(`twc_env.kernel_compiler`). So while this one compiles those of the world and of the observations, a helper begins with
+the engine's (`twc_env.exploration.warm_up`); whoever is done takes what the other has not begun. The helper then goes
+on with kernels that only later steps need. It ends with the process that called it.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import logging
@@ -14,7 +16,6 @@ import multiprocessing
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -22,101 +23,84 @@ from typing import Any
 
 from numba.core import event
 
+from twc_env.file_lock import FileLock
+from twc_env.kernels import pack
 from twc_env.threads import THREADS
 
-if sys.platform != "win32":
-    import fcntl
-
 _LOG = logging.getLogger("twc_env")
-_HELP_MAX_S, _LOOK_AGAIN_S = 120.0, 0.2
 
 
 class FirstStart:
-    """The first reset of this process in which kernels have to be compiled: `with` it, environments are reset."""
+    """The helper of a process that has to compile kernels."""
 
     def __init__(self) -> None:
         self.is_engine_wanted = False
         """An environment with an engine will need its kernels."""
-        self._is_resetting = self._is_prepared = False
-        self._lock: int | None = None
+        self.may_call = True
+        """Whether a helper may be called; not by a helper."""
         self._helper: subprocess.Popen | None = None
+        self._owner = 0
 
-    def __enter__(self) -> None:
-        self._is_resetting = True
+    @property
+    def is_helped(self) -> bool:
+        """Whether a helper of this process is at work."""
+        return self._helper is not None and self._owner == os.getpid() and self._helper.poll() is None
 
-    def __exit__(self, *_: object) -> None:
-        self._is_resetting = False
-        self._unlock()
-
-    def prepare(self, folder: str | None) -> None:
-        """A kernel is about to be compiled that will stand in this folder, if in any. In a reset, the first time: wait
-        until no other process is in its own first start, or, where none is, call a helper."""
-        if not self._is_resetting or self._is_prepared:
+    def prepare(self) -> None:
+        """A kernel is about to be compiled: call a helper, the first time, where there is an engine to compile and a
+        second core, and no other process has one."""
+        if not (self.may_call and self.is_engine_wanted):
             return
-        self._is_prepared = True
-        alone = self._try_lock(folder)
-        if alone:
+        self.may_call = False
+        if core_count() > 1 and not is_another_helper_at_work():
             self._call_helper()
-        elif alone is None:  # nobody can tell: no crowd of helpers then
-            if multiprocessing.parent_process() is None:
-                self._call_helper()
-        else:
-            _LOG.warning("another process compiles them at this moment: waiting for it")
-            given_up_s = time.monotonic() + _HELP_MAX_S
-            while time.monotonic() < given_up_s and not self._try_lock(folder):
-                time.sleep(_LOOK_AGAIN_S)
-            self._unlock()  # all that waited go on at once
-
-    def join(self, compile_meanwhile: Callable[[], object]) -> None:
-        """Where a helper is at work: do one's own share, then wait for it."""
-        process, self._helper = self._helper, None
-        if process is None:
-            return
-        compile_meanwhile()
-        try:
-            process.wait(_HELP_MAX_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-    def _try_lock(self, folder: str | None) -> bool | None:
-        """Whether this process is the only one; None where that cannot be known. A dead process holds no lock."""
-        if sys.platform == "win32" or folder is None:
-            return None
-        try:
-            Path(folder).mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(Path(folder, "first_start.lock"), os.O_CREAT | os.O_WRONLY)
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._unlock()
-            return False
-        except OSError:
-            self._unlock()
-            return None
-        return True
-
-    def _unlock(self) -> None:
-        lock, self._lock = self._lock, None
-        if lock is not None:
-            os.close(lock)
 
     def _call_helper(self) -> None:
-        """Start it, if there is an engine to compile and a second core."""
-        if not self.is_engine_wanted or core_count() < 2:
-            return
         package = str(Path(__file__).parents[2])
         path = os.pathsep.join([package, *filter(None, [os.environ.get("PYTHONPATH")])])
         with contextlib.suppress(OSError):  # then this process compiles everything
             self._helper = subprocess.Popen(
-                [sys.executable, "-m", "twc_env.slam.warm_up"],
+                [sys.executable, "-m", "twc_env.exploration.warm_up"],
                 env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": path},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
+            self._owner = os.getpid()
+            atexit.register(self.dismiss)
+
+    def await_helper(self) -> None:
+        """Wait until the helper is done: all kernels of a default episode are ready then."""
+        if self.is_helped:
+            assert self._helper is not None
+            self._helper.wait()
+
+    def dismiss(self) -> None:
+        """End the helper. Files are only ever put in place whole: what it was compiling is compiled another time."""
+        if self.is_helped:
+            assert self._helper is not None
+            self._helper.kill()
+            self._helper.wait()
 
 
 FIRST_START = FirstStart()
+
+
+def helpers_lock() -> FileLock | None:
+    """What a helper holds as long as it is at work; None where kernels stand in no folder."""
+    folder = pack._cache.cache_path
+    return None if folder is None else FileLock(Path(folder, "helper.lock"))
+
+
+def is_another_helper_at_work() -> bool:
+    """Whether there is one for the same files. Where nobody can tell, workers hold that there is: no crowd then."""
+    lock = helpers_lock()
+    is_free = None if lock is None else lock.take()
+    if is_free is None:
+        return multiprocessing.parent_process() is not None
+    assert lock is not None
+    lock.release()
+    return not is_free
 
 
 class _Announcer(event.Listener):
@@ -126,7 +110,7 @@ class _Announcer(event.Listener):
     it is at work.
     """
 
-    def __init__(self, prepare: Callable[[str | None], None] = lambda _folder: None) -> None:
+    def __init__(self, prepare: Callable[[], None] = lambda: None) -> None:
         self._is_said, self._prepare = False, prepare
         self._depth, self._collects = 0, False
 
@@ -136,8 +120,7 @@ class _Announcer(event.Listener):
             self._collects = gc.isenabled()
             gc.disable()
         self._depth += 1
-        dispatcher = event.data["dispatcher"]
-        module = dispatcher.py_func.__module__ or ""  # None in functions that numba makes up
+        module = event.data["dispatcher"].py_func.__module__ or ""  # None in functions that numba makes up
         if not module.startswith("twc_env."):
             return
         if not self._is_said:
@@ -146,7 +129,7 @@ class _Announcer(event.Listener):
                 "compiling kernels for first use, some 10 to 30 s in all; later starts read them from disk "
                 "(beside the sources, or in NUMBA_CACHE_DIR)"
             )
-        self._prepare(dispatcher._cache.cache_path)
+        self._prepare()
 
     def on_end(self, event: Any) -> None:
         """A compilation ended, be it with an error."""

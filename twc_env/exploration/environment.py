@@ -173,10 +173,6 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         Raises MapError for a map that cannot be loaded. Options of other environments are ignored. After a reset that
         failed no episode is under way.
         """
-        with FIRST_START:
-            return self._begin(seed, options)
-
-    def _begin(self, seed: int | None, options: dict | None):
         seed = self._next_seed() if seed is None else _checked_seed(seed)
         options = _checked_options(options)
         self.agents, self._engine = [], None
@@ -201,7 +197,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             self._viewer.begin()
         self.agents = self.possible_agents[:]
         frames = self._world.sense()
-        FIRST_START.join(lambda: first_observations(self.config, frames))
+        if FIRST_START.is_helped:  # it is with the engine: no need to wait for it yet
+            first_observations(self.config, frames)
         self._think(frames)
         self._notice()
         self._bytes_judged = self.bytes_sent

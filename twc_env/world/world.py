@@ -36,6 +36,8 @@ _PLACES_MAX = 2000
 _BOOL, _FLOAT, _INT = np.dtype(np.bool_), np.dtype(np.float64), np.dtype(np.int64)
 _TYPES = _BOOL, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _INT, _FLOAT, _INT
 """Of what a step fills: contacts, poses, odometry, turn rates, ranges; addresses heard, how strongly, and how many."""
+_NO_COMMANDS = np.empty((0, 2))
+"""Nobody is to move."""
 _TOUCHING, _UNSEEN = -1, -2
 """In place of how many signs are in view: somebody may touch something; the walls around robot 0 are unknown."""
 _START_TRIES = 20
@@ -146,19 +148,16 @@ class World:
         else:
             dynamics.contacts, dynamics.poses = contacts, poses
         arguments = (
-            self._sensed_poses, poses, step, self._odometry.noise.next_row(),
+            contacts, self._sensed_poses, poses, step, self._odometry.noise.next_row(),
             self._lidar.noise.next_row() if is_plain else 0, self._wifi.row, *outputs,
         )  # fmt: skip
-        if commands is None:
-            sighted = _sense(self._kit(), *arguments)
-        else:
-            sighted = _move_and_sense(self._kit(), commands, contacts, *arguments)
+        sighted = _move_and_sense(self._kit(), _NO_COMMANDS if commands is None else commands, *arguments)
         while sighted < 0:
             if sighted == _TOUCHING:
                 dynamics.collide()
             else:
                 self._radio.crossings.prepare(*poses[_UNSEEN - sighted, :2].tolist())
-            sighted = _sense(self._kit(), *arguments)
+            sighted = _move_and_sense(self._kit(), _NO_COMMANDS, *arguments)
         self._sensed_poses = poses
         odometry, turn_rates, ranges, *heard = outputs
         if not is_plain:
@@ -184,7 +183,7 @@ class World:
         return wifi
 
     def _read_signs(self, sighted: int) -> tuple[tuple[SignReading, ...], ...]:
-        """What OCR makes of the signs that `_sense` has found in view."""
+        """What OCR makes of the signs that `_move_and_sense` has found in view."""
         if not sighted:
             self.sighted_signs = self._none_sighted
             return self._no_signs
@@ -294,17 +293,19 @@ def _radio_model(config: RadioConfig, plan: Floorplan) -> RadioModel:
 
 
 @kernel
-def _sense(
-    apparatus, before, now, step, odometry_row, lidar_row, wifi_row, odometry, turn_rates, ranges, macs, readings,
-    heard_counts,
+def _move_and_sense(
+    apparatus, commands, contacts, before, now, step, odometry_row, lidar_row, wifi_row, odometry, turn_rates, ranges,
+    macs, readings, heard_counts,
 ):  # fmt: skip
-    """One reading of all robots: `measure`, `sweep`, `hear` and `look`, the last two where they are due.
+    """Move all robots, where there are commands, then one reading of each: `advance`, which fills `contacts` and
+    `now`; `measure`, `sweep`, `hear` and `look`, the last two where they are due.
 
-    Gives how many signs are in view. Where the walls around robot i are still to be worked out, nothing is read and
-    _UNSEEN - i returned. Lasers and radios need a row each for what they read, or none at all is used.
+    Gives how many signs are in view. Nothing is read where `advance` refuses, which gives _TOUCHING, and where the
+    walls around robot i are still to be worked out, which gives _UNSEEN - i. Lasers and radios need a row each for what
+    they read, or none at all is used.
     """
     (
-        walls, origin, bucket, rows, columns, first, members, _, _, _, _, _, _, _,
+        walls, origin, bucket, rows, columns, first, members, state, limits, move_s, substeps, girth, reach, gaps,
         biases, white, slips_per_m, time_step, odometry_noise,
         directions, radius, far, near, near_counts, anchors, laid, stamps, quantiles, range_std, words,
         loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
@@ -312,6 +313,11 @@ def _sense(
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, draws,
         signs, lengths, optics, does_hide, sights, hidden, sight_counts, wifi_period, camera_period,
     ) = apparatus.parts  # fmt: skip
+    if commands.shape[0] > 0 and not advance(
+        commands, walls, origin, bucket, rows, columns, first, members, state, limits, move_s, substeps, girth, reach,
+        gaps, now, contacts,
+    ):  # fmt: skip
+        return _TOUCHING
     robots = now.shape[0]
     hearing = range(-step % wifi_period, robots if macs.shape[0] > 0 else 0, wifi_period)
     for i in hearing:
@@ -339,33 +345,3 @@ def _sense(
         )  # fmt: skip
         sighted += sight_counts[i]
     return sighted
-
-
-@kernel
-def _move_and_sense(
-    apparatus, commands, contacts, before, now, step, odometry_row, lidar_row, wifi_row, odometry, turn_rates, ranges,
-    macs, readings, heard_counts,
-):  # fmt: skip
-    """`advance`, which fills `contacts` and `now`, and `_sense`; _TOUCHING, with nothing read, where that refuses."""
-    walls, origin, bucket, rows, columns, first, members = apparatus.parts[:7]
-    state, limits, time_step, substeps, radius, reach, gaps = apparatus.parts[7:14]
-    if not advance(
-        commands, walls, origin, bucket, rows, columns, first, members, state, limits, time_step, substeps, radius,
-        reach, gaps, now, contacts,
-    ):  # fmt: skip
-        return _TOUCHING
-    return _sense(
-        apparatus,
-        before,
-        now,
-        step,
-        odometry_row,
-        lidar_row,
-        wifi_row,
-        odometry,
-        turn_rates,
-        ranges,
-        macs,
-        readings,
-        heard_counts,
-    )

@@ -1,0 +1,179 @@
+"""Kernels stand on disk whole, once, and only where Python calls them."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twc_env import kernel_compiler
+from twc_env.file_lock import FileLock
+from twc_env.kernel_compiler import Part
+from twc_env.kernels import kernel
+
+ROOT = Path(__file__).parents[1]
+KERNELS = """from twc_env.kernels import kernel
+
+
+@kernel
+def doubled(x):
+    if x < 0:
+        raise ValueError("negative")
+    return 2 * x
+
+
+@kernel
+def total(x, count):
+    found = 0
+    for i in range(count):
+        found += doubled(x + i)
+    return found
+"""
+REPORT = "print(len(kernels.total.stats.cache_hits), len(kernels.total.stats.cache_misses))"
+CALL = f"import kernels; assert kernels.total(3, 2) == 14; {REPORT}"
+SLOW = f"""
+import time
+from numba.core import event
+
+class Nap(event.Listener):
+    def on_start(self, event):
+        print("compiling", flush=True)
+        time.sleep({{nap_s}})
+
+    def on_end(self, event):
+        pass
+
+event.register("numba:compile", Nap())
+{CALL}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """With a module of two kernels, one of which calls the other."""
+    (tmp_path / "kernels.py").write_text(KERNELS)
+    return tmp_path
+
+
+def begin(folder, code=CALL):
+    path = {"PYTHONPATH": str(ROOT)}
+    return subprocess.Popen([sys.executable, "-B", "-c", code], cwd=folder, env=path, stdout=subprocess.PIPE, text=True)
+
+
+def hits_and_misses(folder, code=CALL):
+    process = begin(folder, code)
+    said, _ = process.communicate()
+    assert process.returncode == 0
+    return tuple(map(int, said.split()[-2:]))
+
+
+def files(folder, ending="nbc"):
+    return sorted(path.name.split("-")[0] for path in (folder / "__pycache__").glob(f"*.{ending}"))
+
+
+def test_a_kernel_that_kernels_call_is_a_part_of_them_until_python_calls_it(folder):
+    assert hits_and_misses(folder) == (0, 1)
+    assert files(folder) == ["kernels.total"]
+    assert hits_and_misses(folder, f"{CALL}; assert kernels.doubled(4) == 8") == (1, 0)
+    assert files(folder) == ["kernels.doubled", "kernels.total"]
+
+
+def test_a_part_becomes_whole_when_python_calls_it_and_raises_what_it_raises():
+    part = kernel(lambda x: 1 / x if x > 0 else -x)
+    whole = kernel(lambda x: part(x) + 1)
+    for made in (part, whole):
+        made._cache.disable()  # what an earlier run has left is whole
+    assert whole(2.0) == 1.5
+    (found,) = part.overloads.values()
+    assert isinstance(found.entry_point, Part)
+    assert part(4.0) == 0.25
+    (found,) = part.overloads.values()
+    assert not isinstance(found.entry_point, Part)
+    assert whole(4.0) == 1.25
+
+
+def test_errors_of_parts_reach_python(folder):
+    code = """
+import kernels
+for call in (lambda: kernels.total(-3, 2), lambda: kernels.doubled(-3)):
+    try:
+        call()
+    except ValueError as error:
+        print(error)
+"""
+    for _ in range(2):  # compiled, then read from disk
+        assert begin(folder, code).communicate()[0].split() == ["negative", "negative"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
+def test_of_processes_that_need_a_kernel_at_once_one_compiles_and_the_others_wait(folder):
+    processes = [begin(folder, SLOW.format(nap_s=1.0)) for _ in range(3)]
+    ends = [tuple(map(int, process.communicate()[0].split()[-2:])) for process in processes]
+    assert sorted(ends) == [(0, 1), (1, 0), (1, 0)]
+    assert files(folder, "lock") == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
+def test_who_dies_while_compiling_leaves_nothing_behind_and_keeps_nobody_waiting(folder):
+    process = begin(folder, SLOW.format(nap_s=600.0))
+    assert process.stdout.readline() == "compiling\n"
+    process.kill()
+    process.communicate()
+    assert files(folder) == []
+    assert hits_and_misses(folder) == (0, 1)
+
+
+def test_a_file_that_is_broken_is_made_anew(folder):
+    assert hits_and_misses(folder) == (0, 1)
+    (path,) = (folder / "__pycache__").glob("*.nbc")
+    path.write_bytes(path.read_bytes()[:100])
+    assert hits_and_misses(folder) == (0, 1)
+    assert hits_and_misses(folder) == (1, 0)
+
+
+def test_files_of_an_earlier_state_of_the_source_go(folder):
+    assert hits_and_misses(folder) == (0, 1)
+    (folder / "kernels.py").write_text(KERNELS + "\n")
+    assert hits_and_misses(folder) == (0, 1)
+    assert files(folder) == ["kernels.total"]
+
+
+def test_where_no_folder_can_be_written_to_kernels_are_compiled_all_the_same(monkeypatch):
+    def refuse(_function):
+        raise RuntimeError("no locator available")
+
+    monkeypatch.setattr(kernel_compiler, "CompileResultCacheImpl", refuse)
+    made = kernel(lambda x: x + 1)
+    assert made(np.arange(2)).tolist() == [1, 2]
+    assert made.stats.cache_path is None
+
+
+def test_where_there_are_no_locks_each_process_compiles_for_itself(monkeypatch, tmp_path):
+    monkeypatch.setattr(FileLock, "take", lambda _self: None)
+    with kernel_compiler._alone(tmp_path / "x.lock"), kernel_compiler._alone(tmp_path / "x.lock"):
+        pass
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
+def test_nobody_waits_for_ever(monkeypatch, tmp_path):
+    clock = iter(range(0, 10_000, 50))
+    monkeypatch.setattr(kernel_compiler.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(kernel_compiler.time, "sleep", lambda _seconds: None)
+    lock = FileLock(tmp_path / "x.lock")
+    assert lock.take()
+    with kernel_compiler._alone(tmp_path / "x.lock"):
+        assert lock.take()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
+def test_a_lock_has_one_holder_at_a_time(tmp_path):
+    first, second = FileLock(tmp_path / "lock"), FileLock(tmp_path / "lock")
+    assert (first.take(), first.take(), second.take()) == (True, True, False)
+    second.release()
+    assert second.take() is False
+    first.release()
+    assert second.take() is True
+    second.release()
+    assert list(tmp_path.iterdir()) == []
+    assert FileLock(tmp_path / "no such folder" / "lock").take() is None

@@ -1,0 +1,45 @@
+"""A lock that processes hold one at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from pathlib import Path
+
+if sys.platform != "win32":
+    import fcntl
+
+
+class FileLock:
+    """The lock of a path, in a folder that exists. A process that has died holds nothing."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        self._descriptor: int | None = None
+
+    def take(self) -> bool | None:
+        """Whether this process holds it now; None where the system cannot tell."""
+        if sys.platform == "win32":
+            return None
+        if self._descriptor is not None:
+            return True
+        try:
+            descriptor = os.open(self._path, os.O_CREAT | os.O_WRONLY)
+        except OSError:
+            return None
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(descriptor)
+            return False if isinstance(error, BlockingIOError) else None
+        self._descriptor = descriptor
+        return True
+
+    def release(self) -> None:
+        """Let the next one have it; who does not hold it does nothing."""
+        descriptor, self._descriptor = self._descriptor, None
+        if descriptor is not None:
+            with contextlib.suppress(OSError):
+                self._path.unlink()
+            os.close(descriptor)

@@ -1,0 +1,235 @@
+"""How kernels are compiled, with less to do than numba gives itself, and where they stand for later processes.
+
+A kernel that another one calls becomes a *part* of that one. Numba makes machine code, an entry point for Python and a
+file of each part as well; here a part gets them once Python itself calls it. What is compiled stands in one file per
+kernel and signature, which is only ever put there whole. Of processes that need the same file at once one compiles.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import hashlib
+import os
+import pickle
+import time
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core import sigutils
+from numba.core.caching import CompileResultCacheImpl, _Cache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
+from numba.core.registry import CPUDispatcher
+from numba.core.runtime import rtsys
+from numba.core.serialize import dumps
+
+from twc_env.file_lock import FileLock
+
+_CONSTANTS = (bool, int, float, str, bytes, tuple, np.generic)
+_WAIT_MAX_S, _LOOK_AGAIN_S = 120.0, 0.02
+
+
+class Part:
+    """Stands where numba keeps the entry point of a compiled kernel, for one that has none."""
+
+
+class _PartLibrary(JITCodeLibrary):
+    """The code of a part. It goes into that of its callers, is optimised there, and becomes machine code there only."""
+
+    def _optimize_final_module(self) -> None:
+        passes, builder = self._codegen._module_pass_manager(
+            loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
+        )
+        passes.run(self._final_module, builder)
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+
+class KernelCompiler(Compiler):
+    """Numba's compiler; what is to have no entry point becomes a part."""
+
+    def __init__(self, typingctx, targetctx, library, args, return_type, flags, locals):
+        super().__init__(typingctx, targetctx, library, args, return_type, flags, locals)
+        if flags.no_cpython_wrapper:
+            flags.no_compile = True
+            self.state.library = _PartLibrary(self.state.targetctx.codegen(), "part")
+
+
+class KernelDispatcher(CPUDispatcher):
+    """A kernel with all its signatures, each compiled at its first call."""
+
+    def __init__(self, py_func, locals=None, targetoptions=None, pipeline_class=KernelCompiler):
+        super().__init__(py_func, locals, targetoptions, pipeline_class)
+        self._is_asked_by_kernel = False
+
+    def enable_caching(self) -> None:
+        """What is compiled from now on stands on disk for later processes."""
+        self._cache = KernelFiles(self.py_func)
+
+    def get_call_template(self, args, kws):
+        """Numba asks for this while it compiles a caller."""
+        self._is_asked_by_kernel = True
+        try:
+            return super().get_call_template(args, kws)
+        finally:
+            self._is_asked_by_kernel = False
+
+    def compile(self, sig):
+        """The entry point for a signature; where a caller is being compiled, a part will do."""
+        with global_compiler_lock:
+            is_part, self._is_asked_by_kernel = self._is_asked_by_kernel, False
+            args = tuple(sigutils.normalize_signature(sig)[0])
+            if not is_part and args in self.overloads and isinstance(self.overloads[args].entry_point, Part):
+                del self.overloads[args]
+            self.targetoptions["no_cpython_wrapper"] = is_part
+            if is_part or args in self.overloads or not isinstance(self._cache, KernelFiles):
+                return super().compile(sig)
+            with self._cache.reserved(sig, self.targetctx):
+                return super().compile(sig)
+
+    def add_overload(self, cres):
+        """Take in what was compiled or found on disk."""
+        if cres.entry_point is None:
+            cres = cres._replace(entry_point=Part())
+            self.targetctx.insert_user_function(cres.entry_point, cres.fndesc, [cres.library])
+            self.overloads[tuple(cres.signature.args)] = cres
+            return
+        if cres.referenced_envs is None:  # just compiled: only now is there machine code that refers to its parts'
+            for environment in cres._find_referenced_environments():
+                cres.library.codegen.set_env(environment.env_name, environment)
+        super().add_overload(cres)
+
+
+class KernelFiles(_Cache):
+    """Where the compiled signatures of one kernel stand: beside its source, or where numba has been told to."""
+
+    def __init__(self, function: Any):
+        self._function = function
+        self._paths: dict[Any, Path | None] = {}
+        self._is_enabled = True
+
+    @cached_property
+    def _impl(self) -> CompileResultCacheImpl | None:
+        try:
+            return CompileResultCacheImpl(self._function)
+        except RuntimeError:  # no folder can be written to
+            return None
+
+    @property
+    def cache_path(self) -> str | None:
+        """The folder of the files; None where there is none."""
+        return None if self._impl is None else self._impl.locator.get_cache_path()
+
+    def load_overload(self, sig, target_context):
+        """What stands on disk for a signature, or None.
+
+        Unlike numba's this does not load all that numba can compile: finished code needs its runtime alone.
+        """
+        path, impl = self._path(sig, target_context.codegen()), self._impl
+        if path is None or impl is None:
+            return None
+        try:
+            content = pickle.loads(path.read_bytes())
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return None
+        rtsys.initialize(target_context)
+        return impl.rebuild(target_context, content)
+
+    def save_overload(self, sig, data):
+        """Put what was compiled on disk; what stands there of an earlier state of the sources goes."""
+        if data.entry_point is None:  # a part
+            return
+        path, impl = self._path(sig, data.codegen), self._impl
+        if path is None or impl is None or not impl.check_cachable(data):
+            return
+        with contextlib.suppress(OSError):
+            temporary = path.with_suffix(f".{os.getpid()}.tmp")
+            temporary.write_bytes(dumps(impl.reduce(data)))
+            os.replace(temporary, path)
+            for other in self._all_files():
+                if other.name.split(".")[-3] != path.name.split(".")[-3]:
+                    other.unlink()
+
+    @contextlib.contextmanager
+    def reserved(self, sig, target_context) -> Iterator[None]:
+        """In here other processes do not compile this; who comes later waits, and finds it on disk."""
+        path = self._path(sig, target_context.codegen())
+        if path is None or path.exists():
+            yield
+        else:
+            with _alone(path.with_suffix(".lock")):
+                yield
+
+    def _path(self, sig, codegen) -> Path | None:
+        if self._impl is None or not self._is_enabled:
+            return None
+        if sig not in self._paths:
+            state, _ = _foundation(self._function, self._impl)
+            code, cells = self._function.__code__.co_code, self._function.__closure__ or ()
+            key = hashlib.sha256(repr((sig, codegen.magic_tuple(), numba.__version__)).encode() + code)
+            key.update(dumps(tuple(cell.cell_contents for cell in cells)))
+            folder = Path(self._impl.locator.get_cache_path())
+            self._paths[sig] = folder / f"{self._impl.filename_base}.{state[:12]}.{key.hexdigest()[:24]}.nbc"
+        return self._paths[sig]
+
+    def _all_files(self) -> list[Path]:
+        assert self._impl is not None
+        return list(Path(self._impl.locator.get_cache_path()).glob(f"{glob.escape(self._impl.filename_base)}.*.*.nbc"))
+
+    def enable(self) -> None:
+        """Read and write from now on."""
+        self._is_enabled = True
+
+    def disable(self) -> None:
+        """Neither read nor write from now on."""
+        self._is_enabled = False
+
+    def flush(self) -> None:
+        """Forget what stands on disk."""
+        for path in self._all_files():
+            path.unlink(missing_ok=True)
+
+
+_FOUNDATIONS: dict[int, tuple[str, dict[str, Any]]] = {}
+"""By the names of a file (which are kept: an identity is not to be used again)."""
+
+
+def _foundation(function: Any, impl: CompileResultCacheImpl | None = None) -> tuple[str, dict[str, Any]]:
+    """Digest of all that the kernels of a file may be made of: the file, and the kernels and constants it imports."""
+    names = function.__globals__
+    if id(names) not in _FOUNDATIONS:
+        digest = hashlib.sha256(repr((impl or CompileResultCacheImpl(function)).locator.get_source_stamp()).encode())
+        for name, value in sorted(names.items()):
+            if name.startswith("__"):
+                continue
+            if isinstance(value, Dispatcher):
+                if value.py_func.__globals__ is not names:
+                    digest.update(_foundation(value.py_func)[0].encode())
+            elif isinstance(value, np.ndarray):
+                digest.update(f"{name} {value.dtype.str} {value.shape}".encode() + value.tobytes())
+            elif isinstance(value, _CONSTANTS):
+                digest.update(f"{name} {value!r}".encode())
+        _FOUNDATIONS[id(names)] = digest.hexdigest(), names
+    return _FOUNDATIONS[id(names)]
+
+
+@contextlib.contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """No other process is in here with the same path, where the system can tell."""
+    lock, given_up_s = FileLock(path), time.monotonic() + _WAIT_MAX_S
+    try:
+        while lock.take() is False and time.monotonic() < given_up_s:
+            time.sleep(_LOOK_AGAIN_S)
+        yield
+    finally:
+        lock.release()
