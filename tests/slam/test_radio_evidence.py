@@ -29,7 +29,7 @@ def test_slopes_are_those_of_the_evidence(travel_m):
     evidence = FieldEvidence(HEARD, travel_m)
     squared = ((PLACES[:, None] - PLACES) ** 2).sum(axis=2)
     logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1, 0.2, 6.0][: 5 if travel_m is None else 7])
-    _, slopes, _ = evidence._cost(logs, squared)
+    _, slopes = evidence._cost(logs, squared)
     assert len(slopes) == len(logs)
     for k in range(len(logs)):
         step = 1e-5 * np.eye(len(logs))[k]
@@ -40,9 +40,25 @@ def test_slopes_are_those_of_the_evidence(travel_m):
 def test_slopes_by_places_are_those_of_the_evidence():
     evidence = FieldEvidence(HEARD)
     logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1])
-    _, slopes = evidence.slopes(PLACES, logs)
+    slopes, _ = evidence.slopes(PLACES, logs)
     for place, axis in ((3, 0), (40, 1)):
         step = np.zeros_like(PLACES)
         step[place, axis] = 1e-4
-        ahead, behind = (evidence.slopes(PLACES + sign * step, logs)[0] for sign in (1, -1))
+        ahead, behind = (evidence.under(PLACES + sign * step, logs) for sign in (1, -1))
         assert slopes[place, axis] == pytest.approx((ahead - behind) / 2e-4, rel=1e-3)
+
+
+def test_the_information_is_the_spread_of_slopes_over_what_may_be_heard():
+    logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1])
+    places = PLACES[:12]
+    squared = ((places[:, None] - places) ** 2).sum(axis=2)
+    root = np.linalg.cholesky(FieldEvidence(HEARD[:12])._covariance(logs, squared)[0])
+    _, information = FieldEvidence(HEARD[:12]).slopes(places, logs)
+    random, slopes = np.random.default_rng(2), []
+    for _ in range(3000):
+        evidence = FieldEvidence(HEARD[:12])
+        heard = root @ random.normal(size=len(root))
+        evidence._likeness = np.outer(heard, heard)
+        slopes.append(evidence.slopes(places, logs)[0].ravel())
+    found, expected = np.cov(np.transpose(slopes)), information.reshape(24, 24)
+    assert np.linalg.norm(found - expected) < 0.1 * np.linalg.norm(expected)

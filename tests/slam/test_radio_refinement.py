@@ -5,7 +5,7 @@ from twc_env.geometry import between
 from twc_env.metrics.trajectory import absolute_trajectory_error_m
 from twc_env.slam.odometry_calibration import Motions, reckoned_poses
 from twc_env.slam.radio_evidence import FieldEvidence
-from twc_env.slam.radio_refinement import by_motion, refined
+from twc_env.slam.radio_refinement import jacobian, refined
 
 RANDOM = np.random.default_rng(4)
 ANGLES = np.linspace(0.0, 4 * np.pi, 80)
@@ -18,13 +18,12 @@ HEARD = np.maximum(65 - 30 * np.log10(np.maximum(AWAY_M, 1.0)) + RANDOM.normal(s
 
 
 def test_slopes_by_motions_are_those_of_the_places():
-    by_place = RANDOM.normal(size=(len(TRUTH), 2))
-    slopes = by_motion(TRUTH, MOTIONS, by_place)
-    for motion, axis in ((0, 2), (30, 0), (60, 1), (77, 2)):
+    slopes = jacobian(TRUTH)
+    for motion, axis in ((0, 2), (30, 0), (60, 1), (78, 2)):
         step = np.zeros_like(MOTIONS)
         step[motion, axis] = 1e-5
-        moved = [(reckoned_poses(MOTIONS + sign * step)[:, :2] * by_place).sum() for sign in (1, -1)]
-        assert slopes[motion, axis] == pytest.approx((moved[0] - moved[1]) / 2e-5, rel=1e-4, abs=1e-4)
+        ahead, behind = (reckoned_poses(MOTIONS + sign * step)[:, :2] for sign in (1, -1))
+        assert slopes[:, :, motion, axis] == pytest.approx((ahead - behind) / 2e-5, abs=1e-5)
 
 
 def test_what_is_heard_takes_the_noise_out_of_a_path():
@@ -55,3 +54,13 @@ def test_of_two_paths_the_one_that_explains_what_was_heard_fits_better():
         for heard in (HEARD, other)
     )
     assert right < wrong
+
+
+@pytest.mark.parametrize("noise", [0.2, 3.0])
+def test_how_noisy_the_odometry_is_follows_from_what_was_heard(noise):
+    std = np.array([0.05, 0.05, 0.02])
+    random = np.random.default_rng(11)
+    noisy = MOTIONS + noise * std * random.normal(size=MOTIONS.shape)
+    information = np.tile(np.diag(1.0 / std**2), (len(noisy), 1, 1))
+    found = refined(reckoned_poses(noisy), Motions(noisy, noisy[:, 2]), information, [FieldEvidence(HEARD)]).noise
+    assert noise / 3 < found < 3 * noise

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 from scipy.optimize import minimize
 
 Array = NDArray
@@ -55,45 +55,77 @@ class FieldEvidence:
         start = self._start() if start is None else start
         squared = _squared(positions_m[:: self._every])
         found = minimize(
-            lambda logs: self._cost(logs, squared)[:2], start, method="L-BFGS-B", jac=True,
+            lambda logs: self._cost(logs, squared), start, method="L-BFGS-B", jac=True,
             bounds=LOG_BOUNDS[: len(start)], options={"maxiter": iterations},
         )  # fmt: skip
         return -float(found.fun), found.x
 
-    def slopes(self, positions_m: Array, logs: Array) -> tuple[float, Array]:
-        """The evidence under covariances of these sizes, and its slopes (n, 2) by the positions [1/m]."""
-        place = positions_m[:: self._every]
-        cost, _, pull = self._cost(logs, _squared(place))
-        by_place = np.zeros_like(positions_m)
+    def under(self, positions_m: Array, logs: Array) -> float:
+        """The evidence under covariances of these sizes."""
+        covariance, _, _ = self._covariance(logs, _squared(positions_m[:: self._every]))
+        factor, _ = dpotrf(covariance, lower=1)
+        explained, _ = dpotrs(factor, self._likeness, lower=1)
+        return -float(np.log(np.diag(factor)).sum() + 0.5 * np.trace(explained))
+
+    def slopes(self, positions_m: Array, logs: Array) -> tuple[Array, Array]:
+        """Of the evidence under covariances of these sizes: its slopes (n, 2) by the positions [1/m], and the
+        information (n, 2, n, 2) that it is expected to hold of them (Fisher's) [1/m2]."""
+        count, place = len(positions_m), positions_m[:: self._every]
+        difference = place[:, None] - place  # (m, m, 2)
+        slope, inverse, by_squared = self._slope(logs, (difference**2).sum(axis=2))
+        pull = slope * by_squared
+        by_place, information = np.zeros((count, 2)), np.zeros((count, 2, count, 2))
         by_place[:: self._every] = -4 * (pull.sum(axis=1)[:, None] * place - pull @ place)
-        return -cost, by_place
+        moves = [2 * by_squared * difference[:, :, axis] for axis in range(2)]  # of row i with the place i
+        through = [move @ inverse for move in moves]
+        every = slice(None, None, self._every)
+        for a in range(2):
+            for b in range(2):
+                information[every, a, every, b] = through[a] * through[b].T + (through[a] @ moves[b].T) * inverse
+        return by_place, information
 
     def _start(self) -> Array:
         along = () if self._along is None else (ALONG_VARIANCE, ALONG_LENGTH_M)
         return np.log([*VARIANCES, *LENGTHS_M, NOISE, *along])
 
-    def _cost(self, logs: Array, squared: Array) -> tuple[float, Array, Array]:
-        """Minus the log evidence, its slopes by the logarithms of the sizes, and by squared distances (n, n)."""
+    def _cost(self, logs: Array, squared: Array) -> tuple[float, Array]:
+        """Minus the log evidence, and its slopes by the logarithms of the sizes; squared distances (n, n)."""
+        covariance, parts, along = self._covariance(logs, squared)
         size = np.exp(logs)
-        variance, length2, noise = size[:2], size[2:4] ** 2, size[4]
-        parts = [v * np.exp(-0.5 * squared / l2) for v, l2 in zip(variance, length2, strict=True)]
-        covariance = parts[0] + parts[1]
-        covariance[np.diag_indices(len(covariance))] += noise
-        if self._along is not None:
-            along = size[5] * np.exp(-0.5 * self._along / size[6] ** 2)
-            covariance += along
+        factor, inverse, explained = self._solved(covariance)
+        slope = 0.5 * (inverse - explained @ inverse)
+        slopes = [(slope * part).sum() for part in parts]
+        slopes += [(slope * part * squared).sum() / length**2 for part, length in zip(parts, size[2:4], strict=True)]
+        slopes.append(size[4] * np.trace(slope))
+        if along is not None:
+            slopes += [(slope * along).sum(), (slope * along * self._along).sum() / size[6] ** 2]
+        return float(np.log(np.diag(factor)).sum() + 0.5 * np.trace(explained)), np.array(slopes)
+
+    def _slope(self, logs: Array, squared: Array) -> tuple[Array, Array, Array]:
+        """(n, n) slopes of the cost by the covariance, that one's inverse, and its slopes by squared distances."""
+        covariance, parts, _ = self._covariance(logs, squared)
+        _, inverse, explained = self._solved(covariance)
+        lengths = np.exp(logs[2:4])
+        by_squared = -0.5 * (parts[0] / lengths[0] ** 2 + parts[1] / lengths[1] ** 2)
+        return 0.5 * (inverse - explained @ inverse), inverse, by_squared
+
+    def _solved(self, covariance: Array) -> tuple[Array, Array, Array]:
+        """(n, n) its Cholesky factor and inverse, and that one times what was heard."""
         factor, _ = dpotrf(covariance, lower=1)
         inverse = np.tril(dpotri(factor, lower=1)[0])
         inverse += np.tril(inverse, -1).T
-        explained = inverse @ self._likeness
-        slope = 0.5 * (inverse - explained @ inverse)
-        slopes = [(slope * part).sum() for part in parts]
-        slopes += [(slope * part * squared).sum() / l2 for part, l2 in zip(parts, length2, strict=True)]
-        slopes.append(noise * np.trace(slope))
-        if self._along is not None:
-            slopes += [(slope * along).sum(), (slope * along * self._along).sum() / size[6] ** 2]
-        pull = -0.5 * slope * (parts[0] / length2[0] + parts[1] / length2[1])
-        return float(np.log(np.diag(factor)).sum() + 0.5 * np.trace(explained)), np.array(slopes), pull
+        return factor, inverse, inverse @ self._likeness
+
+    def _covariance(self, logs: Array, squared: Array) -> tuple[Array, list[Array], Array | None]:
+        """(n, n) in all, its two parts by place, and that along the path."""
+        size = np.exp(logs)
+        parts = [v * np.exp(-0.5 * squared / length**2) for v, length in zip(size[:2], size[2:4], strict=True)]
+        covariance = parts[0] + parts[1]
+        covariance[np.diag_indices(len(covariance))] += size[4]
+        if self._along is None:
+            return covariance, parts, None
+        along = size[5] * np.exp(-0.5 * self._along / size[6] ** 2)
+        return covariance + along, parts, along
 
 
 def _squared(place: Array) -> Array:

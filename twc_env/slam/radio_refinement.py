@@ -1,31 +1,40 @@
 """The last fit of radio SLAM: the path that is likeliest under odometry and under all that was heard along it at once.
 
 Ties between single places (`radio_field`) tell displacements one by one. The evidence of the whole layout
-(`radio_evidence`) also weighs what is alike far away and what is not, so it sees how the map lies as a whole. Its slope
-by every place moves the path, whose unknowns are the errors of each motion in units of their deviation: steps are then
-even, however long the path (maximum a posteriori; WiFi-SLAM, Ferris, Fox, Lawrence 2007, without its latent dynamics).
+(`radio_evidence`) also weighs what is alike far away and what is not, so it sees how the map lies as a whole (maximum a
+posteriori; WiFi-SLAM, Ferris, Fox, Lawrence 2007, without its latent dynamics). Each step solves for all places at once
+with the information that the evidence is expected to hold of them (Fisher scoring), in as many unknowns as places have.
+
+How noisy the odometry is nobody says either: it follows from how well paths under each level of noise explain what was
+heard, all of them and not the best alone (type II maximum likelihood; Rasmussen & Williams 2006, Eq. 5.8).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.linalg import cho_factor, cho_solve, cholesky
+from scipy.optimize import minimize_scalar
 
 from twc_env.geometry import between, wrap_angle
-from twc_env.slam.odometry_calibration import Motions, calibration, reckoned_poses
+from twc_env.slam.odometry_calibration import CURL_STD_RAD_M, TURN_STD, Motions, calibration, reckoned_poses
 from twc_env.slam.radio_evidence import FieldEvidence
 
 Array = NDArray
 
-EVIDENCE_WEIGHT = 32.0
-"""What is heard weighs as so many independent transmitters, against odometry of the configured noise. Chosen
-in the semi-indoor twin, walks 0 to 3 and 100 to 105."""
-ROUNDS, ITERATIONS, SIZE_ITERATIONS = 3, 40, 30
-"""Each round calibrates the odometry, moves the path, then fits the covariance anew, which is first fitted in more."""
+EVIDENCE_WEIGHT = 6.0
+"""What is heard weighs as so many independent transmitters: with more of them, paths stray from the truth further than
+they claim. Chosen on walks 0 to 3 and 100 to 105 of the twins."""
+ROUNDS, STEPS_MAX, SIZE_ITERATIONS = 5, 3, 30
+"""Each round moves the path, then fits noise and covariance anew; this one is first fitted in more iterations."""
+GAIN_MIN = 0.1
+"""A step that gains less is the last of its round."""
+HALVINGS = 5
+LOG_NOISE_STD, LOG_NOISE_BOUNDS = 1.0, (-4.0, 3.0)
+"""By what factor the noise of odometry may differ from the configured one, as a logarithm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +44,13 @@ class Refined:
     poses: Array
     """(p, 3)."""
     misfit: float
-    """Minus the logarithm of its probability, up to a constant: of paths by the same evidence the lowest is best."""
+    """Minus the logarithm of the probability of what was heard, over all paths near this one, up to a constant: of
+    paths by the same evidence the lowest is best."""
     explained: float
     """Share of what was heard, by variance, that places explain: the rest is noise, or shared by neighbours along the
     path only."""
+    noise: float
+    """How many times as noisy as configured the odometry is."""
 
 
 def refined(poses: Array, motions: Motions, information: Array, evidences: Sequence[FieldEvidence]) -> Refined:
@@ -47,32 +59,20 @@ def refined(poses: Array, motions: Motions, information: Array, evidences: Seque
     `motions` lead from place to place, with information (p - 1, 3, 3) of which only the diagonal counts. Fields of any
     size explain what was heard as well in a map of that size: so it is the odometry's, whatever size the poses have.
     """
-    std = 1.0 / np.sqrt(np.diagonal(information, axis1=1, axis2=2))
     poses = poses / [*2 * [calibration(motions, poses).scale], 1.0]
     sizes = [evidence.fitted(poses[:, :2], iterations=SIZE_ITERATIONS)[1] for evidence in evidences]
-    strain = values = 0.0
-    for _ in range(ROUNDS):
-        motion = replace(calibration(motions, poses), scale=1.0).applied(motions).motion
-
-        def cost(flat: Array, motion: Array = motion, sizes: Sequence[Array] = tuple(sizes)) -> tuple[float, Array]:
-            moved = motion + std * flat.reshape(-1, 3)
-            placed = reckoned_poses(moved)
-            total, by_place = 0.5 * float(flat @ flat), np.zeros((len(placed), 2))
-            for evidence, size in zip(evidences, sizes, strict=True):
-                value, slope = evidence.slopes(placed[:, :2], size)
-                total -= EVIDENCE_WEIGHT * value
-                by_place -= EVIDENCE_WEIGHT * slope
-            return total, flat + (std * by_motion(placed, moved, by_place)).ravel()
-
-        missed = between(poses[:-1], poses[1:]) - motion
-        missed[:, 2] = wrap_angle(missed[:, 2])
-        found = minimize(cost, (missed / std).ravel(), method="L-BFGS-B", jac=True, options={"maxiter": ITERATIONS})
-        poses = reckoned_poses(motion + std * found.x.reshape(-1, 3))
-        strain = 0.5 * float(found.x @ found.x)
-        fits = [evidence.fitted(poses[:, :2], size) for evidence, size in zip(evidences, sizes, strict=True)]
-        values, sizes = sum(value for value, _ in fits), [size for _, size in fits]
+    missed = between(poses[:-1], poses[1:]) - motions.motion
+    missed[:, 2] = wrap_angle(missed[:, 2])
+    fit, noise = _Fit(motions, information, evidences), 1.0
+    missed, view = fit.settled(missed, noise, sizes)
+    for _ in range(ROUNDS - 1):
+        noise = float(np.sqrt(noise * view.noise()))
+        poses = fit.poses(missed)
+        sizes = [evidence.fitted(poses[:, :2], size)[1] for evidence, size in zip(evidences, sizes, strict=True)]
+        missed, view = fit.settled(missed, noise, sizes)
     shares = [_explained(size) for size in sizes]
-    return Refined(poses, strain - EVIDENCE_WEIGHT * values, sum(shares) / max(len(shares), 1))
+    misfit = fit.cost(missed, noise, sizes) + view.volume(noise) + _unlikely(noise)
+    return Refined(fit.poses(missed), misfit, sum(shares) / max(len(shares), 1), noise)
 
 
 def _explained(size: Array) -> float:
@@ -81,12 +81,123 @@ def _explained(size: Array) -> float:
     return float(places / (places + rest))
 
 
-def by_motion(poses: Array, motions: Array, by_place: Array) -> Array:
-    """Slopes (p - 1, 3) by the motions between poses (p, 3), from slopes (p, 2) by their places: every later place
-    moves with a motion, and swings with its turn."""
-    later = np.cumsum(by_place[::-1], axis=0)[::-1][1:]
+def _unlikely(noise: float) -> float:
+    return 0.5 * (np.log(noise) / LOG_NOISE_STD) ** 2
+
+
+class _Fit:
+    """A path whose unknowns are what the odometry missed of each motion (p - 1, 3): noise, and errors that stay the
+    same all along (`odometry_calibration`)."""
+
+    def __init__(self, motions: Motions, information: Array, evidences: Sequence[FieldEvidence]):
+        self._motion, self._evidences = motions.motion, evidences
+        self._variance = 1.0 / np.diagonal(information, axis1=1, axis2=2)
+        self._causes = np.zeros((2, *motions.motion.shape))
+        self._causes[:, :, 2] = CURL_STD_RAD_M * motions.length_m, TURN_STD * motions.turned_rad
+
+    def poses(self, missed: Array) -> Array:
+        """(p, 3)."""
+        return reckoned_poses(self._motion + missed)
+
+    def cost(self, missed: Array, noise: float, sizes: Sequence[Array]) -> float:
+        """Minus the logarithm of the probability of a path, under the likeliest constant errors."""
+        variance = noise**2 * self._variance
+        causes = (self._causes / variance).reshape(2, -1)
+        constant = causes @ missed.ravel()
+        normal = causes @ self._causes.reshape(2, -1).T + np.eye(2)
+        strain = (missed**2 / variance).sum() - constant @ np.linalg.solve(normal, constant)
+        places = self.poses(missed)[:, :2]
+        told = sum(evidence.under(places, size) for evidence, size in zip(self._evidences, sizes, strict=True))
+        return 0.5 * float(strain) - EVIDENCE_WEIGHT * told
+
+    def settled(self, missed: Array, noise: float, sizes: Sequence[Array]) -> tuple[Array, _View]:
+        """What the odometry missed where the cost is least, and the last view from there."""
+        cost = self.cost(missed, noise, sizes)
+        for _ in range(STEPS_MAX):
+            view = self._view(missed, sizes)
+            step = view.likeliest(noise) - missed
+            for halving in range(HALVINGS):
+                moved = missed + 0.5**halving * step
+                moved_cost = self.cost(moved, noise, sizes)
+                if moved_cost < cost:
+                    break
+            else:
+                return missed, view
+            missed, gain, cost = moved, cost - moved_cost, moved_cost
+            if gain < GAIN_MIN:
+                break
+        return missed, view
+
+    def _view(self, missed: Array, sizes: Sequence[Array]) -> _View:
+        poses = self.poses(missed)
+        by_place, information = np.zeros((len(poses), 2)), np.zeros((len(poses), 2, len(poses), 2))
+        for evidence, size in zip(self._evidences, sizes, strict=True):
+            slopes, its_information = evidence.slopes(poses[:, :2], size)
+            by_place += EVIDENCE_WEIGHT * slopes
+            information += EVIDENCE_WEIGHT * its_information
+        return _View(jacobian(poses), missed, self._variance, self._causes, by_place, information)
+
+
+class _View:
+    """The evidence as a parabola around one path, in coordinates in which its information is one."""
+
+    def __init__(
+        self, jacobian: Array, missed: Array, variance: Array, causes: Array, by_place: Array, information: Array
+    ):
+        unknowns = 2 * len(by_place)
+        self._jacobian = jacobian.reshape(unknowns, -1)
+        self._variance, self._causes = variance.ravel(), causes.reshape(2, -1)
+        information = information.reshape(unknowns, unknowns)
+        ridge = 1e-9 * np.trace(information) / unknowns + 1e-12
+        self._root = cholesky(information + ridge * np.eye(unknowns), lower=True)
+        self._pull = information @ (self._jacobian @ missed.ravel()) + by_place.ravel()
+        by_cause = self._jacobian @ self._causes.T
+        self._noise_moves = (self._jacobian * self._variance) @ self._jacobian.T
+        self._causes_move = by_cause @ by_cause.T
+        self._noise_told, self._causes_told = (
+            self._root.T @ moves @ self._root for moves in (self._noise_moves, self._causes_move)
+        )
+
+    def likeliest(self, noise: float) -> Array:
+        """(p - 1, 3) what the odometry missed where the parabola and odometry of this noise are likeliest together."""
+        told, factor = self._told(noise)
+        pull = self._jacobian.T @ (self._pull - self._root @ cho_solve(factor, told))
+        return (noise**2 * self._variance * pull + self._causes.T @ (self._causes @ pull)).reshape(-1, 3)
+
+    def noise(self) -> float:
+        """How many times as noisy as configured the odometry is: by what is then heard on all paths together. From
+        paths that were held tightly it looks noisier than from loose ones, so that the truth lies in between."""
+
+        def cost(log_noise: float) -> float:
+            noise = float(np.exp(log_noise))
+            told, factor = self._told(noise)
+            moves = noise**2 * self._noise_moves + self._causes_move
+            gained = 0.5 * (self._pull @ moves @ self._pull - told @ cho_solve(factor, told))
+            return float(np.log(np.diag(factor[0])).sum() - gained + _unlikely(noise))
+
+        found = minimize_scalar(cost, bounds=LOG_NOISE_BOUNDS, method="bounded", options={"xatol": 0.05})
+        return float(np.exp(found.x))
+
+    def volume(self, noise: float) -> float:
+        """By how much less paths near this one are likely together than the best of them: minus a logarithm."""
+        return float(np.log(np.diag(self._told(noise)[1][0])).sum())
+
+    def _told(self, noise: float) -> tuple[Array, tuple]:
+        """What odometry of this noise makes of the pull, and the Cholesky factor of both informations together."""
+        moves = noise**2 * self._noise_moves + self._causes_move
+        both = noise**2 * self._noise_told + self._causes_told
+        both[np.diag_indices(len(both))] += 1.0
+        return self._root.T @ (moves @ self._pull), cho_factor(both, lower=True)
+
+
+def jacobian(poses: Array) -> Array:
+    """(p, 2, p - 1, 3) how places move with the motions between poses (p, 3): every later one moves with a motion, and
+    swings with its turn."""
+    count = len(poses)
+    later = np.tri(count, count - 1, -1)
     c, s = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
-    ahead, left = c * later[:, 0] + s * later[:, 1], -s * later[:, 0] + c * later[:, 1]
-    by_heading = left * motions[:, 0] - ahead * motions[:, 1]
-    swing = np.cumsum(by_heading[::-1])[::-1]
-    return np.column_stack([ahead, left, np.append(swing[1:], 0.0)])
+    arm = poses[:, None, :2] - poses[None, 1:, :2]
+    by_motion = np.empty((count, 2, count - 1, 3))
+    by_motion[:, 0, :, 0], by_motion[:, 0, :, 1], by_motion[:, 0, :, 2] = later * c, later * -s, later * -arm[:, :, 1]
+    by_motion[:, 1, :, 0], by_motion[:, 1, :, 1], by_motion[:, 1, :, 2] = later * s, later * c, later * arm[:, :, 0]
+    return by_motion
