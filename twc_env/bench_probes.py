@@ -100,8 +100,8 @@ def _run(arguments: list[str], environment: dict[str, str] | None = None) -> str
 
 
 def _first_step(map_name: str) -> list[float]:
-    """Wall and CPU seconds of this process from before the import to after the first step; then to where a helper has
-    compiled all that a default episode needs, with the helper's CPU seconds.
+    """Wall and CPU seconds of this process from before the import to after the first step; then to where its helper is
+    done, if it had one, with the helper's CPU seconds.
     """
     wall, cpu = time.perf_counter(), sum(os.times()[:4])
     import numpy as np

@@ -1,8 +1,7 @@
-"""Compiled kernels: how this package compiles loops over arrays, and when a kernel on disk is out of date.
+"""Compiled kernels: loops over arrays in the words of Python, as quick as in C.
 
-Numba keeps a compiled kernel on disk until its own file changes. A kernel may also call kernels of other files and read
-constants that stand there, taken by `from module import name`; `kernel` therefore marks what is on disk with all that
-its file imports in this way, so that a change of any of it compiles the callers anew.
+How they are compiled and where they stand on disk: `twc_env.kernel_compiler`. A kernel may call kernels of other files
+and read constants that stand there, taken by `from module import name`; a change of any of them compiles it anew.
 """
 
 from __future__ import annotations

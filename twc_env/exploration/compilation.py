@@ -28,6 +28,8 @@ from twc_env.kernels import pack
 from twc_env.threads import THREADS
 
 _LOG = logging.getLogger("twc_env")
+_NO_COLOURS = {"NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}
+"""Numba tries many types and words an error for each that does not fit; painting those takes long where it can."""
 
 
 class FirstStart:
@@ -61,7 +63,7 @@ class FirstStart:
         with contextlib.suppress(OSError):  # then this process compiles everything
             self._helper = subprocess.Popen(
                 [sys.executable, "-m", "twc_env.exploration.warm_up"],
-                env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": path},
+                env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": path, **_NO_COLOURS},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -70,7 +72,7 @@ class FirstStart:
             atexit.register(self.dismiss)
 
     def await_helper(self) -> None:
-        """Wait until the helper is done: all kernels of a default episode are ready then."""
+        """Wait until the helper is done: all kernels are there then but those for what happens rarely."""
         if self.is_helped:
             assert self._helper is not None
             self._helper.wait()

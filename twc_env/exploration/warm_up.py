@@ -16,8 +16,8 @@ from twc_env.exploration.compilation import FIRST_START, helpers_lock
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.slam import warm_up
 
-MAP, ROBOTS, STEPS, SEED = "gen:office:100:1", 2, 600, 1
-"""An episode in which robots soon meet, so that places are recognised, maps merged and merges doubted."""
+MAP, ROBOTS, STEPS, SEED = "gen:office:100:1", 3, 1000, 1
+"""An episode in which robots soon meet, so that places are recognised and maps merged."""
 
 
 class _Orphan(event.Listener):

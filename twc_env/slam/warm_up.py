@@ -1,11 +1,9 @@
 """Run the engine for a moment on made-up frames, so that its kernels are compiled and stand on disk.
 
-`python -m twc_env.slam.warm_up` is what a first start runs beside itself (`twc_env.exploration.compilation`).
+The helper of a first start begins with this (`twc_env.exploration.warm_up`).
 """
 
 from __future__ import annotations
-
-import gc
 
 import numpy as np
 
@@ -38,8 +36,3 @@ def main() -> None:
     for step in range(STEPS):
         engine.update(made_up_frames(step))
         engine.beliefs()
-
-
-if __name__ == "__main__":
-    gc.disable()  # of what numba makes nearly all lives until the end
-    main()
