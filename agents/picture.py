@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from twc_env import ConfigError, EpisodeResult
 from twc_env.geometry import compose
+from twc_env.map_picture import name_sign
 
 Array = NDArray
 
@@ -130,9 +131,8 @@ def _draw_building(axes, result: EpisodeResult) -> None:
     if plan.signs:
         places = np.array([sign.position_m for sign in plan.signs])
         axes.scatter(*places.T, marker="s", s=10, color="#b8860b", lw=0, zorder=4, label="signs")
-    style = {"textcoords": "offset points", "fontsize": 4, "color": "#6b5210", "zorder": 4}
     for sign in plan.signs[:80]:
-        axes.annotate(sign.text, sign.position_m, (2, 2), **style)
+        name_sign(axes, sign.text, sign.position_m, sign.facing_rad, 4.0, fontsize=4, color="#6b5210", zorder=4)
 
 
 def _draw_paths(axes, result: EpisodeResult) -> None:

@@ -65,6 +65,7 @@ PUBLIC_MODULES = {
     "twc_env.errors",
     "twc_env.finished_parts",
     "twc_env.json_values",
+    "twc_env.map_picture",
 }
 
 

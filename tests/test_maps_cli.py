@@ -1,8 +1,10 @@
 import json
+import math
 
 import pytest
 
 from twc_env.__main__ import main
+from twc_env.map_picture import name_sign
 from twc_env.maps import load_map, map_names
 
 
@@ -47,6 +49,25 @@ def test_a_picture_without_a_suffix_is_a_png_and_its_name_is_said(tmp_path, caps
     assert f"drawn: {tmp_path / 'plan.png'}" in capsys.readouterr().out
     assert run("show", "sfw-e5", "--out", tmp_path) == 2
     assert "it is a folder; name a file in it" in capsys.readouterr().err
+
+
+def test_texts_of_signs_lie_before_their_faces_and_not_on_each_other():
+    pytest.importorskip("matplotlib")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 6), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, 6), ylim=(0, 6))
+    for x in (2.0, 2.4):
+        name_sign(axes, "A LONG TEXT", (x, 3.0), math.pi / 2, fontsize=4)
+    name_sign(axes, "EXIT", (4.0, 1.0), math.pi, fontsize=4)
+    canvas.draw()
+    first, second, exit_text = axes.texts
+    for text in (first, second):
+        assert text.get_window_extent().y0 >= 300
+        assert text.get_rotation() == 35.0
+    assert exit_text.get_window_extent().x1 <= 400 and exit_text.get_rotation() == 0.0
 
 
 def test_generate_writes_the_building_of_that_name(tmp_path):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twc_env.command_line import Paragraphs, assignments, count, make_folder, natural
-from twc_env.json_values import write_json
+from twc_env.json_values import check_folder, write_json
 
 if TYPE_CHECKING:
     from twc_env.slam.engine import CooperativeSlam
@@ -80,6 +80,7 @@ def _record(options: argparse.Namespace) -> None:
     from twc_env.datasets.frame_log import write_frame_log, write_truth_log
     from twc_env.exploration.environment import ExplorationEnv
 
+    check_folder(options.out)
     settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
     env = ExplorationEnv(config=override(EnvConfig(), {**settings, **assignments(options.set)}))
     env.reset(seed=options.seed)
@@ -120,6 +121,7 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     from twc_env.datasets.frame_log import read_contacts, read_frame_log, read_truth_log
     from twc_env.slam.engine import CooperativeSlam
 
+    check_folder(options.out)
     config, steps = read_frame_log(log)
     config = override(config, {**assignments(options.set), "slam.odometry_filter.backend": options.filter})
     robots = 1 + max(frame.robot for frames in steps for frame in frames)

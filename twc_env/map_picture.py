@@ -47,7 +47,7 @@ def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = No
     if len(plan.rooms) <= LABELS_MAX:
         for room in plan.rooms:
             x, y = np.asarray(room.polygon_m).mean(axis=0)
-            axes.text(x, y, room.name, fontsize=5, color="darkgreen", ha="center", va="center", clip_on=True)
+            axes.text(x, y, room.name, fontsize=6, color="darkgreen", ha="center", va="center", clip_on=True)
     _draw_signs(axes, plan)
     if plan.access_points:
         places = np.array([a.position_m for a in plan.access_points])
@@ -77,13 +77,33 @@ def _draw_signs(axes, plan: Floorplan) -> None:
             x, y = places[mask].T
             u, v = np.cos(facing[mask]), np.sin(facing[mask])
             axes.quiver(
-                x, y, u, v, color=colour, angles="xy", scale_units="dots", units="dots", scale=0.1, width=1.5,
-                headwidth=4, label=f"{label} ({mask.sum()})",
-            )  # fmt: skip
+                x,
+                y,
+                u,
+                v,
+                color=colour,
+                angles="xy",
+                scale_units="dots",
+                units="dots",
+                scale=0.1,
+                width=1.5,
+                headwidth=4,
+            )
+            axes.plot([], [], ">", color=colour, markersize=5, label=f"{label} ({mask.sum()})")
     if len(plan.signs) <= LABELS_MAX:
-        for sign, (x, y), angle in zip(plan.signs, places, facing, strict=True):
-            at = (x + 0.15 * np.cos(angle), y + 0.15 * np.sin(angle))
-            axes.annotate(sign.text, at, fontsize=4, color="0.2", ha="center", va="center", clip_on=True)
+        for sign, place, angle in zip(plan.signs, places, facing, strict=True):
+            name_sign(axes, sign.text, place, angle, fontsize=4.5, color="0.2", clip_on=True)
+
+
+def name_sign(axes, text: str, place_m: Array, facing_rad: float, points: float = 9.0, **style) -> None:
+    """Write a sign's text before its face; above and below walls at a slant, as texts of neighbours would overlap."""
+    u, v = np.cos(facing_rad), np.sin(facing_rad)
+    is_beside = abs(u) > abs(v)
+    axes.annotate(
+        text, place_m, (points * u, points * v), textcoords="offset points",
+        rotation=0.0 if is_beside else 35.0, rotation_mode="anchor",
+        ha="left" if (u if is_beside else v) > 0 else "right", va="center", **style,
+    )  # fmt: skip
 
 
 def _draw_signal(axes, figure, plan: Floorplan, config: RadioConfig | None) -> None:
