@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twc_env.reproduce import ocr, ocr_measure
-from twc_env.reproduce.ocr_measure import Aligned
+from twc_env.reproduce.ocr_alignment import Aligned
 from twc_env.reproduce.runner import Runner
 from twc_env.world.misreading import TableReader, codes_of, draw_count
 from twc_env.world.ocr_table import load_table, table_of

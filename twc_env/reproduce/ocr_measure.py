@@ -17,14 +17,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rapidfuzz.distance import Levenshtein
 
 from twc_env.random_streams import random_stream
+from twc_env.reproduce.ocr_alignment import Aligned
+from twc_env.reproduce.ocr_repeats import fit_correlation
 from twc_env.reproduce.runner import Runner
-from twc_env.slam.text_similarity import normalise
-from twc_env.world.misreading import TableReader, codes_of, shares
 from twc_env.world.ocr import read_signs, require
-from twc_env.world.ocr_table import FORMAT, GARBLED_RATE, MISS_LENGTH, table_of
+from twc_env.world.ocr_table import FORMAT, GARBLED_RATE, MISS_LENGTH
 from twc_env.world.sign_picture import View, draw_plate
 
 Array = NDArray
@@ -38,13 +37,9 @@ LEVEL_RATE = (0.9, 0.65, 0.45, 0.3, 0.2, 0.12, 0.07, 0.03, 0.0)
 SMALL_PX = 12.0
 """Below this capital height rates change fast: twice as many signs are read."""
 AGAIN_HEIGHT_PX = (6.5, 8.0, 10.0, 14.0)
-FRAGMENT_SHARE_MIN, FRAGMENT_CHARACTERS_MIN = 0.2, 2
-"""At least this much of a text has to be missing at its ends to call the reading a fragment."""
 _COMMON_SHARE_MIN = 0.004
 _PRIOR_LINES = 2.0
 """Weight, in lines, of what all angles of a height and blur say together."""
-_DRAWN_PAIRS = 6
-"""Pairs of readings drawn from the table for each measured one."""
 WORDS = (
     "RECEPTION", "CONFERENCE", "LOUNGE", "STORAGE", "TOILETS", "STAIRS", "ELEVATOR", "CASHIER", "OFFICE", "MEETING",
     "BOARD", "CAFE", "LAUNDRY", "PARKING", "EMERGENCY", "DIRECTOR", "FINANCE", "PHYSICS", "CHEMISTRY", "BIOLOGY",
@@ -125,39 +120,6 @@ def _read_again(height_px: float, seed: int, count: int) -> list[tuple]:
 
 
 # --- counting ---
-
-
-class Aligned:
-    """One reading laid along its truth."""
-
-    def __init__(self, truth: str, reading: str):
-        self.truth, self.reading = truth.upper(), normalise(reading)
-        n = len(self.truth)
-        self.became: list[str | None] = list(self.truth)
-        """What each character was read as, None where it was lost."""
-        self.added: list[str] = [""] * n
-        for edit in Levenshtein.editops(self.truth, self.reading):
-            if edit.tag == "replace":
-                self.became[edit.src_pos] = self.reading[edit.dest_pos]
-            elif edit.tag == "delete":
-                self.became[edit.src_pos] = None
-            else:
-                self.added[max(edit.src_pos - 1, 0)] += self.reading[edit.dest_pos]
-        kept = [k for k in range(n) if self.became[k] is not None]
-        self.is_missed = not kept
-        begin, end = (kept[0], kept[-1] + 1) if kept else (0, 0)
-        lost = n - (end - begin)
-        self.is_fragment = not self.is_missed and lost >= max(FRAGMENT_CHARACTERS_MIN, FRAGMENT_SHARE_MIN * n)
-        self.keeps_begin = begin <= n - end
-        if not self.is_fragment:
-            begin, end = 0, 0 if self.is_missed else n
-        self.span = range(begin, end)
-        """The characters that belong to what was read."""
-        self.kept_share = len(self.span) / n
-        self.letters = [k for k in self.span if self.truth[k] != " "]
-        self.wrong = [k for k in self.letters if self.became[k] != self.truth[k] or self.added[k]]
-        self.spaces = [k for k in self.span if self.truth[k] == " "]
-        self.spaces_lost = [k for k in self.spaces if self.became[k] != " "]
 
 
 def fit(read: list[list[tuple[str, str]]]) -> dict:
@@ -338,62 +300,3 @@ def _proneness(happened: Counter[str], expected: Counter[str]) -> dict[str, floa
 def _shares(counts: Counter[str]) -> dict[str, float]:
     total = sum(counts.values())
     return {c: round(n / total, 4) for c, n in counts.most_common(12) if n / total >= _COMMON_SHARE_MIN}
-
-
-# --- the same sign read twice ---
-
-
-def fit_correlation(table: dict, triples: list, seed: int) -> dict:
-    """How much of what goes wrong stays with the sign: shares for lines and letters, raised until drawn pairs agree.
-
-    `triples` are (truth, height, angle, reading, reading nearby, reading from elsewhere). Lines are judged by how far
-    one reading's being exact foretells the other's, letters by how often two wrong readings are the same.
-    """
-    near, far = ([(t[0], t[3], t[k]) for t in triples] for k in (4, 5))
-    measured = _agreement(near + far)
-    line = _raised(table, triples, seed, "line_share", measured["exact_correlation"])
-    letter = _raised(table | {"line_share": line}, triples, seed, "letter_share", measured["same_when_wrong"])
-    line = _raised(table | {"letter_share": letter}, triples, seed, "line_share", measured["exact_correlation"])
-    fitted = {"line_share": line, "letter_share": letter}
-    drawn = {"drawn": fitted, "drawn_independently": {"line_share": 0.0, "letter_share": 0.0}}
-    agreement = {"near": _agreement(near), "elsewhere": _agreement(far)} | {
-        name: _agreement(_drawn_pairs(table | shares, triples, seed)) for name, shares in drawn.items()
-    }
-    return fitted | {"read_again": agreement}
-
-
-def _raised(table: dict, triples: list, seed: int, key: str, target: float) -> float:
-    """The share at which drawn pairs agree as much as measured, between grid points by straight lines."""
-    figure = "exact_correlation" if key == "line_share" else "same_when_wrong"
-    grid = np.linspace(0.0, 0.98, 8)
-    found = [
-        _agreement(_drawn_pairs({"line_share": 0.0, "letter_share": 0.0} | table | {key: share}, triples, seed))[figure]
-        for share in grid
-    ]
-    return round(float(np.interp(target, np.maximum.accumulate(found), grid)), 3)
-
-
-def _agreement(pairs: list[tuple[str, str, str]]) -> dict[str, float]:
-    """Of (truth, first, second), spaces aside: correlation of being exact, and how often two wrong are the same."""
-    solid = [tuple(normalise(text).replace(" ", "") for text in pair) for pair in pairs]
-    exact = np.array([(a == truth, b == truth) for truth, a, b in solid], float)
-    wrong = [a == b for truth, a, b in solid if a and b and truth not in (a, b)]
-    correlation = float(np.corrcoef(exact.T)[0, 1]) if (exact.std(axis=0) > 0).all() else 0.0
-    return {
-        "exact_correlation": round(correlation, 3),
-        "same_when_wrong": round(float(np.mean(wrong)), 3) if wrong else 0.0,
-        "both_wrong": len(wrong),
-    }
-
-
-def _drawn_pairs(table: dict, triples: list, seed: int) -> list[tuple[str, str, str]]:
-    """Pairs of readings from the table, of the same signs at the same height and angle."""
-    ready, random = table_of(table), random_stream(seed, "ocr correlation")
-    reader, drawn = TableReader(ready), []
-    for text, height_px, angle, *_ in triples:
-        codes, hidden, share = codes_of(text), np.zeros(len(text), np.bool_), shares(ready, text)
-        for _ in range(_DRAWN_PAIRS):
-            kept, *own = random.standard_normal((3, len(share)))
-            two = (np.sqrt(share) * kept + np.sqrt(1.0 - share) * z for z in own)
-            drawn.append((text, *(reader.read(codes, hidden, height_px, angle, 0.0, z) for z in two)))
-    return drawn
