@@ -113,7 +113,7 @@ def test_a_replay_with_another_scanner_or_without_a_place_to_write_is_one_line(t
     (tmp_path / "file").write_text("")
     for extra, message in (
         (["--set", "lidar.beam_count=90"], "lidar.beam_count is 90"),
-        (["--out", str(tmp_path / "file" / "x")], "cannot make the folder"),
+        (["--out", str(tmp_path / "file" / "x")], "cannot write to the folder"),
         (["--json", str(tmp_path / "file" / "x.json")], "cannot write"),
     ):
         capsys.readouterr()

@@ -1,8 +1,18 @@
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import twc_env
-from twc_env.datasets.frame_log import PER_FRAME, PER_READING, read_contacts, read_frame_log, write_frame_log
+from twc_env.datasets.frame_log import (
+    PER_FRAME,
+    PER_READING,
+    read_contacts,
+    read_frame_log,
+    write_frame_log,
+    write_truth_log,
+)
 from twc_env.errors import DataError, TwcError
 from twc_env.messages import Contacts
 
@@ -149,3 +159,17 @@ def test_any_flipped_byte_is_refused_or_harmless(columns, tmp_path):
         except TwcError:
             refused += 1
     assert refused > 100
+
+
+def test_every_array_of_a_log_is_described(tmp_path):
+    settings = {"map": "twin-01", "robots": 2, "max_cycles": 3, "radio.stale_age_max_s": 5.0}
+    env = twc_env.parallel_env(config=settings)
+    env.reset(seed=0)
+    write_frame_log(tmp_path / "frames.npz", env.config, [env.frames], [env.contacts])
+    write_truth_log(tmp_path / "truth.npz", 0, "twin-01", env.result().true_poses)
+    text = (Path(__file__).parents[2] / "docs" / "frames.md").read_text(encoding="utf-8")
+    first_cells = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
+    described = {name for cell in first_cells for name in re.findall(r"`(\w+)`", cell)}
+    for name in ("frames.npz", "truth.npz"):
+        with np.load(tmp_path / name) as log:
+            assert set(log.files) <= described, name
