@@ -125,9 +125,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         _note_worse(runner, name, mine)
     _note_survey(runner, table)
     runner.notes.append("gmapping and wifi+lidar run semi-indoor only, as in print")
-    runner.notes.append(
-        "what picks the odometry's noise and starts was chosen semi-indoor, seeds 0 to 3 and 100 to 105"
-    )
+    runner.notes.append("settings were chosen on other walks: seeds 0 to 3 of all places, 100 to 105 semi-indoor")
     if options.out:
         for name, place in places.items():
             lidar = _lidar_result if place.has_lidar else None
