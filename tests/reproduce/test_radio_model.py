@@ -10,6 +10,7 @@ from twc_env.config import RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio_model import STUDIES
+from twc_env.reproduce.radio_study import hearing, spread_over
 
 needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="real surveys: set TWC_DATA to the data folder")
 CLEAR = RadioConfig(
@@ -66,6 +67,23 @@ def test_a_remembering_model_gives_the_same_strengths():
     assert np.array_equal(twice[1], plain, equal_nan=True)
 
 
+@pytest.mark.parametrize(("floor_dbm", "slope_db"), [(-92.0, 1.5), (-70.0, 5.0)])
+def test_readings_alone_tell_where_a_receivers_hearing_ends(floor_dbm, slope_db):
+    random = np.random.default_rng(0)
+    level = np.round(random.normal(-75.0, 15.0, 40_000))
+    is_heard = random.random(len(level)) < 1 / (1 + np.exp((floor_dbm - level) / slope_db))
+    found_dbm, found_db = hearing(np.where(is_heard, level, np.nan))
+    assert found_dbm == pytest.approx(floor_dbm, abs=3.0)
+    assert found_db == pytest.approx(slope_db, rel=0.3)
+
+
+def test_the_spread_is_that_of_the_mean_over_what_is_drawn():
+    values = np.random.default_rng(1).normal(5.0, 2.0, 400)
+    low, high = spread_over(400, lambda drawn: {"mean": float(values[drawn].mean())}, draws=400)["mean"]
+    assert (low + high) / 2 == pytest.approx(values.mean(), abs=0.05)
+    assert high - low == pytest.approx(2 * 1.96 * 2.0 / 20.0, rel=0.15)
+
+
 def test_every_set_is_either_calibrated_or_reported_and_both_exist():
     roles = [study.role for study in STUDIES]
     assert set(roles) == {"calibrated", "reported"}
@@ -99,6 +117,7 @@ def test_a_quick_run_gives_a_real_and_a_simulated_figure_for_every_quantity(tmp_
         "wifi/uw_floor",
     }
     assert {row["role"] for row in rows} == {"calibrated", "reported"}
+    assert all(row["real_low"] <= row["real_high"] for row in rows)
     exponents = [row for row in rows if "exponent" in row["quantity"] and "CETC331" in row["dataset"]]
     assert len(exponents) == 2
     assert all(1.0 < row["simulated"] < 5.0 and 1.0 < row["real"] < 5.0 for row in exponents)

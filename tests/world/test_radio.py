@@ -191,6 +191,18 @@ def test_wall_losses_follow_the_scale():
     assert single - double == pytest.approx([4.0, 4.0])
 
 
+def test_each_band_has_a_slope_of_its_own():
+    high = HighBandConfig(share=0.5, path_loss_exponent=2.3, power_offset_db=0.0, detection_slope_factor=0.25)
+    config = RadioConfig(**QUIET, power_spread_db=0.0, detection_slope_db=8.0, high_band=high)
+    model = RadioModel(config, hall(macs=[(k, k + 100) for k in range(1, 101)]))
+    config = dataclasses.replace(config, detection_floor_dbm=float(model.mean_rssi_dbm(np.array([30.0, 0.0]))[0]) - 4.0)
+    model = RadioModel(config, hall(macs=[(k, k + 100) for k in range(1, 101)]))
+    receiver = WifiReceiver(config, model, robot=0, seed=0)
+    heard = np.concatenate([receiver.scan(np.array([30.0, 0.0])).macs for _ in range(40)])
+    assert (heard <= 100).sum() / 4000 == pytest.approx(1 / (1 + np.exp(-4.0 / 8.0)), abs=0.03)
+    assert (heard > 100).sum() / 4000 == pytest.approx(1 / (1 + np.exp(-4.0 / 2.0)), abs=0.03)
+
+
 def test_ceilings_take_their_losses_and_lengthen_the_way():
     config = RadioConfig(
         **QUIET, power_spread_db=0.0, floor_loss_db=15.0, floor_loss_further_db=4.0, floor_height_m=3.0,
@@ -205,6 +217,21 @@ def test_ceilings_take_their_losses_and_lengthen_the_way():
         )
     assert levels[0] - levels[1] == pytest.approx(15.0 + 20 * np.log10(5.0 / 4.0))
     assert levels[0] - levels[2] == pytest.approx(23.0 + 20 * np.log10(np.hypot(9.0, 4.0) / 4.0))
+
+
+def test_a_ceiling_takes_more_the_flatter_the_way_and_the_most_at_five_gigahertz():
+    plan = hall(macs=((1, 2),))
+    above = dataclasses.replace(plan.access_points[0], floor=1)
+    plan = dataclasses.replace(plan, access_points=(above,))
+    high = HighBandConfig(share=0.5, floor_loss_factor=1.5)
+    plain = RadioConfig(**QUIET, floor_height_m=3.0, high_band=high)
+    oblique = dataclasses.replace(plain, floor_loss_grazing_db=10.0)
+    for x, cosine in ((4.0, 0.6), (0.0, 1.0), (40.0, 3.0 / np.hypot(40.0, 3.0))):
+        place = np.array([x, 0.0])
+        lost = RadioModel(plain, plan).mean_rssi_dbm(place) - RadioModel(oblique, plan).mean_rssi_dbm(place)
+        assert lost == pytest.approx([10.0 * (1.0 - cosine), 15.0 * (1.0 - cosine)], abs=1e-9)
+    same_storey = RadioModel(oblique, hall()).mean_rssi_dbm(np.array([4.0, 0.0]))
+    assert np.array_equal(same_storey, RadioModel(plain, hall()).mean_rssi_dbm(np.array([4.0, 0.0])))
 
 
 def test_the_number_of_addresses_per_access_point_can_be_set():
@@ -312,6 +339,18 @@ def test_a_cell_weakens_with_distance_walls_and_off_its_aim():
     loss = opened.mean_rssi_dbm(place) - model.mean_rssi_dbm(place)
     walls = np.array([plan.wall_index.crossing(place, mast[None])[1][0] for mast in masts])
     assert loss == pytest.approx(walls)
+
+
+def test_a_phone_lists_only_the_strongest_cells():
+    cells = CellConfig(count=30, detection_floor_dbm=-160.0, listed_max=7)
+    config = RadioConfig(**QUIET, wifi=False, cells=cells)
+    model = RadioModel(config, load_map("twin-01"))
+    place = np.array([15.0, 1.2])
+    scan = WifiReceiver(config, model, 0, 1).scan(place)
+    everything = dataclasses.replace(config, cells=dataclasses.replace(cells, listed_max=0))
+    all_heard = WifiReceiver(everything, model, 0, 1).scan(place)
+    assert len(scan.macs) == 7 < len(all_heard.macs)
+    assert sorted(scan.rssi_dbm) == sorted(all_heard.rssi_dbm)[-7:]
 
 
 def test_cells_move_with_the_building():

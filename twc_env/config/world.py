@@ -70,6 +70,8 @@ class HighBandConfig(Checked):
     floor_loss_factor: float = number(1.5, 0.0, 5.0)
     detection_offset_db: float = number(0.0, -40.0, 40.0)
     """Added to `detection_floor_dbm`."""
+    detection_slope_factor: float = number(1.0, 0.05, 20.0)
+    """Times `detection_slope_db`: what crowds 2.4 GHz loses strong signals too, 5 GHz has an edge."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,6 +90,8 @@ class CellConfig(Checked):
     shadowing_std_db: float = number(7.0, 0.0, 20.0)
     shadowing_length_m: float = number(40.0, 0.1, 1000.0)
     detection_floor_dbm: float = number(-118.0, -160.0, 0.0)
+    listed_max: int = number(0, 0, 1000)
+    """A phone lists its own cell and few neighbours: so many of the strongest it hears; 0 lists all."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,6 +137,8 @@ class RadioConfig(Checked):
     """Loss of the first ceiling between the robots and an access point of another storey."""
     floor_loss_further_db: float = number(10.0, 0.0, 100.0)
     """Loss of each further ceiling: other ways around add up (ITU-R P.1238 has 15 + 4 (n - 1) dB for offices)."""
+    floor_loss_grazing_db: float = number(0.0, 0.0, 100.0)
+    """More is lost the flatter the way through the ceilings: this times 1 - cos of the angle off the plumb line."""
     floor_height_m: float = number(4.0, 0.5, 20.0)
     sweep_share: float = number(1.0, 0.01, 1.0)
     """Share of the channels that one sweep comes to, from a random one on; what they hear keeps its last reading."""

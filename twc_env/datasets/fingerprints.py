@@ -59,14 +59,14 @@ class RadioSurvey:
         return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in columns})
 
     def of_transmitters(self, chosen: Array) -> RadioSurvey:
-        """Only some of the transmitters (mask)."""
+        """Only some of the transmitters (numbers or a mask)."""
         names = ("transmitter_m", "transmitter_floor", "is_high_band")
         parts = {name: getattr(self, name)[chosen] for name in names if getattr(self, name) is not None}
         tables = {
             name: getattr(self, name)[:, chosen] for name in ("rssi_dbm", "age_s") if getattr(self, name) is not None
         }
-        addresses = tuple(address for address, keep in zip(self.addresses, chosen, strict=True) if keep)
-        return dataclasses.replace(self, addresses=addresses, **parts, **tables)
+        addresses = np.array(self.addresses, object)[chosen].tolist()
+        return dataclasses.replace(self, addresses=tuple(addresses), **parts, **tables)
 
     @property
     def transmitters(self) -> tuple[Array, Array, Array]:

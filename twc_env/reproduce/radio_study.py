@@ -9,16 +9,23 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from twc_env.config import RadioConfig, from_dict
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.metrics.radio import cosine_similarity, distance_at_similarity
+from twc_env.random_streams import random_stream
 
 Array = NDArray
 Figures = dict[str, float]
 
+Spread = dict[str, tuple[float, float]]
+
 SIMILARITIES = (0.7, 0.8, 0.9)
-FAINTEST_SHARE = 0.03
+_INTERVAL = 0.95
+_FAINT_SHARE = 0.3
+"""So many of the readings, the faintest, tell where a receiver's hearing ends and how sharply."""
+_BELOW_DB = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +42,8 @@ class Study:
     simulated: Callable[[Path, RadioConfig, int, bool], Figures]
     reasons: dict[str, str] = dataclasses.field(default_factory=dict)
     """Why figures whose name begins with the key are missed."""
+    spread: Callable[[Path, bool], Spread] | None = None
+    """How far apart the real figures are of other access points, walks or routers of the same kind of place."""
 
     @property
     def config(self) -> RadioConfig:
@@ -53,16 +62,46 @@ def similarity_figures(survey: RadioSurvey, rssi_dbm: Array, is_pair: Array, off
     return figures
 
 
-def faintest_dbm(rssi_dbm: Array) -> float:
-    """How faint a receiver's faintest readings are: what a set tells of its device."""
-    return float(np.nanquantile(rssi_dbm, FAINTEST_SHARE))
+def spread_over(units: int, figures_of: Callable[[Array], Figures], draws: int = 100) -> Spread:
+    """Bootstrap: the middle 95 % of each figure over draws (units,) with replacement of what a set happens to have."""
+    random = random_stream(0, "spread")
+    found = [figures_of(random.integers(0, units, units)) for _ in range(draws)]
+    spread = {}
+    for name in found[0]:
+        values = np.array([figures[name] for figures in found], float)
+        if np.isfinite(values).any():
+            low, high = np.nanquantile(values, [0.5 - _INTERVAL / 2, 0.5 + _INTERVAL / 2]).tolist()
+            spread[name] = (low, high)
+    return spread
 
 
-def device_floors(survey: RadioSurvey) -> dict:
-    """Settings of the detection floors of a survey's own receiver, by band."""
+def hearing(rssi_dbm: Array) -> tuple[float, float]:
+    """Floor [dBm] and slope [dB] of a receiver's curve of detection, from its readings in whole dBm alone.
+
+    Were all signals heard, about as many would come at each of the faint levels; so the faintest readings thin out as
+    the curve falls. Greatest likelihood of the readings up to a level under that curve.
+    """
+    readings = rssi_dbm[np.isfinite(rssi_dbm)].astype(float)
+    last = np.floor(np.quantile(readings, _FAINT_SHARE))
+    levels = np.arange(readings.min() - _BELOW_DB, last + 1.0)
+    counts = np.bincount(np.searchsorted(levels, np.round(readings[readings <= last])), minlength=len(levels))
+
+    def unlikeliness(curve: Array) -> float:
+        log_share = -np.logaddexp(0.0, (curve[0] - levels) / np.exp(curve[1]))
+        return -float(counts @ (log_share - np.logaddexp.reduce(log_share))) / len(readings)
+
+    start = [readings.min() + 5.0, 0.7]
+    bounds = [(levels[0], last), (np.log(0.1), np.log(20.0))]
+    floor_dbm, log_slope = minimize(unlikeliness, start, method="Nelder-Mead", bounds=bounds).x
+    return float(floor_dbm), float(np.exp(log_slope))
+
+
+def device_hearing(survey: RadioSurvey) -> dict:
+    """Settings of the detection curves of a survey's own receiver, by band."""
     is_high = survey.transmitters[2]
-    low_dbm, high_dbm = (faintest_dbm(survey.rssi_dbm[:, is_high == band]) for band in (False, True))
-    return {"detection_floor_dbm": low_dbm, "high_band": {"detection_offset_db": high_dbm - low_dbm}}
+    (low_dbm, low_db), (high_dbm, high_db) = (hearing(survey.rssi_dbm[:, is_high == band]) for band in (False, True))
+    high_band = {"detection_offset_db": high_dbm - low_dbm, "detection_slope_factor": high_db / low_db}
+    return {"detection_floor_dbm": low_dbm, "detection_slope_db": low_db, "high_band": high_band}
 
 
 def with_settings(config: RadioConfig, changes: dict) -> RadioConfig:

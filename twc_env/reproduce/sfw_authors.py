@@ -9,6 +9,7 @@ no more cells than `paper` does, the surest ones.
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -67,13 +68,8 @@ def remarks(table: list[dict]) -> list[str]:
 
 def measure(routers: int, folder: Path, out: Path | None) -> list[dict]:
     """The rows of one walk."""
-    walk = read_authors_walk(folder, routers)
-    free, wall = read_lidar_map(folder)
-    free = largest_part(free)
-    fit = register(walk.position_px, free)
-    pixels_per_m = float(np.sqrt(free.sum() / FLOOR_M2))
-    cells = _cells(free, wall, pixels_per_m)
-    placed = _placed(walk, fit, cells, free.shape[0], pixels_per_m)
+    laid = lay(folder, routers)
+    walk, fit, cells, placed = laid.walk, laid.fit, laid.cells, laid.placed
     strongest = _strongest_column_each(placed, walk.router_of)
     maps = {"paper": scoring.by_paper(strongest, cells)}
     if routers == 1:
@@ -103,10 +99,33 @@ def measure(routers: int, folder: Path, out: Path | None) -> list[dict]:
             "fit_scale": fit.scale,
             "fit_angle_deg": float(np.rad2deg(fit.angle_rad)),
             "fit_free_share": fit.free_share,
-            "fit_wall_gap_m": fit.wall_gap_px / pixels_per_m,
+            "fit_wall_gap_m": fit.wall_gap_px / laid.pixels_per_m,
         }
         for method, made in maps.items()
     ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaidWalk:
+    """A log of the authors on the cells of their LiDAR map."""
+
+    walk: AuthorsWalk
+    fit: Registration
+    cells: Cells
+    placed: RadioWalk
+    """In metres of the cells, with one column for each column of the log."""
+    pixels_per_m: float
+
+
+def lay(folder: Path, routers: int) -> LaidWalk:
+    """The walk with so many routers, laid on the map. DataError for broken files."""
+    walk = read_authors_walk(folder, routers)
+    free, wall = read_lidar_map(folder)
+    free = largest_part(free)
+    fit = register(walk.position_px, free)
+    pixels_per_m = float(np.sqrt(free.sum() / FLOOR_M2))
+    cells = _cells(free, wall, pixels_per_m)
+    return LaidWalk(walk, fit, cells, _placed(walk, fit, cells, free.shape[0], pixels_per_m), pixels_per_m)
 
 
 def _cells(free: Array, wall: Array, pixels_per_m: float) -> Cells:

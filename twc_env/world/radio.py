@@ -1,8 +1,9 @@
 """Received strength of WiFi and LTE: path loss, walls, ceilings, shadowing, fading, device, noise (papers.md T5, X2).
 
-rssi = P(1 m) - 10 n log10(max(d, d0)) - wall losses + shadowing(place) + fading(visit) + device(robot) + noise(scan),
-heard with probability 1 / (1 + exp((floor - rssi) / slope)) and reported in whole dB. Power, exponent, wall loss and
-floor belong to the band: 2.4 GHz, 5 GHz, or LTE cells on masts outside (papers.md R14-R15).
+rssi = P(1 m) - 10 n log10(max(d, d0)) - losses of walls and ceilings + shadowing(place) + fading(visit) +
+device(robot) + noise(scan), heard with probability 1 / (1 + exp((floor - rssi) / slope)) and reported in whole dB.
+Power, exponent, losses, floor and slope belong to the band: 2.4 GHz, 5 GHz, or LTE cells on masts outside (papers.md
+R14-R15).
 """
 
 from __future__ import annotations
@@ -76,6 +77,8 @@ class RadioModel:
         """(transmitters,) number of the access point that sends under each address; cells count on from there."""
         self.band_of = np.array(bands, np.int64)[order]
         """(transmitters,) LOW_BAND, HIGH_BAND or CELL_BAND."""
+        self.is_cell = self.band_of == CELL_BAND
+        """(transmitters,)."""
         self._power_offsets_db = np.array([_power_offset_db(config, plan.digest, mac) for mac in self.macs])
         self._power_offsets_db += self._box_offsets_db(plan)[self.access_point_of]
         self._aim_rad = np.array([aim for _, aim in cells])
@@ -98,6 +101,10 @@ class RadioModel:
         ceilings = self._sources.floors[self.access_point_of]
         further_db = config.floor_loss_further_db * np.maximum(ceilings - 1, 0)
         self._floor_losses_db = floor_factor * (config.floor_loss_db * (ceilings > 0) + further_db)
+        grazing_db = floor_factor * config.floor_loss_grazing_db * (ceilings > 0)
+        slope_db = config.detection_slope_db
+        self.detection_slopes_db = np.array([slope_db, slope_db * high.detection_slope_factor, slope_db])[self.band_of]
+        """(transmitters,) of the curve of what is heard."""
         self._power_dbm, self._exponent = power, exponent
         radios, self.radio_of = np.unique(3 * self.access_point_of + self.band_of, return_inverse=True)
         self.radio_count = len(radios)
@@ -117,9 +124,9 @@ class RadioModel:
         sources = self._sources
         boxes = np.column_stack([sources.position_m, sources.height_m, sources.shadowing_std_db]).T.copy()
         self.signal = (
-            self._pose_home_building, boxes, sources.waves, np.stack([self._levels_dbm, self._exponent]),
+            self._pose_home_building, boxes, sources.waves, np.stack([self._levels_dbm, self._exponent, grazing_db]),
             np.stack([self.access_point_of, self.band_of]), config.distance_min_m,
-            np.empty((2 + used, len(sources.position_m))),
+            np.empty((3 + used, len(sources.position_m))),
         )  # fmt: skip
         """What `reception.mean_rssi_at` needs beside the place and the walls around it."""
 
@@ -136,7 +143,7 @@ class RadioModel:
         x, y = float(position_m[0]), float(position_m[1])
         mean = mean_rssi_at(x, y, self._wall_losses_db(x, y), *self.signal)
         if self._has_cells:
-            mean[self.band_of == CELL_BAND] -= self._sector_loss_db(np.array([x, y]))
+            mean[self.is_cell] -= self._sector_loss_db(np.array([x, y]))
         return mean
 
     @property

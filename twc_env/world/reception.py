@@ -37,10 +37,12 @@ class WifiReceiver:
         """Whether all that it hears comes from this building, and now: then `hear` can stand in for `scan`."""
         device = random_stream(seed, "wifi-device", robot)
         device_offset_db = config.device_offset_std_db * device.standard_normal() + offset_db
-        self.floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
+        floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
+        self.detection = np.stack([floors_dbm, model.detection_slopes_db])
+        """(2, transmitters) floor [dBm] and slope [dB] of the curve of what is heard."""
         self.constants = np.array(
-            [device_offset_db, config.noise_std_db, config.detection_slope_db, 1.0 - config.miss_probability,
-             config.quantisation_db, config.fading_length_m, config.fading_std_db]
+            [device_offset_db, config.noise_std_db, 1.0 - config.miss_probability, config.quantisation_db,
+             config.fading_length_m, config.fading_std_db]
         )  # fmt: skip
         self.is_fading_shared = config.fading_shared
         self._fading_db = np.zeros(count)
@@ -56,15 +58,22 @@ class WifiReceiver:
         count = len(model.macs)
         rssi, heard = model.mean_rssi_dbm(np.array([x, y])), np.empty(count, np.bool_)
         _receive(
-            rssi, self._fading_db, self.constants, self._draws.next()[0], self.floors_dbm, model.macs, heard,
+            rssi, self._fading_db, self.constants, self._draws.next()[0], self.detection, model.macs, heard,
             np.empty(count, np.int64), np.empty(count),
         )  # fmt: skip
+        if config.cells.listed_max:
+            self._leave_out_faint_cells(rssi, heard)
         if self._is_partial:
             share = config.sweep_share + config.sweep_share_std * self._sweep.standard_normal()
             heard &= (model.sweep_place - self._sweep.random()) % 1.0 < share
         if config.stale_age_max_s > 0.0:
             return self._with_stale(rssi, heard, time_s)
         return WifiScan(model.macs[heard], rssi[heard])
+
+    def _leave_out_faint_cells(self, rssi: Array, heard: Array) -> None:
+        """A phone lists its own cell and a few neighbours, however many more it could hear."""
+        cells = np.flatnonzero(heard & self._model.is_cell)
+        heard[cells[np.argsort(-rssi[cells], kind="stable")[self._config.cells.listed_max :]]] = False
 
     def _with_stale(self, rssi: Array, heard: Array, time_s: float) -> WifiScan:
         """What was heard now, and what was heard not too long ago, with its age."""
@@ -96,7 +105,7 @@ class WifiReceivers:
         self._fading = StepQueue(fading, model.radio_count if self._is_fading_shared else count)
         self._model, self._crossings = model, model.crossings
         self._own = (
-            np.stack([device.floors_dbm for device in devices]), np.stack([device.constants for device in devices]),
+            np.stack([device.detection for device in devices]), np.stack([device.constants for device in devices]),
             np.zeros((robots, count)), np.full((robots, 2), np.inf), self._fading.numbers, self._fading.used,
             model.radio_of if self._is_fading_shared else np.arange(count), model.macs,
         )  # fmt: skip
@@ -133,8 +142,9 @@ def mean_rssi_at(
     """(transmitters,) strength before fading, device and noise.
 
     losses_db (bands, sources): of walls; boxes (4, sources): x, y, height and spread of the shadowing; waves
-    (3, waves, sources): x and y frequency and phase; radios (2, transmitters): power less fixed losses, and path-loss
-    exponent; parts (2, transmitters): source and band; scratch (>= 2, sources).
+    (3, waves, sources): x and y frequency and phase; radios (3, transmitters): power less fixed losses, path-loss
+    exponent, and further loss of a ceiling at grazing incidence; parts (2, transmitters): source and band; scratch
+    (>= 3, sources).
     """
     mean = np.empty(radios.shape[1])
     _mean_rssi(x, y, losses_db, pose_home_building, boxes, waves, radios, parts, distance_min_m, scratch, mean)
@@ -162,29 +172,30 @@ def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
 
 @kernel
 def _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, mean):
-    shadowing, path_loss = scratch[0], scratch[1]
+    shadowing, path_loss, grazing = scratch[0], scratch[1], scratch[2]
     _shadowing(x, y, pose_home_building, boxes, waves, shadowing)
     for a in range(boxes.shape[1]):
         dx, dy, dz = boxes[0, a] - x, boxes[1, a] - y, boxes[2, a]
-        path_loss[a] = 10.0 * np.log10(max(np.sqrt(dx * dx + dy * dy + dz * dz), distance_min))
+        reach = np.sqrt(dx * dx + dy * dy + dz * dz)
+        path_loss[a] = 10.0 * np.log10(max(reach, distance_min))
+        grazing[a] = 1.0 - dz / reach if dz > 0.0 else 0.0
     for t in range(parts.shape[1]):
         a = parts[0, t]
-        mean[t] = radios[0, t] - radios[1, t] * path_loss[a] - losses[parts[1, t], a] + shadowing[a]
+        fixed = radios[0, t] - radios[1, t] * path_loss[a] - radios[2, t] * grazing[a]
+        mean[t] = fixed - losses[parts[1, t], a] + shadowing[a]
 
 
 @kernel
-def _receive(rssi, fading, constants, draws, floors, all_macs, heard, macs, readings):
+def _receive(rssi, fading, constants, draws, detection, all_macs, heard, macs, readings):
     """Turn mean strengths into readings, in place; what is heard is also listed in macs and readings -> how many.
 
     Draws: a normal deviate for each transmitter, then a uniform one for each.
     """
-    device_offset, noise_std, slope, chance, step = (
-        constants[0], constants[1], constants[2], constants[3], constants[4]
-    )  # fmt: skip
+    device_offset, noise_std, chance, step = constants[0], constants[1], constants[2], constants[3]
     transmitters, count = rssi.shape[0], 0
     for t in range(transmitters):
         level = rssi[t] + fading[t] + device_offset + noise_std * draws[t]
-        heard[t] = draws[transmitters + t] * (1.0 + np.exp((floors[t] - level) / slope)) < chance
+        heard[t] = draws[transmitters + t] * (1.0 + np.exp((detection[0, t] - level) / detection[1, t])) < chance
         rssi[t] = step * np.floor(level / step + 0.5)
         if heard[t]:
             macs[count], readings[count] = all_macs[t], rssi[t]
@@ -195,22 +206,23 @@ def _receive(rssi, fading, constants, draws, floors, all_macs, heard, macs, read
 @kernel
 def hear(
     robot, x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts,
-    sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, floors,
-    constants, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, draws, macs, readings,
+    sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts, distance_min, scratch,
+    detection, constants, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, draws, macs,
+    readings,
 ):  # fmt: skip
     """A whole scan of one robot at a place whose walls around are worked out -> how many are heard."""
-    own, losses = constants[robot], scratch[2:]
+    own, losses = constants[robot], scratch[3:]
     crossed, rssi = np.empty(points.shape[0], np.int64), np.empty(parts.shape[1])
     heard = np.empty(parts.shape[1], np.bool_)
-    if (x - fading_places[robot, 0]) ** 2 + (y - fading_places[robot, 1]) ** 2 >= own[5] ** 2:
+    if (x - fading_places[robot, 0]) ** 2 + (y - fading_places[robot, 1]) ** 2 >= own[4] ** 2:
         fading_places[robot, 0], fading_places[robot, 1] = x, y
         number = min(fading_used[robot], fading_numbers.shape[0] - 1)
         fading_used[robot] = number + 1
         for t in range(fading.shape[1]):
-            fading[robot, t] = own[6] * fading_numbers[number, robot, fading_of[t]]
+            fading[robot, t] = own[5] * fading_numbers[number, robot, fading_of[t]]
     crossed_at(
         x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts,
         sure_losses, first_open, open_walls, crossed, losses,
     )  # fmt: skip
     _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, rssi)
-    return _receive(rssi, fading[robot], own, draws[robot], floors[robot], all_macs, heard, macs, readings)
+    return _receive(rssi, fading[robot], own, draws[robot], detection[robot], all_macs, heard, macs, readings)

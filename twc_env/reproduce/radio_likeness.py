@@ -1,0 +1,134 @@
+"""Likeness of fingerprints against distance: phones of walkers in two malls, and a robot's laptop on an office floor.
+
+What belongs to a place or a device is an input and never judged: how many transmitters there are, and what a receiver
+tells of faint ones. All else is the preset's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import RadioConfig
+from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.datasets.geojson import read_geojson
+from twc_env.datasets.indoor20 import FRESH_S, read_indoor20
+from twc_env.datasets.uw_floor import read_uw_floor
+from twc_env.reproduce import radio_places as places
+from twc_env.reproduce.radio_study import Figures, Spread, Study, extent, similarity_figures, spread_over, thinned
+
+Array = NDArray
+
+_APART_S = 30.0
+_MALL_MARGIN_M = 15.0
+_ADDRESSES_PER_BOX = 4.83
+_MALL_DRAWS = 40
+_MALLS = {"site1_B1": ("calibrated", 0.00693, 0.416), "site2_F6": ("reported", 0.0098, 0.513)}
+"""Role, access points per m2 of the mall and its margin, and which share of their addresses is at 5 GHz. Fitted to
+site1_B1; on site2_F6 more addresses are heard ten times or more (1,814 against 1,293), and more of them are at 5 GHz
+(52 % against 43 %): its figures are scaled until the simulated walks hear as many in the same proportion."""
+
+
+def mall_studies() -> Iterator[Study]:
+    """Phones held by walkers, whose scans repeat old readings."""
+    for floor, (role, boxes_per_m2, high_share) in _MALLS.items():
+
+        def survey(folder: Path, quick: bool, floor: str = floor) -> RadioSurvey:
+            return read_indoor20(folder / "indoor20" / floor, np.inf, traces_max=12 if quick else None)
+
+        def real(folder: Path, quick: bool, survey=survey) -> Figures:
+            return _mall_figures(survey(folder, quick))
+
+        def simulated(
+            folder: Path, config: RadioConfig, seed: int, quick: bool, survey=survey, floor=floor, density=boxes_per_m2
+        ) -> Figures:
+            true = survey(folder, quick)
+            plan = read_geojson(folder / "indoor20" / floor / "geojson_map.json.gz", seed)
+            around = plan.bounds_m + _MALL_MARGIN_M * np.array([-1, -1, 1, 1])
+            boxes = round(density * float(np.prod(around[2:] - around[:2])))
+            addresses = round(_ADDRESSES_PER_BOX * boxes)
+            plan = places.with_spread_transmitters(plan, boxes, addresses, seed, around, floors=(0, 0, 1, -1))
+            return _mall_figures(places.simulate(true, plan, config, seed))
+
+        def spread(folder: Path, quick: bool, survey=survey) -> Spread:
+            true = survey(folder, quick)
+            scans = [np.flatnonzero(true.walk == walk) for walk in np.unique(true.walk)]
+
+            def of_walks(drawn: Array) -> Figures:
+                return _mall_figures(true.at_scans(np.concatenate([scans[walk] for walk in drawn])))
+
+            return spread_over(len(scans), of_walks, _MALL_DRAWS)
+
+        changes = {"high_band": {"share": high_share}}
+        yield Study(f"indoor20 {floor}", role, "radio-mall", changes, real, simulated, _MALL_REASONS, spread)
+
+
+_PHONES_DIFFER = "phones differ: on site2_F6 a quarter of the walks hear 40 or fewer, another quarter 210 or more"
+_MALL_REASONS = {
+    "distance at cosine": "at high cosine a few walks over open floor give most pairs; the plan has no halls or crowds,"
+    " and access points stand at random where a mall's stand in rows",
+    "transmitters per scan": _PHONES_DIFFER,
+    "rows per scan": _PHONES_DIFFER,
+    "sd of transmitters per scan": _PHONES_DIFFER,
+    "age of rows": "phones differ in how long a sweep takes them and in what they forget",
+    "share of rows at 5 GHz": "phones differ in how well they hear 5 GHz",
+}
+
+
+def _mall_figures(survey: RadioSurvey) -> Figures:
+    """Likeness of the fresh readings, and how old the others are."""
+    fresh, heard = survey.fresh(FRESH_S), np.isfinite(survey.rssi_dbm)
+    age_s = survey.age_s[heard] if survey.age_s is not None else np.zeros(1)
+    is_high = np.broadcast_to(False if survey.is_high_band is None else survey.is_high_band, heard.shape)
+    is_other_walk = survey.walk[:, None] != survey.walk[None]
+    return {
+        **similarity_figures(fresh, fresh.rssi_dbm, is_other_walk),
+        "rows per scan": float(heard.sum(axis=1).mean()),
+        "age of rows: median [s]": float(np.median(age_s)),
+        "age of rows: 95 % [s]": float(np.quantile(age_s, 0.95)),
+        "share of rows at 5 GHz": float(is_high[heard].mean()),
+        "sd of transmitters per scan": float(np.isfinite(fresh.rssi_dbm).sum(axis=1).std()),
+    }
+
+
+_ROBOT_FAINTEST_DBM = -90.0
+"""The log tells what is fainter as this: a third of its readings."""
+_ROBOT_ROOMS = (5.0, 5.0)
+"""Width [m] and wall loss [dB] of the rooms drawn for the floor, fitted."""
+_ROBOT_RECEIVER = {"detection_floor_dbm": -93.0, "detection_slope_db": 2.0, "high_band": {"share": 0.0}}
+_ROBOT_REASONS = {"": "where the 30 access points of the floor and its neighbours stand is not known"}
+
+
+def robot_floor_studies() -> Iterator[Study]:
+    """A laptop on a robot: each scan is a whole sweep."""
+
+    def survey(folder: Path, quick: bool) -> RadioSurvey:
+        return thinned(read_uw_floor(folder / "wifi" / "uw_floor" / "uw-floor.txt"), quick)
+
+    def real(folder: Path, quick: bool) -> Figures:
+        true = survey(folder, quick)
+        return similarity_figures(true, true.rssi_dbm, _apart_in_time(true))
+
+    def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
+        true = survey(folder, quick)
+        plan = places.office(true.name, extent(true.position_m, 3.0), *_ROBOT_ROOMS)
+        around = extent(true.position_m, 20.0)
+        plan = places.with_spread_transmitters(
+            plan, len(true.addresses), len(true.addresses), seed, around, (0, 0, 1, -1)
+        )
+        rssi = places.simulate(true, plan, config, seed, phones=False).rssi_dbm
+        return similarity_figures(true, np.maximum(rssi, _ROBOT_FAINTEST_DBM), _apart_in_time(true))
+
+    def spread(folder: Path, quick: bool) -> Spread:
+        true = survey(folder, quick)
+        is_pair = _apart_in_time(true)
+        return spread_over(len(true.addresses), lambda k: similarity_figures(true, true.rssi_dbm[:, k], is_pair))
+
+    yield Study("wifi/uw_floor", "calibrated", "radio-indoor", _ROBOT_RECEIVER, real, simulated, _ROBOT_REASONS, spread)
+
+
+def _apart_in_time(survey: RadioSurvey) -> Array:
+    return np.abs(survey.time_s[:, None] - survey.time_s[None]) > _APART_S
