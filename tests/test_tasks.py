@@ -7,16 +7,16 @@ from twc_env.config import digest, override
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "d6cc8ee7d71d",
-    "twc/ExploreTwin01-v0": "d6cc8ee7d71d",
-    "twc/ExploreTwin02-v0": "f6bf0f7324a8",
-    "twc/ExploreOffice-v0": "0f7efd59c2de",
-    "twc/ExploreFrontier-v0": "c9eafb6dfe96",
-    "twc/ExploreFrontierAsync-v0": "08660933cb8f",
-    "twc/ExploreHard-v0": "aa11efe8ad39",
-    "twc/ExploreKnownStarts-v0": "e1aa69222adf",
-    "twc/ExploreTruePoses-v0": "a8e2f9fc4854",
-    "twc/ExploreNoMerging-v0": "749722501244",
+    "twc/Explore-v0": "0ae33bc751fc",
+    "twc/ExploreTwin01-v0": "0ae33bc751fc",
+    "twc/ExploreTwin02-v0": "a6a368a2d6aa",
+    "twc/ExploreOffice-v0": "008ec4a830a3",
+    "twc/ExploreFrontier-v0": "7dbd87ebeae5",
+    "twc/ExploreFrontierAsync-v0": "090336263135",
+    "twc/ExploreHard-v0": "12b82b644dc6",
+    "twc/ExploreKnownStarts-v0": "b59cfc804fe7",
+    "twc/ExploreTruePoses-v0": "845c2af64802",
+    "twc/ExploreNoMerging-v0": "6c5b04377918",
 }
 
 

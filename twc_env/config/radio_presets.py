@@ -38,7 +38,7 @@ RADIO_PRESETS: dict[str, dict] = {
             "power_offset_db": -5.5,
             "path_loss_exponent": 1.9,
             "wall_loss_factor": 1.68,
-            "floor_loss_factor": 1.78,
+            "floor_loss_factor": 1.85,
         },
     },
     "radio-mall": {
@@ -102,7 +102,7 @@ RADIO_PRESETS: dict[str, dict] = {
         "device_offset_std_db": 1.0,
         "device_sensitivity_std_db": 3.1,
         "access_point_spread_db": 7.0,
-        "detection_floor_dbm": -85.0,
+        "detection_floor_dbm": -83.5,
         "miss_probability": 0.3,
         "high_band": {"share": 0.5, "path_loss_exponent": 3.5},
     },

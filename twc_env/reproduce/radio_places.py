@@ -65,6 +65,11 @@ def flat(plan: Flat, wall_db: float) -> Floorplan:
     )
 
 
+def another(plan: Floorplan, seed: int) -> Floorplan:
+    """The same walls and transmitters in another building: shadowing and powers are drawn by a plan's name, too."""
+    return dataclasses.replace(plan, name=f"{plan.name} {seed}")
+
+
 def with_known_transmitters(plan: Floorplan, survey: RadioSurvey, floor: int) -> Floorplan:
     """Access points where the survey has its transmitters: address k of the plan is column k - 1 of the survey."""
     transmitter_m, storeys, is_high = survey.transmitters
