@@ -98,7 +98,7 @@ _ROBOT_FAINTEST_DBM = -90.0
 """The log tells what is fainter as this: a third of its readings."""
 _ROBOT_ROOMS = (5.0, 5.0)
 """Width [m] and wall loss [dB] of the rooms drawn for the floor, fitted."""
-_ROBOT_RECEIVER = {"detection_floor_dbm": -93.0, "detection_slope_db": 2.0, "high_band": {"share": 0.0}}
+_ROBOT_RECEIVER = {"detection_floor_dbm": -93.8, "detection_slope_db": 2.0, "high_band": {"share": 0.0}}
 _ROBOT_REASONS = {"": "where the 30 access points of the floor and its neighbours stand is not known"}
 
 
