@@ -8,9 +8,7 @@ from hypothesis import strategies as st
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.geometry import between, inverse, transform_points, wrap_angle
 from twc_env.messages import SignObservation
-from twc_env.slam import text_wifi_recogniser
 from twc_env.slam.place_recognition import ProposalFilter
-from twc_env.slam.radio_fingerprint import FingerprintTable
 from twc_env.slam.text_wifi_recogniser import TextWifiRecogniser
 
 MACS = (1, 2, 3, 4, 5)
@@ -76,26 +74,6 @@ def test_nothing_is_compared_without_a_sign(keyframe, place):
     blank = keyframe(1, macs=MACS, rssi_dbm=LEVELS_DBM)
     assert candidates(place(0), blank) == []
     assert candidates(blank, place(0)) == []
-
-
-@pytest.mark.parametrize(
-    ("text", "macs", "asked"),
-    [
-        ("A301 OPTICS", MACS, []),
-        ("A101 LABORATORY", (7, 8, 9), ["transmitters"]),
-        ("A101 LABORATORY", MACS, ["transmitters", "strengths"]),
-    ],
-)
-def test_cues_are_asked_in_the_order_text_transmitters_strengths(place, monkeypatch, text, macs, asked):
-    found = []
-
-    def spy(name, function):
-        return lambda *arguments: (found.append(name), function(*arguments))[1]
-
-    monkeypatch.setattr(FingerprintTable, "compare", spy("transmitters", FingerprintTable.compare))
-    monkeypatch.setattr(text_wifi_recogniser, "rssi_cue", spy("strengths", text_wifi_recogniser.rssi_cue))
-    candidates(place(0, text="A101 LABORATORY"), place(1, text=text, macs=macs, rssi_dbm=LEVELS_DBM[: len(macs)]))
-    assert found == asked
 
 
 @pytest.mark.parametrize(("travel_m", "count"), [(11.9, 0), (12.0, 1), (40.0, 1)])

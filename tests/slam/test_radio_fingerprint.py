@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 
 from twc_env.messages import Fingerprint, WifiScan
 from twc_env.slam.radio_fingerprint import (
-    FingerprintTable,
     fingerprint,
     mac_similarity,
     rssi_distance_db,
@@ -140,21 +139,3 @@ def test_both_similarities_are_symmetric_and_lie_between_zero_and_one(first, sec
     assert 0.0 <= mac_similarity(a, b) <= 1.0
     assert rssi_distance_db(a, b) == rssi_distance_db(b, a)
     assert 0.0 <= rssi_similarity(*rssi_distance_db(a, b), 5.0) <= 1.0
-
-
-fingerprints = st.dictionaries(st.integers(1, 12), st.integers(-90, -30), max_size=8).map(
-    lambda d: Fingerprint(np.array(sorted(d), np.int64), np.array([d[m] for m in sorted(d)], float))
-)
-
-
-@given(st.lists(fingerprints, min_size=1, max_size=6), fingerprints)
-def test_a_table_compares_as_pairs_do(rows, other):
-    table = FingerprintTable()
-    for row in rows:
-        table.append(row)
-    numbers = [*reversed(range(len(rows))), 0]
-    macs, distance, shared = table.compare(numbers, other)
-    assert macs.tolist() == [mac_similarity(rows[k], other) for k in numbers]
-    assert list(zip(distance.tolist(), shared.tolist(), strict=True)) == [
-        (pytest.approx(d, abs=1e-12), n) for d, n in (rssi_distance_db(rows[k], other) for k in numbers)
-    ]

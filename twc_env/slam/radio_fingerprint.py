@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack
+from twc_env.kernels import Pack, bound, kernel, pack
 from twc_env.messages import Fingerprint, WifiScan
 from twc_env.team_messages import WifiScans
 
@@ -233,57 +233,3 @@ def _shared(a: Fingerprint, b: Fingerprint) -> tuple[Array, Array]:
     """For each transmitter of a: is it in b, and where."""
     position = np.minimum(np.searchsorted(b.macs, a.macs), max(len(b.macs) - 1, 0))
     return (b.macs[position] == a.macs) if len(b.macs) else np.zeros(len(a.macs), bool), position
-
-
-class FingerprintTable:
-    """Many fingerprints, to compare one with a number of them at once."""
-
-    def __init__(self) -> None:
-        self._macs, self._rssi_dbm = np.zeros(1024, np.int64), np.zeros(1024)
-        self._ends = np.zeros(64, np.int64)
-        """Of each row; it begins where the one before ends."""
-        self._count = 0
-
-    def append(self, fingerprint: Fingerprint) -> None:
-        """Add a row."""
-        first = int(self._ends[self._count - 1]) if self._count else 0
-        end = first + len(fingerprint.macs)
-        while end > len(self._macs):
-            self._macs = np.concatenate([self._macs, np.zeros_like(self._macs)])
-            self._rssi_dbm = np.concatenate([self._rssi_dbm, np.zeros_like(self._rssi_dbm)])
-        if self._count == len(self._ends):
-            self._ends = np.concatenate([self._ends, np.zeros_like(self._ends)])
-        self._macs[first:end] = fingerprint.macs
-        self._rssi_dbm[first:end] = fingerprint.rssi_dbm
-        self._ends[self._count] = end
-        self._count += 1
-
-    def compare(self, rows: Sequence[int], fingerprint: Fingerprint) -> tuple[Array, Array, Array]:
-        """`mac_similarity`, and distance and count of `rssi_distance_db`, of these rows (k,) and one fingerprint."""
-        out = np.zeros(len(rows)), np.zeros(len(rows)), np.zeros(len(rows), np.int64)
-        _compare_rows(
-            np.array(rows), self._ends, self._macs, self._rssi_dbm, fingerprint.macs, fingerprint.rssi_dbm, *out
-        )
-        return out
-
-
-@borrowing_kernel
-def _compare_rows(rows, ends, macs, levels, other_macs, other_levels, similarity, distance, shared):
-    for r in range(rows.shape[0]):
-        row = rows[r]
-        first = ends[row - 1] if row > 0 else 0
-        i, j, n, squares = first, 0, 0, 0.0
-        while i < ends[row] and j < other_macs.shape[0]:
-            if macs[i] < other_macs[j]:
-                i += 1
-            elif macs[i] > other_macs[j]:
-                j += 1
-            else:
-                squares += (levels[i] - other_levels[j]) ** 2
-                n += 1
-                i += 1
-                j += 1
-        larger = max(ends[row] - first, other_macs.shape[0])
-        similarity[r] = n / larger if larger > 0 else 0.0
-        distance[r] = math.sqrt(squares)
-        shared[r] = n

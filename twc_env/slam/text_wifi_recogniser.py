@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import PlaceRecognitionConfig
-from twc_env.geometry import compose, inverse
 from twc_env.messages import Fingerprint, Keyframe, LoopCandidate, SignObservation
 from twc_env.slam.place_cues import rssi_cue, similarities
-from twc_env.slam.radio_fingerprint import FingerprintTable
+from twc_env.slam.sign_table import UNLIKE, SignTable
 from twc_env.slam.text_similarity import AlikeTexts, normalise
 
 Array = NDArray
@@ -36,12 +35,11 @@ class TextWifiRecogniser:
     def __init__(self, config: PlaceRecognitionConfig):
         self._config = config
         self._texts = AlikeTexts(config.text_similarity_min - 1e-9)
-        self._numbers_of: list[list[int]] = []
-        """Of each text the places where it was read, by number."""
+        self._mac_similarity_min = config.mac_similarity_min - 1e-9
         self._recent: dict[tuple[int, str], deque[tuple[float, tuple[float, float]]]] = {}
         self._places: list[tuple[Keyframe, SignObservation]] = []
-        self._fingerprints = FingerprintTable()
-        """One row per place."""
+        self._table = SignTable()
+        """The same places."""
 
     def propose(
         self,
@@ -57,12 +55,11 @@ class TextWifiRecogniser:
         for text, sign in readings:
             if math.isnan(sign.facing_rad):
                 continue
-            similarity = self._like_text(text, keyframe, skipped_robots)
-            for k, macs, rssi in self._like_radio(sorted(similarity), keyframe.fingerprint):
+            for k, similarity, macs, rssi in self._like_places(text, keyframe, skipped_robots):
                 target = self._places[k][0]
                 held = best.get((target.robot, target.index))
-                if held is None or similarity[k] > held[0]:
-                    best[target.robot, target.index] = similarity[k], k, sign, macs, rssi
+                if held is None or similarity > held[0]:
+                    best[target.robot, target.index] = similarity, k, sign, macs, rssi
         for text, sign in readings:
             self._remember(text, keyframe, sign)
         source = keyframe.robot, keyframe.index
@@ -93,31 +90,33 @@ class TextWifiRecogniser:
         cues = similarities(target, source, self._config)
         return min(cues.text, cues.macs, cues.rssi)
 
-    def _like_text(self, text: str, keyframe: Keyframe, skipped_robots: Sequence[int]) -> dict[int, float]:
-        """Numbers of the places whose text is alike and that the keyframe may be compared with -> similarity."""
-        found = {}
-        latest_m = keyframe.travel_m - self._config.revisit_travel_m
-        for other, similarity in self._texts.alike(text):
-            for k in self._numbers_of[other]:
-                target = self._places[k][0]
-                robot = target.robot
-                if robot not in skipped_robots and (robot != keyframe.robot or target.travel_m <= latest_m):
-                    found[k] = similarity
-        return found
+    def _like_places(
+        self, text: str, keyframe: Keyframe, skipped_robots: Sequence[int]
+    ) -> list[tuple[int, float, float, float]]:
+        """Places that the keyframe may be compared with, by number, where text and radio are alike.
 
-    def _like_radio(self, numbers: list[int], fingerprint: Fingerprint) -> list[tuple[int, float, float]]:
-        """Those of the places whose fingerprint passes, with the similarities of transmitters and of strengths."""
-        rule = self._config
-        if not numbers:
+        With the similarities of texts, transmitters and strengths.
+        """
+        alike = self._texts.alike(text)
+        if not alike:
             return []
-        macs, distance_db, shared = self._fingerprints.compare(numbers, fingerprint)
+        likeness = np.full(len(self._texts), UNLIKE)
+        for number, similarity in alike:
+            likeness[number] = similarity
+        rule = self._config
+        return self._passing(
+            self._table.like(likeness, keyframe, skipped_robots, rule.revisit_travel_m, self._mac_similarity_min),
+            keyframe.fingerprint,
+        )
+
+    def _passing(self, rows: list[list[float]], heard: Fingerprint) -> list[tuple[int, float, float, float]]:
+        """Those of the rows of the table whose strengths are like what was heard."""
         passed = []
-        rows = zip(numbers, macs.tolist(), distance_db.tolist(), shared.tolist(), strict=True)
-        for k, mac, distance, count in rows:
-            if mac >= rule.mac_similarity_min - 1e-9:
-                rssi, is_alike = rssi_cue(distance, count, rule, (self._places[k][0].fingerprint, fingerprint))
-                if is_alike:
-                    passed.append((k, mac, rssi))
+        for row, text, macs, distance_db, shared in rows:
+            k = int(row)
+            rssi, is_alike = rssi_cue(distance_db, int(shared), self._config, (self._places[k][0].fingerprint, heard))
+            if is_alike:
+                passed.append((k, text, macs, rssi))
         return passed
 
     def _remember(self, text: str, keyframe: Keyframe, sign: SignObservation) -> None:
@@ -132,12 +131,8 @@ class TextWifiRecogniser:
                 return
         recent = self._recent.setdefault((keyframe.robot, text), deque(maxlen=4))
         recent.append((keyframe.travel_m, position))
-        number = self._texts.number_of(text)
-        if number == len(self._numbers_of):
-            self._numbers_of.append([])
-        self._numbers_of[number].append(len(self._places))
         self._places.append((keyframe, sign))
-        self._fingerprints.append(keyframe.fingerprint)
+        self._table.append(keyframe, self._texts.number_of(text))
 
     def _key(self, text: str) -> str:
         return normalise(text) if self._config.normalise_text else text
@@ -148,16 +143,26 @@ class TextRecogniser(TextWifiRecogniser):
 
     name = "text"
 
+    def __init__(self, config: PlaceRecognitionConfig):
+        super().__init__(config)
+        self._mac_similarity_min = -math.inf
+
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """Similarity of the two texts most alike."""
         return similarities(target, source, self._config).text
 
-    def _like_radio(self, numbers: list[int], fingerprint: Fingerprint) -> list[tuple[int, float, float]]:
-        return [(k, math.nan, math.nan) for k in numbers]
+    def _passing(self, rows: list[list[float]], heard: Fingerprint) -> list[tuple[int, float, float, float]]:
+        return [(int(row[0]), row[1], math.nan, math.nan) for row in rows]
 
 
 def meet_at_sign(target: SignObservation, source: SignObservation) -> Array:
     """(3,) pose of the source in the target's frame if both see one sign: lay the two sign frames on each other."""
-    target_sign = np.array((*target.position_m.tolist(), target.facing_rad))
-    source_sign = np.array((*source.position_m.tolist(), source.facing_rad))
-    return compose(target_sign, inverse(source_sign))
+    (x, y), heading, turn = source.position_m.tolist(), target.facing_rad, _wrap(-source.facing_rad)
+    c, s = math.cos(source.facing_rad), math.sin(source.facing_rad)
+    ahead, left = -c * x - s * y, s * x - c * y
+    (x, y), c, s = target.position_m.tolist(), math.cos(heading), math.sin(heading)
+    return np.array((x + c * ahead - s * left, y + s * ahead + c * left, _wrap(heading + turn)))
+
+
+def _wrap(angle_rad: float) -> float:
+    return (angle_rad + math.pi) % (2 * math.pi) - math.pi

@@ -1,0 +1,49 @@
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.slam.radio_fingerprint import mac_similarity, rssi_distance_db
+from twc_env.slam.sign_table import UNLIKE, SignTable
+
+ROBOTS, TEXTS, PLACES, APART_M = 4, 5, 90, 12.0
+
+
+@pytest.fixture
+def make(keyframe):
+    """A keyframe of any robot anywhere along its path that heard some of twelve transmitters, or none."""
+    random = np.random.default_rng(4)
+
+    def one():
+        macs = np.flatnonzero(random.random(12) < random.choice([0.0, 0.5, 0.8]))
+        return keyframe(
+            int(random.integers(ROBOTS)), macs=macs, rssi_dbm=random.uniform(-90, -30, len(macs)),
+            travel_m=float(random.uniform(0, 40)),
+        )  # fmt: skip
+
+    return one
+
+
+@pytest.mark.parametrize("mac_similarity_min", [-math.inf, 0.0, 0.4])
+@pytest.mark.parametrize("skipped", [(), (1,), (0, 3, 7)])
+def test_the_table_finds_what_a_comparison_pair_by_pair_finds(make, mac_similarity_min, skipped):
+    places, texts = [make() for _ in range(PLACES)], np.arange(PLACES) % TEXTS
+    likeness = np.array([0.9, UNLIKE, 1.0, UNLIKE, 0.0])
+    table = SignTable()
+    for place, text in zip(places, texts.tolist(), strict=True):
+        table.append(place, text)
+    in_all = 0
+    for _ in range(8):
+        here = make()
+        expected = []
+        for k, place in enumerate(places):
+            is_far = place.robot != here.robot or place.travel_m <= here.travel_m - APART_M
+            macs = mac_similarity(place.fingerprint, here.fingerprint)
+            if likeness[texts[k]] != UNLIKE and place.robot not in skipped and is_far and macs >= mac_similarity_min:
+                strengths = rssi_distance_db(place.fingerprint, here.fingerprint)
+                expected.append([k, likeness[texts[k]], macs, *strengths])
+        found = table.like(likeness, here, skipped, APART_M, mac_similarity_min)
+        assert len(found) == len(expected)
+        assert np.array(found) == pytest.approx(np.array(expected), abs=1e-9)
+        in_all += len(found)
+    assert in_all > PLACES // TEXTS

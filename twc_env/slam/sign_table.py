@@ -1,0 +1,107 @@
+"""Every place where a sign was read, side by side, to find those that one more keyframe may be compared with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.messages import Keyframe
+from twc_env.slam.growing import Growing
+
+Array = NDArray
+
+UNLIKE = -1.0
+"""In place of a similarity, of texts that are not alike."""
+
+
+@kernel
+def _compare(macs, levels, first, end, other_macs, other_levels):
+    """`mac_similarity`, and distance and count of `rssi_distance_db`, of a row of a table and another fingerprint."""
+    i, j, n, squares = first, 0, 0, 0.0
+    while i < end and j < other_macs.shape[0]:
+        if macs[i] < other_macs[j]:
+            i += 1
+        elif macs[i] > other_macs[j]:
+            j += 1
+        else:
+            squares += (levels[i] - other_levels[j]) ** 2
+            n += 1
+            i += 1
+            j += 1
+    larger = max(end - first, other_macs.shape[0])
+    return (n / larger if larger > 0 else 0.0), math.sqrt(squares), n
+
+
+@borrowing_kernel
+def _choose(
+    places, travels, ends, macs, levels, likeness, is_skipped, robot, latest, other_macs, other_levels, mac_min, out
+):
+    """See `SignTable.like`; gives how many rows of out (places, 5) were written."""
+    count = 0
+    for k in range(places.shape[0]):
+        other, similarity = places[k, 0], likeness[places[k, 1]]
+        if similarity == UNLIKE or is_skipped[other] or (other == robot and travels[k] > latest):
+            continue
+        first = ends[k - 1] if k > 0 else np.int64(0)
+        shared, distance, number = _compare(macs, levels, first, ends[k], other_macs, other_levels)
+        if shared >= mac_min:
+            out[count, 0], out[count, 1], out[count, 2], out[count, 3] = k, similarity, shared, distance
+            out[count, 4] = number
+            count += 1
+    return count
+
+
+class SignTable:
+    """A row for each place: who read which text there, how far along its path, and what was heard."""
+
+    def __init__(self) -> None:
+        self._places, self._travels_m = Growing(2, dtype=np.int64), Growing()
+        """Robot and text; path length."""
+        self._macs, self._rssi_dbm = np.zeros(1024, np.int64), np.zeros(1024)
+        self._ends = Growing(dtype=np.int64)
+        """Where the fingerprint of each row ends; it begins where the one before does."""
+        self._end = self._robots = 0
+
+    def append(self, keyframe: Keyframe, text: int) -> None:
+        """Add a row for a text of this number, read at a keyframe."""
+        heard = keyframe.fingerprint
+        first, end = self._end, self._end + len(heard.macs)
+        while end > len(self._macs):
+            self._macs = np.concatenate([self._macs, np.zeros_like(self._macs)])
+            self._rssi_dbm = np.concatenate([self._rssi_dbm, np.zeros_like(self._rssi_dbm)])
+        self._macs[first:end], self._rssi_dbm[first:end] = heard.macs, heard.rssi_dbm
+        self._end = end
+        self._ends.append(end)
+        self._places.append((keyframe.robot, text))
+        self._travels_m.append(keyframe.travel_m)
+        self._robots = max(self._robots, keyframe.robot + 1)
+
+    def like(
+        self,
+        likeness: Array,
+        keyframe: Keyframe,
+        skipped_robots: Sequence[int],
+        apart_m: float,
+        mac_similarity_min: float,
+    ) -> list[list[float]]:
+        """The rows whose texts and transmitters are like those of a keyframe, ascending.
+
+        likeness (texts,): similarity of each text, or `UNLIKE`. Left out are rows of the skipped robots, and of the
+        keyframe's own those less than apart_m before it along the path. Each comes as its number, the similarity of
+        texts, `mac_similarity`, and distance [dB] and count of `rssi_distance_db`.
+        """
+        is_skipped = np.zeros(self._robots, bool)
+        for robot in skipped_robots:
+            if robot < self._robots:
+                is_skipped[robot] = True
+        heard, out = keyframe.fingerprint, np.empty((self._places.count, 5))
+        count = _choose(
+            self._places.rows, self._travels_m.rows, self._ends.rows, self._macs, self._rssi_dbm, likeness, is_skipped,
+            keyframe.robot, keyframe.travel_m - apart_m, heard.macs, heard.rssi_dbm, mac_similarity_min, out,
+        )  # fmt: skip
+        rows: list[list[float]] = out[:count].tolist()
+        return rows
