@@ -76,3 +76,8 @@ def bound(function: Any, held: Any, *others: Any) -> Callable[..., Any]:
     """
     kinds = tuple(function.typeof_pyval(value) for value in (held, *others))
     return partial(function.compile(kinds), held)
+
+
+def rebound(call: Any, held: Any) -> Any:
+    """What `bound` gave with another first argument of the same kind, for arrays that have grown; None stays None."""
+    return None if call is None else partial(call.func, held)

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from twc_env.slam.radio_fingerprint import mac_similarity, rssi_distance_db
-from twc_env.slam.sign_table import UNLIKE, SignTable
+from twc_env.slam.radio_fingerprint import mac_similarity, rssi_distance_db, rssi_similarity
+from twc_env.slam.sign_table import UNLIKE, RadioRule, SignTable
 
 ROBOTS, TEXTS, PLACES, APART_M = 4, 5, 90, 12.0
 
@@ -24,9 +24,11 @@ def make(keyframe):
     return one
 
 
-@pytest.mark.parametrize("mac_similarity_min", [-math.inf, 0.0, 0.4])
+@pytest.mark.parametrize(
+    "radio", [RadioRule(-math.inf, -math.inf, 5.0), RadioRule(0.3, 0.0, 5.0), RadioRule(0.2, 0.3, 8.0)]
+)
 @pytest.mark.parametrize("skipped", [(), (1,), (0, 3, 7)])
-def test_the_table_finds_what_a_comparison_pair_by_pair_finds(make, mac_similarity_min, skipped):
+def test_the_table_finds_what_a_comparison_pair_by_pair_finds(make, radio, skipped):
     places, texts = [make() for _ in range(PLACES)], np.arange(PLACES) % TEXTS
     likeness = np.array([0.9, UNLIKE, 1.0, UNLIKE, 0.0])
     table = SignTable()
@@ -39,10 +41,12 @@ def test_the_table_finds_what_a_comparison_pair_by_pair_finds(make, mac_similari
         for k, place in enumerate(places):
             is_far = place.robot != here.robot or place.travel_m <= here.travel_m - APART_M
             macs = mac_similarity(place.fingerprint, here.fingerprint)
-            if likeness[texts[k]] != UNLIKE and place.robot not in skipped and is_far and macs >= mac_similarity_min:
-                strengths = rssi_distance_db(place.fingerprint, here.fingerprint)
-                expected.append([k, likeness[texts[k]], macs, *strengths])
-        found = table.like(likeness, here, skipped, APART_M, mac_similarity_min)
+            strengths = rssi_distance_db(place.fingerprint, here.fingerprint)
+            rssi = rssi_similarity(*strengths, radio.rssi_tolerance_db)
+            is_alike = macs >= radio.mac_similarity_min and rssi >= radio.rssi_similarity_min
+            if likeness[texts[k]] != UNLIKE and place.robot not in skipped and is_far and is_alike:
+                expected.append([k, likeness[texts[k]], macs, rssi, *strengths])
+        found = table.like(likeness, here, skipped, APART_M, radio)
         assert len(found) == len(expected)
         assert np.array(found) == pytest.approx(np.array(expected), abs=1e-9)
         in_all += len(found)

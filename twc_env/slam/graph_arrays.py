@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack
+from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.odometry_filter import invert3
 
@@ -130,13 +130,14 @@ class GraphArrays:
         """(robots,) the node of each robot's last keyframe with a closure that is used; its first without any."""
         self._latest_odom = np.zeros((robot_count, 3))
         """Where each robot's odometry has its last keyframe."""
-        self._let_go()
-
-    def _let_go(self) -> None:
-        """Arrays are others now, or have moved to another process."""
         self._follow: Callable[..., bool] | None = None
         self._locate: Callable[..., None] | None = None
         """The kernels of these names with all of this."""
+
+    def _hold_grown(self) -> None:
+        """Some arrays are others now."""
+        held = self._all()
+        self._follow, self._locate = rebound(self._follow, held), rebound(self._locate, held)
 
     def _all(self) -> Pack:
         return pack((*self._nodes, *self._edges, self._rows, self._counts, self.tied, self._latest_odom))
@@ -150,7 +151,7 @@ class GraphArrays:
         if node == len(self._nodes[0]):
             self._nodes = [_doubled(rows) for rows in self._nodes]
             self._rows = _doubled(self._rows.T).T.copy()
-            self._let_go()
+            self._hold_grown()
         self._make_room_for_edge()
         new = (
             node, self.edge_count, keyframe.robot, keyframe.step, keyframe.travel_m, keyframe.pose_odom,
@@ -171,7 +172,7 @@ class GraphArrays:
     def _make_room_for_edge(self) -> None:
         if self.edge_count == len(self._edges[0]):
             self._edges = [_doubled(rows) for rows in self._edges]
-            self._let_go()
+            self._hold_grown()
 
     def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
         """Where some robots (k,) are in the maps of their groups; others (robots, robots - 1): all but each.

@@ -132,15 +132,16 @@ class LoopVerifier:
         target, source = target_path[candidate.target[1]], source_path[candidate.source[1]]
         rule, points = self._config, self._points(source, source_path, SPACING_M)
         match, overlap = self._match(candidate, target, target_path, points)
-        contradiction = _contradiction(
-            target.ranges_m, source.ranges_m, beam_directions(len(target.ranges_m)), match.pose, self._range_max_m,
-            SEEN_THROUGH_M,
-        )  # fmt: skip
         reason = ""
         if overlap < rule.overlap_min:
             reason = f"overlap {overlap:.2f} < {rule.overlap_min:g}"
-        elif contradiction > rule.contradiction_max:
-            reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
+        else:
+            contradiction = _contradiction(
+                target.ranges_m, source.ranges_m, beam_directions(len(target.ranges_m)), match.pose, self._range_max_m,
+                SEEN_THROUGH_M,
+            )  # fmt: skip
+            if contradiction > rule.contradiction_max:
+                reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
         prior = NEAR_INFORMATION if candidate.recogniser in SIGNLESS else SIGN_INFORMATION
         information = match.information(self._noise.match_std_m, self._noise.match_correlation) + prior
         covariance = invert_symmetric(seen_from(information, match.pose[2])) + MATCH_COVARIANCE_MIN
@@ -224,10 +225,8 @@ class SignVerifier:
 
 def _seen(keyframes: Sequence[Keyframe]) -> tuple[Array, Array]:
     """Poses (k, 3) in the odom frame, and scans (k, beams)."""
-    poses, scans = np.empty((len(keyframes), 3)), np.empty((len(keyframes), len(keyframes[0].ranges_m)))
-    for k, keyframe in enumerate(keyframes):
-        poses[k], scans[k] = keyframe.pose_odom, keyframe.ranges_m
-    return poses, scans
+    poses, scans = np.concatenate([k.pose_odom for k in keyframes]), np.concatenate([k.ranges_m for k in keyframes])
+    return poses.reshape(-1, 3), scans.reshape(len(keyframes), -1)
 
 
 def _neighbours(keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float) -> list[Keyframe]:

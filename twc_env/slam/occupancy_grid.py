@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.geometry import beam_directions
-from twc_env.kernels import borrowing_kernel, bound, kernel, pack
+from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack, rebound
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import note_kinds
 
@@ -224,6 +224,8 @@ class OccupancyGrid:
         rows = int(2 * range_max_m / resolution_m) + 8
         self._crossings = np.zeros((beam_count + 2, rows), np.int32)
         self._directions, self._touched_m = beam_directions(beam_count), np.zeros(4)
+        self._run: Callable[..., bool] | None = None
+        """`_integrate_many` with all of this."""
         self.clear()
 
     def clear(self) -> None:
@@ -234,8 +236,7 @@ class OccupancyGrid:
         self._boxes_m = np.array([NOWHERE_M] * 2)
         """The box of all cells, and of those that scans can have touched."""
         self._snapshot: GridMap | None = None
-        self._run: Callable[..., bool] | None = None
-        """`_integrate_many` with all of this."""
+        self._run = rebound(self._run, self._packed())
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}
@@ -252,14 +253,17 @@ class OccupancyGrid:
     def _fold_in(self, poses: Array, scans: Array) -> bool:
         """Whether the scans could be folded in: not where they touch more than there are cells."""
         if self._run is None:
-            grid = pack(
-                (
-                    self.log_odds, self._kinds, self._boxes_m, 1.0 / self.resolution_m, self._directions,
-                    self.range_max_m, self._crossings, self._touched_m,
-                )
-            )  # fmt: skip
-            self._run = bound(_integrate_many, grid, poses, scans)
+            self._run = bound(_integrate_many, self._packed(), poses, scans)
         return self._run(poses, scans)
+
+    def _packed(self) -> Pack:
+        """What `_integrate_many` needs every time."""
+        return pack(
+            (
+                self.log_odds, self._kinds, self._boxes_m, 1.0 / self.resolution_m, self._directions, self.range_max_m,
+                self._crossings, self._touched_m,
+            )
+        )  # fmt: skip
 
     def snapshot(self) -> GridMap:
         """A read-only view of the cells as they are now; valid until the next `integrate`."""
@@ -304,6 +308,7 @@ class OccupancyGrid:
             c, r = np.round(self.origin_m / self.resolution_m - first).astype(int)
             grown[r : r + rows, c : c + columns] = self.log_odds
             kinds[r : r + rows, c : c + columns] = self._kinds
-        self.log_odds, self._kinds, self._snapshot, self._run = grown, kinds, None, None
+        self.log_odds, self._kinds, self._snapshot = grown, kinds, None
         self.origin_m = first * self.resolution_m
         self._boxes_m[0] = *self.origin_m, *(self.origin_m + shape[::-1] * self.resolution_m)
+        self._run = rebound(self._run, self._packed())

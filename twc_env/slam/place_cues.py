@@ -45,7 +45,7 @@ def rssi_cue(
     if rule.rssi_mode == "paper":
         return distance_db, shared > 0 and distance_db >= rule.rssi_similarity_min
     if rule.rssi_mode == "saturating":  # the common case, without arrays
-        rssi = rssi_similarity(distance_db, shared, rule.rssi_tolerance_db)
+        rssi: float = rssi_similarity(distance_db, shared, rule.rssi_tolerance_db)
     elif rule.rssi_mode in COSINES:
         rssi = by_cosine(rule.rssi_mode, *prints)
     else:

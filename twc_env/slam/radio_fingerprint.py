@@ -221,7 +221,8 @@ def rssi_distance_db(a: Fingerprint, b: Fingerprint) -> tuple[float, int]:
     return float(np.sqrt((difference**2).sum())), int(in_a.sum())
 
 
-def rssi_similarity(distance_db: float, shared: int, tolerance_db: float) -> float:
+@kernel
+def rssi_similarity(distance_db, shared, tolerance_db):
     """min(1, tolerance / rms difference): 1 within the tolerance, falling after (papers.md T8); 0 if none is shared."""
     if shared == 0:
         return 0.0

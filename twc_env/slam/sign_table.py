@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,20 @@ from numpy.typing import NDArray
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import Growing
+from twc_env.slam.radio_fingerprint import rssi_similarity
 
 Array = NDArray
 
 UNLIKE = -1.0
 """In place of a similarity, of texts that are not alike."""
+
+
+class RadioRule(NamedTuple):
+    """When the radio of two places is alike."""
+
+    mac_similarity_min: float
+    rssi_similarity_min: float
+    rssi_tolerance_db: float
 
 
 @kernel
@@ -38,9 +48,10 @@ def _compare(macs, levels, first, end, other_macs, other_levels):
 
 @borrowing_kernel
 def _choose(
-    places, travels, ends, macs, levels, likeness, is_skipped, robot, latest, other_macs, other_levels, mac_min, out
-):
-    """See `SignTable.like`; gives how many rows of out (places, 5) were written."""
+    places, travels, ends, macs, levels, likeness, is_skipped, robot, latest, other_macs, other_levels, mac_min,
+    rssi_min, tolerance, out,
+):  # fmt: skip
+    """See `SignTable.like`; gives how many rows of out (places, 6) were written."""
     count = 0
     for k in range(places.shape[0]):
         other, similarity = places[k, 0], likeness[places[k, 1]]
@@ -48,9 +59,10 @@ def _choose(
             continue
         first = ends[k - 1] if k > 0 else np.int64(0)
         shared, distance, number = _compare(macs, levels, first, ends[k], other_macs, other_levels)
-        if shared >= mac_min:
-            out[count, 0], out[count, 1], out[count, 2], out[count, 3] = k, similarity, shared, distance
-            out[count, 4] = number
+        rssi = rssi_similarity(distance, number, tolerance)
+        if shared >= mac_min and rssi >= rssi_min:
+            out[count, 0], out[count, 1], out[count, 2], out[count, 3] = k, similarity, shared, rssi
+            out[count, 4], out[count, 5] = distance, number
             count += 1
     return count
 
@@ -86,22 +98,22 @@ class SignTable:
         keyframe: Keyframe,
         skipped_robots: Sequence[int],
         apart_m: float,
-        mac_similarity_min: float,
+        radio: RadioRule,
     ) -> list[list[float]]:
-        """The rows whose texts and transmitters are like those of a keyframe, ascending.
+        """The rows whose texts and radio are like those of a keyframe, ascending.
 
         likeness (texts,): similarity of each text, or `UNLIKE`. Left out are rows of the skipped robots, and of the
         keyframe's own those less than apart_m before it along the path. Each comes as its number, the similarity of
-        texts, `mac_similarity`, and distance [dB] and count of `rssi_distance_db`.
+        texts, `mac_similarity`, `rssi_similarity`, and distance [dB] and count of `rssi_distance_db`.
         """
         is_skipped = np.zeros(self._robots, bool)
         for robot in skipped_robots:
             if robot < self._robots:
                 is_skipped[robot] = True
-        heard, out = keyframe.fingerprint, np.empty((self._places.count, 5))
+        heard, out = keyframe.fingerprint, np.empty((self._places.count, 6))
         count = _choose(
             self._places.rows, self._travels_m.rows, self._ends.rows, self._macs, self._rssi_dbm, likeness, is_skipped,
-            keyframe.robot, keyframe.travel_m - apart_m, heard.macs, heard.rssi_dbm, mac_similarity_min, out,
+            keyframe.robot, keyframe.travel_m - apart_m, heard.macs, heard.rssi_dbm, *radio, out,
         )  # fmt: skip
         rows: list[list[float]] = out[:count].tolist()
         return rows

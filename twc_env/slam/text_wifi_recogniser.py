@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import Fingerprint, Keyframe, LoopCandidate, SignObservation
 from twc_env.slam.place_cues import rssi_cue, similarities
-from twc_env.slam.sign_table import UNLIKE, SignTable
+from twc_env.slam.sign_table import UNLIKE, RadioRule, SignTable
 from twc_env.slam.text_similarity import AlikeTexts, normalise
 
 Array = NDArray
@@ -35,7 +35,11 @@ class TextWifiRecogniser:
     def __init__(self, config: PlaceRecognitionConfig):
         self._config = config
         self._texts = AlikeTexts(config.text_similarity_min - 1e-9)
-        self._mac_similarity_min = config.mac_similarity_min - 1e-9
+        is_simple = config.rssi_mode == "saturating"
+        self._radio = RadioRule(
+            config.mac_similarity_min - 1e-9, config.rssi_similarity_min - 1e-9 if is_simple else -math.inf,
+            config.rssi_tolerance_db,
+        )  # fmt: skip
         self._recent: dict[tuple[int, str], deque[tuple[float, tuple[float, float]]]] = {}
         self._places: list[tuple[Keyframe, SignObservation]] = []
         self._table = SignTable()
@@ -105,14 +109,16 @@ class TextWifiRecogniser:
             likeness[number] = similarity
         rule = self._config
         return self._passing(
-            self._table.like(likeness, keyframe, skipped_robots, rule.revisit_travel_m, self._mac_similarity_min),
+            self._table.like(likeness, keyframe, skipped_robots, rule.revisit_travel_m, self._radio),
             keyframe.fingerprint,
         )
 
     def _passing(self, rows: list[list[float]], heard: Fingerprint) -> list[tuple[int, float, float, float]]:
         """Those of the rows of the table whose strengths are like what was heard."""
+        if self._config.rssi_mode == "saturating":  # judged before, with the transmitters
+            return [(int(row[0]), row[1], row[2], row[3]) for row in rows]
         passed = []
-        for row, text, macs, distance_db, shared in rows:
+        for row, text, macs, _, distance_db, shared in rows:
             k = int(row)
             rssi, is_alike = rssi_cue(distance_db, int(shared), self._config, (self._places[k][0].fingerprint, heard))
             if is_alike:
@@ -145,7 +151,7 @@ class TextRecogniser(TextWifiRecogniser):
 
     def __init__(self, config: PlaceRecognitionConfig):
         super().__init__(config)
-        self._mac_similarity_min = -math.inf
+        self._radio = RadioRule(-math.inf, -math.inf, config.rssi_tolerance_db)
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """Similarity of the two texts most alike."""
