@@ -103,6 +103,7 @@ class CooperativeSlam:
         self._located = [-1] * len(self.mappers)
         """The state of each mapper, by its count of changes, that these were taken from."""
         self._regroupings = [-1] * len(self.mappers)
+        self._map_changes = [(-1, -1)] * len(self.mappers)
         self._run: Callable[..., None] | None = None
         """`_believed_poses` of where the odom frames are."""
         self._beliefs: TeamBeliefs | None = None
@@ -205,7 +206,9 @@ class CooperativeSlam:
         mapper.locate(robots, self._others, (self._poses_map_odom, self._std, since_m, heard))
         if mapper.regroupings != self._regroupings[number] or not self._is_central:
             self._find_mates(robots.tolist(), mapper)
-        self._since_closure_m, self._contact_steps, self._maps = since_m, heard, None
+        if mapper.map_changes != self._map_changes[number]:
+            self._map_changes[number], self._maps = mapper.map_changes, None
+        self._since_closure_m, self._contact_steps = since_m, heard
         self._located[number], self._regroupings[number] = mapper.changes, mapper.regroupings
 
     def _find_mates(self, robots: Sequence[int], mapper: TeamMapper) -> None:

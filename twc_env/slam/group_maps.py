@@ -68,6 +68,8 @@ class GroupMaps:
         """Which of `groups` each robot belongs to."""
         self.regroupings = 0
         """Grows whenever robots come to share a map or no longer do."""
+        self.changes = 0
+        """Grows with it, and whenever a map is drawn anew or its cells lie elsewhere, as they must to become more."""
         self._drawn = np.zeros((64, 3))
         """Where each node stands in the map as drawn."""
         self._scan_here = np.zeros(64, bool)
@@ -153,6 +155,7 @@ class GroupMaps:
     def _renumber(self) -> None:
         self._sides.clear()
         self.regroupings += 1
+        self.changes += 1
         for index, group in enumerate(self.groups):
             for robot in group.robots:
                 self.group_of[robot] = index
@@ -172,9 +175,12 @@ class GroupMaps:
         self._drawn[nodes] = self._graph.poses[nodes]
         self._draw(self.groups[group].grid, nodes if self._draws_all(group) else nodes[self._scan_here[nodes]])
         self.groups[group].version += 1
+        self.changes += 1
 
     def _draw(self, grid: OccupancyGrid, nodes: Array | slice) -> None:
+        cells = grid.log_odds
         grid.integrate(self._graph.poses[nodes], self._graph.scans[nodes])
+        self.changes += grid.log_odds is not cells
 
     def _new_grid(self) -> OccupancyGrid:
         return OccupancyGrid(self._resolution_m, self._lidar.range_max_m, self._lidar.beam_count)

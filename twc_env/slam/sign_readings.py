@@ -70,14 +70,18 @@ class SignReadings:
         self.counts = [0] * robot_count
         """Texts read by each robot."""
         self._numbers: dict[str, int] = {}
-        """Each text that was ever read and its number, in order."""
+        """Each text that was ever read and its number ..."""
+        self._texts: list[str] = []
+        """... and these texts in order."""
         self._readings, self._places = Growing(3, dtype=np.int64), Growing(2)
         """Robot, node and text of each reading; where it is in the frame of its keyframe."""
 
     def add(self, keyframe: Keyframe, node: int) -> None:
         """Take in what was read at a keyframe, which is a node of the pose graph."""
         for sign in keyframe.signs:
-            text = self._numbers.setdefault(sign.text, len(self._numbers))
+            text = self._numbers.setdefault(sign.text, len(self._texts))
+            if text == len(self._texts):
+                self._texts.append(sign.text)
             self._readings.append((keyframe.robot, node, text))
             self._places.append(sign.position_m)
             self.counts[keyframe.robot] += 1
@@ -89,5 +93,5 @@ class SignReadings:
             poses, self._readings.rows, self._places.rows, np.array(robots, np.int64), len(self._numbers), SAME_SIGN_M,
             texts, places,
         )  # fmt: skip
-        names = list(self._numbers)
+        names = self._texts
         return KnownSigns([names[k] for k in texts[:count].tolist()], places[:count])

@@ -123,6 +123,11 @@ class TeamMapper:
         return self._graph.changes
 
     @property
+    def map_changes(self) -> tuple[int, int]:
+        """Another pair whenever a map lies elsewhere, is drawn anew or is another robot's too, or a text was read."""
+        return self._maps.changes, sum(self._graph.signs_read)
+
+    @property
     def merges_undone(self) -> int:
         """How many merges turned out to be wrong and were taken back."""
         return self._review.undone_count
