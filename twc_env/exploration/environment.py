@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from types import NoneType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observation_blocks import observation_space
 from twc_env.exploration.observations import ObservationBuilder, first_observations
 from twc_env.exploration.pilot import Pilot, Scout, frontier_space, waypoint_space
+from twc_env.exploration.reset_options import ResetOptions, checked_seed
 from twc_env.exploration.settings import resolve
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
@@ -32,7 +32,6 @@ from twc_env.team_messages import TeamFrames
 from twc_env.world.failures import Failures
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.link import Link
-from twc_env.world.splits import split_names
 from twc_env.world.thinning import thinned
 from twc_env.world.world import World
 
@@ -173,12 +172,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         Raises MapError for a map that cannot be loaded. Options of other environments are ignored. After a reset that
         failed no episode is under way.
         """
-        seed = self._next_seed() if seed is None else _checked_seed(seed)
-        options = _checked_options(options)
         self.agents, self._engine = [], None
-        starts = self._choose_building(seed, options)
+        seed = self._next_seed() if seed is None else checked_seed(seed)
+        chosen = ResetOptions.of(options, seed)
+        self._move_into(chosen.building)
         self._seed = seed
-        self._world.reset(self._seed, starts)
+        self._world.reset(self._seed, chosen.starts)
         count = self.config.robots
         self._engine = make_engine(self.config, count)
         if self.config.slam.oracle != "none":
@@ -321,17 +320,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             return frontier_space(self.config.action)
         return waypoint_space() if self._lasts else action_blocks.velocity_space()
 
-    def _choose_building(self, seed: int, options: dict) -> str:
-        """Move into the building of the coming episode; gives the kind of starts."""
-        name = options.get("map")
-        if "split" in options:
-            names = split_names(options["split"])
-            name = names[int(random_stream(seed, "building").integers(len(names)))]
-        plan = self._own_floorplan if name is None else load_map(name)
+    def _move_into(self, building: str | None) -> None:
+        """The building of the coming episode; None: the environment's own."""
+        plan = self._own_floorplan if building is None else load_map(building)
         if plan is not self._plan:
-            config = self.config if name is None else override(self.config, {"map": name})
+            config = self.config if building is None else override(self.config, {"map": building})
             self._world_of(config, plan)
-        return options.get("starts", "random")
 
     def _world_of(self, config: EnvConfig, floorplan: Floorplan) -> None:
         self._episode_config, self._plan = config, floorplan
@@ -435,18 +429,3 @@ def _make_viewer(render_mode: str | None, frames_per_s: float, with_signal: bool
     from twc_env.exploration.viewer import Viewer
 
     return Viewer(render_mode, frames_per_s, with_signal)
-
-
-def _checked_seed(seed: int) -> int:
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise ConfigError(f"seed must be a whole number from 0 on; got {seed!r}")
-    return int(seed)
-
-
-def _checked_options(options: dict | None) -> dict:
-    if not isinstance(options, (Mapping, NoneType)):
-        raise ConfigError(f"reset options must be a dict, such as {{'map': 'twin-02'}}; got {options!r}")
-    options = dict(options or {})
-    if "map" in options and "split" in options:
-        raise ConfigError("reset options name either a map or a split, not both")
-    return options

@@ -1,0 +1,48 @@
+"""What `reset` is given: a seed, and what holds for the coming episode alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import NoneType
+from typing import Any
+
+import numpy as np
+
+from twc_env.errors import ConfigError
+from twc_env.random_streams import random_stream
+from twc_env.world.splits import split_names
+
+
+@dataclass(frozen=True, slots=True)
+class ResetOptions:
+    """The options that this environment knows; those of others are ignored."""
+
+    starts: Any
+    """As `World.reset` takes them."""
+    building: str | None
+    """The building to play in; None: the environment's own."""
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any] | None, seed: int) -> ResetOptions:
+        """Read them; of a split, the seed draws the building.
+
+        Raises ConfigError for what is no dict, and for a building that is named twice.
+        """
+        if not isinstance(options, (Mapping, NoneType)):
+            raise ConfigError(f"reset options must be a dict, such as {{'map': 'twin-02'}}; got {options!r}")
+        options = dict(options or {})
+        if "map" in options and "split" in options:
+            raise ConfigError("reset options name either a map or a split, not both")
+        building = options.get("map")
+        if "split" in options:
+            names = split_names(options["split"])
+            building = names[int(random_stream(seed, "building").integers(len(names)))]
+        return cls(options.get("starts", "random"), building)
+
+
+def checked_seed(seed: int) -> int:
+    """The seed as a plain number; raises ConfigError for what is none."""
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise ConfigError(f"seed must be a whole number from 0 on; got {seed!r}")
+    return int(seed)
