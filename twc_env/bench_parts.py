@@ -81,7 +81,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("team: the rest", True, CooperativeSlam, "absorb"),
         ("beliefs", False, CooperativeSlam, "beliefs"),
         ("observation: notes", False, ObservationBuilder, "notice"),
-        ("observation: map crop", False, map_view, "views"),
+        ("observation: map crop", False, map_view.MapViews, "draw"),
         ("observation: the rest", False, ObservationBuilder, "build"),
         ("reward: map against the truth", False, verdicts, "standing"),
         ("end of the episode: report", False, evaluation, "evaluate"),

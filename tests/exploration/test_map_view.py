@@ -82,6 +82,6 @@ def test_path_mates_and_signs_stand_where_the_robot_sees_them(room):
         np.array([[[1.1, math.nan], [-1.1, 0.0], [0.0, 0.0]]]),
     )
     maps = map_view.BelievedMaps.of([room], [np.array([[5.1], [6.1]])])
-    views = map_view.views(maps, poses, CELLS, CELL_M, path, np.array([3]), mates)
+    views = map_view.MapViews(CELLS, CELL_M, path, np.array([3]), mates).draw(maps, poses)
     cells = [np.argwhere(views[0, k]).tolist() for k in (map_view.PATH, map_view.MATES, map_view.SIGNS)]
     assert cells == [[[HALF - 3, HALF], [HALF, HALF + 4]], [[HALF - 5, HALF + 4]], [[HALF - 1, HALF + 8]]]

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up, look_up_row, number_row, span_inside
-from twc_env.kernels import kernel
+from twc_env.kernels import bound, kernel
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import FREE as FREE_CELL
 from twc_env.slam.cell_kinds import UNKNOWN as UNKNOWN_CELL
@@ -41,7 +42,7 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
 
 
 class BelievedMaps(NamedTuple):
-    """What `views` looks up of the maps of robots 0, 1, ...; robots may share them."""
+    """What `MapViews` look up of the maps of robots 0, 1, ...; robots may share them."""
 
     kinds: tuple[Array, ...]
     """What stands in each cell of each robot's map, see `cell_kinds`; all of one type."""
@@ -57,17 +58,31 @@ class BelievedMaps(NamedTuple):
         return cls(tuple(map(_kinds, grids)), np.array(places), tuple(signs))
 
 
-def views(
-    maps: BelievedMaps, poses: Array, cells: int, cell_m: float, paths_odom: Array, path_counts: Array, mates: Array
-) -> Array:
-    """`crop_around` of each robot with its last three channels filled too: (robots, 7, cells, cells) uint8.
+class MapViews:
+    """Pictures of what lies around each robot, with its path, mates and signs."""
 
-    poses (robots, 3, 3): in the map frame, its spread, in the odom frame; paths_odom (robots, 2, k): rings that hold
-    the latest of `path_counts` places; mates (robots, >= 2, m): where each robot sees them, NaN for none.
-    """
-    out = np.empty((len(poses), CHANNELS, cells, cells), _BYTE)
-    _crop_and_mark(*maps, poses, cell_m, paths_odom, path_counts, mates, out)
-    return out
+    def __init__(self, cells: int, cell_m: float, paths_odom: Array, path_counts: Array, mates: Array):
+        """paths_odom (robots, 2, k): rings that hold the latest of `path_counts` places; mates (robots, >= 2, m): where
+        each robot sees them, NaN for none. All three are looked at whenever a picture is drawn.
+        """
+        self._shape = len(paths_odom), CHANNELS, cells, cells
+        self._kept = paths_odom, path_counts, mates, cell_m
+        self._run: Callable[..., None] | None = None
+        """`_crop_and_mark` with these."""
+
+    def draw(self, maps: BelievedMaps, poses: Array) -> Array:
+        """`crop_around` of each robot with its last three channels filled too: (robots, 7, cells, cells) uint8.
+
+        poses (robots, 3, 3): in the map frame, its spread, in the odom frame.
+        """
+        out = np.empty(self._shape, _BYTE)
+        if self._run is None:
+            self._run = partial(bound(_crop_and_mark, *self._kept, *maps, poses, out), *self._kept[1:])
+        self._run(*maps, poses, out)
+        return out
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_run": None}
 
 
 def _kinds(grid: GridMap) -> Array:
@@ -201,7 +216,7 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, numbers, levels, out):
 
 
 @kernel
-def _crop_and_mark(kinds, places, signs, poses, cell_m, paths, path_counts, mates, out):
+def _crop_and_mark(paths, path_counts, mates, cell_m, kinds, places, signs, poses, out):
     """All channels of all robots: what lies around each, its path, mates and signs."""
     inverse_m, count = 1.0 / cell_m, out.shape[2] * out.shape[3]
     numbers, levels = np.empty(count, np.uint32), np.empty(count, np.uint8)

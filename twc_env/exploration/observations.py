@@ -42,6 +42,9 @@ class ObservationBuilder:
         self._small = SmallBlocks(config, self._signs)
         self._small_blocks = [(k, name) for k, name in enumerate(self._small.names) if name in self._names]
         self._map_cells, self._map_cell_m = shape.map_cells, shape.map_cell_m
+        self._views = map_view.MapViews(
+            shape.map_cells, shape.map_cell_m, self._small.paths_odom, self._small.path_counts, self._small.mate_places
+        )
         self._seen_of: tuple[Sequence[GridMap] | None, list[Array]] = None, self._signs.places
         self._seen = map_view.BelievedMaps.of([], [])
         """What pictures show of those grids and places of signs; a grid that has grown is another one."""
@@ -83,13 +86,10 @@ class ObservationBuilder:
         return [joined(own) for own in seen] if self._is_flat else seen
 
     def _maps(self) -> Array:
-        beliefs, small, places = self._beliefs, self._small, self._signs.places
+        beliefs, places = self._beliefs, self._signs.places
         if self._seen_of[0] != beliefs.grids or self._seen_of[1] is not places:
             self._seen_of, self._seen = (beliefs.grids, places), map_view.BelievedMaps.of(beliefs.grids, places)
-        return map_view.views(
-            self._seen, beliefs.poses, self._map_cells, self._map_cell_m, small.paths_odom, small.path_counts,
-            small.mate_places,
-        )  # fmt: skip
+        return self._views.draw(self._seen, beliefs.poses)
 
     def _radio_maps(self) -> list[Array]:
         """Probably free, probably wall around each robot, from signal strength alone."""

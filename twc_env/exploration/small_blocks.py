@@ -6,6 +6,8 @@ What is kept of a robot for them stands in a row of an array, so that one compil
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,7 @@ from twc_env.config import EnvConfig
 from twc_env.exploration.observation_blocks import POSE_LIMITS
 from twc_env.exploration.recent_signs import RecentSigns
 from twc_env.exploration.wifi_slots import slots_for, take_scans
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import borrowing_kernel, bound, kernel
 from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames
 
 Array = NDArray
@@ -50,6 +52,8 @@ class SmallBlocks:
             self.path_counts, self.paths_odom, *slots_for(robots, shape.wifi_slots), signs.readings, self.mate_places,
             rule,
         )  # fmt: skip
+        self._run: Callable[..., None] | None = None
+        """`_fill_small` with what is kept."""
         self._unseen = self._make_room()
         self._frames: TeamFrames | None = None
         """What was noticed last; taken in once it is shown, or once there is more."""
@@ -73,11 +77,17 @@ class SmallBlocks:
     def _fill(self, blocks: list[Array], is_shown: bool) -> None:
         frames, beliefs = self._frames, self._beliefs
         assert frames is not None
-        _fill_small(
-            *self._kept, not self._is_taken_in, is_shown, frames.time_s, frames.step, *frames.scans, frames.ranges_m,
-            beliefs.poses, beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, *blocks,
+        now = (
+            not self._is_taken_in, is_shown, frames.time_s, frames.step, *frames.scans, frames.ranges_m, beliefs.poses,
+            beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, *blocks,
         )  # fmt: skip
+        if self._run is None:
+            self._run = partial(bound(_fill_small, *self._kept, *now), *self._kept[1:])
+        self._run(*now)
         self._is_taken_in = True
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_run": None}
 
 
 @kernel
