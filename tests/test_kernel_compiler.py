@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -177,3 +178,14 @@ def test_a_lock_has_one_holder_at_a_time(tmp_path):
     second.release()
     assert list(tmp_path.iterdir()) == []
     assert FileLock(tmp_path / "no such folder" / "lock").take() is None
+
+
+@pytest.mark.parametrize(
+    ("version", "is_known"), [("0.62.1", True), ("0.68.1", True), ("0.61.2", False), ("1.0", False)]
+)
+def test_with_another_numba_kernels_are_numbas_own_and_none_stands_on_disk(monkeypatch, version, is_known):
+    monkeypatch.setattr(numba, "__version__", version)
+    twice = kernel(lambda x: 2 * x)
+    assert isinstance(twice, kernel_compiler.KernelDispatcher) == is_known
+    if not is_known:
+        assert twice(3) == 6 and twice._cache.cache_path is None

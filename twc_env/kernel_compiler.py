@@ -69,7 +69,7 @@ class KernelDispatcher(CPUDispatcher):
     """A kernel with all its signatures, each compiled at its first call."""
 
     def __init__(self, py_func, locals=None, targetoptions=None, pipeline_class=KernelCompiler):
-        super().__init__(py_func, locals, targetoptions, pipeline_class)
+        super().__init__(py_func, {} if locals is None else locals, targetoptions, pipeline_class)
         self._is_asked_by_kernel = False
 
     def enable_caching(self) -> None:

@@ -11,10 +11,12 @@ from functools import partial
 from types import ModuleType
 from typing import Any
 
-from numba import types
+import numba
+from numba import njit, types
 from numba.experimental import structref
 
-from twc_env.kernel_compiler import KernelDispatcher
+NUMBA_MIN, NUMBA_MAX = (0, 62), (0, 68)
+"""Whose insides `kernel_compiler` knows. With another numba kernels are compiled anew in every process."""
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -37,10 +39,19 @@ def _compiled(function: Callable[..., Any], counts_references: bool) -> Any:
         value = function.__globals__.get(name)
         if isinstance(value, ModuleType) and value.__name__.startswith("twc_env."):
             raise TypeError(f"kernel {function.__name__}: import names from {value.__name__}, not the module")
-    options = {"nopython": True, "boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True}
-    compiled = KernelDispatcher(function, targetoptions={**options, "_nrt": counts_references})
+    options: dict[str, Any] = {"boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True}
+    options["_nrt"] = counts_references
+    if not NUMBA_MIN <= _version(numba.__version__) <= NUMBA_MAX:
+        return njit(**options)(function)  # on disk numba alone could mistake an old state of the sources for this one
+    from twc_env.kernel_compiler import KernelDispatcher  # another numba may lack what this imports
+
+    compiled = KernelDispatcher(function, targetoptions={"nopython": True, **options})
     compiled.enable_caching()
     return compiled
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in text.split(".")[:2])
 
 
 @structref.register

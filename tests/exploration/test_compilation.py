@@ -160,10 +160,15 @@ def test_of_processes_that_start_at_once_one_calls_a_helper(started):
 @pytest.mark.parametrize("is_worker", [False, True])
 def test_where_nobody_can_tell_only_workers_call_no_helper(started, monkeypatch, tmp_path, is_worker):
     monkeypatch.setattr(compilation.multiprocessing, "parent_process", lambda: object() if is_worker else None)
-    for lock in (None, FileLock(tmp_path / "no such folder" / "helper.lock")):
-        monkeypatch.setattr(compilation, "helpers_lock", lambda lock=lock: lock)
-        first_start().prepare()
-    assert len(started) == (0 if is_worker else 2)
+    monkeypatch.setattr(compilation, "helpers_lock", lambda: FileLock(tmp_path / "no such folder" / "helper.lock"))
+    first_start().prepare()
+    assert len(started) == (0 if is_worker else 1)
+
+
+def test_without_a_folder_that_a_helper_could_fill_none_is_called(started, monkeypatch):
+    monkeypatch.setattr(compilation, "helpers_lock", lambda: None)
+    first_start().prepare()
+    assert not started
 
 
 def test_a_helper_that_cannot_be_started_is_done_without(started, monkeypatch):

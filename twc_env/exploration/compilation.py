@@ -49,12 +49,12 @@ class FirstStart:
         return self._helper is not None and self._owner == os.getpid() and self._helper.poll() is None
 
     def prepare(self) -> None:
-        """A kernel is about to be compiled: call a helper, the first time, where there is an engine to compile and a
-        second core, and no other process has one."""
+        """A kernel is about to be compiled: call a helper, the first time, where there is an engine to compile, a
+        second core and a folder to share, and no other process has one."""
         if not (self.may_call and self.is_engine_wanted):
             return
         self.may_call = False
-        if core_count() > 1 and not is_another_helper_at_work():
+        if core_count() > 1 and helpers_lock() is not None and not is_another_helper_at_work():
             self._call_helper()
 
     def _call_helper(self) -> None:
@@ -97,10 +97,11 @@ def helpers_lock() -> FileLock | None:
 def is_another_helper_at_work() -> bool:
     """Whether there is one for the same files. Where nobody can tell, workers hold that there is: no crowd then."""
     lock = helpers_lock()
-    is_free = None if lock is None else lock.take()
+    if lock is None:
+        return False
+    is_free = lock.take()
     if is_free is None:
         return multiprocessing.parent_process() is not None
-    assert lock is not None
     lock.release()
     return not is_free
 
