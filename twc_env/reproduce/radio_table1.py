@@ -94,7 +94,7 @@ PLACES = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce radio-table1`."""
-    parser.add_argument("--seeds", default="4-9", help="count or range; 0-3 chose settings (default: %(default)s)")
+    parser.add_argument("--seeds", default="4-8", help="count or range; 0-3 chose settings (default: %(default)s)")
     parser.add_argument("--places", default=",".join(PLACES), help="default: %(default)s")
     parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
     parser.add_argument("--processes", type=count, default=2, help="walks measured at once (default: %(default)s)")
