@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import PlaceRecognitionConfig
+from twc_env.geometry import compose, inverse
 from twc_env.messages import Fingerprint, Keyframe, LoopCandidate, SignObservation
 from twc_env.slam.place_cues import rssi_cue, similarities
 from twc_env.slam.sign_table import UNLIKE, RadioRule, SignTable
@@ -163,12 +164,6 @@ class TextRecogniser(TextWifiRecogniser):
 
 def meet_at_sign(target: SignObservation, source: SignObservation) -> Array:
     """(3,) pose of the source in the target's frame if both see one sign: lay the two sign frames on each other."""
-    (x, y), heading, turn = source.position_m.tolist(), target.facing_rad, _wrap(-source.facing_rad)
-    c, s = math.cos(source.facing_rad), math.sin(source.facing_rad)
-    ahead, left = -c * x - s * y, s * x - c * y
-    (x, y), c, s = target.position_m.tolist(), math.cos(heading), math.sin(heading)
-    return np.array((x + c * ahead - s * left, y + s * ahead + c * left, _wrap(heading + turn)))
-
-
-def _wrap(angle_rad: float) -> float:
-    return (angle_rad + math.pi) % (2 * math.pi) - math.pi
+    target_sign = np.array((*target.position_m.tolist(), target.facing_rad))
+    source_sign = np.array((*source.position_m.tolist(), source.facing_rad))
+    return compose(target_sign, inverse(source_sign))
