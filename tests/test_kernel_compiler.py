@@ -151,9 +151,11 @@ def test_where_no_folder_can_be_written_to_kernels_are_compiled_all_the_same(mon
 
 
 def test_where_there_are_no_locks_each_process_compiles_for_itself(monkeypatch, tmp_path):
+    naps: list[float] = []
+    monkeypatch.setattr(kernel_compiler.time, "sleep", naps.append)
     monkeypatch.setattr(FileLock, "take", lambda _self: None)
     with kernel_compiler._alone(tmp_path / "x.lock"), kernel_compiler._alone(tmp_path / "x.lock"):
-        pass
+        assert naps == []
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")

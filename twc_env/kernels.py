@@ -81,8 +81,8 @@ def bound(function: Any, held: Any, *others: Any) -> Callable[..., Any]:
     """A kernel with its first argument filled in, to be called with others of the same kinds as these.
 
     A kernel that is called by its name looks at the type of all that it is given, which takes longer than the call
-    itself: 0.6 us for a pack, 20 ns for an array or number. This goes straight to the compiled code. Nothing is looked
-    at then: arrays must be contiguous in memory like the first ones, and may not be read-only where those were not.
+    itself, above all for a pack. This goes straight to the compiled code. Nothing is looked at then: arrays must be
+    contiguous in memory like the first ones, and may not be read-only where those were not.
     Can be neither copied nor pickled, as a pack.
     """
     kinds = tuple(function.typeof_pyval(value) for value in (held, *others))
