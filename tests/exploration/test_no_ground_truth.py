@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import twc_env
+from twc_env.exploration.episode import Episode
 from twc_env.exploration.observations import ObservationBuilder
 from twc_env.messages import Belief, SensorFrame
 from twc_env.slam.engine import CooperativeSlam
@@ -117,19 +118,13 @@ def test_a_fresh_engine_gives_the_same_observations_from_the_recorded_frames(wan
 
 
 def test_the_guard_sees_a_planted_leak_when_frames_are_replayed(wander, monkeypatch):
-    env = twc_env.parallel_env(robots=3)
-    honest = CooperativeSlam.beliefs
+    def notice_near_the_truth(episode):
+        pairs = zip(episode.engine.beliefs(), episode.world.poses, strict=True)
+        near = [dataclasses.replace(b, pose_map_robot=b.pose_map_robot + 1e-3 * true) for b, true in pairs]
+        episode._builder.notice(episode.frames, near)
 
-    def beliefs_near_the_truth(engine):
-        beliefs = honest(engine)
-        if engine is not env.engine:
-            return beliefs
-        true = env.state().reshape(-1, 6)[:, :3]
-        near = [b.pose_map_robot + 1e-3 * pose for b, pose in zip(beliefs, true, strict=True)]
-        return [dataclasses.replace(b, pose_map_robot=p) for b, p in zip(beliefs, near, strict=True)]
-
-    monkeypatch.setattr(CooperativeSlam, "beliefs", beliefs_near_the_truth)
-    assert replay_errors(env, 5, wander) > 0
+    monkeypatch.setattr(Episode, "_notice", notice_near_the_truth)
+    assert replay_errors(twc_env.parallel_env(robots=3), 5, wander) > 0
 
 
 def test_beliefs_are_the_same_wherever_the_building_stands(here, moved):

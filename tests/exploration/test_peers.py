@@ -7,6 +7,7 @@ import pytest
 
 import twc_env
 from twc_env.config import override
+from twc_env.exploration.episode import Episode
 from twc_env.exploration.observations import ObservationBuilder
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.loop_verification import LoopVerifier
@@ -27,19 +28,18 @@ def played(explore):
         return verify(self, candidate, target_path, source_path)
 
     frames, contacts = [], []
-    think = env._think
+    think = Episode._think
 
-    def recording(now):
-        think(now)
+    def recording(self, now):
+        think(self, now)
         frames.append(pickle.loads(pickle.dumps(now)))
-        contacts.append(env.contacts)
+        contacts.append(self.contacts)
 
-    env._think = recording
-    LoopVerifier.verify = watched
+    Episode._think, LoopVerifier.verify = recording, watched
     try:
         log = explore(STEPS, env=env)
     finally:
-        LoopVerifier.verify = verify
+        Episode._think, LoopVerifier.verify = think, verify
     return log, frames, contacts, looked_at
 
 

@@ -15,23 +15,20 @@ from pettingzoo import ParallelEnv
 from twc_env.config import EnvConfig, override
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
-from twc_env.exploration import evaluation, rewards, verdicts
+from twc_env.exploration import evaluation, rewards
 from twc_env.exploration.compilation import FIRST_START, announce_compilation
+from twc_env.exploration.episode import Episode
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observation_blocks import observation_space
-from twc_env.exploration.observations import ObservationBuilder, first_observations
-from twc_env.exploration.pilot import Pilot, Scout, frontier_space, waypoint_space
+from twc_env.exploration.pilot import frontier_space, waypoint_space
 from twc_env.exploration.reset_options import ResetOptions, checked_seed
 from twc_env.exploration.settings import resolve
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
 from twc_env.messages import Belief, Contacts
-from twc_env.random_streams import random_stream
-from twc_env.slam.modes import Engine, make_engine
+from twc_env.slam.modes import Engine
 from twc_env.team_messages import TeamFrames
-from twc_env.world.failures import Failures
 from twc_env.world.floorplan import Floorplan
-from twc_env.world.link import Link
 from twc_env.world.thinning import thinned
 from twc_env.world.world import World
 
@@ -41,7 +38,6 @@ if TYPE_CHECKING:
 Array = NDArray
 
 STATE_LIMIT = 1e4
-_NOT_BEGUN = "no episode has begun: call reset() first"
 
 
 class ExplorationEnv(ParallelEnv, EzPickle):
@@ -141,21 +137,21 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self.metadata = copy.deepcopy(type(self).metadata)
         self.render_mode = render_mode
         self._viewer = _make_viewer(render_mode, self.metadata["render_fps"], render_signal)
+        self._watch = None if self._viewer is None else self._viewer.follow
         self._own_floorplan = floorplan if floorplan is not None else load_map(self.config.map)
-        self._world_of(self.config, self._own_floorplan)
+        self._plan: Floorplan | None = None
+        self._move_into(None)
         count = self.config.robots
         self.possible_agents = [f"robot_{i}" for i in range(count)]
         self.agents: list[str] = []
         self._all_false, self._all_true = (dict.fromkeys(self.possible_agents, each) for each in (False, True))
         self._numbered = tuple(enumerate(self.possible_agents))
-        shared_observation, shared_action = observation_space(self.config), self._action_space()
+        shared_observation, shared_action = observation_space(self.config), _action_space(self.config)
         self.observation_spaces = dict.fromkeys(self.possible_agents, shared_observation)
         self.action_spaces = dict.fromkeys(self.possible_agents, shared_action)
         self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (6 * count,), np.float32)
         self._weights = rewards.weights_of(self.config.reward)
-        self._failures = Failures(self.config.failure, count)
-        self._engine: Engine | None = None
-        self._frames_of_step: list[TeamFrames] = []
+        self._begun: Episode | None = None
         self._seed: int | None = None
 
     def observation_space(self, agent: str) -> spaces.Space:
@@ -172,36 +168,17 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         Raises MapError for a map that cannot be loaded. Options of other environments are ignored. After a reset that
         failed no episode is under way.
         """
-        self.agents, self._engine = [], None
+        self.agents, self._begun = [], None
         seed = self._next_seed() if seed is None else checked_seed(seed)
         chosen = ResetOptions.of(options, seed)
-        self._move_into(chosen.building)
+        config = self._move_into(chosen.building)
         self._seed = seed
-        self._world.reset(self._seed, chosen.starts)
-        count = self.config.robots
-        self._engine = make_engine(self.config, count)
-        if self.config.slam.oracle != "none":
-            self._engine.give_starts(self._world.poses_home.copy())
-        if self.config.slam.k_visibility.are_transmitters_known:
-            self._engine.give_transmitters(*self._world.transmitters_home, self._world.poses_home.copy())
-        self._link = Link(self.config.link, count, self.floorplan.home.wall_index, random_stream(self._seed, "link"))
-        self._builder = ObservationBuilder(self.config)
-        self._pilot = Pilot(self.config) if self._lasts else None
-        self._scout = Scout(self.config) if self.config.observation.frontiers else None
-        self._record = EpisodeRecord(count)
-        self._standing = rewards.Standing.nothing(count)
-        self._steps = 0
-        self._frames_of_step = []
+        episode = self._begun = Episode(config, self._world, seed, chosen.starts)
+        self.agents = self.possible_agents[:]
         if self._viewer is not None:
             self._viewer.begin()
-        self.agents = self.possible_agents[:]
-        frames = self._world.sense()
-        if FIRST_START.is_helped:  # it is with the engine: no need to wait for it yet
-            first_observations(self.config, frames)
-        self._think(frames)
-        self._notice()
-        self._bytes_judged = self.bytes_sent
-        return self._observe(), self._infos()
+            self._viewer.follow(episode)
+        return self._by_agent(episode.observe()), self._infos(episode)
 
     def step(self, actions: Mapping[str, Any]):
         """Act, sense, run SLAM, judge: one time step, or as many as the action lasts.
@@ -211,58 +188,62 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """
         if not self.agents:
             raise TwcError("step() was called after the episode's end: call reset() first")
-        agents, began = self.agents, self._steps
+        episode, agents = self.episode, self.agents
         action_blocks.check_agents(actions, agents)
-        commands = None
-        if self._pilot is not None:
-            self._pilot.assign(actions, agents, self._beliefs)
-        else:
-            commands = action_blocks.decode_velocity(actions, agents, self.config.dynamics)
-        self._frames_of_step = []
-        values = self._fly() if commands is None else self._tick(commands)
-        is_last = self._steps >= self.config.max_cycles
-        observations, infos = self._observe(), self._infos(self._steps - began, values)
-        if is_last:
+        began = episode.steps
+        values = episode.step(actions, agents, self._watch)
+        observations = self._by_agent(episode.observe())
+        infos = self._infos(episode, episode.steps - began, values)
+        truncated = self._all_false
+        if episode.is_over:
             figures = {k: v for k, v in self.result().figures.items() if isinstance(v, (int, float))}
             for info in infos.values():
                 info.update(figures)
-            self.agents = []
+            self.agents, truncated = [], self._all_true
         earned = self._by_agent(rewards.weigh(values, self._weights))
-        truncated = self._all_true if is_last else self._all_false
         return observations, earned, self._all_false.copy(), truncated.copy(), infos
 
     @property
-    def engine(self) -> Engine:
-        """The SLAM engine of this episode. Raises TwcError before the first `reset`."""
-        if self._engine is None:
-            raise TwcError(_NOT_BEGUN)
-        return self._engine
+    def episode(self) -> Episode:
+        """The episode that the last `reset` began; it holds the truth. Raises TwcError before the first one."""
+        if self._begun is None:
+            raise TwcError("no episode has begun: call reset() first")
+        return self._begun
 
-    def _held(self, name: str) -> Any:
-        """An attribute that `reset` makes. Raises TwcError where no episode has begun."""
-        if self._engine is None:
-            raise TwcError(_NOT_BEGUN)
-        return getattr(self, name)
+    @property
+    def floorplan(self) -> Floorplan:
+        """The building that the robots are in, as it is."""
+        return self._world.plan
+
+    @property
+    def engine(self) -> Engine:
+        """The SLAM engine of this episode. This and what follows raises TwcError before the first `reset`."""
+        return self.episode.engine
 
     @property
     def frames(self) -> TeamFrames:
         """What each robot sensed in the last time step; `twc_env.datasets.write_frame_log` records them."""
-        return self._held("_frames")
+        return self.episode.frames
 
     @property
     def frames_of_step(self) -> list[TeamFrames]:
         """The same for each time step of the last `step`: one for velocities, many for actions that last."""
-        return self._frames_of_step
+        return self.episode.frames_of_step
 
     @property
     def record(self) -> EpisodeRecord:
         """What truly happened in this episode, for judging; no agent may read it."""
-        return self._held("_record")
+        return self.episode.record
 
     @property
     def contacts(self) -> Contacts:
-        """Who heard whom in the last step."""
-        return self._held("_contacts")
+        """Who heard whom in the last time step."""
+        return self.episode.contacts
+
+    @property
+    def bytes_sent(self) -> int:
+        """Bytes put on the air so far, by all robots."""
+        return self.episode.bytes_sent
 
     def belief(self, agent: str) -> Belief:
         """What one robot knows: the merged map of its group and where it is in it. Estimates only.
@@ -271,39 +252,36 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """
         if agent not in self.action_spaces:
             raise TwcError(f"there is no agent {agent!r}; the team is {', '.join(self.possible_agents)}")
-        return self.engine.belief(self.possible_agents.index(agent))
-
-    @property
-    def bytes_sent(self) -> int:
-        """Bytes put on the air so far, by all robots."""
-        return sum(self.engine.bytes_sent.values())
+        return self.episode.belief(self.possible_agents.index(agent))
 
     def state(self) -> Array:
         """(6 robots,) float32 for centralised critics; holds truth: each robot's true, then its estimated pose."""
         estimated = [self.engine.pose_map_robot(r) for r in range(self.config.robots)]
-        both = np.concatenate([self._world.poses, np.array(estimated)], axis=1)
+        both = np.concatenate([self.episode.world.poses, np.array(estimated)], axis=1)
         return np.clip(both, -STATE_LIMIT, STATE_LIMIT).astype(np.float32).ravel()
 
     def result(self) -> evaluation.EpisodeResult:
         """Judge the episode so far against the truth; call it before the next `reset`."""
-        return evaluation.evaluate(
-            self._episode_config, self._seed or 0, self.floorplan, self.engine, self._record, self.engine.bytes_sent
-        )
+        return self.episode.result()
 
     def render(self) -> Array | None:
         """(height, width, 3) uint8 picture of truth and belief; None without a render_mode, or if a window shows it."""
-        return None if self._viewer is None else self._viewer.draw(self)
+        return None if self._viewer is None else self._viewer.draw(self.episode)
 
     def snapshot(self) -> Snapshot:
         """This moment of the episode: world, engine, pose graph and random streams. Raises TwcError before `reset`."""
-        return take_snapshot(self, self.engine)
+        return take_snapshot(self.config, self.episode)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Go on from a moment that an environment of the same config and version took.
 
         Raises ConfigError when the config or the version differs.
         """
-        restore_snapshot(self, snapshot)
+        episode = self._begun = restore_snapshot(self.config, snapshot)
+        self.agents = [] if episode.is_over else self.possible_agents[:]
+        if episode.floorplan is not self.floorplan:
+            self._plan = None
+        self._world, self._seed = episode.world, episode.seed
 
     def close(self) -> None:
         """Shut the window of render_mode "human"; there is nothing else to release."""
@@ -313,93 +291,13 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def _next_seed(self) -> int:
         return int(np.random.default_rng().integers(2**31)) if self._seed is None else self._seed + 1
 
-    def _action_space(self) -> spaces.Space:
-        kind = self.config.action.kind
-        self._lasts = kind != "velocity"
-        if kind == "frontier":
-            return frontier_space(self.config.action)
-        return waypoint_space() if self._lasts else action_blocks.velocity_space()
-
-    def _move_into(self, building: str | None) -> None:
-        """The building of the coming episode; None: the environment's own."""
+    def _move_into(self, building: str | None) -> EnvConfig:
+        """Make the building of the coming episode ready (None: the environment's own); the settings that hold there."""
+        config = self.config if building is None else override(self.config, {"map": building})
         plan = self._own_floorplan if building is None else load_map(building)
         if plan is not self._plan:
-            config = self.config if building is None else override(self.config, {"map": building})
-            self._world_of(config, plan)
-
-    def _world_of(self, config: EnvConfig, floorplan: Floorplan) -> None:
-        self._episode_config, self._plan = config, floorplan
-        self.floorplan = thinned(floorplan, config.building)
-        self._world, self._cells = World(config, self.floorplan), self.floorplan.cells()
-
-    def _tick(self, commands: Array) -> list[dict[str, float]]:
-        """One time step: the reward terms of each robot."""
-        if not (self._failures.is_nothing or self._failures.are_all_alive(self._steps)):
-            is_alive = self._failures.is_alive(self._steps)
-            self._world.anchor(np.flatnonzero(~is_alive))
-            commands = commands * is_alive[:, None]
-        self._steps += 1
-        is_last = self._steps >= self.config.max_cycles
-        self._think(self._world.tick(commands))
-        if is_last:
-            self.engine.finish()
-        self._notice()
-        return self._judge(is_last)
-
-    def _fly(self) -> list[dict[str, float]]:
-        """Time steps until the next decision: the sums of the reward terms of each robot."""
-        pilot = self._pilot
-        assert pilot is not None
-        sums: list[dict[str, float]] = []
-        while True:
-            values = self._tick(pilot.commands(self._beliefs))
-            sums = [{k: s[k] + v[k] for k in v} for s, v in zip(sums, values, strict=True)] if sums else values
-            if pilot.is_decision_due() or self._steps >= self.config.max_cycles:
-                return sums
-
-    def _think(self, frames: TeamFrames) -> None:
-        """Front ends, link and mappers take in one set of frames."""
-        self._frames = frames
-        self._frames_of_step.append(frames)
-        world, engine, failures = self._world, self.engine, self._failures
-        self._contacts = self._link.contacts(world.poses_home)
-        if failures.is_nothing:
-            engine.track(frames)
-        else:
-            self._contacts = failures.contacts(self._steps, self._contacts)
-            is_alive = failures.is_alive(self._steps)
-            if is_alive.all():
-                engine.track(frames)
-            elif is_alive.any():
-                engine.track([frame for frame in frames if is_alive[frame.robot]])
-        engine.absorb(self._steps, self._contacts)
-        self._record.append(world.poses, engine.poses_odom, frames.odometry, world.contacts)
-
-    def _notice(self) -> None:
-        """What the robots believe now, and what their observations must remember of it."""
-        self._beliefs = self.engine.beliefs()
-        self._builder.notice(self._frames, self._beliefs)
-        if self._viewer is not None:
-            self._viewer.follow(self)
-
-    def _judge(self, is_last: bool) -> list[dict[str, float]]:
-        config, before, sent_before = self.config, self._standing, self._bytes_judged
-        self._bytes_judged = self.bytes_sent
-        if is_last or self._steps % config.reward.period_steps == 0:
-            self._standing = verdicts.standing(self.engine, self._record, self._cells, is_last)
-        sent = (self._bytes_judged - sent_before) / config.robots
-        transition = rewards.Transition(before, self._standing, self._world.contacts, sent, config.max_cycles)
-        return rewards.terms(transition, config.reward.sharing)
-
-    def _observe(self) -> dict[str, Any]:
-        """Observations of all robots; where one chooses among frontiers, they are worked out here."""
-        pilot, looker, masks = self._pilot, self._pilot or self._scout, None
-        if looker is None:
-            return self._by_agent(self._builder.build())
-        looker.look(self._beliefs)
-        if pilot is not None and self.config.action.kind == "frontier":
-            masks = [pilot.mask(robot) for robot in range(self.config.robots)]
-        return self._by_agent(self._builder.build(looker.candidates, masks))
+            self._world, self._plan = World(config, thinned(plan, config.building)), plan
+        return config
 
     def _by_agent(self, values: Sequence[Any]) -> dict[str, Any]:
         """One value per robot, under the names of the agents."""
@@ -408,16 +306,25 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             named[agent] = values[robot]
         return named
 
-    def _infos(self, time_steps: int = 0, terms: Sequence[dict[str, float]] = ()) -> dict[str, dict[str, Any]]:
+    def _infos(
+        self, episode: Episode, time_steps: int = 0, terms: Sequence[dict[str, float]] = ()
+    ) -> dict[str, dict[str, Any]]:
         infos: dict[str, dict[str, Any]] = {}
         for robot, agent in self._numbered:
             infos[agent] = {"reward_terms": terms[robot]} if terms else {}
-        if self._pilot is not None:
+        pilot = episode.pilot
+        if pilot is not None:
             for robot, info in enumerate(infos.values()):
-                info["is_deciding"], info["time_steps"] = bool(self._pilot.is_deciding[robot]), time_steps
+                info["is_deciding"], info["time_steps"] = bool(pilot.is_deciding[robot]), time_steps
                 if self.config.action.kind == "frontier":
-                    info["action_mask"] = self._pilot.mask(robot)
+                    info["action_mask"] = pilot.mask(robot)
         return infos
+
+
+def _action_space(config: EnvConfig) -> spaces.Space:
+    if config.action.kind == "frontier":
+        return frontier_space(config.action)
+    return waypoint_space() if config.action.kind == "waypoint" else action_blocks.velocity_space()
 
 
 def _make_viewer(render_mode: str | None, frames_per_s: float, with_signal: bool) -> Viewer | None:

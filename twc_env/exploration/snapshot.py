@@ -5,27 +5,19 @@ from __future__ import annotations
 import io
 import pickle
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env._version import __version__
-from twc_env.config import digest
+from twc_env.config import EnvConfig, digest
 from twc_env.errors import ConfigError
+from twc_env.exploration.episode import Episode
 from twc_env.world.floorplan import Floorplan
-
-if TYPE_CHECKING:
-    from twc_env.exploration.environment import ExplorationEnv
-    from twc_env.slam.modes import Engine
 
 Array = NDArray
 
-_STATE = (
-    "_episode_config", "_plan", "_world", "_engine", "_link", "_builder", "_pilot", "_scout", "_record", "_standing",
-    "_bytes_judged", "_steps", "_seed", "_frames", "_beliefs", "agents",
-)  # fmt: skip
-"""What of an environment changes during an episode."""
 _PLAN = "floorplan"
 
 
@@ -77,22 +69,18 @@ class _Unpickler(pickle.Unpickler):
         return self._floorplan
 
 
-def take_snapshot(env: ExplorationEnv, engine: Engine) -> Snapshot:
-    """See `ExplorationEnv.snapshot`; `engine` proves that an episode has begun."""
+def take_snapshot(config: EnvConfig, episode: Episode) -> Snapshot:
+    """See `ExplorationEnv.snapshot`; `config` is the environment's, which may name another building."""
     buffer = io.BytesIO()
-    state = {name: getattr(env, name) for name in _STATE} | {"_engine": engine}
-    _Pickler(buffer, env.floorplan).dump(state)
-    return Snapshot(digest(env.config), __version__, env.floorplan, buffer.getvalue())
+    _Pickler(buffer, episode.floorplan).dump(episode)
+    return Snapshot(digest(config), __version__, episode.floorplan, buffer.getvalue())
 
 
-def restore_snapshot(env: ExplorationEnv, snapshot: Snapshot) -> None:
-    """See `ExplorationEnv.restore`."""
-    _check("configuration", snapshot.config_digest, digest(env.config))
+def restore_snapshot(config: EnvConfig, snapshot: Snapshot) -> Episode:
+    """The episode as it was at that moment; see `ExplorationEnv.restore`."""
+    _check("configuration", snapshot.config_digest, digest(config))
     _check("version", snapshot.version, __version__)
-    state = _Unpickler(io.BytesIO(snapshot.content), snapshot.floorplan).load()
-    env.floorplan, env._cells = snapshot.floorplan, snapshot.floorplan.cells()
-    for name, value in state.items():
-        setattr(env, name, value)
+    return _Unpickler(io.BytesIO(snapshot.content), snapshot.floorplan).load()
 
 
 def _check(what: str, of_snapshot: str, own: str) -> None:

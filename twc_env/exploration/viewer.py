@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import RadioConfig
+from twc_env.exploration.episode import Episode
 from twc_env.exploration.layers import HELP, Layers, layered
 from twc_env.exploration.rendering import ClosureLine, SignalLayer, render, scene_of
 from twc_env.exploration.verdicts import GroupVerdict, verdicts_of
@@ -17,14 +17,11 @@ from twc_env.geometry import transform_points
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
 
-if TYPE_CHECKING:
-    from twc_env.exploration.environment import ExplorationEnv
-
 Array = NDArray
 
 
 class Viewer:
-    """Draws an environment; in mode "human" on a window, at most once for each time step."""
+    """Draws an episode; in mode "human" on a window, at most once for each time step."""
 
     def __init__(self, mode: str, frames_per_s: float, with_signal: bool):
         """Raises ConfigError where "human" cannot be shown for want of pygame."""
@@ -38,42 +35,44 @@ class Viewer:
         """A new episode: no closure has been seen yet."""
         self._seen, self._shown_step = SeenClosures(), -1
 
-    def draw(self, env: ExplorationEnv) -> Array | None:
+    def draw(self, episode: Episode) -> Array | None:
         """The picture of this moment, or None where it went to the window."""
         if self._window is None:
-            return self._picture(env)
-        step = env.record.count
+            return self._picture(episode)
+        step = episode.record.count
         while self._window.answer():
             layers = self._layers
             for key in self._window.take_keys():
                 layers = layers.after(key)
             if step != self._shown_step or layers != self._layers:
                 self._layers, self._shown_step = layers, step
-                self._window.show(self._picture(env))
+                self._window.show(self._picture(episode))
             elif self._window.is_paused:
                 self._window.wait()
             if not self._window.is_paused:
                 break
         return None
 
-    def follow(self, env: ExplorationEnv) -> None:
+    def follow(self, episode: Episode) -> None:
         """Draw on the window, where there is one."""
         if self._window is not None:
-            self.draw(env)
+            self.draw(episode)
 
     def close(self) -> None:
         """Shut the window, where there is one."""
         if self._window is not None:
             self._window.close()
 
-    def _picture(self, env: ExplorationEnv) -> Array:
-        verdicts = verdicts_of(env.engine, env.record, env.floorplan.cells())
-        lines = self._seen.lines(verdicts, env.record.count, env.config.dynamics.time_step_s)
+    def _picture(self, episode: Episode) -> Array:
+        verdicts = verdicts_of(episode.engine, episode.record, episode.floorplan.cells())
+        lines = self._seen.lines(verdicts, episode.record.count, episode.config.dynamics.time_step_s)
         layers = self._layers
-        signal = self._signal_of(env.floorplan, env.config.radio) if layers.signal else None
+        signal = self._signal_of(episode.floorplan, episode.config.radio) if layers.signal else None
         if layers.robot is not None:
             verdicts = [v for v in verdicts if layers.robot in v.view.viewers] or verdicts
-        return render(layered(scene_of(env.floorplan, env.engine, env.record, verdicts, lines, signal), layers))
+        return render(
+            layered(scene_of(episode.floorplan, episode.engine, episode.record, verdicts, lines, signal), layers)
+        )
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
         if self._signal is None or self._signal[0] is not plan:

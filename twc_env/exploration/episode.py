@@ -1,0 +1,187 @@
+"""One episode of a team in one building, time step by time step, apart from the interfaces of any library."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import EnvConfig
+from twc_env.exploration import actions as action_blocks
+from twc_env.exploration import evaluation, rewards, verdicts
+from twc_env.exploration.compilation import FIRST_START
+from twc_env.exploration.episode_record import EpisodeRecord
+from twc_env.exploration.observations import ObservationBuilder, first_observations
+from twc_env.exploration.pilot import Pilot, Scout
+from twc_env.messages import Belief, Contacts
+from twc_env.random_streams import random_stream
+from twc_env.slam.modes import Engine, make_engine
+from twc_env.team_messages import TeamFrames
+from twc_env.world.failures import Failures
+from twc_env.world.floorplan import Floorplan
+from twc_env.world.link import Link
+from twc_env.world.world import World
+
+Array = NDArray
+
+
+class Episode:
+    """World, engine and link in step with each other, what the robots see and choose of it, and what it is worth.
+
+    All that changes while robots explore is held here, so that a moment can be pickled whole
+    (`twc_env.exploration.snapshot`).
+    """
+
+    def __init__(self, config: EnvConfig, world: World, seed: int, starts: Any):
+        """Begin. Takes the world for itself, so that an earlier episode in it is over; starts as `World.reset`."""
+        self.config, self.seed, count = config, seed, config.robots
+        self.steps = 0
+        """Time steps so far."""
+        self._world = world
+        world.reset(seed, starts)
+        self.engine: Engine = make_engine(config, count)
+        if config.slam.oracle != "none":
+            self.engine.give_starts(world.poses_home.copy())
+        if config.slam.k_visibility.are_transmitters_known:
+            self.engine.give_transmitters(*world.transmitters_home, world.poses_home.copy())
+        self._failures = Failures(config.failure, count)
+        self._link = Link(config.link, count, world.plan.home.wall_index, random_stream(seed, "link"))
+        self._builder = ObservationBuilder(config)
+        self.pilot = None if config.action.kind == "velocity" else Pilot(config)
+        """Carries out actions that last; None where each time step has its own."""
+        self._scout = Scout(config) if config.observation.frontiers else None
+        self.record = EpisodeRecord(count)
+        """What truly happened, for judging; no agent may read it."""
+        self._standing = rewards.Standing.nothing(count)
+        self.frames_of_step: list[TeamFrames] = []
+        """What was sensed in each time step of the last `step`."""
+        frames = world.sense()
+        if FIRST_START.is_helped:  # it is with the engine: no need to wait for it yet
+            first_observations(config, frames)
+        self._think(frames)
+        self._notice()
+        self._bytes_judged = self.bytes_sent
+
+    @property
+    def floorplan(self) -> Floorplan:
+        """The building, as it is."""
+        return self._world.plan
+
+    @property
+    def world(self) -> World:
+        """The truth."""
+        return self._world
+
+    @property
+    def frames(self) -> TeamFrames:
+        """What each robot sensed in the last time step."""
+        return self._frames
+
+    @property
+    def contacts(self) -> Contacts:
+        """Who heard whom in the last time step."""
+        return self._contacts
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the last time step has been played."""
+        return self.steps >= self.config.max_cycles
+
+    @property
+    def bytes_sent(self) -> int:
+        """Bytes put on the air so far, by all robots."""
+        return sum(self.engine.bytes_sent.values())
+
+    def step(
+        self, actions: Mapping[str, Any], agents: Sequence[str], watch: Callable[[Episode], None] | None = None
+    ) -> list[dict[str, float]]:
+        """Act, sense, run SLAM, judge: one time step, or as many as the actions last; the reward terms of each robot.
+
+        `watch` is called after each time step. Raises ActionError for a malformed action; nothing has happened then.
+        """
+        pilot = self.pilot
+        if pilot is None:
+            commands = action_blocks.decode_velocity(actions, agents, self.config.dynamics)
+            self.frames_of_step = []
+            values = self._tick(commands)
+            if watch is not None:
+                watch(self)
+            return values
+        pilot.assign(actions, agents, self._beliefs)
+        self.frames_of_step = []
+        sums: list[dict[str, float]] = []
+        while True:
+            values = self._tick(pilot.commands(self._beliefs))
+            if watch is not None:
+                watch(self)
+            sums = [{k: s[k] + v[k] for k in v} for s, v in zip(sums, values, strict=True)] if sums else values
+            if pilot.is_decision_due() or self.is_over:
+                return sums
+
+    def observe(self) -> list[Any]:
+        """Each robot's observation; where one chooses among frontiers, they are worked out here."""
+        pilot, looker, masks = self.pilot, self.pilot or self._scout, None
+        if looker is None:
+            return self._builder.build()
+        looker.look(self._beliefs)
+        if pilot is not None and self.config.action.kind == "frontier":
+            masks = [pilot.mask(robot) for robot in range(self.config.robots)]
+        return self._builder.build(looker.candidates, masks)
+
+    def belief(self, robot: int) -> Belief:
+        """What one robot knows; estimates only."""
+        return self.engine.belief(robot)
+
+    def result(self) -> evaluation.EpisodeResult:
+        """Judge the episode so far against the truth."""
+        return evaluation.evaluate(
+            self.config, self.seed, self.floorplan, self.engine, self.record, self.engine.bytes_sent
+        )
+
+    def _tick(self, commands: Array) -> list[dict[str, float]]:
+        """One time step: the reward terms of each robot."""
+        if not (self._failures.is_nothing or self._failures.are_all_alive(self.steps)):
+            is_alive = self._failures.is_alive(self.steps)
+            self._world.anchor(np.flatnonzero(~is_alive))
+            commands = commands * is_alive[:, None]
+        self.steps += 1
+        self._think(self._world.tick(commands))
+        is_last = self.is_over
+        if is_last:
+            self.engine.finish()
+        self._notice()
+        return self._judge(is_last)
+
+    def _think(self, frames: TeamFrames) -> None:
+        """Front ends, link and mappers take in one set of frames."""
+        self._frames = frames
+        self.frames_of_step.append(frames)
+        world, engine, failures = self._world, self.engine, self._failures
+        self._contacts = self._link.contacts(world.poses_home)
+        if failures.is_nothing:
+            engine.track(frames)
+        else:
+            self._contacts = failures.contacts(self.steps, self._contacts)
+            is_alive = failures.is_alive(self.steps)
+            if is_alive.all():
+                engine.track(frames)
+            elif is_alive.any():
+                engine.track([frame for frame in frames if is_alive[frame.robot]])
+        engine.absorb(self.steps, self._contacts)
+        self.record.append(world.poses, engine.poses_odom, frames.odometry, world.contacts)
+
+    def _notice(self) -> None:
+        """What the robots believe now, and what their observations must remember of it."""
+        self._beliefs = self.engine.beliefs()
+        self._builder.notice(self._frames, self._beliefs)
+
+    def _judge(self, is_last: bool) -> list[dict[str, float]]:
+        config, before, sent_before = self.config, self._standing, self._bytes_judged
+        self._bytes_judged = self.bytes_sent
+        if is_last or self.steps % config.reward.period_steps == 0:
+            self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), is_last)
+        sent = (self._bytes_judged - sent_before) / config.robots
+        transition = rewards.Transition(before, self._standing, self._world.contacts, sent, config.max_cycles)
+        return rewards.terms(transition, config.reward.sharing)
