@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from twc_env.messages import Fingerprint
-from twc_env.reproduce import real_places
+from twc_env.reproduce import place_cues, real_places, surveyed_places
 from twc_env.slam.radio_fingerprint import mac_similarity, rssi_distance_db
 from twc_env.slam.radio_statistics import radio_difference_db
 
@@ -16,7 +16,7 @@ def test_comparing_all_places_at_once_gives_what_pairs_give():
     random = np.random.default_rng(0)
     rssi = np.where(random.random((5, 30)) < 0.6, random.uniform(-89, -40, (5, 30)), np.nan)
     prints = [Fingerprint(np.flatnonzero(np.isfinite(row)), row[np.isfinite(row)]) for row in rssi]
-    shared, rms, difference, counts = real_places._compare_radio(rssi)
+    shared, rms, difference, counts = place_cues._compare_radio(rssi)
     for i, a in enumerate(prints):
         for j, b in enumerate(prints):
             distance, common = rssi_distance_db(a, b)
@@ -37,13 +37,13 @@ def test_the_regression_finds_the_weights_that_made_the_data():
 def test_neighbours_along_a_trace_may_be_passed_in_either_direction():
     cue = np.zeros((6, 6))
     cue[0, 5] = cue[2, 3] = 4.0  # trace 1 (places 3 to 5) was walked against trace 0 (places 0 to 2)
-    assert real_places._along(cue, np.array([0, 0, 0, 1, 1, 1]))[1, 4] == 4.0
+    assert place_cues._along(cue, np.array([0, 0, 0, 1, 1, 1]))[1, 4] == 4.0
 
 
 @needs_data
 def test_fused_learns_on_one_real_floor_what_beats_the_others_on_the_other():
     folder = Path(os.environ["TWC_DATA"]) / "indoor20"
-    floors = {name: real_places.read_floor(folder / part) for name, part in real_places.FLOORS.items()}
+    floors = {name: surveyed_places.read_floor(folder / part) for name, part in real_places.FLOORS.items()}
     figures = real_places.judge_draw(floors, seed=100)
     for floor in floors:
         fused = figures[floor].pop("fused")["average_precision"]

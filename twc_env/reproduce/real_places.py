@@ -10,25 +10,14 @@ of other traces. Each seed draws the misreadings and four fifths of the traces; 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rapidfuzz.distance import Levenshtein
-from rapidfuzz.process import cdist
 
-from twc_env.config import SignsConfig
-from twc_env.datasets.geojson import read_geojson
-from twc_env.datasets.indoor20 import FRESH_S, read_indoor20
-from twc_env.random_streams import random_stream
+from twc_env.reproduce.place_cues import Cues
 from twc_env.reproduce.place_pairs import average_precision, precision_recall_curve, recall_at_full_precision
 from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
-from twc_env.slam.radio_statistics import FLOOR_DBM, RadioStatistics
-from twc_env.slam.text_likelihood import log_text_likelihood
-from twc_env.slam.text_similarity import normalise
-from twc_env.world.floorplan import Floorplan
-from twc_env.world.signs import SignCamera
+from twc_env.reproduce.surveyed_places import Floor, draw_places, read_floor
 
 Array = NDArray
 
@@ -37,43 +26,7 @@ CHOOSES = ("seeds",)
 
 FLOORS = {"B1": "site1_B1", "F6": "site2_F6"}
 METHODS = ("text", "wifi", "twc", "fused")
-SAME_PLACE_M = 5.0
-PLACE_STEP_M = 4.0
-TRACE_SHARE = 0.8
-CAMERA = SignsConfig(reader="simple", range_max_m=8.0, character_height_m=0.15)
-"""Names over shops can be read from further away than door plates."""
-READ_PERIOD_S, READ_AROUND_S = 0.5, 2.0
-"""How often names are read, and for how long before and after a scan."""
-ELSEWHERE_M = 10.0
 TOLERANCES_DB = (3.0, 4.0, 5.0, 7.0, 10.0, 14.0)
-TEXT_LIMIT = 8.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Floor:
-    """All that can be sensed along the traces of a floor."""
-
-    plan: Floorplan
-    position_m: Array
-    """(scans, 2)."""
-    time_s: Array
-    trace: Array
-    """(scans,) number of the trace."""
-    rssi_dbm: Array
-    """(scans, transmitters), NaN where not heard."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Places:
-    """The places of one draw, and what was sensed at each."""
-
-    position_m: Array
-    trace: Array
-    rssi_dbm: Array
-    readings: tuple[tuple[str, ...], ...]
-    """Of each sign the reading nearest in time to the scan."""
-    agreed: tuple[tuple[tuple[str, int], ...], ...]
-    """Of each sign the reading that most readings agree with, and how many these are."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -115,15 +68,6 @@ def remarks(table: list[dict]) -> list[str]:
     return lines
 
 
-def read_floor(folder: Path) -> Floor:
-    """Plan and traces of one floor."""
-    survey = read_indoor20(folder, FRESH_S)
-    plan = read_geojson(folder / "geojson_map.json.gz")
-    order = np.lexsort((survey.time_s, survey.walk))
-    heard = survey.rssi_dbm[order].astype(float)
-    return Floor(plan, survey.position_m[order], survey.time_s[order], survey.walk[order], heard)
-
-
 def judge_draw(floors: dict[str, Floor], seed: int) -> dict[str, dict[str, dict[str, float]]]:
     """Each floor judged by what was learned on the other: floor -> method -> figures."""
     cues = {name: Cues(draw_places(floor, seed)) for name, floor in floors.items()}
@@ -135,162 +79,6 @@ def judge_draw(floors: dict[str, Floor], seed: int) -> dict[str, dict[str, dict[
             m: _figures(score, c.is_same, learned[other][m]) for m, score in scores(c, learned[other]).items()
         }
     return result
-
-
-# --- places ---
-
-
-def draw_places(floor: Floor, seed: int) -> Places:
-    """Places of a random share of the traces, with their readings."""
-    random = random_stream(seed, "traces")
-    traces = np.unique(floor.trace)
-    kept = random.choice(traces, round(TRACE_SHARE * len(traces)), replace=False)
-    chosen, readings, agreed = [], [], []
-    for trace in np.sort(kept):
-        scans = np.flatnonzero(floor.trace == trace)
-        camera = SignCamera(CAMERA, floor.plan, int(trace), seed)
-        last = None
-        for scan in scans:
-            if last is not None and np.hypot(*(floor.position_m[scan] - floor.position_m[last])) < PLACE_STEP_M:
-                continue
-            seen = _read_around(floor, scans, int(scan), camera)
-            if seen:
-                last = scan
-                chosen.append(scan)
-                readings.append(tuple(min(views)[1] for views in seen.values()))
-                agreed.append(tuple(_agreed([text for _, text in views]) for views in seen.values()))
-    return Places(
-        floor.position_m[chosen],
-        floor.trace[chosen],
-        floor.rssi_dbm[chosen],
-        tuple(readings),
-        tuple(agreed),
-    )
-
-
-def _read_around(floor: Floor, scans: Array, scan: int, camera: SignCamera) -> dict[int, list[tuple[float, str]]]:
-    """Sign -> (time to the scan, text) of every reading while the walker came and went."""
-    times, places = floor.time_s[scans], floor.position_m[scans]
-    seen: dict[int, list[tuple[float, str]]] = {}
-    for offset in np.arange(-READ_AROUND_S, READ_AROUND_S + 1e-9, READ_PERIOD_S):
-        t = floor.time_s[scan] + offset
-        if not times[0] <= t <= times[-1]:
-            continue
-        here, ahead, behind = (
-            np.array([np.interp(s, times, places[:, k]) for k in (0, 1)]) for s in (t, t + 0.5, t - 0.5)
-        )
-        heading = np.arctan2(*(ahead - behind)[::-1])
-        for reading, sign in zip(*camera.read(np.array([*here, heading])), strict=True):
-            seen.setdefault(sign, []).append((abs(float(offset)), normalise(reading.text)))
-    return seen
-
-
-def _agreed(texts: list[str]) -> tuple[str, int]:
-    """The reading nearest to all readings, the longest of several, and how often it was read."""
-    distances = cdist(texts, texts, scorer=Levenshtein.distance).sum(axis=1)
-    best = max((texts[k] for k in np.flatnonzero(distances == distances.min())), key=lambda text: (len(text), text))
-    return best, texts.count(best)
-
-
-# --- cues, all pairs at once ---
-
-
-class Cues:
-    """Everything the methods use, for all pairs of places of different traces."""
-
-    def __init__(self, places: Places):
-        first, second = np.triu_indices(len(places.trace), 1)
-        apart = places.trace[first] != places.trace[second]
-        self._places = places
-        self._pairs = first[apart], second[apart]
-        distance = np.linalg.norm(places.position_m[:, None] - places.position_m[None], axis=2)
-        self.is_same = distance[self._pairs] <= SAME_PLACE_M
-        shared, rms, difference, counts = _compare_radio(places.rssi_dbm)
-        self.text = self._best_pair(*_unique(places.readings), _similarity)
-        self.macs = (shared / np.maximum(np.maximum.outer(counts, counts), 1))[self._pairs]
-        self.rms_db = rms[self._pairs]
-        radio = _log_ratios(difference, distance, places.trace)
-        evidence = self._best_pair(*_unique(places.agreed), _log_text_ratio, whole=True)
-        self.features = np.column_stack(
-            [evidence[self._pairs], radio[self._pairs], np.log(self.macs + 0.02), _loud(places.rssi_dbm)[self._pairs]]
-            + [_along(cue, places.trace)[self._pairs] for cue in (evidence, radio)]
-        )
-        """(pairs, 6): text, radio, shared transmitters, loudest transmitters, and the first two along both traces."""
-
-    def _best_pair(self, values: list, owners: list[Array], compare, whole: bool = False) -> Array:
-        """The largest comparison between any value of one place and any of the other."""
-        table = compare(values)  # (values, values)
-        reach = np.stack([table[owned].max(axis=0) for owned in owners])  # (places, values)
-        best = np.stack([reach[:, owned].max(axis=1) for owned in owners], axis=1)
-        return best if whole else best[self._pairs]
-
-
-def _loud(rssi_dbm: Array) -> Array:
-    """(places, places) cosine of the received powers to the fourth root: the loudest transmitters decide."""
-    power = np.where(np.isfinite(rssi_dbm), 10 ** (np.nan_to_num(rssi_dbm, nan=-100.0) / 40), 0.0)
-    power /= np.maximum(np.linalg.norm(power, axis=1, keepdims=True), 1e-12)
-    return power @ power.T
-
-
-def _unique(owned: tuple[tuple, ...]) -> tuple[list, list[Array]]:
-    """All different values, and for each place which of them are its own."""
-    values = sorted({value for own in owned for value in own})
-    number = {value: k for k, value in enumerate(values)}
-    return values, [np.array([number[value] for value in own]) for own in owned]
-
-
-def _similarity(texts: list[str]) -> Array:
-    return cdist(texts, texts, scorer=Levenshtein.normalized_similarity)
-
-
-def _log_text_ratio(values: list[tuple[str, int]]) -> Array:
-    """How much likelier a reading is of the other's sign than of any sign read on this floor."""
-    texts, counts = [text for text, _ in values], np.array([count for _, count in values])
-    likelihood = np.stack([log_text_likelihood(text, texts, count, counts) for text, count in values])
-    chance = np.logaddexp.reduce(likelihood, axis=1, keepdims=True) - np.log(len(values))
-    ratio = likelihood - chance
-    return np.clip(0.5 * (ratio + ratio.T), -TEXT_LIMIT, TEXT_LIMIT)
-
-
-def _compare_radio(rssi_dbm: Array) -> tuple[Array, Array, Array, Array]:
-    """(n, n) shared transmitters, rms over them, rms over all that either heard (offset removed); (n,) heard."""
-    heard = np.isfinite(rssi_dbm)
-    mask = heard.astype(float)
-    level = np.where(heard, np.maximum(rssi_dbm - FLOOR_DBM, 0.0), 0.0)
-    shared, counts = mask @ mask.T, heard.sum(axis=1)
-    squares = (level**2) @ mask.T
-    rms = np.sqrt(np.maximum(squares + squares.T - 2 * level @ level.T, 0.0) / np.maximum(shared, 1))
-    rms[shared == 0] = np.inf
-    union = np.maximum(np.add.outer(counts, counts) - shared, 1)
-    power, total = (level**2).sum(axis=1), level.sum(axis=1)
-    mean = np.subtract.outer(total, total) / union
-    spread = (np.add.outer(power, power) - 2 * level @ level.T) / union - mean**2
-    return shared, rms, np.sqrt(np.maximum(spread, 0.0)), counts
-
-
-def _log_ratios(difference_db: Array, distance_m: Array, trace: Array) -> Array:
-    """(n, n) log-likelihood ratios of the radio differences, after learning within each trace how they grow."""
-    statistics = RadioStatistics()
-    own = trace[:, None] == trace[None]
-    for i, j in zip(*np.nonzero(np.triu(own, 1)), strict=True):
-        if distance_m[i, j] <= SAME_PLACE_M or distance_m[i, j] >= ELSEWHERE_M:
-            statistics.learn(float(difference_db[i, j]), bool(distance_m[i, j] <= SAME_PLACE_M))
-    slope = statistics.log_ratio(1.0) - statistics.log_ratio(np.e)
-    return statistics.log_ratio(1.0) - slope * np.log(np.maximum(difference_db, 0.5))
-
-
-def _along(cue: Array, trace: Array) -> Array:
-    """The cue at the neighbours of both places, walked alike or against each other, whichever agrees more."""
-    n = len(trace)
-    before, after = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
-    before = np.where(trace[before] == trace, before, np.arange(n))
-    after = np.where(trace[after] == trace, after, np.arange(n))
-    alike = cue[np.ix_(before, before)] + cue[np.ix_(after, after)]
-    against = cue[np.ix_(before, after)] + cue[np.ix_(after, before)]
-    return 0.5 * np.maximum(alike, against)
-
-
-# --- methods ---
 
 
 def scores(cues: Cues, learned: dict[str, dict]) -> dict[str, Array]:
