@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.exploration.floor_masks import FloorMasks
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, bound, kernel
 
 Array = NDArray
-
-
-_AT_ONCE = 64
-"""Steps that are put into the record together."""
-_TRUE, _ODOM, _MOTION, _CONTACT = range(4)
 
 
 class EpisodeRecord:
@@ -26,64 +23,60 @@ class EpisodeRecord:
         shape = 256, robots
         self._kept = [np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape, bool)]
         """True pose, front-end pose, measured motion and contact of each step; grow."""
-        self._fresh: tuple[list[Array], ...] = [], [], [], []
-        """The same of the latest steps, where it is still to be put there."""
+        self._run: Callable[..., None] | None = None
+        """`_note` with these."""
         self.wrong_pairs: set[tuple[int, int]] = set()
         self.floor_masks = FloorMasks()
 
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_run": None}
+
     def append(self, true_poses: Array, odom_poses: Array, motions: Array, contacts: Array) -> None:
-        """Note one step, one row per robot: true poses, front-end poses, measured motions (robots, 3), and contacts.
-
-        The arrays are kept: nobody may change them any more.
-        """
-        true, odom, motion, contact = self._fresh
-        true.append(true_poses)
-        odom.append(odom_poses)
-        motion.append(motions)
-        contact.append(contacts)
+        """Note one step, one row per robot: true poses, front-end poses, measured motions (robots, 3), and contacts."""
+        now = self.count, true_poses, odom_poses, motions, contacts
+        if self.count == len(self._kept[0]):
+            self._kept, self._run = [np.concatenate([kept, np.zeros_like(kept)]) for kept in self._kept], None
+        if self._run is None:
+            self._run = partial(bound(_note, *self._kept, *now), *self._kept[1:])
+        self._run(*now)
         self.count += 1
-        if len(contact) == _AT_ONCE:
-            for kind in range(4):
-                self._settled(kind)
-
-    def _settled(self, kind: int) -> Array:
-        """(steps + 1, robots, ...) one kind of what was noted."""
-        fresh, count = self._fresh[kind], self.count
-        if fresh:
-            if count > len(self._kept[kind]):
-                self._kept[kind] = np.concatenate([self._kept[kind], np.zeros_like(self._kept[kind])])
-            kept = self._kept[kind]
-            kept[count - len(fresh) : count] = np.concatenate(fresh).reshape(-1, *kept.shape[1:])
-            fresh.clear()
-        return self._kept[kind][:count]
 
     @property
     def contact_count(self) -> int:
         """Contacts that began after the start, summed over robots."""
-        contacts = self._settled(_CONTACT)
+        contacts = self._kept[3][: self.count]
         return int(np.count_nonzero(contacts[1:] & ~contacts[:-1]))
 
     @property
     def true_poses_now(self) -> Array:
         """(robots, 3) building frame, after the latest step."""
-        fresh = self._fresh[_TRUE]
-        return fresh[-1] if fresh else self._kept[_TRUE][self.count - 1]
+        return self._kept[0][self.count - 1]
 
     @property
     def true_poses(self) -> Array:
         """(steps + 1, robots, 3) building frame."""
-        return self._settled(_TRUE)
+        return self._kept[0][: self.count]
 
     @property
     def odom_poses(self) -> Array:
         """(steps + 1, robots, 3) front-end estimate, each in its robot's odom frame."""
-        return self._settled(_ODOM)
+        return self._kept[1][: self.count]
 
     def odometry_poses(self) -> Array:
         """(steps + 1, robots, 3) dead reckoning from the true start, building frame."""
         poses = self.true_poses.copy()
-        _reckon(self._settled(_MOTION), poses)
+        _reckon(self._kept[2][: self.count], poses)
         return poses
+
+
+@borrowing_kernel
+def _note(true, odom, motion, contact, step, true_poses, odom_poses, motions, contacts):
+    """Put what is known of a step where it is kept."""
+    for robot in range(contacts.shape[0]):
+        for axis in range(3):
+            true[step, robot, axis], odom[step, robot, axis] = true_poses[robot, axis], odom_poses[robot, axis]
+            motion[step, robot, axis] = motions[robot, axis]
+        contact[step, robot] = contacts[robot]
 
 
 @kernel
