@@ -54,19 +54,22 @@ class RecentSigns:
         self._known = signs
         for robot, own in enumerate(signs):
             if own is not self._known_of[robot]:
-                self._known_of[robot], self.places = own, self.places.copy()
-                self.places[robot], self._text_counts[robot] = _index_of(KnownSigns.of(own))
-                self._count_elsewhere(robot)
+                self._known_of[robot], known = own, KnownSigns.of(own)
+                places, counts = _index_of(tuple(known.texts), np.asarray(known.places_m, float).tobytes())
+                if places is not self.places[robot]:
+                    self.places = self.places.copy()
+                    self.places[robot], self._text_counts[robot] = places, counts
+                    self._count_elsewhere(robot)
 
     def _count_elsewhere(self, robot: int) -> None:
         for row, text in enumerate(self._texts[robot]):
             self.readings[robot, row, 3] = max(self._text_counts[robot][text] - 1, 0)
 
 
-@lru_cache(maxsize=4)
-def _index_of(signs: KnownSigns) -> tuple[Array, Counter[str]]:
-    """Places (2, k) and how often each text is known; robots of one group share the list of signs."""
-    return signs.places_m.T.copy(), Counter(signs.texts)
+@lru_cache(maxsize=16)
+def _index_of(texts: tuple[str, ...], places_m: bytes) -> tuple[Array, Counter[str]]:
+    """Places (2, k) and how often each text is known; the same objects for the same signs, read again or by a mate."""
+    return np.frombuffer(places_m).reshape(-1, 2).T.copy(), Counter(texts)
 
 
 @borrowing_kernel
