@@ -84,6 +84,25 @@ def test_every_beam_ends_where_a_plain_loop_over_all_walls_says(name):
         assert found == pytest.approx(np.array(expected), abs=1e-9)
 
 
+@given(seed=st.integers(0, 10_000), count=st.integers(1, 60), on_grid=st.booleans())
+def test_a_scanner_on_its_way_sees_all_that_no_wall_hides(seed, count, on_grid):
+    random, beams = np.random.default_rng(seed), 45
+    begins, extents = random.uniform(0, 12, (count, 2)), random.normal(0, 3, (count, 2))
+    if on_grid:  # walls that end on each other or lie in one line
+        begins, extents = np.round(begins), np.round(extents) * np.eye(2)[random.integers(0, 2, count)]
+        extents[~extents.any(axis=1)] = 1.0
+    walls = np.stack([begins, begins + extents], axis=1)
+    config = LidarConfig(beam_count=beams, range_noise_std_m=0.0)
+    index, place = index_walls(walls, np.ones(count)), random.uniform(0, 12, 2)
+    scan = Lidar(config, index, 0.2, 1, 0).scan
+    for _ in range(12):
+        pose = np.array([*place, random.uniform(-3, 3)])
+        assert np.array_equal(scan(pose[None]), Lidar(config, index, 0.2, 1, 0).true_ranges(pose[None]))
+        expected = [nearest_hit(walls, pose, pose[2] + 2 * np.pi * b / beams, 10.0) for b in range(beams)]
+        assert scan(pose[None])[0] == pytest.approx(np.array(expected), abs=1e-6)
+        place = place + random.uniform(-0.3, 0.3, 2)
+
+
 @pytest.mark.parametrize("y", [0.0, 1e-18, -1e-18, 1e-13, -1e-13])
 def test_a_wall_seen_exactly_edge_on_blinds_no_other_beam(y):
     edge_on = np.array([[[-3.0, y], [-1.0, -y]], [[1.0, -y], [2.0, y]]])

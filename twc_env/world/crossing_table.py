@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.world.wall_index import WallIndex, cross, is_crossed
 
 Array = NDArray
@@ -94,14 +94,14 @@ def _grown(array: Array, count: int) -> Array:
     return np.concatenate([array, np.zeros((2 * count - len(array), *array.shape[1:]), array.dtype)])
 
 
-@kernel
+@borrowing_kernel
 def square_at(x, y, low, numbers):
     """Number of the square around a place; -1 where it must be worked out, -2 outside of the building."""
     i, j = int(np.floor(x / _SQUARE_M)) - low[0], int(np.floor(y / _SQUARE_M)) - low[1]
     return numbers[i, j] if 0 <= i < numbers.shape[0] and 0 <= j < numbers.shape[1] else _OUTSIDE
 
 
-@kernel
+@borrowing_kernel
 def crossed_at(
     x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts, sure_losses,
     first_open, open_walls, counts, losses,
@@ -120,13 +120,13 @@ def crossed_at(
             losses[band, k] = sure_losses[square, band, k]
         for m in range(first_open[square, k], first_open[square, k + 1]):
             w = open_walls[m]
-            if is_crossed(walls, w, x, y, points[k, 0], points[k, 1]):
-                counts[k] += 1
-                for band in range(loss.shape[0]):
-                    losses[band, k] += loss[band, w]
+            is_hit = is_crossed(walls, w, x, y, points[k, 0], points[k, 1])
+            counts[k] += is_hit
+            for band in range(loss.shape[0]):
+                losses[band, k] += loss[band, w] if is_hit else 0.0
 
 
-@kernel
+@borrowing_kernel
 def _sort_walls(walls, loss, points, x, y, half, counts, losses, first, members, begin):
     """Walls that all of a square crosses are counted, walls that none of it crosses are dropped, the others listed.
 

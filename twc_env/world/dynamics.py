@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pymunk import batch
 
 from twc_env.config import DynamicsConfig
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.world.wall_index import WallIndex, gap
 
 Array = NDArray
@@ -132,7 +132,7 @@ def _add_robot(space: pymunk.Space, pose: Array, radius_m: float) -> None:
     space.add(body, pymunk.Circle(body, radius_m))
 
 
-@kernel
+@borrowing_kernel
 def _drive(state, commands, limits, time_step, substeps, gaps, radius):
     """Wheel speeds towards the commands; then, if no robot can touch anything in this step, move them.
 

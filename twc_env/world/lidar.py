@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import LidarConfig
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.materials import MATERIALS
+from twc_env.world.near_walls import gather_near
 from twc_env.world.noise import StepNoise, normal_quantiles
 from twc_env.world.wall_index import WallIndex, index_walls
 
@@ -21,7 +22,7 @@ Array = NDArray
 _QUANTILE_BITS, _QUANTILES_PER_WORD = 12, 5
 """A random number that picks a quantile of the range noise: five of them come out of one 64-bit word."""
 _SPARE_M = 0.5
-"""Walls are looked up for so much more than the range, and anew when the robot has come so far."""
+"""The walls in view are looked up for all places so near, and anew when the robot has come so far."""
 _EDGE_BEAMS = 0.02
 """Ends of walls are looked up this far beyond where their rough angle says, and then tested exactly."""
 
@@ -50,10 +51,11 @@ class Lidar:
         self._directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, beams)
         self._quantiles = normal_quantiles(1 << _QUANTILE_BITS)
         words = -(-config.beam_count // _QUANTILES_PER_WORD)
+        self._deviates = np.empty(words * _QUANTILES_PER_WORD)
         self.noise = StepNoise([random_stream(seed, "lidar", robot) for robot in range(robots)], words, "bits")
         self._fixed = (
             self._directions, robot_radius_m, config.range_max_m, *_surroundings(robots, len(index.walls_m)),
-            self._quantiles, 0.0 if self._sees_through else config.range_noise_std_m,
+            self._deviates, self._quantiles, 0.0 if self._sees_through else config.range_noise_std_m,
         )  # fmt: skip
         self.is_plain = not self._sees_through and not config.dropout_probability
         """Whether `sweep` alone gives what `scan` does: there is no glass to see through and no beam is lost."""
@@ -75,7 +77,7 @@ class Lidar:
                 config.glass_return_probability, math.cos(config.glass_incidence_max_rad),
                 config.glass_incidence_max_rad, ranges,
             )  # fmt: skip
-            _add_noise(ranges, words, self._quantiles, config.range_noise_std_m, config.range_max_m)
+            _add_noise(ranges, words, self._quantiles, config.range_noise_std_m, config.range_max_m, self._deviates)
         if config.dropout_probability > 0.0:
             ranges[self._chance["lidar-dropout"].next() < config.dropout_probability] = config.range_max_m
         return ranges
@@ -90,7 +92,7 @@ class Lidar:
         ranges, config = np.empty((len(poses), self._config.beam_count)), self._config
         sweep(
             *self._all_walls, poses, self._directions, self._radius_m, config.range_max_m,
-            *_surroundings(len(poses), len(self._all_walls[0])), self._quantiles, 0.0,
+            *_surroundings(len(poses), len(self._all_walls[0])), self._deviates, self._quantiles, 0.0,
             np.zeros((len(poses), 0), np.uint64), ranges,
         )  # fmt: skip
         return ranges
@@ -119,7 +121,7 @@ def _apart(index: WallIndex, glass: tuple[int, ...]) -> tuple[WallIndex, Array]:
     return index_walls(solid.reshape(-1, 2, 2), np.zeros(len(solid))), np.ascontiguousarray(index.walls_m[is_glass])
 
 
-@kernel
+@borrowing_kernel
 def _rough_angle(x, y):
     """The angle of (x, y) in [-pi, pi] to 1e-5 rad, without a branch (Abramowitz and Stegun 4.4.49)."""
     ax, ay = abs(x), abs(y)
@@ -131,37 +133,7 @@ def _rough_angle(x, y):
     return -angle if y < 0.0 else angle
 
 
-@kernel
-def _gather(walls, origin, bucket, rows, columns, first, members, x, y, reach, stamps, near):
-    """Walls of the buckets around a place that come within reach of it -> how many.
-
-    Rows of near: begin x, y and extent x, y.
-    """
-    c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
-    c1 = min(int(np.floor((x + reach - origin[0]) / bucket)), columns - 1)
-    r0 = max(int(np.floor((y - reach - origin[1]) / bucket)), 0)
-    r1 = min(int(np.floor((y + reach - origin[1]) / bucket)), rows - 1)
-    count = 0
-    if c0 > c1:
-        return 0
-    stamps[:] = False
-    for r in range(r0, r1 + 1):
-        for m in range(first[r * columns + c0], first[r * columns + c1 + 1]):
-            w = members[m]
-            if stamps[w]:
-                continue
-            stamps[w] = True
-            ax, ay = walls[w, 0] - x, walls[w, 1] - y
-            ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
-            t = min(max(-(ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
-            nx, ny = ax + t * ex, ay + t * ey
-            if nx * nx + ny * ny <= reach * reach:
-                near[0, count], near[1, count], near[2, count], near[3, count] = walls[w, 0], walls[w, 1], ex, ey
-                count += 1
-    return count
-
-
-@kernel
+@borrowing_kernel
 def _lay_out(near, count, x, y, c, s, per_beam, edge, laid):
     """How each wall lies before a robot; a plain loop, so that several walls are worked out side by side.
 
@@ -185,7 +157,7 @@ def _lay_out(near, count, x, y, c, s, per_beam, edge, laid):
         laid[4, w], laid[5, w], laid[6, w], laid[7, w] = low, high, low - begin, end - high
 
 
-@kernel
+@borrowing_kernel
 def _draw(laid, count, directions, edge, buffer):
     """Draw walls into the inverse ranges of the beams that they cover; the nearest wins."""
     beams = directions.shape[1]
@@ -201,22 +173,30 @@ def _draw(laid, count, directions, edge, buffer):
         if laid[7, w] <= edge and low <= high and _turns_left(px + fx, py + fy, high, directions) > 0.0:
             high -= 1
         gx, gy = fx / offset, fy / offset
-        for b in range(low, min(high + 1, beams)):
-            buffer[b] = max(buffer[b], directions[0, b] * gy - directions[1, b] * gx)
-        for b in range(max(low - beams, 0), high + 1 - beams):
-            buffer[b] = max(buffer[b], directions[0, b] * gy - directions[1, b] * gx)
+        _draw_span(low, min(high + 1, beams), gx, gy, directions, buffer)
+        if high >= beams:
+            _draw_span(max(low - beams, 0), high + 1 - beams, gx, gy, directions, buffer)
 
 
-@kernel
+@borrowing_kernel
+def _draw_span(low, high, gx, gy, directions, buffer):
+    """Draw a wall into the beams from low on and below high; unsigned numbers cannot count from an array's end, so
+    that several beams are worked out side by side."""
+    ahead, aside = directions[0], directions[1]
+    for b in range(np.uint64(low), np.uint64(max(high, low))):
+        buffer[b] = max(buffer[b], ahead[b] * gy - aside[b] * gx)
+
+
+@borrowing_kernel
 def sweep(
     walls, origin, bucket, rows, columns, first, members, poses, directions, radius, far, near, near_counts, anchors,
-    laid, stamps, quantiles, std, words, ranges,
+    laid, stamps, deviates, quantiles, std, words, ranges,
 ):  # fmt: skip
     """Angular z-buffer: each wall near a robot is drawn into the beams it covers, the nearest wins.
 
     It holds inverse ranges, which are linear over a wall. Rough angles tell which beams a wall covers, and the
-    outermost of them are tested exactly where that leaves a doubt. The walls near a robot are looked up for more than
-    its range around a place, its anchor, and serve until it has left that.
+    outermost of them are tested exactly where that leaves a doubt. The walls that a robot may see are looked up for all
+    places around one, its anchor, and serve until it has left them.
     """
     beams = directions.shape[1]
     per_beam = beams / (2.0 * np.pi)
@@ -225,8 +205,8 @@ def sweep(
         x, y, c, s = poses[i, 0], poses[i, 1], np.cos(poses[i, 2]), np.sin(poses[i, 2])
         if not (x - anchors[i, 0]) ** 2 + (y - anchors[i, 1]) ** 2 < _SPARE_M * _SPARE_M:
             anchors[i, 0], anchors[i, 1] = x, y
-            near_counts[i] = _gather(
-                walls, origin, bucket, rows, columns, first, members, x, y, far + _SPARE_M, stamps, near[i]
+            near_counts[i] = gather_near(
+                walls, origin, bucket, rows, columns, first, members, x, y, far, _SPARE_M, stamps, laid, near[i]
             )
         buffer = ranges[i]
         buffer[:] = 1.0 / far
@@ -239,10 +219,10 @@ def sweep(
                 wx, wy = poses[j, 0] - x, poses[j, 1] - y
                 _draw_disc(c * wx + s * wy, c * wy - s * wx, radius, directions, far, buffer)
     if std > 0.0:
-        _add_noise(ranges, words, quantiles, std, far)
+        _add_noise(ranges, words, quantiles, std, far, deviates)
 
 
-@kernel
+@borrowing_kernel
 def _turns_left(x, y, beam, directions):
     """Positive where a beam points to the left of the point (x, y), negative to the right, 0 within rounding."""
     b = beam % directions.shape[1]
@@ -251,7 +231,7 @@ def _turns_left(x, y, beam, directions):
     return 0.0 if abs(cross) <= 1e-9 * abs(x * dx + y * dy) else cross
 
 
-@kernel
+@borrowing_kernel
 def _draw_disc(px, py, radius, directions, far, ranges):
     """Another robot, its middle at (px, py) in the robot frame."""
     beams = directions.shape[1]
@@ -269,7 +249,7 @@ def _draw_disc(px, py, radius, directions, far, ranges):
             ranges[b] = min(ranges[b], ahead - np.sqrt(inside))
 
 
-@kernel
+@borrowing_kernel
 def _see_glass(panes, poses, directions, chance, head_on, cos_max, incidence_max, ranges):
     """Put the panes that reflect into the ranges: the chance falls evenly from head-on to the largest incidence.
 
@@ -296,11 +276,16 @@ def _see_glass(panes, poses, directions, chance, head_on, cos_max, incidence_max
                     ranges[i, b] = offset / closing
 
 
-@kernel
-def _add_noise(ranges, words, quantiles, std, far):
+@borrowing_kernel
+def _add_noise(ranges, words, quantiles, std, far, deviates):
+    """Deviates (5 words,) are overwritten: all are looked up first, the rest is worked out for beams side by side."""
     for i in range(ranges.shape[0]):
-        for b in range(ranges.shape[1]):
-            shift = np.uint64(_QUANTILE_BITS * (b % _QUANTILES_PER_WORD))
-            pick = (words[i, b // _QUANTILES_PER_WORD] >> shift) & np.uint64((1 << _QUANTILE_BITS) - 1)
-            noisy = min(max(ranges[i, b] + std * quantiles[pick], 0.0), far)
-            ranges[i, b] = noisy if ranges[i, b] < far else far
+        for k in range(words.shape[1]):
+            word, first = words[i, k], _QUANTILES_PER_WORD * k
+            for j in range(_QUANTILES_PER_WORD):
+                deviates[first + j] = quantiles[word & np.uint64((1 << _QUANTILE_BITS) - 1)]
+                word >>= np.uint64(_QUANTILE_BITS)
+        row = ranges[i]
+        for b in range(row.shape[0]):
+            noisy = min(max(row[b] + std * deviates[b], 0.0), far)
+            row[b] = noisy if row[b] < far else far

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import OdometryConfig
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.random_streams import random_stream
 from twc_env.world.noise import StepNoise
 
@@ -114,7 +114,7 @@ class Odometry:
         return self._biases, self._white, self._slips_per_m, self._time_step_s, self.noise.numbers
 
 
-@kernel
+@borrowing_kernel
 def measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates):
     """Columns of noise: three normal deviates for odometry, one for the gyro, and two uniform ones for slip."""
     for i in range(now.shape[0]):

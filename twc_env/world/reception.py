@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import RadioConfig
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.messages import WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.world.crossing_table import crossed_at
@@ -108,6 +108,7 @@ class WifiReceivers:
             np.stack([device.detection for device in devices]), np.stack([device.constants for device in devices]),
             np.zeros((robots, count)), np.full((robots, 2), np.inf), self._fading.numbers, self._fading.used,
             model.radio_of if self._is_fading_shared else np.arange(count), model.macs,
+            np.empty(len(self._crossings.arrays[1]), np.int64), np.empty(count), np.empty(count, np.bool_),
         )  # fmt: skip
         self.row = 0
         """Of the numbers drawn, for a scan of each robot."""
@@ -151,7 +152,7 @@ def mean_rssi_at(
     return mean
 
 
-@kernel
+@borrowing_kernel
 def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
     """Sum of cosines per source; the loop over sources is innermost, so that they are worked out side by side."""
     c, s = np.cos(pose_home_building[2]), np.sin(pose_home_building[2])
@@ -170,7 +171,7 @@ def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
         shadowing[a] *= boxes[3, a] * np.sqrt(2.0 / waves.shape[1])
 
 
-@kernel
+@borrowing_kernel
 def _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, mean):
     shadowing, path_loss, grazing = scratch[0], scratch[1], scratch[2]
     _shadowing(x, y, pose_home_building, boxes, waves, shadowing)
@@ -185,7 +186,7 @@ def _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, di
         mean[t] = fixed - losses[parts[1, t], a] + shadowing[a]
 
 
-@kernel
+@borrowing_kernel
 def _receive(rssi, fading, constants, draws, detection, all_macs, heard, macs, readings):
     """Turn mean strengths into readings, in place; what is heard is also listed in macs and readings -> how many.
 
@@ -203,17 +204,18 @@ def _receive(rssi, fading, constants, draws, detection, all_macs, heard, macs, r
     return count
 
 
-@kernel
+@borrowing_kernel
 def hear(
     robot, x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts,
     sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts, distance_min, scratch,
-    detection, constants, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, draws, macs,
-    readings,
+    detection, constants, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
+    draws, macs, readings,
 ):  # fmt: skip
-    """A whole scan of one robot at a place whose walls around are worked out -> how many are heard."""
+    """A whole scan of one robot at a place whose walls around are worked out -> how many are heard.
+
+    `crossed`, `rssi`, `heard` and `scratch` are overwritten.
+    """
     own, losses = constants[robot], scratch[3:]
-    crossed, rssi = np.empty(points.shape[0], np.int64), np.empty(parts.shape[1])
-    heard = np.empty(parts.shape[1], np.bool_)
     if (x - fading_places[robot, 0]) ** 2 + (y - fading_places[robot, 1]) ** 2 >= own[4] ** 2:
         fading_places[robot, 0], fading_places[robot, 1] = x, y
         number = min(fading_used[robot], fading_numbers.shape[0] - 1)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import DynamicsConfig, SignsConfig
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.messages import SignReading
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, Floorplan
@@ -99,7 +99,7 @@ class SignCamera:
         )  # fmt: skip
 
 
-@kernel
+@borrowing_kernel
 def look(
     walls, origin, bucket, rows, columns, first, members, signs, lengths, constants, pose, previous, robots, sights,
     hidden,
@@ -134,7 +134,7 @@ def look(
     return count
 
 
-@kernel
+@borrowing_kernel
 def _hide(sign, x, y, robots, radius, pitch, is_hidden):
     """Which characters of a sign, from the reader's left to right, are behind a robot; the reader hides none."""
     count = is_hidden.shape[0]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 Array = NDArray
 
@@ -71,7 +71,7 @@ def index_walls(walls_m: Array, loss_db: Array) -> WallIndex:
     return WallIndex(flat, np.asarray(loss_db, float), low, bucket_m, (rows, columns), first, members)
 
 
-@kernel
+@borrowing_kernel
 def _fill(walls, origin, bucket, rows, columns, slots, members):
     """Visit every (wall, bucket) pair that touches; count into slots, or write members when there is room."""
     half = 0.5 * bucket + 1e-9
@@ -93,18 +93,17 @@ def _fill(walls, origin, bucket, rows, columns, slots, members):
                 slots[b] += 1
 
 
-@kernel
+@borrowing_kernel
 def is_crossed(walls, w, px, py, qx, qy):
     """Whether the line from p to q crosses wall w; where two walls continue each other, one of them."""
     ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
     dx, dy = qx - px, qy - py
     side_a = dx * (ay - py) - dy * (ax - px)
     side_b = dx * (by - py) - dy * (bx - px)
-    if (side_a >= 0.0) == (side_b >= 0.0):
-        return False
     side_p = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
     side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
-    return (side_p >= 0.0) != (side_q >= 0.0)
+    # Without a branch: which of the two fails cannot be foretold, and both cost less than a wrong guess.
+    return ((side_a >= 0.0) != (side_b >= 0.0)) & ((side_p >= 0.0) != (side_q >= 0.0))
 
 
 @kernel
@@ -143,7 +142,7 @@ def cross(walls, origin, bucket, rows, columns, first, members, losses_db, px, p
                 r += step_r
 
 
-@kernel
+@borrowing_kernel
 def is_blocked(walls, origin, bucket, rows, columns, first, members, px, py, qx, qy):
     """Whether a wall crosses the line from p to q, a short one: all walls of the buckets around it are tested."""
     c0 = max(int(np.floor((min(px, qx) - origin[0]) / bucket)), 0)
@@ -159,7 +158,7 @@ def is_blocked(walls, origin, bucket, rows, columns, first, members, px, py, qx,
     return False
 
 
-@kernel
+@borrowing_kernel
 def gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
     """Distance of (x, y) to the nearest wall, cut at `reach`."""
     c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
@@ -179,7 +178,7 @@ def gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
     return np.sqrt(nearest2)
 
 
-@kernel
+@borrowing_kernel
 def _gaps(walls, origin, bucket, rows, columns, first, members, points, reach, gaps):
     for i in range(points.shape[0]):
         gaps[i] = gap(walls, origin, bucket, rows, columns, first, members, points[i, 0], points[i, 1], reach)

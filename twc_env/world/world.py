@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig, RadioConfig
 from twc_env.errors import ConfigError, MapError
 from twc_env.geometry import compose, inverse
-from twc_env.kernels import Pack, kernel, pack
+from twc_env.kernels import bound, kernel, pack, rebound
 from twc_env.messages import SignReading, WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.team_messages import TeamFrames, WifiScans
@@ -87,8 +87,8 @@ class World:
         self._cameras = [SignCamera(config.signs, self._home, robot, seed, config.dynamics) for robot in range(robots)]
         self._sights, self._hidden = self._cameras[0].make_room(robots)
         self._sight_counts = np.zeros(robots, np.int64)
-        self._apparatus: Pack | None = None
-        self._apparatus_crossings: tuple[Array, ...] = ()
+        self._run: Callable[..., int] | None = None
+        """`_move_and_sense` with what it needs in every step."""
         self._sensed_poses = self._dynamics.poses
         self._step = 0
         self._none_sighted: tuple[tuple[int, ...], ...] = ((),) * robots
@@ -133,7 +133,7 @@ class World:
     def tick(self, commands: Array) -> TeamFrames:
         """`step`, then `sense`: where nobody touches anything, in one compiled call."""
         self._step += 1
-        return self._read(commands)
+        return self._read(np.asarray(commands, _FLOAT, "C"))
 
     def _read(self, commands: Array | None) -> TeamFrames:
         """What all sensors read, once the robots have followed the commands of this step, if there are any."""
@@ -151,13 +151,17 @@ class World:
             contacts, self._sensed_poses, poses, step, self._odometry.noise.next_row(),
             self._lidar.noise.next_row() if is_plain else 0, self._wifi.row, *outputs,
         )  # fmt: skip
-        sighted = _move_and_sense(self._kit(), _NO_COMMANDS if commands is None else commands, *arguments)
+        run = self._run
+        if run is None or self._held_crossings is not self._radio.crossings.arrays:  # another table when it has grown
+            run = self._bind(arguments)
+        sighted = run(_NO_COMMANDS if commands is None else commands, *arguments)
         while sighted < 0:
             if sighted == _TOUCHING:
                 dynamics.collide()
             else:
                 self._radio.crossings.prepare(*poses[_UNSEEN - sighted, :2].tolist())
-            sighted = _move_and_sense(self._kit(), _NO_COMMANDS, *arguments)
+                run = self._bind(arguments)
+            sighted = run(_NO_COMMANDS, *arguments)
         self._sensed_poses = poses
         odometry, turn_rates, ranges, *heard = outputs
         if not is_plain:
@@ -196,24 +200,22 @@ class World:
         self.sighted_signs = tuple(sources)
         return tuple(signs)
 
-    def _kit(self) -> Pack:
-        """What `_move_and_sense` needs in every step; another one when the crossing table has grown."""
-        crossings = self._radio.crossings.arrays
-        if self._apparatus is None or self._apparatus_crossings is not crossings:
-            self._apparatus, self._apparatus_crossings = self._packed(), crossings
-        return self._apparatus
-
-    def _packed(self) -> Pack:
-        return pack(
+    def _bind(self, arguments: tuple) -> Callable[..., int]:
+        """`_move_and_sense` with all that stays the same from step to step while the crossing table does."""
+        self._held_crossings = self._radio.crossings.arrays
+        held = pack(
             (
                 *self._walls, *self._dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
                 *self._wifi.arguments, *self._cameras[0].arguments, self._sights, self._hidden, self._sight_counts,
                 self._wifi_period, self._camera_period,
             )
         )  # fmt: skip
+        run = rebound(self._run, held) or bound(_move_and_sense, held, _NO_COMMANDS, *arguments)
+        self._run = run
+        return run
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_apparatus": None}
+        return self.__dict__ | {"_run": None}
 
     def _in_building(self, poses_home: Array) -> Array:
         return compose(self.plan.pose_building_home, poses_home) if self._is_moved else poses_home
@@ -307,11 +309,11 @@ def _move_and_sense(
     (
         walls, origin, bucket, rows, columns, first, members, state, limits, move_s, substeps, girth, reach, gaps,
         biases, white, slips_per_m, time_step, odometry_noise,
-        directions, radius, far, near, near_counts, anchors, laid, stamps, quantiles, range_std, words,
+        directions, radius, far, near, near_counts, anchors, laid, stamps, deviates, quantiles, range_std, words,
         loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
         pose_home_building, boxes, waves, radios, parts, distance_min, scratch,
-        floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, draws,
-        signs, lengths, optics, does_hide, sights, hidden, sight_counts, wifi_period, camera_period,
+        floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
+        draws, signs, lengths, optics, does_hide, sights, hidden, sight_counts, wifi_period, camera_period,
     ) = apparatus.parts  # fmt: skip
     if commands.shape[0] > 0 and not advance(
         commands, walls, origin, bucket, rows, columns, first, members, state, limits, move_s, substeps, girth, reach,
@@ -328,14 +330,14 @@ def _move_and_sense(
     if ranges.shape[0] == robots:
         sweep(
             walls, origin, bucket, rows, columns, first, members, now, directions, radius, far, near, near_counts,
-            anchors, laid, stamps, quantiles, range_std, words[lidar_row], ranges,
+            anchors, laid, stamps, deviates, quantiles, range_std, words[lidar_row], ranges,
         )  # fmt: skip
     for k, i in enumerate(hearing):
         heard_counts[k] = hear(
             i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
             sure_counts, sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts,
             distance_min, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
-            all_macs, draws[wifi_row], macs[k], readings[k],
+            all_macs, crossed, rssi, heard, draws[wifi_row], macs[k], readings[k],
         )  # fmt: skip
     sighted = 0
     for i in range(-step % camera_period, robots, camera_period):
