@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from twc_env.maps import load_map
@@ -16,6 +16,7 @@ def crossed(table, place, count, bands=1):
 
 
 @given(seed=st.integers(0, 10_000), walls=st.integers(1, 80), on_grid=st.booleans())
+@example(seed=4864, walls=4, on_grid=True)  # a line of sight along the border of two buckets
 def test_the_table_counts_what_the_wall_index_counts(seed, walls, on_grid):
     random = np.random.default_rng(seed)
     begins = random.uniform(-3, 12, (walls, 2))

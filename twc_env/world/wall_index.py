@@ -114,14 +114,14 @@ def cross(walls, origin, bucket, rows, columns, first, members, losses_db, px, p
         qx, qy = targets[k, 0], targets[k, 1]
         dx, dy = qx - px, qy - py
         counts[k], losses[:, k] = 0, 0.0
-        # Walk the buckets from p to q; t is the share of the way.
+        # Walk the buckets from p to q; next_x and next_y are the shares of the way where the next one begins.
         gx, gy = (px - origin[0]) / bucket, (py - origin[1]) / bucket
         c, r = int(np.floor(gx)), int(np.floor(gy))
         c_end, r_end = int(np.floor((qx - origin[0]) / bucket)), int(np.floor((qy - origin[1]) / bucket))
         step_c, step_r = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
         rate_x, rate_y = bucket / max(abs(dx), 1e-12), bucket / max(abs(dy), 1e-12)
-        next_x = (c + 1 - gx if dx > 0 else gx - c) * rate_x
-        next_y = (r + 1 - gy if dy > 0 else gy - r) * rate_y
+        next_x = (c + 1 - gx if dx > 0 else gx - c) * rate_x if dx != 0 else np.inf
+        next_y = (r + 1 - gy if dy > 0 else gy - r) * rate_y if dy != 0 else np.inf
         for _ in range(abs(c_end - c) + abs(r_end - r) + 1):
             if 0 <= c < columns and 0 <= r < rows:
                 b = r * columns + c
