@@ -1,5 +1,6 @@
 """Kernels stand on disk whole, once, and only where Python calls them."""
 
+import contextlib
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +8,9 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from numba.core.codegen import JITCPUCodegen
+from numba.core.target_extension import current_target
+from numba.core.types.functions import BaseFunction
 
 from twc_env import kernel_compiler
 from twc_env.file_lock import FileLock
@@ -92,6 +96,33 @@ def test_a_part_becomes_whole_when_python_calls_it_and_raises_what_it_raises():
     (found,) = part.overloads.values()
     assert not isinstance(found.entry_point, Part)
     assert whole(4.0) == 1.25
+
+
+def test_of_what_a_kernel_needs_it_alone_becomes_machine_code(monkeypatch):
+    made: list[str] = []
+    add = JITCPUCodegen._add_module
+
+    def note(codegen, code):
+        made.append(code.name)
+        return add(codegen, code)
+
+    monkeypatch.setattr(JITCPUCodegen, "_add_module", note)
+    part = kernel(lambda values: max(values[0], 2.0) ** 3 + int(values[1]))
+    whole = kernel(lambda count: part(np.zeros((count, 2)).reshape(-1)) + np.full(count, 4).sum())
+    whole._cache.disable()
+    assert whole(5) == 28.0
+    assert len(made) == 1
+
+
+def test_numba_is_as_before_once_a_kernel_is_compiled_or_not():
+    whole = kernel(lambda x: np.zeros(3)[x] + max(x, 1))
+    for made, numbers in ((whole, 2), (kernel(lambda x: x + "no such sum"), 2)):
+        made._cache.disable()
+        with contextlib.suppress(numba.TypingError):
+            made(numbers)
+        assert current_target() == "cpu"
+        assert BaseFunction.get_call_type.__module__.startswith("numba.")
+    assert numba.njit(lambda x: np.zeros(3)[x] + max(x, 1) + whole(x))(2) == 4.0
 
 
 def test_errors_of_parts_reach_python(folder):

@@ -22,15 +22,24 @@ import numba
 import numpy as np
 from numba.core import sigutils
 from numba.core.caching import CompileResultCacheImpl, _Cache
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+from numba.core.compiler import Compiler, Flags
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
+from numba.core.target_extension import (
+    CPU,
+    current_target,
+    dispatcher_registry,
+    jit_registry,
+    target_override,
+    target_registry,
+)
 
 from twc_env.file_lock import FileLock
+from twc_env.kernel_context import KernelContext, remembered_operators
+from twc_env.kernel_library import KernelLibrary, PartLibrary
 
 _CONSTANTS = (bool, int, float, str, bytes, tuple, np.generic)
 _WAIT_MAX_S, _LOOK_AGAIN_S = 120.0, 0.02
@@ -40,29 +49,42 @@ class Part:
     """Stands where numba keeps the entry point of a compiled kernel, for one that has none."""
 
 
-class _PartLibrary(JITCodeLibrary):
-    """The code of a part. It goes into that of its callers, is optimised there, and becomes machine code there only."""
+class _KernelFlags(Flags):
+    """Numba's; the same for parts and whole kernels, so that both use the same of numba's own functions."""
 
-    def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager(
-            loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
-        )
-        passes.run(self._final_module, builder)
+    _WRAPPERS = frozenset({"no_cpython_wrapper", "no_cfunc_wrapper", "no_compile"})
 
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._verify_declare_only_symbols()
-        self._finalized = True
+    @cached_property
+    def _meaning(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self.options if name not in self._WRAPPERS}
+
+    def __eq__(self, other):
+        return isinstance(other, _KernelFlags) and self._meaning == other._meaning
+
+    def __hash__(self):
+        return hash((self.nrt, self.error_model))
 
 
 class KernelCompiler(Compiler):
     """Numba's compiler; what is to have no entry point becomes a part."""
 
     def __init__(self, typingctx, targetctx, library, args, return_type, flags, locals):
+        flags = _KernelFlags(flags)
         super().__init__(typingctx, targetctx, library, args, return_type, flags, locals)
+        context = self.state.targetctx
+        KernelContext.take(context)
+        context.target = _KernelTarget
+
+    def compile_extra(self, func):
+        """The result of compiling a function."""
+        codegen, flags = self.state.targetctx.codegen(), self.state.flags
         if flags.no_cpython_wrapper:
             flags.no_compile = True
-            self.state.library = _PartLibrary(self.state.targetctx.codegen(), "part")
+            self.state.library = PartLibrary(codegen, func.__qualname__)
+        else:
+            self.state.library = KernelLibrary(codegen, func.__qualname__)
+            self.state.library.enable_object_caching()
+        return super().compile_extra(func)
 
 
 class KernelDispatcher(CPUDispatcher):
@@ -92,9 +114,12 @@ class KernelDispatcher(CPUDispatcher):
             if not is_part and args in self.overloads and isinstance(self.overloads[args].entry_point, Part):
                 del self.overloads[args]
             self.targetoptions["no_cpython_wrapper"] = is_part
-            if is_part or args in self.overloads or not isinstance(self._cache, KernelFiles):
+            if args in self.overloads:
                 return super().compile(sig)
-            with self._cache.reserved(sig, self.targetctx):
+            if is_part or not isinstance(self._cache, KernelFiles):
+                with _for_a_kernel():
+                    return super().compile(sig)
+            with self._cache.reserved(sig, self.targetctx), _for_a_kernel():
                 return super().compile(sig)
 
     def add_overload(self, cres):
@@ -108,6 +133,32 @@ class KernelDispatcher(CPUDispatcher):
             for environment in cres._find_referenced_environments():
                 cres.library.codegen.set_env(environment.env_name, environment)
         super().add_overload(cres)
+
+
+@contextlib.contextmanager
+def _for_a_kernel() -> Iterator[None]:
+    """In here what numba has to compile is for a kernel."""
+    if current_target() == _TARGET:
+        yield
+    else:
+        with target_override(_TARGET), remembered_operators():
+            yield
+
+
+_TARGET = "twc_env kernel"
+
+
+class _KernelTarget(CPU):
+    """What is compiled for a kernel: of numba's own functions those that typing asks for become parts."""
+
+
+def _part_of_numba(**options: Any):
+    return lambda function: KernelDispatcher(function, targetoptions={**options, "no_cfunc_wrapper": True})
+
+
+target_registry[_TARGET] = _KernelTarget
+dispatcher_registry[_KernelTarget] = KernelDispatcher
+jit_registry[_KernelTarget] = _part_of_numba
 
 
 class KernelFiles(_Cache):

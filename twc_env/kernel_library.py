@@ -1,0 +1,31 @@
+"""The code of kernels on its way through LLVM."""
+
+from __future__ import annotations
+
+from numba.core.codegen import JITCodeLibrary
+
+
+class KernelLibrary(JITCodeLibrary):
+    """The code of a kernel that Python calls."""
+
+    def _optimize_functions(self, ll_module) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager()
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
+
+class PartLibrary(KernelLibrary):
+    """The code of a part. It goes into that of its callers, is optimised there, and becomes machine code there only."""
+
+    def _optimize_final_module(self) -> None:
+        passes, builder = self._codegen._module_pass_manager(
+            loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
+        )
+        passes.run(self._final_module, builder)
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
