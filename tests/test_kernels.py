@@ -11,7 +11,7 @@ from numba.core.errors import NumbaError
 from twc_env import geometry
 from twc_env.bench import wander
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of, rebound
 
 ROOT = Path(__file__).parents[1]
 UPPER = """from lower import FACTOR, scaled
@@ -108,3 +108,26 @@ def test_no_step_leaves_arrays_behind_in_compiled_code():
     finally:
         _nrt_python.memsys_disable_stats()
     assert len(set(stood[1:])) == 1  # after the first, what is kept from episode to episode is there
+
+
+def scaled_sum(held, shift, out):
+    (numbers, factor), total = parts_of(held), 0.0
+    for number in numbers:
+        total += factor * number
+    out[0] = total + shift
+
+
+def test_a_bound_kernel_borrows_what_is_packed_and_leaves_no_trace_of_it():
+    numbers, out = np.arange(4.0), np.zeros(1)
+    holders = sys.getrefcount(numbers)
+    call = bound(borrowing_kernel(scaled_sum), Lent(pack((numbers, 2.0))), 1, out)
+    for shift in (1, 5):
+        call(shift, out)
+        assert out[0] == 12.0 + shift
+    numbers[0] = 10.0
+    call(0, out)
+    assert out[0] == 32.0
+    call = rebound(call, Lent(pack((np.ones(100), 3.0))))
+    call(0, out)
+    assert out[0] == 300.0
+    assert sys.getrefcount(numbers) == holders

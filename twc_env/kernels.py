@@ -13,7 +13,10 @@ from typing import Any
 
 import numba
 from numba import njit, types
+from numba.core.cgutils import create_struct_proxy
+from numba.core.imputils import impl_ret_borrowed
 from numba.experimental import structref
+from numba.extending import NativeValue, intrinsic, models, register_model, typeof_impl, unbox
 
 NUMBA_MIN, NUMBA_MAX = (0, 62), (0, 68)
 """Whose insides `kernel_compiler` knows. With another numba kernels are compiled anew in every process."""
@@ -29,7 +32,8 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 def borrowing_kernel(function: Callable[..., Any]) -> Any:
     """The same for a function that only reads and fills the arrays it is given: it makes none, gets none from the
-    kernels it calls and returns none. Nothing then counts who holds an array, so that calls with many cost less.
+    kernels it calls and returns none. Nothing then counts who holds an array, so that calls with many cost less. A pack
+    is given to it as `Lent`.
     """
     return _compiled(function, counts_references=False)
 
@@ -75,6 +79,49 @@ structref.define_attributes(_PackType)
 def pack(parts):
     """Put the arrays and numbers of a tuple together for kernels that are called time and again with them."""
     return Pack(parts)
+
+
+class Lent:
+    """A pack as a borrowing kernel takes it, which finds its parts by `parts_of`. Keeps the pack in memory."""
+
+    def __init__(self, owner: Pack):
+        self.owner, self.address = owner, owner._meminfo.data
+
+
+class _LentType(types.Opaque):
+    def __init__(self, kind: _PackType):
+        self.kind = kind
+        super().__init__(f"lent {kind}")
+
+
+register_model(_LentType)(models.OpaqueModel)
+
+
+@typeof_impl.register(Lent)
+def _type_of_lent(value: Lent, _context: Any) -> _LentType:
+    return _LentType(value.owner._numba_type_)
+
+
+@unbox(_LentType)
+def _unbox_lent(_kind, value, context):
+    number = context.pyapi.object_getattr_string(value, "address")
+    address = context.pyapi.long_as_voidptr(number)
+    context.pyapi.decref(number)
+    return NativeValue(address)
+
+
+@intrinsic
+def parts_of(_context, lent):
+    """What `pack` was given, in a borrowing kernel, where nobody counts who holds each of the parts."""
+    parts, payload = lent.kind.field_dict["parts"], lent.kind.get_data_type()
+
+    def generate(context, builder, _signature, arguments):
+        kind_in_memory = context.data_model_manager[payload].get_value_type()
+        address = builder.bitcast(arguments[0], kind_in_memory.as_pointer())
+        found = create_struct_proxy(payload)(context, builder, ref=address).parts
+        return impl_ret_borrowed(context, builder, parts, found)
+
+    return parts(lent), generate
 
 
 def bound(function: Any, held: Any, *others: Any) -> Callable[..., Any]:

@@ -114,16 +114,16 @@ def crossed_at(
     if square < 0 or square >= sure_counts.shape[0]:
         cross(walls, origin, bucket, rows, columns, first, members, loss, x, y, points, counts, losses)
         return
-    for k in range(points.shape[0]):
-        counts[k] = sure_counts[square, k]
-        for band in range(loss.shape[0]):
-            losses[band, k] = sure_losses[square, band, k]
-        for m in range(first_open[square, k], first_open[square, k + 1]):
-            w = open_walls[m]
-            is_hit = is_crossed(walls, w, x, y, points[k, 0], points[k, 1])
-            counts[k] += is_hit
-            for band in range(loss.shape[0]):
-                losses[band, k] += loss[band, w] if is_hit else 0.0
+    for band in range(loss.shape[0]):
+        for k in range(points.shape[0]):
+            qx, qy, count, total = points[k, 0], points[k, 1], int(sure_counts[square, k]), sure_losses[square, band, k]
+            # Without a branch, for which walls are hit cannot be foretold; unsigned numbers cannot count from an end.
+            for m in range(np.uint64(first_open[square, k]), np.uint64(first_open[square, k + 1])):
+                w = np.uint64(open_walls[m])
+                hit = int(is_crossed(walls, w, x, y, qx, qy))
+                count += hit
+                total += hit * loss[band, w]
+            counts[k], losses[band, k] = count, total
 
 
 @borrowing_kernel

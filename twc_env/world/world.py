@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig, RadioConfig
 from twc_env.errors import ConfigError, MapError
 from twc_env.geometry import compose, inverse
-from twc_env.kernels import bound, kernel, pack, rebound
+from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of, rebound
 from twc_env.messages import SignReading, WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.team_messages import TeamFrames, WifiScans
@@ -203,13 +203,12 @@ class World:
     def _bind(self, arguments: tuple) -> Callable[..., int]:
         """`_move_and_sense` with all that stays the same from step to step while the crossing table does."""
         self._held_crossings = self._radio.crossings.arrays
-        held = pack(
-            (
-                *self._walls, *self._dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
-                *self._wifi.arguments, *self._cameras[0].arguments, self._sights, self._hidden, self._sight_counts,
-                self._wifi_period, self._camera_period,
-            )
+        apparatus = (
+            *self._walls, *self._dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
+            *self._wifi.arguments, *self._cameras[0].arguments, self._sights, self._hidden, self._sight_counts,
+            self._wifi_period, self._camera_period,
         )  # fmt: skip
+        held = Lent(pack(apparatus))
         run = rebound(self._run, held) or bound(_move_and_sense, held, _NO_COMMANDS, *arguments)
         self._run = run
         return run
@@ -294,7 +293,7 @@ def _radio_model(config: RadioConfig, plan: Floorplan) -> RadioModel:
     return RadioModel(config, plan)
 
 
-@kernel
+@borrowing_kernel
 def _move_and_sense(
     apparatus, commands, contacts, before, now, step, odometry_row, lidar_row, wifi_row, odometry, turn_rates, ranges,
     macs, readings, heard_counts,
@@ -314,7 +313,7 @@ def _move_and_sense(
         pose_home_building, boxes, waves, radios, parts, distance_min, scratch,
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
         draws, signs, lengths, optics, does_hide, sights, hidden, sight_counts, wifi_period, camera_period,
-    ) = apparatus.parts  # fmt: skip
+    ) = parts_of(apparatus)  # fmt: skip
     if commands.shape[0] > 0 and not advance(
         commands, walls, origin, bucket, rows, columns, first, members, state, limits, move_s, substeps, girth, reach,
         gaps, now, contacts,
