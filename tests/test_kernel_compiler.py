@@ -8,7 +8,9 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from numba.core import errors
 from numba.core.codegen import JITCPUCodegen
+from numba.core.postproc import PostProcessor
 from numba.core.target_extension import current_target
 from numba.core.types.functions import BaseFunction
 
@@ -122,6 +124,8 @@ def test_numba_is_as_before_once_a_kernel_is_compiled_or_not():
             made(numbers)
         assert current_target() == "cpu"
         assert BaseFunction.get_call_type.__module__.startswith("numba.")
+        assert PostProcessor.run.__module__.startswith("numba.")
+        assert "errmsg" not in vars(errors.termcolor())
     assert numba.njit(lambda x: np.zeros(3)[x] + max(x, 1) + whole(x))(2) == 4.0
 
 

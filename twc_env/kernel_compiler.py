@@ -38,7 +38,7 @@ from numba.core.target_extension import (
 )
 
 from twc_env.file_lock import FileLock
-from twc_env.kernel_context import KernelContext, remembered_operators
+from twc_env.kernel_context import KernelContext, nothing_twice
 from twc_env.kernel_library import KernelLibrary, PartLibrary
 
 _CONSTANTS = (bool, int, float, str, bytes, tuple, np.generic)
@@ -141,7 +141,7 @@ def _for_a_kernel() -> Iterator[None]:
     if current_target() == _TARGET:
         yield
     else:
-        with target_override(_TARGET), remembered_operators():
+        with target_override(_TARGET), nothing_twice():
             yield
 
 

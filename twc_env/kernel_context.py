@@ -1,8 +1,7 @@
 """What numba does time and again while it compiles, done once. The code that comes out is the same.
 
 Between the typed code of a kernel and LLVM's stands a target context, of which each compilation has its own:
-`KernelContext`. Which operator stands for which types numba looks up from the start at each place where it is written:
-`remembered_operators`.
+`KernelContext`. What numba works out from the start at each place is remembered, or left: `nothing_twice`.
 """
 
 from __future__ import annotations
@@ -13,11 +12,13 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
-from numba.core import types
+from numba.core import errors, types
 from numba.core.compiler import Flags, compile_internal
 from numba.core.cpu import CPUContext
+from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.runtime.context import NRTContext
 from numba.core.targetconfig import ConfigStack
+from numba.core.transforms import canonicalize_cfg
 from numba.core.types.functions import BaseFunction
 
 from twc_env.kernel_library import PartLibrary
@@ -89,10 +90,14 @@ def _is_counted(context: CPUContext, kind: types.Type) -> bool:
 
 
 @contextlib.contextmanager
-def remembered_operators() -> Iterator[None]:
-    """In here numba tries the meanings of an operator once for the same types."""
+def nothing_twice() -> Iterator[None]:
+    """In here numba tries the meanings of an operator once for the same types, looks at which variables live where only
+    when it frees them, and paints no errors.
+    """
     functions: Any = BaseFunction
-    find = functions.get_call_type
+    processor: Any = PostProcessor
+    colours: Any = errors.termcolor()
+    find, process = functions.get_call_type, processor.run
 
     def remember(self, context, args, kws):
         if kws or self.typing_key not in _OPERATORS or not isinstance(args[0], _OPERANDS):
@@ -102,8 +107,19 @@ def remembered_operators() -> Iterator[None]:
             _SIGNATURES[key] = find(self, context, args, kws)
         return _SIGNATURES[key]
 
-    functions.get_call_type = remember
+    def tidy(self, emit_dels=False, extend_lifetimes=False):
+        code = self.func_ir
+        if code.is_generator:
+            return process(self, emit_dels, extend_lifetimes)
+        code.blocks = canonicalize_cfg(code.blocks)
+        code.variable_lifetime = VariableLifetime(code.blocks)
+        code.generator_info = None
+        if emit_dels:
+            self._insert_var_dels(extend_lifetimes=extend_lifetimes)
+
+    functions.get_call_type, processor.run, colours.errmsg = remember, tidy, str
     try:
         yield
     finally:
-        functions.get_call_type = find
+        functions.get_call_type, processor.run = find, process
+        del colours.errmsg

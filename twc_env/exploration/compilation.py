@@ -28,8 +28,6 @@ from twc_env.kernels import pack
 from twc_env.threads import THREADS
 
 _LOG = logging.getLogger("twc_env")
-_NO_COLOURS = {"NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}
-"""Numba tries many types and words an error for each that does not fit; painting those takes long where it can."""
 
 
 class FirstStart:
@@ -63,7 +61,7 @@ class FirstStart:
         with contextlib.suppress(OSError):  # then this process compiles everything
             self._helper = subprocess.Popen(
                 [sys.executable, "-m", "twc_env.exploration.warm_up"],
-                env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": path, **_NO_COLOURS},
+                env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": path},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -138,6 +136,9 @@ class _Announcer(event.Listener):
         """A compilation ended, be it with an error."""
         self._depth -= 1
         if self._depth == 0 and self._collects:
+            if gc.get_freeze_count() == 0:
+                gc.freeze()
+                gc.unfreeze()  # all that is there counts as old now: it need not be looked through at once
             gc.enable()
 
 
