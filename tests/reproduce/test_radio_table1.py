@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from twc_env.__main__ import main
-from twc_env.reproduce import radio_walks
-from twc_env.reproduce.radio_table1 import PLACES, true_path
+from twc_env.reproduce import radio_table1, radio_walks
+from twc_env.reproduce.radio_twins import PLACES, true_path
 
 KEYS = ["environment", "method", "error_mean_m", "error_std_m", "ate_m", "paper_mean_m", "paper_std_m", "seeds"]
 
@@ -20,6 +20,16 @@ def test_the_command_writes_its_rows(tmp_path, capsys):
     assert rows[1]["error_mean_m"] < rows[0]["error_mean_m"]
     assert (rows[1]["paper_mean_m"], rows[1]["paper_std_m"]) == (4.48, 2.98)
     assert "worse than its odometry in 0 of 1" in capsys.readouterr().out
+
+
+def test_pictures_are_drawn_of_what_an_earlier_run_found(tmp_path, monkeypatch):
+    command = ["reproduce", "radio-table1", "--seeds=1-1", "--places=semi-indoor", "--share=0.2", "--processes=1"]
+    command += ["--methods=odometry,wifi,wifi+lidar", "--cache", str(tmp_path / "cache")]
+    main(command)
+    monkeypatch.setattr(radio_table1, "outcomes", lambda *_: pytest.fail("worked out again"))
+    main([*command, "--out", str(tmp_path / "pictures")])
+    names = [f"semi-indoor-{what}.png" for what in ("map", "models", "trajectories")]
+    assert [path.name for path in sorted((tmp_path / "pictures").iterdir())] == names
 
 
 def test_an_unknown_place_or_method_is_named(tmp_path, capsys):

@@ -1,76 +1,105 @@
-"""Figures 3 and 4 of the radio SLAM paper from a walk of ours: models, trajectories, occupancy map."""
+"""Figures 3 and 4 of the radio SLAM paper from a walk of ours: models, trajectories, occupancy map.
+
+What they show of a walk is kept as JSON beside its errors, so that drawing works nothing out again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import base64
+import zlib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twc_env.config import RadioSlamConfig
 from twc_env.errors import MapError
-from twc_env.geometry import compose
 from twc_env.maps import load_map
-from twc_env.slam import radio_slam
+from twc_env.messages import GridMap
+from twc_env.reproduce.radio_methods import Outcome
+
+Array = NDArray
+
+PATHS = {"odometry": "0.5", "lte": "tab:orange", "wifi": "tab:blue"}
+"""Methods whose paths are drawn, and their colours; `lte` and `wifi` have models too."""
+LOG_ODDS_SCALE, LOG_ODDS_MAX = 10.0, 6.0
+DIGITS = 2
 
 
-def draw(folder: Path, name: str, place, seed: int, record: Callable, lidar: Callable | None = None) -> None:
-    """Write `NAME-models.png`, `NAME-trajectories.png` and, where there is a laser, `NAME-map.png`.
+def shown(outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
+    """What pictures show of a walk, by what its methods made of it: paths, models and a map, if there are any."""
+    paths, models, maps = {}, {}, {}
+    for method, outcome in outcomes.items():
+        if method in PATHS:
+            paths["truth"] = _rounded(outcome.truth[:, :2])
+            paths[method] = _rounded(outcome.poses[:, :2])
+            if outcome.model is not None:
+                std_m = np.sqrt(outcome.model.variance_m2)
+                models[method] = {"centre": outcome.model.centre, "mean_m": outcome.model.mean_m, "std_m": std_m}
+        if outcome.grid is not None:
+            maps[method] = _picture(outcome.grid)
+    return {"paths": paths, "models": models, "maps": maps}
 
-    `record(place, kind, seed)` gives the walk; `lidar(place, walk, seed)` its result with laser and the true first
-    pose. Raises MapError when matplotlib is missing.
+
+def _rounded(positions_m: Array) -> list:
+    return np.round(positions_m, DIGITS).tolist()
+
+
+def _picture(grid: GridMap) -> dict[str, Any]:
+    """Free white (255), walls black, in base64 as zlib makes it."""
+    free = 1.0 / (1.0 + np.exp(np.clip(grid.log_odds / LOG_ODDS_SCALE, -LOG_ODDS_MAX, LOG_ODDS_MAX)))
+    cells = np.round(255 * free).astype(np.uint8)
+    packed = base64.b64encode(zlib.compress(cells.tobytes())).decode("ascii")
+    return {"shape": cells.shape, "resolution_m": grid.resolution_m, "cells": packed}
+
+
+def check() -> None:
+    """Raise MapError now where `draw` could not draw later."""
+    _figure((1, 1))
+
+
+def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> None:
+    """Write `NAME-models.png`, `NAME-trajectories.png` and `NAME-map.png`, as far as the walk (`shown`) has them.
+
+    `twin` names the map. Raises MapError when matplotlib is missing.
     """
+    folder.mkdir(parents=True, exist_ok=True)
+    if walk["models"]:
+        figure, axes = _figure((8, 4))
+        for kind, model in walk["models"].items():
+            centre, mean, std = (np.array(model[key]) for key in ("centre", "mean_m", "std_m"))
+            axes.plot(centre, mean, color=PATHS[kind], label=kind)
+            axes.fill_between(centre, mean - std, mean + std, color=PATHS[kind], alpha=0.2, lw=0)
+        axes.set(xlabel="similarity", ylabel="distance [m], mean and deviation", title=name, ylim=(0, None))
+        axes.legend()
+        figure.savefig(folder / f"{name}-models.png", dpi=110)
+    if walk["paths"]:
+        figure, axes = _figure((10, 7))
+        walls = load_map(twin).walls_m
+        apart = np.concatenate([walls, np.full((len(walls), 1, 2), np.nan)], axis=1)  # (walls, 3, 2)
+        axes.plot(*apart.reshape(-1, 2).T, color="0.75", lw=0.8)
+        for method, path in walk["paths"].items():
+            axes.plot(*np.transpose(path), color=PATHS.get(method, "k"), lw=0.9, label=method)
+        axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=name)
+        axes.legend(loc="upper right")
+        figure.savefig(folder / f"{name}-trajectories.png", dpi=110)
+    for method, picture in walk["maps"].items():
+        figure, axes = _figure((10, 7))
+        cells = np.frombuffer(zlib.decompress(base64.b64decode(picture["cells"])), np.uint8).reshape(picture["shape"])
+        height, width = np.array(cells.shape) * picture["resolution_m"]
+        axes.imshow(cells, cmap="gray", origin="lower", extent=(0, width, 0, height), vmin=0, vmax=255)
+        axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=f"{name}: occupancy map of {method}")
+        figure.savefig(folder / f"{name}-map.png", dpi=110)
+
+
+def _figure(size: tuple[float, float]) -> tuple[Any, Any]:
+    """A figure and its axes."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.collections import LineCollection
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MapError("drawing needs matplotlib: pip install 'twc_env[viz]'") from error
-    folder.mkdir(parents=True, exist_ok=True)
-    walks = {kind: record(place, kind, seed) for kind in ("wifi", "lte")}
-    results = {
-        kind: radio_slam.solve(radio_slam.RadioLog(w.motions, w.turned_rad, w.fingerprints), RadioSlamConfig())
-        for kind, w in walks.items()
-    }
-
-    figure = Figure(figsize=(8, 4), layout="constrained")
+    figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    for kind, colour in (("wifi", "tab:blue"), ("lte", "tab:orange")):
-        model = results[kind].models[kind]
-        std = np.sqrt(model.variance_m2)
-        axes.plot(model.centre, model.mean_m, color=colour, label=kind)
-        axes.fill_between(model.centre, model.mean_m - std, model.mean_m + std, color=colour, alpha=0.2, lw=0)
-    axes.set(xlabel="similarity", ylabel="distance [m], mean and deviation", title=name, ylim=(0, None))
-    axes.legend()
-    figure.savefig(folder / f"{name}-models.png", dpi=110)
-
-    figure = Figure(figsize=(10, 7), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    axes.add_collection(LineCollection(list(load_map(place.twin).walls_m), colors="0.75", linewidths=0.8))
-    walk = walks["wifi"]
-    start = walk.true_poses[0]
-    paths = {
-        "truth": (walk.true_poses, "k"),
-        "odometry": (walk.odometry, "0.5"),
-        "lte": (compose(start, results["lte"].poses), "tab:orange"),
-        "wifi": (compose(start, results["wifi"].poses), "tab:blue"),
-    }
-    for label, (poses, colour) in paths.items():
-        axes.plot(poses[:, 0], poses[:, 1], color=colour, lw=0.9, label=label)
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=name)
-    axes.legend(loc="upper right")
-    figure.savefig(folder / f"{name}-trajectories.png", dpi=110)
-
-    if lidar is None:
-        return
-    grid = lidar(place, walk, seed).grid
-    figure = Figure(figsize=(10, 7), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    width, height = np.array(grid.log_odds.shape[::-1]) * grid.resolution_m
-    shown = 1.0 / (1.0 + np.exp(np.clip(grid.log_odds / 10.0, -6, 6)))
-    axes.imshow(shown, cmap="gray", origin="lower", extent=(0, width, 0, height), vmin=0, vmax=1)
-    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"{name}: occupancy map of WiFi+LiDAR")
-    figure.savefig(folder / f"{name}-map.png", dpi=110)
+    return figure, figure.subplots()

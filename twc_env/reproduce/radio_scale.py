@@ -21,7 +21,7 @@ from twc_env.geometry import compose
 from twc_env.maps import load_map
 from twc_env.messages import Fingerprint
 from twc_env.reproduce import radio_walks
-from twc_env.reproduce.radio_table1 import PLACES, radio_config
+from twc_env.reproduce.radio_twins import PLACES, radio_config
 from twc_env.reproduce.runner import Runner, parse_seeds
 from twc_env.slam.radio_similarity import FingerprintStore, all_similarities, feature_rows
 from twc_env.slam.radio_trail import RadioTrail
