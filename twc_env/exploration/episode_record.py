@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.exploration.floor_masks import FloorMasks
-from twc_env.kernels import borrowing_kernel, bound, kernel
+from twc_env.kernels import borrowing_kernel, bound, kernel, rebound
 
 Array = NDArray
 
@@ -21,7 +20,9 @@ class EpisodeRecord:
     def __init__(self, robots: int):
         self.count = 0
         shape = 256, robots
-        self._kept = [np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape, bool)]
+        self._kept: tuple[Array, ...] = (
+            np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape, bool)
+        )  # fmt: skip
         """True pose, front-end pose, measured motion and contact of each step; grow."""
         self._run: Callable[..., None] | None = None
         """`_note` with these."""
@@ -35,9 +36,10 @@ class EpisodeRecord:
         """Note one step, one row per robot: true poses, front-end poses, measured motions (robots, 3), and contacts."""
         now = self.count, true_poses, odom_poses, motions, contacts
         if self.count == len(self._kept[0]):
-            self._kept, self._run = [np.concatenate([kept, np.zeros_like(kept)]) for kept in self._kept], None
+            self._kept = tuple([np.concatenate([kept, np.zeros_like(kept)]) for kept in self._kept])
+            self._run = rebound(self._run, self._kept)
         if self._run is None:
-            self._run = partial(bound(_note, *self._kept, *now), *self._kept[1:])
+            self._run = bound(_note, self._kept, *now)
         self._run(*now)
         self.count += 1
 
@@ -70,8 +72,9 @@ class EpisodeRecord:
 
 
 @borrowing_kernel
-def _note(true, odom, motion, contact, step, true_poses, odom_poses, motions, contacts):
+def _note(kept, step, true_poses, odom_poses, motions, contacts):
     """Put what is known of a step where it is kept."""
+    true, odom, motion, contact = kept
     for robot in range(contacts.shape[0]):
         for axis in range(3):
             true[step, robot, axis], odom[step, robot, axis] = true_poses[robot, axis], odom_poses[robot, axis]
