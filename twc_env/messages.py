@@ -165,6 +165,10 @@ class LoopClosure:
     """Its place among the closures of the mapper that verified it."""
 
 
+BLOCK_SHAPE = (16, 64)
+"""Rows and columns of a block of cells."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GridMap:
     """Occupancy as log-odds; row 0 is the lowest y. Free < 0, wall > 0, unknown 0."""
@@ -176,6 +180,9 @@ class GridMap:
     resolution_m: float
     kinds: Array | None = None
     """(rows, columns) uint8, what stands there in short (`slam.cell_kinds`); None: whoever needs it works it out."""
+    touched: Array | None = None
+    """(blocks, blocks) int64, of each block of `BLOCK_SHAPE` cells another number when it may have changed; None: any
+    may have."""
 
     def cell_of(self, points_m: Array) -> Array:
         """(..., 2) points in the map frame -> (..., 2) integer (row, column); may lie outside."""

@@ -6,6 +6,7 @@ import pytest
 import twc_env
 from twc_env import metrics
 from twc_env.config import RewardConfig
+from twc_env.exploration.floor_masks import FloorMasks
 from twc_env.exploration.rewards import (
     POTENTIALS,
     JudgedMap,
@@ -16,6 +17,7 @@ from twc_env.exploration.rewards import (
     weigh,
     weights_of,
 )
+from twc_env.exploration.verdicts import verdicts_of
 from twc_env.slam import map_merging
 
 STEPS = 300
@@ -67,6 +69,22 @@ def test_the_map_is_judged_at_its_period_and_at_the_last_step(explore):
     log = explore(25, robots=1, max_cycles=25, config={"reward.period_steps": 10})
     paid = [step for step, rewards in enumerate(log.rewards, start=1) if rewards["robot_0"] != 0]
     assert paid == [10, 20, 25]
+
+
+def test_blocks_of_a_map_that_were_counted_before_make_no_difference(wander):
+    env = twc_env.parallel_env(map="twin-02", robots=3, max_cycles=400)
+    env.reset(seed=1)
+    cells, judged = env.floorplan.cells(), 0
+    while env.agents:
+        ranges_m = env.frames.ranges_m
+        env.step({a: wander(ranges_m[k], env.episode.steps, k) for k, a in enumerate(env.agents)})
+        if env.episode.steps % 50 == 0:
+            for verdict in verdicts_of(env.engine, env.record, cells):
+                where = verdict.view.viewers[0], verdict.grid, verdict.pose_building_map, cells
+                area_m2 = env.record.floor_masks.correct_area_m2(*where)
+                assert area_m2 == FloorMasks().correct_area_m2(*where)
+                judged += area_m2 > 0
+    assert judged > 8
 
 
 def test_the_terms_have_the_names_of_their_weights(team):

@@ -159,4 +159,29 @@ def test_the_area_under_a_mask_of_the_floor_is_the_area_counted_on_the_floor(see
     pose, origin = random.uniform((-3, -3, -3), (12, 10, 3)), random.uniform(-5, 2, 2)
     counted = mapping.correct_area_m2(log_odds, origin, 0.1, pose, free, ORIGIN_M, 0.1)
     mask = mapping.floor_mask(log_odds.shape, origin, 0.1, pose, free, ORIGIN_M, 0.1)
-    assert mapping.masked_area_m2(log_odds, mask, 0.1) == pytest.approx(counted, abs=0.6)
+    assert 0.01 * np.count_nonzero(mask & (log_odds < 0)) == pytest.approx(counted, abs=0.6)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10_000))
+def test_counting_anew_only_what_was_touched_gives_the_count_of_all(seed):
+    random = np.random.default_rng(seed)
+    shape = tuple(random.integers(1, 200, 2))
+    log_odds, mask = random.integers(-60, 80, shape).astype(np.int16), random.random(shape) < 0.7
+    touched = np.zeros(tuple(-(-np.array(shape) // mapping.BLOCK_SHAPE)), np.int64)
+    known, counts = np.full(touched.shape, -1), np.zeros(touched.shape, np.int64)
+    for number in range(1, 6):
+        assert mapping.recount_free(log_odds, mask, touched, known, counts) == np.count_nonzero(mask & (log_odds < 0))
+        for row, column in random.integers(0, shape, (5, 2)):
+            log_odds[row, column] *= -1
+            touched[row // mapping.BLOCK_ROWS, column // mapping.BLOCK_COLUMNS] = number
+
+
+def test_what_nobody_touched_is_not_counted_anew():
+    log_odds, mask = np.full((40, 200), -1, np.int16), np.ones((40, 200), bool)
+    touched = np.zeros((3, 4), np.int64)
+    known, counts = np.full(touched.shape, -1), np.zeros(touched.shape, np.int64)
+    assert mapping.recount_free(log_odds, mask, touched, known, counts) == 8000
+    log_odds[:] = 0
+    touched[1, 2] = 1
+    assert mapping.recount_free(log_odds, mask, touched, known, counts) == 8000 - 16 * 64

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twc_env.messages import BLOCK_SHAPE
 from twc_env.slam.cell_kinds import kinds_of
 from twc_env.slam.occupancy_grid import LOG_ODDS_FREE, LOG_ODDS_HIT, LOG_ODDS_MAX, LOG_ODDS_MIN, OccupancyGrid
 
@@ -186,3 +187,32 @@ def test_what_stands_there_in_short_is_right_whatever_single_beams_see(seed):
         grid.integrate(pose[None], scan[None])
         seen = grid.snapshot()
         assert np.array_equal(seen.kinds, kinds_of(seen.log_odds))
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 10_000))
+def test_a_block_that_bears_the_number_it_bore_holds_the_cells_that_it_held(seed):
+    random = np.random.default_rng(seed)
+    grid, before = OccupancyGrid(CELL_M, RANGE_MAX_M, 90), None
+    for _ in range(8):
+        count = int(random.choice([1, 1, 3]))
+        poses, scans = random.uniform(-4, 4, (count, 3)), random.uniform(0.2, 4.0, (count, 90))
+        scans[random.random(scans.shape) < 0.05] = 10.0
+        grid.integrate(poses, scans)
+        now = grid.snapshot()
+        if before is not None and now is before[0]:
+            is_same = np.kron(now.touched == before[2], np.ones(BLOCK_SHAPE, bool))[tuple(map(slice, before[1].shape))]
+            assert np.array_equal(now.log_odds[is_same], before[1][is_same])
+        before = now, now.log_odds.copy(), now.touched.copy()
+
+
+def test_cells_that_lie_elsewhere_are_another_map():
+    grid, scan = OccupancyGrid(CELL_M, RANGE_MAX_M, 90), np.full((1, 90), 2.0)
+    grid.integrate(np.zeros((1, 3)), scan)
+    first = grid.snapshot()
+    grid.integrate(np.array([[30.0, 0.0, 0.0]]), scan)
+    assert grid.snapshot() is not first
+    second = grid.snapshot()
+    grid.clear()
+    grid.integrate(np.zeros((1, 3)), scan)
+    assert grid.snapshot() is not second

@@ -1,9 +1,12 @@
 """Which cells of a believed map lie on the building's floor: kept while the map lies where it lay.
 
-With them, judging a map is a comparison of two grids, cell by cell, instead of looking up every cell of the floor.
+With them, judging a map is a comparison of two grids, cell by cell, instead of looking up every cell of the floor; and
+only of those blocks of cells that scans touched since the last time.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +21,25 @@ PLACE_M, TURN_RAD = 0.02, 0.001
 """A map's place in the building is rounded to these, so that its mask holds for long."""
 
 
+class _Held(NamedTuple):
+    """What is kept of a map. A grid that has grown is another one."""
+
+    grid: GridMap
+    place: tuple[int, int, int]
+    """Where it lies, in steps of `PLACE_M` and `TURN_RAD`."""
+    mask: Array
+    """(rows, columns) bool: its cells that lie on the floor there."""
+    known: Array
+    """(blocks, blocks) `GridMap.touched` when these were counted last; -1 for never."""
+    counts: Array
+    """(blocks, blocks) free cells of the floor in each."""
+
+
 class FloorMasks:
     """The mask of each map; they follow from what they are asked for, so copies may begin without any."""
 
     def __init__(self) -> None:
-        self._held: dict[int, tuple[GridMap, tuple[int, int, int], metrics.FloorMask]] = {}
+        self._held: dict[int, _Held] = {}
 
     def __reduce__(self):
         return FloorMasks, ()
@@ -30,16 +47,20 @@ class FloorMasks:
     def correct_area_m2(self, owner: int, grid: GridMap, pose_building_map: Array, cells: Cells) -> float:
         """`metrics.correct_area_m2` with a rounded pose, counting cells of the map instead of the floor.
 
-        owner: whose map it is, of those whose masks are kept. A grid that has grown is another one.
+        owner: whose map it is, of those whose masks are kept.
         """
+        touched = grid.touched
+        assert touched is not None
         x, y, turn = pose_building_map.tolist()
         place = round(x / PLACE_M), round(y / PLACE_M), round(turn / TURN_RAD)
         held = self._held.get(owner)
-        if held is None or held[0] is not grid or held[1] != place:
+        if held is None or held.grid is not grid or held.place != place:
             rounded = np.array([place[0] * PLACE_M, place[1] * PLACE_M, place[2] * TURN_RAD])
             mask = metrics.floor_mask(
                 grid.log_odds.shape, grid.origin_m, grid.resolution_m, rounded, cells.free, cells.origin_m,
                 cells.resolution_m,
             )  # fmt: skip
-            held = self._held[owner] = (grid, place, mask)
-        return metrics.masked_area_m2(grid.log_odds, held[2], grid.resolution_m)
+            known, counts = np.full(touched.shape, -1), np.zeros(touched.shape, np.int64)
+            held = self._held[owner] = _Held(grid, place, mask, known, counts)
+        count = metrics.recount_free(grid.log_odds, held.mask, touched, held.known, held.counts)
+        return count * grid.resolution_m**2

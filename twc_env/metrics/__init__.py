@@ -2,11 +2,10 @@
 
 from twc_env.metrics.closures import ClosureScore, closure_is_correct, closures_are_correct, score_closures
 from twc_env.metrics.mapping import (
-    FloorMask,
     MapScore,
     correct_area_m2,
     floor_mask,
-    masked_area_m2,
+    recount_free,
     score_map,
     wall_thickness_m,
 )
@@ -22,7 +21,6 @@ from twc_env.metrics.trajectory import (
 
 __all__ = [
     "ClosureScore",
-    "FloorMask",
     "MapScore",
     "absolute_trajectory_error_m",
     "align_team",
@@ -33,8 +31,8 @@ __all__ = [
     "floor_mask",
     "implied_frames",
     "lay_map",
-    "masked_area_m2",
     "path_length_m",
+    "recount_free",
     "score_closures",
     "score_map",
     "stuck_share",

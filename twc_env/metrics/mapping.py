@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,23 +11,14 @@ from numpy.typing import NDArray
 from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up_row, span_inside
 from twc_env.geometry import transform_points
 from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.messages import BLOCK_SHAPE
 
 Array = NDArray
 
 STRETCH_M, SAMPLE_M = 0.25, 0.05
 """Walls are known or not by stretches of the first length; the second is how finely they are sampled."""
 
-AT_ONCE = 2**14
-"""Cells of a row that are counted at once, so that 16 bits hold their number."""
-
-
-class FloorMask(NamedTuple):
-    """Cells of a map whose centres lie on explorable floor."""
-
-    cells: Array
-    """(h, w) bool."""
-    spans: Array
-    """(h, 2) int64 first and end column of those in each row."""
+BLOCK_ROWS, BLOCK_COLUMNS = BLOCK_SHAPE
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,17 +66,12 @@ def floor_mask(
     truth_free: Array,
     truth_origin_m: Array,
     truth_resolution_m: float,
-) -> FloorMask:
-    """The mask of a map (h, w) of that shape; other arguments as in `score_map`."""
+) -> Array:
+    """(h, w) bool: cells of a map of that shape whose centres lie on explorable floor; arguments as in `score_map`."""
     row, column, step = _sampling_back(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
-    mask = FloorMask(np.zeros(shape, bool), np.zeros((shape[0], 2), np.int64))
-    _look_up_floor(np.ascontiguousarray(truth_free), row, column, step, *mask)
+    mask = np.zeros(shape, bool)
+    _look_up_floor(np.ascontiguousarray(truth_free), row, column, step, mask)
     return mask
-
-
-def masked_area_m2(log_odds: Array, mask: FloorMask, resolution_m: float) -> float:
-    """Area of the free cells of a map (h, w) on which its mask lies."""
-    return _count_free_under(log_odds, *mask) * resolution_m**2
 
 
 def score_map(
@@ -227,8 +212,8 @@ def _count_free(log_odds, box, row0, column0, step, truth_free, free_below):
 
 
 @kernel
-def _look_up_floor(truth_free, row0, column0, step, mask, spans):
-    """Write to the mask whether the true cell at the centre of each map cell is free, and where such cells are."""
+def _look_up_floor(truth_free, row0, column0, step, mask):
+    """Write to the mask whether the true cell at the centre of each map cell is free."""
     rows, columns = truth_free.shape
     height, width = mask.shape
     cells, numbers = truth_free.reshape(-1), np.empty(width, np.uint32)
@@ -242,26 +227,30 @@ def _look_up_floor(truth_free, row0, column0, step, mask, spans):
         if first < last:
             row, column = r + first * dr, k + first * dk
             look_up_row(cells, columns, row, column, dr, dk, last - first, numbers, mask[i, first:last])
-            while first < last and not mask[i, first]:
-                first += 1
-            while first < last and not mask[i, last - 1]:
-                last -= 1
-            spans[i, 0], spans[i, 1] = first, last
 
 
 @borrowing_kernel
-def _count_free_under(log_odds, mask, spans):
-    count = 0
-    for i in range(mask.shape[0]):
-        for first in range(spans[i, 0], spans[i, 1], AT_ONCE):
-            end = min(first + AT_ONCE, spans[i, 1])
-            count += _count_row(log_odds[i, first:end], mask[i, first:end])
-    return count
+def recount_free(log_odds, mask, touched, known, counts):
+    """Free cells of a map (h, w) on which a mask (h, w) lies, of which only blocks touched since are counted anew.
+
+    touched, known, counts (blocks, blocks): `GridMap.touched`, the same as of the last call, and how many there were.
+    """
+    total = 0
+    for a in range(touched.shape[0]):
+        for b in range(touched.shape[1]):
+            if touched[a, b] != known[a, b]:
+                first, end = BLOCK_COLUMNS * b, min(BLOCK_COLUMNS * (b + 1), mask.shape[1])
+                known[a, b], count = touched[a, b], 0
+                for row in range(BLOCK_ROWS * a, min(BLOCK_ROWS * (a + 1), mask.shape[0])):
+                    count += _count_row(log_odds[row, first:end], mask[row, first:end])
+                counts[a, b] = count
+            total += counts[a, b]
+    return total
 
 
 @borrowing_kernel
 def _count_row(levels, mask):
-    """Free cells under the mask, of at most `AT_ONCE`."""
+    """Free cells under the mask, of so few that 16 bits hold their number."""
     count = np.int16(0)  # as wide as the levels, so that most of them are compared and added at once
     for j in range(levels.shape[0]):
         count = np.int16(count + np.int16((levels[j] < np.int16(0)) & mask[j]))

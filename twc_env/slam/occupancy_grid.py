@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from twc_env.geometry import beam_directions
 from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack, rebound
-from twc_env.messages import GridMap
+from twc_env.messages import BLOCK_SHAPE, GridMap
 from twc_env.slam.cell_kinds import note_kinds
 
 Array = NDArray
@@ -30,6 +30,7 @@ FREE_MARGIN_CELLS = 0.5
 RUN_CELLS = 32
 """Cells of a row that are lowered at once."""
 _PLACES = np.arange(RUN_CELLS, dtype=np.int16)
+BLOCK_ROWS, BLOCK_COLUMNS = BLOCK_SHAPE
 BLOCK_CELLS = 32
 """What stands in a row is noted anew for so many cells at once: a few too many are quicker than a remainder."""
 
@@ -168,8 +169,17 @@ def _note_spans(log_odds, row_low, row_high, spans, kinds):
             note_kinds(log_odds, row, first - 1, row + 1, first - 1 + blocks * BLOCK_CELLS, kinds)
 
 
+@borrowing_kernel
+def _note_touched(row, first_column, last_column, number, touched):
+    """Write the number of a scan to the blocks in which cells of a row are."""
+    for block in range(first_column // BLOCK_COLUMNS, last_column // BLOCK_COLUMNS + 1):
+        touched[row // BLOCK_ROWS, block] = number
+
+
 @kernel
-def _integrate_inside(log_odds, kinds, bounds, reached, inverse_m, poses, directions, scans, range_max, crossings):
+def _integrate_inside(
+    log_odds, kinds, touched, number, bounds, reached, inverse_m, poses, directions, scans, range_max, crossings
+):
     """Fold in scans that touch no more than the box `reached`, in a grid with these bounds."""
     beams, height = scans.shape[1], crossings.shape[1]
     counts, spans = np.empty(height, np.int32), np.empty((height, 2), np.int32)
@@ -182,10 +192,14 @@ def _integrate_inside(log_odds, kinds, bounds, reached, inverse_m, poses, direct
         )  # fmt: skip
         if poses.shape[0] == 1:
             _note_spans(log_odds, row_low, row_high, spans, kinds)
+            for row in range(row_low, row_high + 1):
+                _note_touched(row, spans[row - row_low, 0], spans[row - row_low, 1], number, touched)
     if poses.shape[0] > 1:  # they touch the same cells again and again
         bottom, left = int((reached[1] - bounds[1]) * inverse_m) - 2, int((reached[0] - bounds[0]) * inverse_m) - 2
         top, right = int((reached[3] - bounds[1]) * inverse_m) + 3, int((reached[2] - bounds[0]) * inverse_m) + 3
         note_kinds(log_odds, bottom, left, top, right, kinds)
+        for row in range(max(bottom, 0), min(top, log_odds.shape[0])):
+            _note_touched(row, max(left, 0), min(right, log_odds.shape[1]) - 1, number, touched)
 
 
 @kernel
@@ -194,7 +208,7 @@ def _integrate_many(grid, poses, scans):
 
     Writes that box to `reached` (4,); whether it lay inside.
     """
-    log_odds, kinds, boxes, inverse_m, directions, range_max, crossings, reached = grid.parts
+    log_odds, kinds, touched, numbers, boxes, inverse_m, directions, range_max, crossings, reached = grid.parts
     low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0
     for k in range(poses.shape[0]):
         low_x, high_x = min(low_x, poses[k, 0]), max(high_x, poses[k, 0])
@@ -209,7 +223,10 @@ def _integrate_many(grid, poses, scans):
     for side in range(2):
         boxes[1, side] = min(boxes[1, side], reached[side])
         boxes[1, 2 + side] = max(boxes[1, 2 + side], reached[2 + side])
-    _integrate_inside(log_odds, kinds, bounds, reached, inverse_m, poses, directions, scans, range_max, crossings)
+    numbers[0] += 1
+    _integrate_inside(
+        log_odds, kinds, touched, numbers[0], bounds, reached, inverse_m, poses, directions, scans, range_max, crossings
+    )
     return True
 
 
@@ -223,7 +240,7 @@ class OccupancyGrid:
         self.range_max_m = range_max_m
         rows = int(2 * range_max_m / resolution_m) + 8
         self._crossings = np.zeros((beam_count + 2, rows), np.int32)
-        self._directions, self._touched_m = beam_directions(beam_count), np.zeros(4)
+        self._directions, self._reached_m = beam_directions(beam_count), np.zeros(4)
         self._run: Callable[..., bool] | None = None
         """`_integrate_many` with all of this."""
         self.clear()
@@ -233,6 +250,8 @@ class OccupancyGrid:
         self.log_odds = np.zeros((0, 0), np.int16)
         self.origin_m = np.zeros(2)
         self._kinds = np.zeros((0, 0), np.uint8)
+        self._touched, self._numbers = np.zeros((0, 0), np.int64), np.zeros(1, np.int64)
+        """As `GridMap.touched`; how often scans were folded in."""
         self._boxes_m = np.array([NOWHERE_M] * 2)
         """The box of all cells, and of those that scans can have touched."""
         self._snapshot: GridMap | None = None
@@ -247,7 +266,7 @@ class OccupancyGrid:
             return
         poses, scans = np.ascontiguousarray(poses, float), np.ascontiguousarray(scans, float)
         if not self._fold_in(poses, scans):
-            self._grow(self._touched_m[:2], self._touched_m[2:])
+            self._grow(self._reached_m[:2], self._reached_m[2:])
             self._fold_in(poses, scans)
 
     def _fold_in(self, poses: Array, scans: Array) -> bool:
@@ -260,18 +279,18 @@ class OccupancyGrid:
         """What `_integrate_many` needs every time."""
         return pack(
             (
-                self.log_odds, self._kinds, self._boxes_m, 1.0 / self.resolution_m, self._directions, self.range_max_m,
-                self._crossings, self._touched_m,
+                self.log_odds, self._kinds, self._touched, self._numbers, self._boxes_m, 1.0 / self.resolution_m,
+                self._directions, self.range_max_m, self._crossings, self._reached_m,
             )
         )  # fmt: skip
 
     def snapshot(self) -> GridMap:
         """A read-only view of the cells as they are now; valid until the next `integrate`."""
         if self._snapshot is None:
-            views = self.log_odds.view(), self.origin_m.view(), self._kinds.view()
+            views = self.log_odds.view(), self.origin_m.view(), self._kinds.view(), self._touched.view()
             for view in views:
                 view.flags.writeable = False
-            self._snapshot = GridMap(*views[:2], self.resolution_m, views[2])
+            self._snapshot = GridMap(*views[:2], self.resolution_m, *views[2:])
         return self._snapshot
 
     def known_box(self) -> tuple[int, int, int, int]:
@@ -309,6 +328,7 @@ class OccupancyGrid:
             grown[r : r + rows, c : c + columns] = self.log_odds
             kinds[r : r + rows, c : c + columns] = self._kinds
         self.log_odds, self._kinds, self._snapshot = grown, kinds, None
+        self._touched = np.zeros((-(-shape[0] // BLOCK_ROWS), -(-shape[1] // BLOCK_COLUMNS)), np.int64)
         self.origin_m = first * self.resolution_m
         self._boxes_m[0] = *self.origin_m, *(self.origin_m + shape[::-1] * self.resolution_m)
         self._run = rebound(self._run, self._packed())
