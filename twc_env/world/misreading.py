@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import SignsConfig
-from twc_env.kernels import kernel, pack
+from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of
 from twc_env.world.ocr_table import GARBLED_RATE, MISS_LENGTH, OcrTable
 
 Array = NDArray
@@ -48,7 +48,10 @@ class TableReader:
         letters = (
             t.characters, t.proneness, t.confusion_code, t.confusion_cdf, t.added_code, t.added_cdf,
         )  # fmt: skip
-        self._table = pack((grid, lines, letters))
+        self._table = Lent(pack((grid, lines, letters)))
+        self._levels = np.empty(len(t.level_rate))
+        self._run: Callable[..., None] | None = None
+        """`_misread_signs` with the table."""
 
     def read(
         self, codes: Array, is_hidden: Array, height_px: float, incidence_rad: float, blur_px: float, draws: Array
@@ -59,7 +62,8 @@ class TableReader:
         """
         out, width = np.empty(2 * len(codes) + 1, np.uint32), math.cos(incidence_rad)
         count = _misread(
-            codes, is_hidden, height_px, 1.0 - width, blur_px / (height_px * width), draws, self._table, out,
+            self._table, codes, is_hidden, height_px, 1.0 - width, blur_px / (height_px * width), draws, self._levels,
+            out,
         )  # fmt: skip
         return out[:count].tobytes().decode("utf-32-le").strip()
 
@@ -70,9 +74,13 @@ class TableReader:
         """
         rows = len(sights), 2 * texts.codes.shape[1] + 1
         out, counts = np.empty(rows, np.uint32), np.empty(rows[0], np.int64)
-        _misread_signs(
-            sights, hidden, texts.codes, texts.lengths, texts.kept, texts.weights, fresh, self._table, out, counts
-        )
+        given = (
+            sights, hidden, texts.codes, texts.lengths, texts.kept, texts.weights, fresh, texts.draws, self._levels,
+            out, counts,
+        )  # fmt: skip
+        if self._run is None:
+            self._run = bound(_misread_signs, self._table, *given)
+        self._run(*given)
         letters, width = out.tobytes(), 4 * rows[1]
         return [
             letters[k * width : k * width + 4 * count].decode("utf-32-le").strip()
@@ -95,9 +103,11 @@ class SignTexts:
             self.codes[k, : len(text)] = codes_of(text)
             self.kept[k, : len(share)] = np.sqrt(share) * plates.standard_normal(len(share))
             self.weights[k, : len(share)] = np.sqrt(1.0 - share)
+        self.draws = np.empty(LINE_DRAWS + 2 * longest)
+        """Scratch of `_misread_signs`."""
 
 
-@kernel
+@borrowing_kernel
 def _place(axis, value):
     """Index of the grid line below a value and the weight of the next, held at the ends."""
     last = axis.shape[0] - 2
@@ -108,12 +118,12 @@ def _place(axis, value):
     return k, min(max(weight, 0.0), 1.0)
 
 
-@kernel
+@borrowing_kernel
 def _uniform(z):
     return 0.5 * math.erfc(-z / math.sqrt(2.0))
 
 
-@kernel
+@borrowing_kernel
 def _pick(cdf, u):
     k = 0
     while k < cdf.shape[0] - 1 and u >= cdf[k]:
@@ -121,9 +131,9 @@ def _pick(cdf, u):
     return k
 
 
-@kernel
-def _misread(codes, is_hidden, height, narrowed, blur, draws, table, out):
-    grid, lines, letters = table.parts
+@borrowing_kernel
+def _misread(table, codes, is_hidden, height, narrowed, blur, draws, cdf, out):
+    grid, lines, letters = parts_of(table)
     heights, angles, blurs, miss_grid, fragment_grid, space_grid, level_grid = grid
     level_rate, edit_cdf, kept_quantiles, kept_begin, length_exponent, space_proneness, miss_length, garbled_rate = (
         lines
@@ -134,7 +144,7 @@ def _misread(codes, is_hidden, height, narrowed, blur, draws, table, out):
     k, wk = _place(blurs, blur)
     levels = level_rate.shape[0]
     miss = fragment = space_loss = 0.0
-    cdf = np.zeros(levels)
+    cdf[:] = 0.0
     for a in range(2):
         for b in range(2):
             for c in range(2):
@@ -183,7 +193,7 @@ def _misread(codes, is_hidden, height, narrowed, blur, draws, table, out):
         if at_visible < begin or at_visible >= end:
             continue
         code = codes[m]
-        u_error, u_what = _uniform(draws[3 + m]), _uniform(draws[3 + n + m])
+        u_error = _uniform(draws[3 + m])
         if code == 32:
             by_digit = (m > 0 and 48 <= codes[m - 1] <= 57) or (m < n - 1 and 48 <= codes[m + 1] <= 57)
             if u_error >= space_loss * space_proneness[1 if by_digit else 0]:
@@ -197,7 +207,9 @@ def _misread(codes, is_hidden, height, narrowed, blur, draws, table, out):
         if u_error >= rate * proneness[garbled, row]:
             out[count] = code
             count += 1
-        elif u_what < edit_cdf[level, 0]:
+            continue
+        u_what = _uniform(draws[3 + n + m])
+        if u_what < edit_cdf[level, 0]:
             out[count] = confusion_code[garbled, row, _pick(confusion_cdf[garbled, row], u_what / edit_cdf[level, 0])]
             count += 1
         elif u_what >= edit_cdf[level, 1]:
@@ -208,10 +220,10 @@ def _misread(codes, is_hidden, height, narrowed, blur, draws, table, out):
     return count
 
 
-@kernel
-def _misread_signs(sights, hidden, codes, lengths, kept, weights, fresh, table, out, counts):
+@borrowing_kernel
+def _misread_signs(table, sights, hidden, codes, lengths, kept, weights, fresh, draws, cdf, out, counts):
     """`_misread` of each sight (k, 6), with draws of which part is kept and part fresh."""
-    draws, first = np.empty(kept.shape[1]), 0
+    first = 0
     for k in range(sights.shape[0]):
         sign = int(sights[k, 0])
         count = lengths[sign]
@@ -220,8 +232,9 @@ def _misread_signs(sights, hidden, codes, lengths, kept, weights, fresh, table, 
         first += LINE_DRAWS + 2 * count
         height, width, blur = sights[k, 3], math.cos(sights[k, 4]), sights[k, 5]
         counts[k] = _misread(
-            codes[sign, :count], hidden[k, :count], height, 1.0 - width, blur / (height * width), draws, table, out[k]
-        )
+            table, codes[sign, :count], hidden[k, :count], height, 1.0 - width, blur / (height * width), draws, cdf,
+            out[k],
+        )  # fmt: skip
 
 
 # --- two plain numbers ---

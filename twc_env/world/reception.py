@@ -198,9 +198,8 @@ def _receive(rssi, fading, constants, draws, detection, all_macs, heard, macs, r
         level = rssi[t] + fading[t] + device_offset + noise_std * draws[t]
         heard[t] = draws[transmitters + t] * (1.0 + np.exp((detection[0, t] - level) / detection[1, t])) < chance
         rssi[t] = step * np.floor(level / step + 0.5)
-        if heard[t]:
-            macs[count], readings[count] = all_macs[t], rssi[t]
-            count += 1
+        macs[count], readings[count] = all_macs[t], rssi[t]  # where it is not heard, the next one takes the place
+        count += int(heard[t])
     return count
 
 

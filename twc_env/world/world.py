@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -36,6 +36,8 @@ _PLACES_MAX = 2000
 _BOOL, _FLOAT, _INT = np.dtype(np.bool_), np.dtype(np.float64), np.dtype(np.int64)
 _TYPES = _BOOL, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _INT, _FLOAT, _INT
 """Of what a step fills: contacts, poses, odometry, turn rates, ranges; addresses heard, how strongly, and how many."""
+_STEPS_AT_ONCE = 16
+"""Steps for which arrays are made together: a row of one costs a third of an array of its own."""
 _NO_COMMANDS = np.empty((0, 2))
 """Nobody is to move."""
 _TOUCHING, _UNSEEN = -1, -2
@@ -83,7 +85,8 @@ class World:
         ]
         self._wifi = WifiReceivers(self._radio, self._receivers)
         self._hears_at_once = self._receivers[0].is_plain
-        self._shapes = [self._shapes_of(len(heard)) for heard in self._hearing]
+        self._rooms: list[Iterator[tuple[Array, ...]]] = [iter(()) for _ in self._hearing]
+        """For each step of a WiFi period, what the next such steps fill: in the order of `_TYPES`."""
         self._cameras = [SignCamera(config.signs, self._home, robot, seed, config.dynamics) for robot in range(robots)]
         self._sights, self._hidden = self._cameras[0].make_room(robots)
         self._sight_counts = np.zeros(robots, np.int64)
@@ -142,7 +145,7 @@ class World:
         if turn == 0 and self._hears_at_once:
             self._wifi.begin_round()
         outputs: list[Array]
-        contacts, poses, *outputs = map(np.empty, self._shapes[turn], _TYPES)
+        contacts, poses, *outputs = next(self._rooms[turn], None) or self._make_room(turn)
         if commands is None:
             poses = dynamics.poses
         else:
@@ -173,12 +176,15 @@ class World:
         wifi = WifiScans(self._hearing_robots[turn], *heard) if self._hears_at_once else self._hear_one_by_one(time_s)
         return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, self._read_signs(sighted))
 
-    def _shapes_of(self, hearing: int) -> tuple[tuple[int, ...], ...]:
-        """Of what a step fills in which so many robots hear; in the order of `_TYPES`."""
+    def _make_room(self, turn: int) -> tuple[Array, ...]:
+        """New arrays for some steps of which all are of that turn; the first step's."""
         robots, beams = self.config.robots, self.config.lidar.beam_count
-        laser, heard = ((robots, beams) if self._lidar.is_plain else (0, 0)), (hearing if self._hears_at_once else 0)
-        radio = heard, len(self._radio.macs)
-        return (robots,), (robots, 3), (robots, 3), (robots,), laser, radio, radio, (heard,)
+        hearing = len(self._hearing[turn]) if self._hears_at_once else 0
+        laser, radio = ((robots, beams) if self._lidar.is_plain else (0, 0)), (hearing, len(self._radio.macs))
+        shapes = (robots,), (robots, 3), (robots, 3), (robots,), laser, radio, radio, (hearing,)
+        blocks = [np.empty((_STEPS_AT_ONCE, *shape), kind) for shape, kind in zip(shapes, _TYPES, strict=True)]
+        self._rooms[turn] = zip(*blocks, strict=True)
+        return next(self._rooms[turn])
 
     def _hear_one_by_one(self, time_s: float) -> list[WifiScan | None]:
         wifi: list[WifiScan | None] = [None] * self.config.robots
@@ -214,7 +220,7 @@ class World:
         return run
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
+        return self.__dict__ | {"_run": None, "_rooms": [iter(()) for _ in self._hearing]}
 
     def _in_building(self, poses_home: Array) -> Array:
         return compose(self.plan.pose_building_home, poses_home) if self._is_moved else poses_home
