@@ -16,7 +16,8 @@ from twc_env.slam.mate_detection import StillDiscs, unmark
 from twc_env.slam.odometry_filter import motion_covariance
 from twc_env.slam.radio_fingerprint import STD_MODES, ScanWindows, fingerprint_of
 from twc_env.slam.tracking import Tracker
-from twc_env.slam.wall_drawing import draw_scans
+from twc_env.slam.wall_cells import LINES_MAX
+from twc_env.slam.wall_drawing import LINES, draw_scans
 
 Array = NDArray
 
@@ -43,11 +44,11 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
     """Fill the arrays of a keyframe of robot k, scan (1, beams) and pose (1, 3), and draw it into the local map.
 
     Gives how many transmitters there are in the fingerprint, the length of the path, and whether the scan was drawn:
-    not where the robot has left the middle of its map, or where the numbers are not sound.
+    not where the robot has left the middle of its map, where that is full or where the numbers are not sound.
     """
     (
         marked, discs, disc_counts, seen, following, travels, steps, information, last_poses, last_travels, variances,
-        window, std_mode, walls, origins, drawn, centres, reach, inverse_m, range_max, directions,
+        window, std_mode, cells, lines, origins, drawn, centres, reach, inverse_m, range_max, directions,
     ) = apparatus.parts  # fmt: skip
     here = poses[k]
     for i in range(scan.shape[1]):
@@ -65,8 +66,11 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
     last_travels[k], steps[k] = travels[k], 0
     heard = fingerprint_of(k, rings, time - window[0], window[1], window[2], std_mode)
     dx, dy = here[0] - centres[k, 0], here[1] - centres[k, 1]
-    is_drawn = math.hypot(dx, dy) <= reach and draw_scans(
-        walls[k], origins[k], inverse_m, pose, directions, scan, range_max, drawn[k]
+    has_room = drawn[k, LINES] + scan.shape[1] <= LINES_MAX
+    is_drawn = (
+        math.hypot(dx, dy) <= reach
+        and has_room
+        and draw_scans(cells[k], lines[k], origins[k], inverse_m, pose, directions, scan, range_max, drawn[k])
     )
     return heard, travels[k], is_drawn
 
@@ -112,8 +116,8 @@ class KeyframeTaker:
             (
                 tracker.marked_m, tracker.discs, tracker.disc_counts, self._still.seen, self._still.following,
                 tracker.travels_m, tracker.steps, tracker.information, tracker.keyframe_poses, self._last_travels_m,
-                self._variances, self._window, self._std_mode, fields.walls, fields.origins_m, fields.drawn,
-                self.centres_m, self._reach_m, fields.inverse_m, fields.range_max_m,
+                self._variances, self._window, self._std_mode, fields.cells, fields.lines, fields.origins_m,
+                fields.drawn, self.centres_m, self._reach_m, fields.inverse_m, fields.range_max_m,
                 beam_directions(tracker.marked_m.shape[1]),
             )
         )  # fmt: skip

@@ -17,12 +17,13 @@ from twc_env.config import LocalMapConfig
 from twc_env.errors import DataError
 from twc_env.geometry import beam_directions
 from twc_env.kernels import borrowing_kernel
-from twc_env.slam.line_equations import FAR_M, line_scratch, normal_equations
-from twc_env.slam.wall_drawing import draw_scans
+from twc_env.slam.line_equations import line_scratch, normal_equations
+from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, distance_in, told_by
+from twc_env.slam.wall_drawing import BLOCK_CELLS, draw_scans
 
 Array = NDArray
 
-NOTHING_DRAWN = (2**31, 2**31, 0, 0)
+NOTHING_DRAWN = (2**31, 2**31, 0, 0, 0)
 SIGN_TO_WALL_M = 0.3
 """A sign hangs on the wall that is at most this far away."""
 WEIGHT_MIN = 5.0
@@ -77,8 +78,8 @@ def _solve3(h, damping):
 
 @borrowing_kernel
 def _refine(
-    walls, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad, scratch,
-    pose, h,
+    cells, lines, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad,
+    scratch, pose, h,
 ):  # fmt: skip
     """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
 
@@ -90,7 +91,7 @@ def _refine(
     degenerate = False
     for _ in range(iterations):
         total, near = normal_equations(
-            walls, origin, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, scratch, h
+            cells, lines, origin, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, scratch, h
         )  # fmt: skip
         if total < WEIGHT_MIN:
             break
@@ -110,8 +111,8 @@ def _refine(
 
 
 @borrowing_kernel
-def _score(walls, origin, inverse_m, points, n, stride, x, y, c, s):
-    height, width = walls.shape[0], walls.shape[1]
+def _score(cells, origin, inverse_m, points, n, stride, x, y, c, s):
+    height, width = cells.shape
     total = 0.0
     for i in range(0, n, stride):
         qx = x + c * points[i, 0] - s * points[i, 1] - origin[0]
@@ -120,14 +121,12 @@ def _score(walls, origin, inverse_m, points, n, stride, x, y, c, s):
             continue
         column, row = int(qx * inverse_m), int(qy * inverse_m)
         if row < height and column < width:
-            d = walls[row, column, 3]
-            if d < 0.3:
-                total += 1.0 - d / 0.3
+            total += max(1.0 - distance_in(cells[row, column]) / 0.3, 0.0)
     return total
 
 
 @borrowing_kernel
-def _correlate(walls, origin, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best):
+def _correlate(cells, origin, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best):
     """Brute force over a window around guess, nearest first; writes the best pose, gives its mean score in [0, 1]."""
     best_score = -1.0
     turns = int(window_rad / step_rad)
@@ -138,7 +137,7 @@ def _correlate(walls, origin, inverse_m, points, n, guess, window_m, window_rad,
         for j in range(-moves, moves + 1):
             for i in range(-moves, moves + 1):
                 score = _score(
-                    walls, origin, inverse_m, points, n, stride, guess[0] + i * step_m, guess[1] + j * step_m, c, s
+                    cells, origin, inverse_m, points, n, stride, guess[0] + i * step_m, guess[1] + j * step_m, c, s
                 )
                 if score > best_score:
                     best_score = score
@@ -147,9 +146,9 @@ def _correlate(walls, origin, inverse_m, points, n, guess, window_m, window_rad,
 
 
 @borrowing_kernel
-def _share_near(walls, origin, inverse_m, points, n, pose, near_m):
+def _share_near(cells, origin, inverse_m, points, n, pose, near_m):
     """Share of the points within near_m of a wall."""
-    height, width = walls.shape[0], walls.shape[1]
+    height, width = cells.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     count = 0
     for i in range(n):
@@ -158,7 +157,7 @@ def _share_near(walls, origin, inverse_m, points, n, pose, near_m):
         if qx < 0.0 or qy < 0.0:
             continue
         column, row = int(qx * inverse_m), int(qy * inverse_m)
-        if row < height and column < width and walls[row, column, 3] <= near_m:
+        if row < height and column < width and distance_in(cells[row, column]) <= near_m:
             count += 1
     return count / max(n, 1)
 
@@ -182,7 +181,7 @@ def _information(h, degenerate, vx, vy, scale, out):
 
 
 @borrowing_kernel
-def match_scan(walls, origin, scan, directions, rule, guess, points, h, scratch, pose, information):
+def match_scan(cells, lines, origin, scan, directions, rule, guess, points, h, scratch, pose, information):
     """Lay a scan (beams,) on a field near a guess: writes the pose (3,) and its information (3, 3), zeros for none.
 
     rule: as `LineFields` has it; points (beams, 2), h (9,) and scratch (`line_scratch`) are room to work in. Gives
@@ -192,7 +191,7 @@ def match_scan(walls, origin, scan, directions, rule, guess, points, h, scratch,
     range_max, inverse_m, distance_max, degenerate_share, variance = rule[0], rule[1], rule[2], rule[3], rule[4]
     n = _points_of(scan, range_max, directions, points)
     total, near, degenerate, vx, vy = _refine(
-        walls, origin, inverse_m, points, n, guess, distance_max, int(rule[5]), degenerate_share,
+        cells, lines, origin, inverse_m, points, n, guess, distance_max, int(rule[5]), degenerate_share,
         TRACKING_STOP_M, TRACKING_STOP_RAD, scratch, pose, h,
     )  # fmt: skip
     jump_x, jump_y = pose[0] - guess[0], pose[1] - guess[1]
@@ -244,38 +243,38 @@ class LineField:
         size_m: float,
         resolution_m: float,
         range_max_m: float,
-        storage: tuple[Array, Array, Array] | None = None,
+        storage: tuple[Array, Array, Array, Array] | None = None,
     ):
         """Empty and centred on 0, 0. storage: as of `field_storage`, to use instead of new arrays."""
         self.range_max_m = range_max_m
         self._inverse_m = 1.0 / resolution_m
-        self._walls, self._origin_m, self._drawn = storage or field_storage(size_m, resolution_m)
-        self._drawn[:] = 0, 0, len(self._walls), len(self._walls)
+        self._cells, self._lines, self._origin_m, self._drawn = storage or field_storage(size_m, resolution_m)
         self._scratch = line_scratch()
         self.reset(np.zeros(2))
 
     def reset(self, centre_m: Array) -> None:
         """Forget all walls and move to another centre."""
-        half = 0.5 * len(self._walls) / self._inverse_m
+        half = 0.5 * len(self._cells) / self._inverse_m
         self._origin_m[:] = centre_m[0] - half, centre_m[1] - half
-        left, bottom, right, top = self._drawn.tolist()
-        self._walls[bottom:top, left:right, 3] = FAR_M
+        left, bottom, right, top, _ = self._drawn.tolist()
+        self._cells[bottom:top, left:right] = NO_WALL
         self._drawn[:] = NOTHING_DRAWN
 
     def add(self, poses: Array, scans: Array) -> None:
         """Draw the walls seen by scans (k, beams) [m] at poses (k, 3). Raises DataError for what is no number."""
         directions = beam_directions(scans.shape[1])
         if not draw_scans(
-            self._walls, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m, self._drawn
-        ):
+            self._cells, self._lines, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m,
+            self._drawn,
+        ):  # fmt: skip
             raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
 
     def refine(self, points: Array, guess: Array, distance_max_m: float, iterations: int, degenerate_share: float):
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
         pose, h = np.empty(3), np.zeros(9)
         weight, _, degenerate, vx, vy = _refine(
-            *self._field, points, len(points), guess, distance_max_m, iterations, degenerate_share, STOP_M,
-            STOP_RAD, self._scratch, pose, h,
+            self._cells, self._lines, self._origin_m, self._inverse_m, points, len(points), guess, distance_max_m,
+            iterations, degenerate_share, STOP_M, STOP_RAD, self._scratch, pose, h,
         )  # fmt: skip
         hessian = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
         return Match(pose, hessian, weight, degenerate, np.array([vx, vy]))
@@ -299,17 +298,18 @@ class LineField:
         x, y = position
         origin_x, origin_y = self._origin_m.tolist()
         column, row = math.floor((x - origin_x) * self._inverse_m), math.floor((y - origin_y) * self._inverse_m)
-        if not (0 <= row < len(self._walls) and 0 <= column < len(self._walls)):
+        if not (0 <= row < len(self._cells) and 0 <= column < len(self._cells)):
             return math.nan
-        nx, ny, _, distance = self._walls[row, column].tolist()
-        if distance > SIGN_TO_WALL_M:
+        distance_m, line = told_by(int(self._cells[row, column]))
+        if distance_m > SIGN_TO_WALL_M:
             return math.nan
+        nx, ny, _ = self._lines[line].tolist()
         towards = nx * (seen_from[0] - x) + ny * (seen_from[1] - y)
         return math.atan2(ny, nx) if towards >= 0 else math.atan2(-ny, -nx)
 
     @property
     def _field(self) -> tuple[Array, Array, float]:
-        return self._walls, self._origin_m, self._inverse_m
+        return self._cells, self._origin_m, self._inverse_m
 
 
 class LineFields:
@@ -317,7 +317,8 @@ class LineFields:
 
     def __init__(self, count: int, rule: LocalMapConfig, range_max_m: float, variance_m2: float):
         """variance_m2: the squared error of one beam, times how many beams count as one."""
-        self.walls, self.origins_m, self.drawn = field_storage(rule.size_m, rule.resolution_m, count)
+        storage = field_storage(rule.size_m, rule.resolution_m, count)
+        self.cells, self.lines, self.origins_m, self.drawn = storage
         self.inverse_m, self.range_max_m = 1.0 / rule.resolution_m, range_max_m
         self.rule = np.array(
             [
@@ -331,16 +332,20 @@ class LineFields:
         )
         """What `match_scan` goes by."""
         self.each = [
-            LineField(rule.size_m, rule.resolution_m, range_max_m, storage)
-            for storage in zip(self.walls, self.origins_m, self.drawn, strict=True)
+            LineField(rule.size_m, rule.resolution_m, range_max_m, storage) for storage in zip(*storage, strict=True)
         ]
 
 
-def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Array, Array, Array]:
-    """Walls ([count,] cells, cells, 4), each cell with normal, offset and distance; corners ([count,] 2); and left,
-    bottom, right and top end ([count,] 4) of the cells that may know a wall."""
-    cells = int(round(size_m / resolution_m))
-    return np.zeros((*count, cells, cells, 4), np.float32), np.zeros((*count, 2)), np.zeros((*count, 4), np.int64)
+def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Array, Array, Array, Array]:
+    """Cells ([count,] rows, columns) that know no wall; lines ([count,] n, 3): normal and offset; corners ([count,] 2);
+    and `drawn` ([count,] 5), see `draw_scans`."""
+    side = max(int(round(size_m / resolution_m)), BLOCK_CELLS)
+    return (
+        np.full((*count, side, side), NO_WALL),
+        np.zeros((*count, LINES_MAX + 1, 3), np.float32),
+        np.zeros((*count, 2)),
+        np.zeros((*count, 5), np.int64),
+    )
 
 
 def scan_points(ranges_m: Array, range_max_m: float) -> Array:

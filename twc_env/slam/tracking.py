@@ -25,8 +25,8 @@ Array = NDArray
 
 @kernel
 def _see(
-    robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, walls, origins, rule, has_lidar,
-    matched, information, is_matched, explained,
+    robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, cells, lines, origins, rule,
+    has_lidar, matched, information, is_matched, explained,
 ):  # fmt: skip
     """Mark the mates in the scans and lay what is left on the fields, near the robots' states."""
     points, h, scratch = np.empty((ranges.shape[1], 2)), np.empty(9), line_scratch()
@@ -35,8 +35,8 @@ def _see(
         disc_counts[k] = mark_mates(ranges[a], rule[0], mate_radius, directions, marked[k], discs[k])
         if has_lidar:
             is_matched[k], explained[k] = match_scan(
-                walls[k], origins[k], marked[k], directions, rule, states[k], points, h, scratch, matched[k],
-                information[k],
+                cells[k], lines[k], origins[k], marked[k], directions, rule, states[k], points, h, scratch,
+                matched[k], information[k],
             )  # fmt: skip
 
 
@@ -67,8 +67,8 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
 def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses):
     """A whole step with the compiled filters; whether a robot has come to a new place."""
     (
-        states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, walls, origins,
-        match_rule, has_lidar, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
+        states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, cells, lines,
+        origins, match_rule, has_lidar, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
     ) = apparatus.parts  # fmt: skip
     count = states.shape[0]
     dts, matched, explained = np.empty(count), np.empty((count, 3)), np.zeros(count)
@@ -80,7 +80,7 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses):
         if dts[a] > 0.0:
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
     _see(
-        robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, walls, origins, match_rule,
+        robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, cells, lines, origins, match_rule,
         has_lidar, matched, information, is_matched, explained,
     )  # fmt: skip
     for a in range(robots.shape[0]):
@@ -120,7 +120,7 @@ class Tracker:
         masks = rule.mask_mates and config.robots > 1
         mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
         self._marking = (beam_directions(beams), mate_radius_m, self.marked_m, self.discs, self.disc_counts)
-        self._matching = (fields.walls, fields.origins_m, fields.rule, config.slam.cues.lidar)
+        self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, config.slam.cues.lidar)
         self._run: Callable[..., bool] | None = None
         """`_track` with all that it needs in every step."""
         self._keyframe_rule = np.array([rule.explained_min, rule.distance_m, rule.distance_new_m, rule.turn_rad])

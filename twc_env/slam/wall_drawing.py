@@ -10,9 +10,10 @@ import math
 import numpy as np
 
 from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, distance_in, line_in, wall_cell
 
-REACH_M = 0.45
-"""Cells further from a wall than this know nothing of it."""
+REACH_M = 0.49
+"""Cells further from a wall than this know nothing of it; less than half a metre (`wall_cells`)."""
 SAME_WALL_M = 0.02
 """A piece of wall this near to a line that is already known adds nothing."""
 JUMP_MAX_M = 0.5
@@ -21,53 +22,65 @@ PIECE_M = 0.3
 """Neighbouring end points are joined to pieces of wall about this long ..."""
 STRAIGHT_M = 0.02
 """... if none of them is further than this from the chord."""
+LINES = 4
+"""Where `drawn` counts the lines."""
+BLOCK_CELLS = 16
+"""Cells of a row that are told of a wall at once: a few too many are quicker than a remainder."""
 
 
 @borrowing_kernel
-def _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn, squares):
+def _knows(cells, lines, inverse_m, nx, ny, mx, my):
+    """Whether the place (mx, my) [m from the field's corner] lies on a wall that is drawn, of nearly this normal."""
+    column, row = int(mx * inverse_m), int(my * inverse_m)
+    if not (0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]):
+        return False
+    if distance_in(cells[row, column]) >= 1.0 / inverse_m:
+        return False
+    line = lines[line_in(cells[row, column])]
+    return abs(line[0] * nx + line[1] * ny) > 0.97 and abs(line[0] * mx + line[1] * my - line[2]) < SAME_WALL_M
+
+
+@borrowing_kernel
+def _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn):
     """Tell the cells around the wall piece a-b [m from the field's corner] of its line, where it is the nearest."""
-    height, width = walls.shape[0], walls.shape[1]
+    height, width = cells.shape
     ex, ey = bx - ax, by - ay
     length = math.sqrt(ex * ex + ey * ey)
-    if length < 1e-6:
+    if length < 1e-6 or _knows(cells, lines, inverse_m, nx, ny, 0.5 * (ax + bx), 0.5 * (ay + by)):
         return
     ex /= length
     ey /= length
-    mx, my = 0.5 * (ax + bx), 0.5 * (ay + by)
-    column, row = int(mx * inverse_m), int(my * inverse_m)
-    cell = 1.0 / inverse_m
-    if 0 <= row < height and 0 <= column < width and walls[row, column, 3] < cell:
-        wall = walls[row, column]
-        if abs(wall[0] * nx + wall[1] * ny) > 0.97 and abs(wall[0] * mx + wall[1] * my - wall[2]) < SAME_WALL_M:
-            return
     left = max(0, int((min(ax, bx) - REACH_M) * inverse_m))
     right = min(width - 1, int((max(ax, bx) + REACH_M) * inverse_m)) + 1
     bottom = max(0, int((min(ay, by) - REACH_M) * inverse_m))
     top = min(height - 1, int((max(ay, by) + REACH_M) * inverse_m)) + 1
-    if left >= right or bottom >= top:
+    if left >= right or bottom >= top or drawn[LINES] >= LINES_MAX:
         return
+    line = np.uint32(drawn[LINES])
+    lines[line, 0], lines[line, 1], lines[line, 2] = nx, ny, offset
+    drawn[LINES] += 1
     drawn[0], drawn[1] = min(drawn[0], left), min(drawn[1], bottom)
     drawn[2], drawn[3] = max(drawn[2], right), max(drawn[3], top)
-    dx = (left + 0.5) * cell - ax
+    cell = 1.0 / inverse_m
+    along_step, across_step, end = np.float32(cell * ex), np.float32(-cell * ey), np.float32(length)
     for r in range(bottom, top):
-        dy = (r + 0.5) * cell - ay
-        along, across = np.float32(dx * ex + dy * ey), np.float32(dy * ex - dx * ey)
-        along_step, across_step, end = np.float32(cell * ex), np.float32(-cell * ey), np.float32(length)
-        for j in range(right - left):  # many cells at once, as all of this is float32
-            k = np.float32(np.int32(j))
-            a, b = along + k * along_step, across + k * across_step
-            beyond = max(np.float32(0.0), max(-a, a - end))
-            squares[j] = b * b + beyond * beyond
-        cells = walls[r]
-        for j in range(right - left):
-            held = cells[left + j, 3]
-            if squares[j] < held * held:
-                wall = cells[left + j]
-                wall[0], wall[1], wall[2], wall[3] = nx, ny, offset, math.sqrt(squares[j])
+        dy, row = (r + 0.5) * cell - ay, cells[r]
+        for first in range(left, right, BLOCK_CELLS):  # many cells at once, as all of this is 32 bits wide
+            start = min(first, width - BLOCK_CELLS)
+            dx = (start + 0.5) * cell - ax
+            along, across = np.float32(dx * ex + dy * ey), np.float32(dy * ex - dx * ey)
+            block = row[start : start + BLOCK_CELLS]
+            for j in range(BLOCK_CELLS):
+                k = np.float32(np.int32(j))
+                a, b = along + k * along_step, across + k * across_step
+                beyond = max(np.float32(0.0), max(-a, a - end))
+                away = np.float32(math.sqrt(b * b + beyond * beyond))
+                told = wall_cell(min(away, np.float32(REACH_M)), line)
+                block[j] = min(block[j], told if away <= np.float32(REACH_M) else NO_WALL)
 
 
 @borrowing_kernel
-def _add_piece(walls, inverse_m, ends, first, last, drawn, squares):
+def _add_piece(cells, lines, inverse_m, ends, first, last, drawn):
     """Draw the piece of wall along the end points first..last: the straight line of least squares through them."""
     ax, ay, bx, by = ends[first, 0], ends[first, 1], ends[last, 0], ends[last, 1]
     sx = sy = xx = xy = yy = 0.0
@@ -92,7 +105,7 @@ def _add_piece(walls, inverse_m, ends, first, last, drawn, squares):
     elif root > 0.0:
         nx = -math.copysign(math.sqrt(0.5 - 0.5 * gap / root), xy)
         ny = -xy / (root * nx)
-    _stamp(walls, inverse_m, ax, ay, bx, by, nx, ny, nx * (ax + mx) + ny * (ay + my), drawn, squares)
+    _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, nx * (ax + mx) + ny * (ay + my), drawn)
 
 
 @borrowing_kernel
@@ -109,21 +122,21 @@ def _is_straight(ends, first, last):
 
 
 @borrowing_kernel
-def _add_run(walls, inverse_m, ends, count, drawn, squares):
+def _add_run(cells, lines, inverse_m, ends, count, drawn):
     """Draw one surface: end points that follow each other without a jump, cut into straight pieces."""
     first = 0 * count  # a plain 0 is a type of its own, for which the callees would be compiled again
     for i in range(1, count):
         if not _is_straight(ends, first, i):
-            _add_piece(walls, inverse_m, ends, first, i - 1, drawn, squares)
+            _add_piece(cells, lines, inverse_m, ends, first, i - 1, drawn)
             first = i - 1
         dx, dy = ends[i, 0] - ends[first, 0], ends[i, 1] - ends[first, 1]
         if i == count - 1 or dx * dx + dy * dy >= PIECE_M * PIECE_M:
-            _add_piece(walls, inverse_m, ends, first, i, drawn, squares)
+            _add_piece(cells, lines, inverse_m, ends, first, i, drawn)
             first = i
 
 
 @borrowing_kernel
-def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn, squares):
+def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn):
     beams = ranges.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] - origin[0], pose[1] - origin[1]
@@ -132,26 +145,25 @@ def _add_scan(walls, origin, inverse_m, pose, directions, ranges, range_max, end
         i = k if k >= 0 else beams - 1
         r = ranges[i]
         if r >= range_max or r < 0.0:
-            _add_run(walls, inverse_m, ends, count, drawn, squares)
+            _add_run(cells, lines, inverse_m, ends, count, drawn)
             count = np.int64(0)
             continue
         dx, dy = directions[i, 0], directions[i, 1]
         qx, qy = x + r * (c * dx - s * dy), y + r * (s * dx + c * dy)
         if count and (qx - ends[count - 1, 0]) ** 2 + (qy - ends[count - 1, 1]) ** 2 >= JUMP_MAX_M**2:
-            _add_run(walls, inverse_m, ends, count, drawn, squares)
+            _add_run(cells, lines, inverse_m, ends, count, drawn)
             count = np.int64(0)
         ends[count, 0], ends[count, 1] = qx, qy
         count += 1
-    _add_run(walls, inverse_m, ends, count, drawn, squares)
+    _add_run(cells, lines, inverse_m, ends, count, drawn)
 
 
 @kernel
-def _add_scans(walls, origin, inverse_m, poses, directions, scans, range_max, drawn):
+def _add_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_max, drawn):
     """Draw scans whose numbers are sound."""
     ends = np.empty((scans.shape[1] + 1, 2))
-    squares = np.empty(int((2 * JUMP_MAX_M + 2 * REACH_M) * inverse_m) + 3, np.float32)
     for k in range(poses.shape[0]):
-        _add_scan(walls, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn, squares)
+        _add_scan(cells, lines, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn)
 
 
 @borrowing_kernel
@@ -167,14 +179,15 @@ def _are_sound(poses, scans):
 
 
 @borrowing_kernel
-def draw_scans(walls, origin, inverse_m, poses, directions, scans, range_max, drawn):
-    """Draw scans (k, beams) [m] taken at poses (k, 3) into walls (rows, columns, 4): normal, offset, distance.
+def draw_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_max, drawn):
+    """Draw scans (k, beams) [m] taken at poses (k, 3) into cells (rows, columns), see `wall_cells`, and lines (n, 3).
 
-    origin (2,): the field's corner, from which the offsets are measured. directions (beams, 2): cosine and sine.
-    drawn (4,): left, bottom, right and top end of the cells drawn so far, widened here. Gives False, and draws nothing,
-    where a range is no number or a pose is not finite.
+    A line is a normal and an offset. origin (2,): the field's corner, from which the offsets are measured. directions
+    (beams, 2): cosine and sine. drawn (5,): left, bottom, right and top end of the cells drawn so far, widened here,
+    and how many lines there are. Gives False, and draws nothing, where a range is no number or a pose is not finite;
+    walls for which there are no lines left are left out.
     """
     if not _are_sound(poses, scans):
         return False
-    _add_scans(walls, origin, inverse_m, poses, directions, scans, range_max, drawn)
+    _add_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_max, drawn)
     return True

@@ -1,0 +1,53 @@
+"""What the cells of a field of lines say, and that drawing tells each cell of the wall nearest to it."""
+
+import numpy as np
+import pytest
+
+from twc_env.slam.scan_matching import LineField
+from twc_env.slam.wall_cells import FAR_M, LINES_MAX, NO_WALL, distance_in, line_in, told_by, wall_cell
+from twc_env.slam.wall_drawing import REACH_M
+
+RANGE_MAX_M = 10.0
+
+
+@pytest.mark.parametrize("distance_m", [0.0, 0.1, 0.2345, REACH_M])
+@pytest.mark.parametrize("line", [0, 1, LINES_MAX - 1])
+def test_a_cell_says_how_far_its_wall_is_and_which_line_that_is(distance_m, line):
+    cell = wall_cell(np.float32(distance_m), np.uint32(line))
+    assert distance_in(np.uint32(cell)) == pytest.approx(distance_m, abs=1e-5)
+    assert line_in(np.uint32(cell)) == line
+    assert told_by(int(cell)) == (pytest.approx(distance_m, abs=1e-5), line)
+
+
+def test_a_cell_without_wall_is_far_from_any_and_larger_than_all_others():
+    assert distance_in(NO_WALL) == FAR_M
+    assert told_by(int(NO_WALL)) == (FAR_M, LINES_MAX)
+    assert wall_cell(np.float32(REACH_M), np.uint32(LINES_MAX - 1)) < NO_WALL
+    assert wall_cell(np.float32(0.1), np.uint32(LINES_MAX - 1)) < wall_cell(np.float32(0.2), np.uint32(0))
+
+
+def test_cells_know_the_nearest_of_two_walls_and_none_beyond_reach(walls, scan):
+    """Of a corridor along the x axis, whose two walls both reach its middle."""
+    corridor = walls((-8, -0.4), (8, -0.4), (8, 0.4), (-8, 0.4))
+    field = LineField(26.0, 0.1, RANGE_MAX_M)
+    poses = np.array([[x, 0.0, 0.0] for x in (-2.0, 0.0, 2.0)])
+    field.add(poses, np.array([scan(corridor, pose) for pose in poses]))
+    for y in np.arange(-1.2, 1.3, 0.1):
+        away_m = min(abs(y - 0.4), abs(y + 0.4))
+        facing = field.facing_at((0.05, y + 1e-6), (0.05, 0.0))
+        if away_m < 0.2:
+            assert facing == pytest.approx(-np.sign(y) * np.pi / 2, abs=0.02)
+        elif away_m > 0.4:
+            assert np.isnan(facing)
+
+
+def test_a_field_without_lines_left_stays_as_it_is(walls, scan):
+    """Walls for which there is no line are left out; what was drawn before stands."""
+    room = walls((-4, -3), (4, -3), (4, 3), (-4, 3))
+    field = LineField(26.0, 0.1, RANGE_MAX_M)
+    pose = np.zeros((1, 3))
+    field.add(pose, scan(room, pose[0])[None])
+    field._drawn[4] = LINES_MAX
+    before = field._cells.copy()
+    field.add(pose, scan(walls((-2, -2), (2, -2), (2, 2), (-2, 2)), pose[0])[None])
+    assert (field._cells == before).all()
