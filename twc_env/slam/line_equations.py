@@ -1,7 +1,7 @@
 """What points say of a pose when each is to lie on the line of the wall nearest to it: Gauss-Newton's equations.
 
-All is worked out for many points at once, in 32 bits: of 40 m that leaves a hundredth of a millimetre. The sums of every
-LANES-th point are kept apart and added up last, so that they do not depend on how many a processor takes at once.
+All is worked out for many points at once, in 32 bits: of 40 m that leaves a hundredth of a millimetre. The sums of
+every LANES-th point are kept apart and added up last, so that they do not depend on how many a processor takes at once.
 """
 
 from __future__ import annotations

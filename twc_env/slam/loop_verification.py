@@ -88,8 +88,9 @@ def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
         if r >= range_max:
             continue
         bearing = math.atan2(y, x) * beams / (2 * math.pi)
-        low = int(math.floor(bearing)) % beams
-        free = min(abs(ranges[low]), abs(ranges[(low + 1) % beams]))
+        low = int(math.floor(bearing))  # within a turn: no remainder, which takes as long as the bearing
+        low += beams if low < 0 else 0
+        free = min(abs(ranges[low]), abs(ranges[low + 1 if low + 1 < beams else 0]))
         compared += 1
         if r < free - margin:
             through += 1

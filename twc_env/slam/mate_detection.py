@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import borrowing_kernel
 
 Array = NDArray
 
@@ -43,21 +43,23 @@ def _is_disc(ranges, directions, first, count, cx, cy, radius):
     return True
 
 
-@kernel
-def mark_mates(ranges, range_max, radius, directions, out, discs):
+@borrowing_kernel
+def mark_mates(ranges, range_max, radius, directions, is_jump, jumps, out, discs):
     """Write the marked scan to out and a row (x, y, first beam, beams) for each disc; gives how many there are.
 
-    radius is that of a robot; 0 marks nothing.
+    radius is that of a robot; 0 marks nothing. is_jump (beams,) bool and jumps (beams + 1,) int64 are room to work in.
     """
     beams = ranges.shape[0]
     step = 2 * math.pi / beams
-    jumps, count = np.empty(beams + 1, np.int64), 0
-    before = ranges[beams - 1]
     for i in range(beams):
         out[i] = ranges[i]
+    is_jump[0] = abs(ranges[0] - ranges[beams - 1]) > STEP_MAX_M
+    for i in range(1, beams):  # many beams at once
+        is_jump[i] = abs(ranges[i] - ranges[i - 1]) > STEP_MAX_M
+    count = 0
+    for i in range(beams):
         jumps[count] = i
-        count += abs(ranges[i] - before) > STEP_MAX_M
-        before = ranges[i]
+        count += is_jump[i]
     if radius <= 0.0 or count == 0:
         return 0
     jumps[count] = jumps[0] + beams
@@ -66,7 +68,8 @@ def mark_mates(ranges, range_max, radius, directions, out, discs):
         first, end = jumps[m], jumps[m + 1]
         if ranges[first - 1] < ranges[first] + BACKGROUND_MIN_M:
             continue
-        if ranges[end % beams] < ranges[(end - 1) % beams] + BACKGROUND_MIN_M:
+        beyond = end - beams if end >= beams else end  # quicker than a remainder
+        if ranges[beyond] < ranges[beyond - 1] + BACKGROUND_MIN_M:
             continue
         nearest = ranges[first]
         for k in range(first + 1, end):

@@ -178,13 +178,10 @@ def _note_touched(row, first_column, last_column, number, touched):
 
 @kernel
 def _integrate_inside(
-    log_odds, kinds, touched, number, bounds, reached, inverse_m, poses, directions, scans, range_max, crossings
+    log_odds, kinds, touched, number, bounds, reached, inverse_m, poses, directions, scans, range_max, room
 ):
     """Fold in scans that touch no more than the box `reached`, in a grid with these bounds."""
-    beams, height = scans.shape[1], crossings.shape[1]
-    counts, spans = np.empty(height, np.int32), np.empty((height, 2), np.int32)
-    corners, edges = np.empty((2, beams + 1)), np.empty((2, beams))
-    rows, cells = np.empty((2, beams), np.int32), np.empty((2, beams), np.int32)
+    crossings, counts, spans, corners, edges, rows, cells = room
     for k in range(poses.shape[0]):
         row_low, row_high = _integrate_scan(
             log_odds, bounds[0], bounds[1], inverse_m, poses[k], directions, scans[k], range_max, crossings, counts,
@@ -208,7 +205,7 @@ def _integrate_many(grid, poses, scans):
 
     Writes that box to `reached` (4,); whether it lay inside.
     """
-    log_odds, kinds, touched, numbers, boxes, inverse_m, directions, range_max, crossings, reached = grid.parts
+    log_odds, kinds, touched, numbers, boxes, inverse_m, directions, range_max, reached, room = grid.parts
     low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0
     for k in range(poses.shape[0]):
         low_x, high_x = min(low_x, poses[k, 0]), max(high_x, poses[k, 0])
@@ -225,9 +222,23 @@ def _integrate_many(grid, poses, scans):
         boxes[1, 2 + side] = max(boxes[1, 2 + side], reached[2 + side])
     numbers[0] += 1
     _integrate_inside(
-        log_odds, kinds, touched, numbers[0], bounds, reached, inverse_m, poses, directions, scans, range_max, crossings
+        log_odds, kinds, touched, numbers[0], bounds, reached, inverse_m, poses, directions, scans, range_max, room
     )
     return True
+
+
+def _working_room(beams: int, rows: int) -> tuple[Array, ...]:
+    """Crossings, counts, spans, corners, edges, their rows, and cells of `_integrate_scan`: kept, as new arrays of this
+    size take long to get."""
+    return (
+        np.zeros((beams + 2, rows), np.int32),
+        np.zeros(rows, np.int32),
+        np.zeros((rows, 2), np.int32),
+        np.zeros((2, beams + 1)),
+        np.zeros((2, beams)),
+        np.zeros((2, beams), np.int32),
+        np.zeros((2, beams), np.int32),
+    )
 
 
 class OccupancyGrid:
@@ -238,8 +249,7 @@ class OccupancyGrid:
     def __init__(self, resolution_m: float, range_max_m: float, beam_count: int):
         self.resolution_m = resolution_m
         self.range_max_m = range_max_m
-        rows = int(2 * range_max_m / resolution_m) + 8
-        self._crossings = np.zeros((beam_count + 2, rows), np.int32)
+        self._room = _working_room(beam_count, int(2 * range_max_m / resolution_m) + 8)
         self._directions, self._reached_m = beam_directions(beam_count), np.zeros(4)
         self._run: Callable[..., bool] | None = None
         """`_integrate_many` with all of this."""
@@ -280,7 +290,7 @@ class OccupancyGrid:
         return pack(
             (
                 self.log_odds, self._kinds, self._touched, self._numbers, self._boxes_m, 1.0 / self.resolution_m,
-                self._directions, self.range_max_m, self._crossings, self._reached_m,
+                self._directions, self.range_max_m, self._reached_m, self._room,
             )
         )  # fmt: skip
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Pack, bound, kernel, pack
+from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack
 from twc_env.messages import Fingerprint, WifiScan
 from twc_env.team_messages import WifiScans
 
@@ -17,6 +17,8 @@ Array = NDArray
 STD_MODES = {"population": 0, "sample": 1, "paper": 2}
 EMPTY = Fingerprint(np.zeros(0, np.int64), np.zeros(0))
 NO_AGES = np.zeros((0, 0))
+NO_MAC = np.int64(2**63 - 1)
+"""Above all addresses: what follows the last of them."""
 
 
 class ScanWindows:
@@ -139,6 +141,14 @@ def ages_of(scans: Sequence[WifiScan | None]) -> Array:
     return ages_s
 
 
+@borrowing_kernel
+def _next_young(ages, count, at, age_max):
+    """The first of the readings from number `at` on that is young enough; the count where there is none."""
+    while at < count and ages[at] > age_max:
+        at += 1
+    return at
+
+
 @kernel
 def _clipped_means(
     macs, levels, ages, counts, times, added, after, age_max, detection_min, std_mode, out_macs, out_levels
@@ -149,33 +159,37 @@ def _clipped_means(
     side by side, lowest transmitter first and oldest scan first.
     """
     size = counts.shape[0]
-    rows, at, heard = np.empty(size, np.int64), np.zeros(size, np.int64), np.empty(size)
+    rows, at, following, heard = (
+        np.empty(size, np.int64),
+        np.zeros(size, np.int64),
+        np.empty(size, np.int64),
+        np.empty(size),
+    )
     scans = 0
     for k in range(max(added - size, 0), added):
-        if times[k % size] > after:
-            rows[scans] = k % size
+        row = k % size
+        if times[row] > after:
+            rows[scans] = row
+            at[scans] = _next_young(ages[row], counts[row], at[scans], age_max)
+            following[scans] = macs[row, at[scans]] if at[scans] < counts[row] else NO_MAC
             scans += 1
     count_min = detection_min * scans - 1e-9
     found = 0
     while True:
-        mac = np.int64(0)
-        is_done = True
+        mac = NO_MAC
         for k in range(scans):
-            row = rows[k]
-            while at[k] < counts[row] and ages[row, at[k]] > age_max:
-                at[k] += 1
-            if at[k] < counts[row] and (is_done or macs[row, at[k]] < mac):
-                mac, is_done = macs[row, at[k]], False
-        if is_done:
+            mac = min(mac, following[k])
+        if mac == NO_MAC:
             return found
         n, total = 0, 0.0
         for k in range(scans):
-            row = rows[k]
-            if at[k] < counts[row] and macs[row, at[k]] == mac:
+            if following[k] == mac:
+                row = rows[k]
                 heard[n] = levels[row, at[k]]
                 total += heard[n]
                 n += 1
-                at[k] += 1
+                at[k] = _next_young(ages[row], counts[row], at[k] + 1, age_max)
+                following[k] = macs[row, at[k]] if at[k] < counts[row] else NO_MAC
         if n < count_min:
             continue
         mean = total / n

@@ -26,13 +26,13 @@ Array = NDArray
 @kernel
 def _see(
     robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, cells, lines, origins, rule,
-    has_lidar, matched, information, is_matched, explained,
+    has_lidar, room, matched, information, is_matched, explained,
 ):  # fmt: skip
     """Mark the mates in the scans and lay what is left on the fields, near the robots' states."""
-    points, h, scratch = np.empty((ranges.shape[1], 2)), np.empty(9), line_scratch()
+    is_jump, jumps, points, h, scratch = room
     for a in range(robots.shape[0]):
         k = robots[a]
-        disc_counts[k] = mark_mates(ranges[a], rule[0], mate_radius, directions, marked[k], discs[k])
+        disc_counts[k] = mark_mates(ranges[a], rule[0], mate_radius, directions, is_jump, jumps, marked[k], discs[k])
         if has_lidar:
             is_matched[k], explained[k] = match_scan(
                 cells[k], lines[k], origins[k], marked[k], directions, rule, states[k], points, h, scratch,
@@ -68,7 +68,7 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses):
     """A whole step with the compiled filters; whether a robot has come to a new place."""
     (
         states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, cells, lines,
-        origins, match_rule, has_lidar, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
+        origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
     ) = apparatus.parts  # fmt: skip
     count = states.shape[0]
     dts, matched, explained = np.empty(count), np.empty((count, 3)), np.zeros(count)
@@ -81,7 +81,7 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses):
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
     _see(
         robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, cells, lines, origins, match_rule,
-        has_lidar, matched, information, is_matched, explained,
+        has_lidar, room, matched, information, is_matched, explained,
     )  # fmt: skip
     for a in range(robots.shape[0]):
         k = robots[a]
@@ -120,7 +120,9 @@ class Tracker:
         masks = rule.mask_mates and config.robots > 1
         mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
         self._marking = (beam_directions(beams), mate_radius_m, self.marked_m, self.discs, self.disc_counts)
-        self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, config.slam.cues.lidar)
+        for_mates = np.empty(beams, bool), np.empty(beams + 1, np.int64)
+        room = *for_mates, np.empty((beams, 2)), np.empty(9), line_scratch()
+        self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, config.slam.cues.lidar, room)
         self._run: Callable[..., bool] | None = None
         """`_track` with all that it needs in every step."""
         self._keyframe_rule = np.array([rule.explained_min, rule.distance_m, rule.distance_new_m, rule.turn_rad])
