@@ -89,7 +89,8 @@ class Exchange:
         for listener, sender, is_heard in self._pairs:
             if not self._is_central:
                 self._tell_holdings(listener, sender, is_heard)
-            self._tell_keyframes(deliveries[listener], listener, sender, before, is_heard)
+            if not self._is_central or self._held[listener][sender] < len(self._paths[sender]):
+                self._tell_keyframes(deliveries[listener], listener, sender, before, is_heard)
             if wanted[listener]:
                 self._tell_scans(deliveries[listener], listener, sender, wanted[listener], is_heard)
         return deliveries

@@ -103,6 +103,21 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
         since_m[k] = travels[node] - travels[first]
 
 
+@kernel
+def _nearest(graph, robot, pose, travel_max):
+    """See `TeamGraph.nearest`."""
+    poses, _, _, _, travels, _, _, _, _, _, _, rows, counts, _, _ = graph.parts
+    best, best_squared = -1, np.inf
+    for k in range(counts[robot]):
+        node = rows[robot, k]
+        if travels[node] >= travel_max:
+            break
+        dx, dy = poses[node, 0] - pose[0], poses[node, 1] - pose[1]
+        if dx * dx + dy * dy < best_squared:
+            best, best_squared = k, dx * dx + dy * dy
+    return best, math.sqrt(best_squared)
+
+
 class GraphArrays:
     """Row by row: nodes are keyframes in the order of their arrival, edges odometry and closures."""
 
@@ -132,18 +147,20 @@ class GraphArrays:
         """Where each robot's odometry has its last keyframe."""
         self._follow: Callable[..., bool] | None = None
         self._locate: Callable[..., None] | None = None
+        self._nearest: Callable[..., tuple[int, float]] | None = None
         """The kernels of these names with all of this."""
 
     def _hold_grown(self) -> None:
         """Some arrays are others now."""
         held = self._all()
         self._follow, self._locate = rebound(self._follow, held), rebound(self._locate, held)
+        self._nearest = rebound(self._nearest, held)
 
     def _all(self) -> Pack:
         return pack((*self._nodes, *self._edges, self._rows, self._counts, self.tied, self._latest_odom))
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_follow": None, "_locate": None}
+        return self.__dict__ | {"_follow": None, "_locate": None, "_nearest": None}
 
     def add_node(self, keyframe: Keyframe) -> int:
         """A keyframe, put where odometry leads from the robot's last one; gives its node."""
@@ -185,6 +202,16 @@ class GraphArrays:
         if self._locate is None:
             self._locate = bound(_locate, self._all(), robots, others, *into)
         self._locate(robots, others, *into)
+
+    def nearest(self, robot: int, pose: Array, travel_max_m: float) -> tuple[int, float]:
+        """See `TeamGraph.nearest`."""
+        if self._nearest is None:
+            self._nearest = bound(_nearest, self._all(), robot, pose, travel_max_m)
+        return self._nearest(robot, pose, travel_max_m)
+
+    def rows_of(self, nodes: Array | slice) -> tuple[Array, Array]:
+        """Poses (k, 3) and scans (k, beams) of some nodes."""
+        return self._nodes[0][nodes], self._nodes[1][nodes]
 
     def nodes_of(self, robot: int) -> Array:
         """(keyframes,) its nodes, ascending."""

@@ -179,7 +179,7 @@ class GroupMaps:
 
     def _draw(self, grid: OccupancyGrid, nodes: Array | slice) -> None:
         cells = grid.log_odds
-        grid.integrate(self._graph.poses[nodes], self._graph.scans[nodes])
+        grid.integrate(*self._graph.rows_of(nodes))
         self.changes += grid.log_odds is not cells
 
     def _new_grid(self) -> OccupancyGrid:

@@ -21,18 +21,6 @@ Array = NDArray
 
 
 @borrowing_kernel
-def _nearest(poses, nodes, travels, travel_max, x, y):
-    best, best_squared = -1, np.inf
-    for k in range(nodes.shape[0]):
-        if travels[nodes[k]] >= travel_max:
-            break
-        dx, dy = poses[nodes[k], 0] - x, poses[nodes[k], 1] - y
-        if dx * dx + dy * dy < best_squared:
-            best, best_squared = k, dx * dx + dy * dy
-    return best, math.sqrt(best_squared)
-
-
-@borrowing_kernel
 def _between(a, b, out):
     """The pose of b in a."""
     c, s = math.cos(a[2]), math.sin(a[2])
@@ -127,6 +115,10 @@ class TeamGraph:
     def travels_m(self) -> Array:
         """(nodes,) path length of its robot up to each."""
         return self._arrays.travels_m
+
+    def rows_of(self, nodes: Array | slice) -> tuple[Array, Array]:
+        """Poses (k, 3) and scans (k, beams) of some nodes."""
+        return self._arrays.rows_of(nodes)
 
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) of one robot."""
@@ -247,7 +239,7 @@ class TeamGraph:
 
         (-1, inf) where there is none.
         """
-        return _nearest(self.poses, self._arrays.nodes_of(robot), self.travels_m, travel_max_m, pose[0], pose[1])
+        return self._arrays.nearest(robot, pose, travel_max_m)
 
     def place(self, nodes: Sequence[int] | Array, poses: Array) -> None:
         """Move nodes to new poses."""
