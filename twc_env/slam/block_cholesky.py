@@ -30,8 +30,11 @@ class BlockCholesky:
         pattern = _eliminate(np.ascontiguousarray(pairs, np.int64), count, DENSE_FROM, DENSE_SHARE)
         self.block_of_pair = pattern[0]
         self.block_count = int(pattern[1])
-        self._order, self._start, self._node, self._block, self._target_start, self._target = pattern[2:8]
+        self.pattern = pattern[2:8]
+        """Order, start, nodes, blocks, start of targets and targets, as `factorise` takes them."""
         self._rest, self._rest_pairs = pattern[8], pattern[9]
+        self.has_dense_rest = len(self._rest) > 0
+        """Whether something is left that is factorised densely."""
 
     def solve(self, diagonal: Array, blocks: Array, right: Array) -> Array | None:
         """x (count, 3) with H x = right; None unless H is positive definite.
@@ -41,11 +44,11 @@ class BlockCholesky:
         diagonal, solution = diagonal.copy(), right.copy()
         filled = np.zeros((self.block_count, 3, 3))
         filled[: len(blocks)] = blocks
-        lower = np.empty((len(self._node), 3, 3))
-        order = (self._order, self._start, self._node)
-        if not _factorise(*order, self._block, self._target_start, self._target, diagonal, filled, lower, solution):
+        order, start, node_of = self.pattern[:3]
+        lower = np.empty((len(node_of), 3, 3))
+        if not factorise(*self.pattern, diagonal, filled, lower, solution):
             return None
-        if len(self._rest):
+        if self.has_dense_rest:
             from scipy.linalg.lapack import dpotrf, dpotrs  # a tenth of a start's time, and not needed in it
 
             dense, part = _dense_rest(self._rest, self._rest_pairs, diagonal, filled, solution)
@@ -53,7 +56,7 @@ class BlockCholesky:
             if failed:
                 return None
             solution[self._rest] = dpotrs(factor, part, lower=1)[0].reshape(-1, 3)
-        _substitute_back(*order, diagonal, lower, solution)
+        substitute_back(order, start, node_of, diagonal, lower, solution)
         return solution
 
 
@@ -212,7 +215,7 @@ def _eliminate(pairs, count, dense_from, dense_share):
 
 
 @borrowing_kernel
-def _factorise(order, start, node_of, block_of, target_start, target, diagonal, blocks, lower, right):
+def factorise(order, start, node_of, block_of, target_start, target, diagonal, blocks, lower, right):
     """Eliminate in order: diagonal becomes 3 x 3 Cholesky factors, lower the columns, right the forward solution."""
     for step in range(len(order)):
         p = order[step]
@@ -305,7 +308,8 @@ def _dense_rest(rest, pairs, diagonal, blocks, right):
 
 
 @borrowing_kernel
-def _substitute_back(order, start, node_of, diagonal, lower, solution):
+def substitute_back(order, start, node_of, diagonal, lower, solution):
+    """From the forward solution, with the factors that `factorise` left, to the solution itself."""
     for step in range(len(order) - 1, -1, -1):
         p = order[step]
         x0, x1, x2 = solution[p, 0], solution[p, 1], solution[p, 2]
