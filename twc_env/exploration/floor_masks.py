@@ -39,7 +39,8 @@ class FloorMasks:
     """The mask of each map; they follow from what they are asked for, so copies may begin without any."""
 
     def __init__(self) -> None:
-        self._held: dict[int, _Held] = {}
+        self._held: dict[int, tuple[_Held, ...]] = {}
+        """Of each map the latest two: often it goes back and forth between two places."""
 
     def __reduce__(self):
         return FloorMasks, ()
@@ -53,14 +54,20 @@ class FloorMasks:
         assert touched is not None
         x, y, turn = pose_building_map.tolist()
         place = round(x / PLACE_M), round(y / PLACE_M), round(turn / TURN_RAD)
-        held = self._held.get(owner)
-        if held is None or held.grid is not grid or held.place != place:
-            rounded = np.array([place[0] * PLACE_M, place[1] * PLACE_M, place[2] * TURN_RAD])
-            mask = metrics.floor_mask(
-                grid.log_odds.shape, grid.origin_m, grid.resolution_m, rounded, cells.free, cells.origin_m,
-                cells.resolution_m,
-            )  # fmt: skip
-            known, counts = np.full(touched.shape, -1), np.zeros(touched.shape, np.int64)
-            held = self._held[owner] = _Held(grid, place, mask, known, counts)
+        kept = self._held.get(owner, ())
+        for held in kept:
+            if held.place == place and held.grid is grid:
+                break
+        else:
+            held = _hold(grid, place, touched, cells)
+            self._held[owner] = (held, *kept[:1])
         count = metrics.recount_free(grid.log_odds, held.mask, touched, held.known, held.counts)
         return count * grid.resolution_m**2
+
+
+def _hold(grid: GridMap, place: tuple[int, int, int], touched: Array, cells: Cells) -> _Held:
+    rounded = np.array([place[0] * PLACE_M, place[1] * PLACE_M, place[2] * TURN_RAD])
+    mask = metrics.floor_mask(
+        grid.log_odds.shape, grid.origin_m, grid.resolution_m, rounded, cells.free, cells.origin_m, cells.resolution_m
+    )
+    return _Held(grid, place, mask, np.full(touched.shape, -1), np.zeros(touched.shape, np.int64))
