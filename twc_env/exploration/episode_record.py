@@ -50,11 +50,6 @@ class EpisodeRecord:
         return int(np.count_nonzero(contacts[1:] & ~contacts[:-1]))
 
     @property
-    def true_poses_now(self) -> Array:
-        """(robots, 3) building frame, after the latest step."""
-        return self._kept[0][self.count - 1]
-
-    @property
     def true_poses(self) -> Array:
         """(steps + 1, robots, 3) building frame."""
         return self._kept[0][: self.count]

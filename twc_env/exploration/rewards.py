@@ -52,8 +52,7 @@ class Standing:
         return cls([0.0] * 3, [[0.0] * 3 for _ in range(robots)])
 
 
-@dataclass(frozen=True, slots=True)
-class JudgedMap:
+class JudgedMap(NamedTuple):
     """A map that robots believe in, against the truth."""
 
     viewers: tuple[int, ...]

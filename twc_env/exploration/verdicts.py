@@ -18,6 +18,7 @@ from twc_env.metrics.merging import WRONG_M, WRONG_RAD, find_frames, find_wrong
 from twc_env.metrics.trajectory import HEADING_LEVER_M, align
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
+from twc_env.slam.team import TeamMapper
 from twc_env.world.floor_cells import Cells
 
 Array = NDArray
@@ -39,7 +40,7 @@ class GroupVerdict:
 
 def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     """Lay a group's map on the building and measure it."""
-    place = _lay(view, record)
+    place = _lay(view.robots, view.mapper.nodes, record.true_poses)
     grid, area_m2, (pose, wrong) = view.mapper.grid_of(view.group), 0.0, place or (np.zeros(3), ())
     if place is not None:
         area_m2 = metrics.correct_area_m2(
@@ -49,16 +50,25 @@ def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     return GroupVerdict(view, view.robots, grid, pose, wrong, area_m2)
 
 
-def _lay(view: View, record: EpisodeRecord) -> tuple[Array, tuple[tuple[int, int], ...]] | None:
-    """The pose (3,) that lays a group's map on the building, and its wrongly merged pairs; None without keyframes."""
-    robots, nodes, pose = view.robots, view.mapper.nodes, np.empty(3)
+def _lay(
+    robots: tuple[int, ...], nodes: tuple[Array, Array, Array], true_poses: Array
+) -> tuple[Array, tuple[tuple[int, int], ...]] | None:
+    """The pose (3,) that lays a group's map on the building, and its wrongly merged pairs; None without keyframes.
+
+    nodes: as `TeamMapper.nodes` of the mapper that has the map.
+    """
     if not len(nodes[0]):
         return None
-    is_wrong = np.zeros((len(robots), len(robots)), bool)
-    count = _lay_paths(np.array(robots), *nodes, record.true_poses, pose, is_wrong)
+    pose, is_wrong = np.empty(3), np.zeros((len(robots), len(robots)), bool)
+    count = _lay_paths(_numbers(robots), *nodes, true_poses, pose, is_wrong)
     if count < 0:
         return None
     return pose, tuple((robots[i], robots[j]) for i, j in np.argwhere(is_wrong).tolist()) if count else ()
+
+
+@lru_cache(maxsize=64)
+def _numbers(robots: tuple[int, ...]) -> Array:
+    return np.array(robots)
 
 
 @kernel
@@ -113,23 +123,28 @@ def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerd
 
 def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool = False) -> Standing:
     """The potentials that rewards look at, judged now; the last time by every cell of the floor, as the report does."""
-    whole_m2, true, maps = floor_m2(cells), record.true_poses_now.tolist(), []
+    true_poses, maps = record.true_poses, []
+    whole_m2, true = floor_m2(cells), true_poses[-1].tolist()
+    nodes: dict[TeamMapper, tuple[Array, Array, Array]] = {}
     errors_m = [0.0] * len(true)
     for view in engine.views():
         x, y, c, s = 0.0, 0.0, 1.0, 0.0
-        place = _lay(view, record)
+        viewers, robots, mapper = view.viewers, view.robots, view.mapper
+        if mapper not in nodes:  # mappers have several maps
+            nodes[mapper] = mapper.nodes
+        place = _lay(robots, nodes[mapper], true_poses)
         if place is not None:
             pose, wrong = place
             record.wrong_pairs.update(wrong)
             x, y, turn = pose.tolist()
             c, s = math.cos(turn), math.sin(turn)
-            grid = view.mapper.grid_of(view.group)
+            grid = mapper.grid_of(view.group)
             if is_last:
                 area_m2 = judge_view(view, record, cells).correct_area_m2
             else:
-                area_m2 = record.floor_masks.correct_area_m2(view.viewers[0], grid, pose, cells)
-            maps.append(JudgedMap(view.viewers, len(view.robots), not wrong, area_m2 / whole_m2))
-        for robot in view.viewers:
+                area_m2 = record.floor_masks.correct_area_m2(viewers[0], grid, pose, cells)
+            maps.append(JudgedMap(viewers, len(robots), not wrong, area_m2 / whole_m2))
+        for robot in viewers:
             ahead, left, _ = engine.pose_map_robot(robot).tolist()
             believed = x + c * ahead - s * left, y + s * ahead + c * left
             errors_m[robot] = math.dist(believed, true[robot][:2])
