@@ -27,7 +27,12 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     Division by zero gives what numpy gives (infinity or NaN). There are no bounds checks: clamp every index.
     """
-    return _compiled(function, counts_references=True)
+    return _compiled(function)
+
+
+def rare_kernel(function: Callable[..., Any]) -> Any:
+    """The same for what is called so rarely that it need not be quick, only there soon."""
+    return _compiled(function, _dbg_optnone=True)
 
 
 def borrowing_kernel(function: Callable[..., Any]) -> Any:
@@ -35,16 +40,15 @@ def borrowing_kernel(function: Callable[..., Any]) -> Any:
     kernels it calls and returns none. Nothing then counts who holds an array, so that calls with many cost less. A pack
     is given to it as `Lent`.
     """
-    return _compiled(function, counts_references=False)
+    return _compiled(function, _nrt=False)
 
 
-def _compiled(function: Callable[..., Any], counts_references: bool) -> Any:
+def _compiled(function: Callable[..., Any], **others: bool) -> Any:
     for name in function.__code__.co_names:
         value = function.__globals__.get(name)
         if isinstance(value, ModuleType) and value.__name__.startswith("twc_env."):
             raise TypeError(f"kernel {function.__name__}: import names from {value.__name__}, not the module")
-    options: dict[str, Any] = {"boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True}
-    options["_nrt"] = counts_references
+    options = {"boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": True, **others}
     if not NUMBA_MIN <= _version(numba.__version__) <= NUMBA_MAX:
         return njit(**options)(function)  # on disk numba alone could mistake an old state of the sources for this one
     from twc_env.kernel_compiler import KernelDispatcher  # another numba may lack what this imports
@@ -75,7 +79,7 @@ structref.define_constructor(Pack, _PackType, ["parts"])
 structref.define_attributes(_PackType)
 
 
-@kernel
+@rare_kernel
 def pack(parts):
     """Put the arrays and numbers of a tuple together for kernels that are called time and again with them."""
     return Pack(parts)
