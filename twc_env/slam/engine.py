@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import CuesConfig, EnvConfig
-from twc_env.kernels import borrowing_kernel, bound
+from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
@@ -26,11 +26,12 @@ Array = NDArray
 
 
 @borrowing_kernel
-def _believed_poses(poses_map_odom, std, poses_odom, mates, are_heard_now, heard_poses, out, mate_poses):
+def _believed_poses(held, poses_odom, mates, out, mate_poses):
     """Of each robot, to out (robots, 3, 3): its pose in the map, how far that may be off, its pose in odom.
 
     Also where its mates are in the map: now, or when they were heard of last.
     """
+    poses_map_odom, std, are_heard_now, heard_poses = parts_of(held)
     for k in range(out.shape[0]):
         c, s = math.cos(poses_map_odom[k, 2]), math.sin(poses_map_odom[k, 2])
         x, y, heading = poses_odom[k, 0], poses_odom[k, 1], poses_odom[k, 2]
@@ -191,12 +192,10 @@ class CooperativeSlam:
                 self._relocate(number, mapper)
         self._poses, self._mate_poses = np.empty(self._poses.shape), np.empty(self._heard_poses.shape)
         self._beliefs = None
-        now = (
-            self._std, self._front_ends.poses_odom, self._mates, self._is_central, self._heard_poses, self._poses,
-            self._mate_poses,
-        )  # fmt: skip
+        now = self._front_ends.poses_odom, self._mates, self._poses, self._mate_poses
         if self._run is None:
-            self._run = bound(_believed_poses, self._poses_map_odom, *now)
+            held = self._poses_map_odom, self._std, self._is_central, self._heard_poses
+            self._run = bound(_believed_poses, Lent(pack(held)), *now)
         self._run(*now)
 
     def _relocate(self, number: int, mapper: TeamMapper) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack, rebound
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.odometry_filter import invert3
 
@@ -54,13 +54,13 @@ def _put_edge(edge, first, second, measurement, covariance, closure, is_used, en
     kinds[edge], used[edge] = closure, is_used
 
 
-@kernel
+@borrowing_kernel
 def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covariance, ranges):
     """Write a robot's next node, and the edge of odometry that leads to it; whether there is one."""
     (
         poses, scans, robots, steps, travels, strains, ends, measured, information, kinds, used, rows, counts, tied,
         latest_odom,
-    ) = graph.parts  # fmt: skip
+    ) = parts_of(graph)  # fmt: skip
     count = counts[robot]
     previous = rows[robot, count - 1] if count > 0 else np.int64(-1)
     _put_node(
@@ -78,10 +78,10 @@ def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covarianc
     return True
 
 
-@kernel
+@borrowing_kernel
 def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
     """See `GraphArrays.locate`."""
-    poses, _, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom = graph.parts
+    poses, _, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom = parts_of(graph)
     for k in robots:
         for a in range(others.shape[1]):
             other = others[k, a]
@@ -103,10 +103,10 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
         since_m[k] = travels[node] - travels[first]
 
 
-@kernel
+@borrowing_kernel
 def _nearest(graph, robot, pose, travel_max):
     """See `TeamGraph.nearest`."""
-    poses, _, _, _, travels, _, _, _, _, _, _, rows, counts, _, _ = graph.parts
+    poses, _, _, _, travels, _, _, _, _, _, _, rows, counts, _, _ = parts_of(graph)
     best, best_squared = -1, np.inf
     for k in range(counts[robot]):
         node = rows[robot, k]
@@ -156,8 +156,8 @@ class GraphArrays:
         self._follow, self._locate = rebound(self._follow, held), rebound(self._locate, held)
         self._nearest = rebound(self._nearest, held)
 
-    def _all(self) -> Pack:
-        return pack((*self._nodes, *self._edges, self._rows, self._counts, self.tied, self._latest_odom))
+    def _all(self) -> Lent:
+        return Lent(pack((*self._nodes, *self._edges, self._rows, self._counts, self.tied, self._latest_odom)))
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_follow": None, "_locate": None, "_nearest": None}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Pack, bound, kernel, pack
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of
 from twc_env.messages import Keyframe, SignObservation
 from twc_env.slam.mate_detection import StillDiscs, unmark
 from twc_env.slam.odometry_filter import motion_covariance
@@ -39,7 +39,7 @@ def _measure_motion(last, pose, steps, length, variances, matched, motion, covar
     motion_covariance((moved, moved, steps * variances[2]), pose[2], 0.5 * matched, MOTION_STD_MIN, covariance)
 
 
-@kernel
+@borrowing_kernel
 def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
     """Fill the arrays of a keyframe of robot k, scan (1, beams) and pose (1, 3), and draw it into the local map.
 
@@ -48,8 +48,9 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
     """
     (
         marked, discs, disc_counts, seen, following, travels, steps, information, last_poses, last_travels, variances,
-        window, std_mode, cells, lines, origins, drawn, centres, reach, inverse_m, range_max, directions,
-    ) = apparatus.parts  # fmt: skip
+        window, std_mode, cells, lines, origins, drawn, centres, reach, inverse_m, range_max,
+        directions, ends,
+    ) = parts_of(apparatus)  # fmt: skip
     here = poses[k]
     for i in range(scan.shape[1]):
         scan[0, i] = marked[k, i]
@@ -70,7 +71,7 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
     is_drawn = (
         math.hypot(dx, dy) <= reach
         and has_room
-        and draw_scans(cells[k], lines[k], origins[k], inverse_m, pose, directions, scan, range_max, drawn[k])
+        and draw_scans(cells[k], lines[k], origins[k], inverse_m, pose, directions, scan, range_max, ends, drawn[k])
     )
     return heard, travels[k], is_drawn
 
@@ -109,18 +110,18 @@ class KeyframeTaker:
         )
         return keyframe, is_drawn
 
-    def _packed(self) -> Pack:
+    def _packed(self) -> Lent:
         """What `_take` needs every time."""
         tracker, fields = self._tracker, self._tracker.fields
-        return pack(
-            (
-                tracker.marked_m, tracker.discs, tracker.disc_counts, self._still.seen, self._still.following,
-                tracker.travels_m, tracker.steps, tracker.information, tracker.keyframe_poses, self._last_travels_m,
-                self._variances, self._window, self._std_mode, fields.cells, fields.lines, fields.origins_m,
-                fields.drawn, self.centres_m, self._reach_m, fields.inverse_m, fields.range_max_m,
-                beam_directions(tracker.marked_m.shape[1]),
-            )
+        beams = tracker.marked_m.shape[1]
+        parts = (
+            tracker.marked_m, tracker.discs, tracker.disc_counts, self._still.seen, self._still.following,
+            tracker.travels_m, tracker.steps, tracker.information, tracker.keyframe_poses, self._last_travels_m,
+            self._variances, self._window, self._std_mode, fields.cells, fields.lines, fields.origins_m,
+            fields.drawn, self.centres_m, self._reach_m, fields.inverse_m, fields.range_max_m,
+            beam_directions(beams), np.empty((beams + 1, 2)),
         )  # fmt: skip
+        return Lent(pack(parts))
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack, rebound
+from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of, rebound
 from twc_env.messages import BLOCK_SHAPE, GridMap
 from twc_env.slam.cell_kinds import note_kinds
 
@@ -176,7 +176,7 @@ def _note_touched(row, first_column, last_column, number, touched):
         touched[row // BLOCK_ROWS, block] = number
 
 
-@kernel
+@borrowing_kernel
 def _integrate_inside(
     log_odds, kinds, touched, number, bounds, reached, inverse_m, poses, directions, scans, range_max, room
 ):
@@ -199,13 +199,13 @@ def _integrate_inside(
             _note_touched(row, max(left, 0), min(right, log_odds.shape[1]) - 1, number, touched)
 
 
-@kernel
+@borrowing_kernel
 def _integrate_many(grid, poses, scans):
     """Fold in scans that lie inside the first box, and widen the second by what these can touch.
 
     Writes that box to `reached` (4,); whether it lay inside.
     """
-    log_odds, kinds, touched, numbers, boxes, inverse_m, directions, range_max, reached, room = grid.parts
+    log_odds, kinds, touched, numbers, boxes, inverse_m, directions, range_max, reached, room = parts_of(grid)
     low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0
     for k in range(poses.shape[0]):
         low_x, high_x = min(low_x, poses[k, 0]), max(high_x, poses[k, 0])
@@ -285,14 +285,13 @@ class OccupancyGrid:
             self._run = bound(_integrate_many, self._packed(), poses, scans)
         return self._run(poses, scans)
 
-    def _packed(self) -> Pack:
+    def _packed(self) -> Lent:
         """What `_integrate_many` needs every time."""
-        return pack(
-            (
-                self.log_odds, self._kinds, self._touched, self._numbers, self._boxes_m, 1.0 / self.resolution_m,
-                self._directions, self.range_max_m, self._reached_m, self._room,
-            )
+        parts = (
+            self.log_odds, self._kinds, self._touched, self._numbers, self._boxes_m, 1.0 / self.resolution_m,
+            self._directions, self.range_max_m, self._reached_m, self._room,
         )  # fmt: skip
+        return Lent(pack(parts))
 
     def snapshot(self) -> GridMap:
         """A read-only view of the cells as they are now; valid until the next `integrate`."""

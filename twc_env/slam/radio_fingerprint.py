@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of
 from twc_env.messages import Fingerprint, WifiScan
 from twc_env.team_messages import WifiScans
 
@@ -29,17 +29,18 @@ class ScanWindows:
         self._counts, self._times_s = np.zeros((receivers, scans_max), np.int64), np.zeros((receivers, scans_max))
         self._added = np.zeros(receivers, np.int64)
         self._found = _found(scans_max, 32)
-        self._pack: Pack | None = None
+        self._room = np.empty((3, scans_max), np.int64), np.empty(scans_max)
+        """Of each scan, while they are read side by side: its row, place and transmitter; and strengths."""
+        self._pack: Lent | None = None
         self._run: Callable[..., int] | None = None
         """`_keep` with all of this."""
 
     @property
-    def rings(self) -> Pack:
+    def rings(self) -> Lent:
         """All of it, for `fingerprint_of`."""
         if self._pack is None:
-            self._pack = pack(
-                (self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added, *self._found)
-            )
+            kept = self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added
+            self._pack = Lent(pack((*kept, *self._found, *self._room)))
         return self._pack
 
     def __getstate__(self) -> dict:
@@ -95,10 +96,10 @@ def _found(scans: int, width: int) -> tuple[Array, Array]:
     return np.empty(scans * width, np.int64), np.empty(scans * width)
 
 
-@kernel
+@borrowing_kernel
 def _keep(rings, time, receivers, macs, levels, ages, heard):
     """Write scans to the rings, without ages as all new, and give 0; or nothing, and how many readings need room."""
-    kept_macs, kept_levels, kept_ages, counts, times, added, _, _ = rings.parts
+    kept_macs, kept_levels, kept_ages, counts, times, added, _, _, _, _ = parts_of(rings)
     most = np.int64(0)
     for a in range(receivers.shape[0]):
         most = max(most, heard[a])
@@ -149,27 +150,24 @@ def _next_young(ages, count, at, age_max):
     return at
 
 
-@kernel
+@borrowing_kernel
 def _clipped_means(
-    macs, levels, ages, counts, times, added, after, age_max, detection_min, std_mode, out_macs, out_levels
+    macs, levels, ages, counts, times, added, after, age_max, detection_min, std_mode, out_macs, out_levels,
+    places, heard,
 ):  # fmt: skip
     """For each transmitter with enough readings the mean of those within one spread; gives how many there are.
 
     The rows are a ring in which the next scan would be number `added`; each ascends. Those later than `after` are read
-    side by side, lowest transmitter first and oldest scan first.
+    side by side, lowest transmitter first and oldest scan first. places (3, scans) and heard (scans,) are room for it.
     """
     size = counts.shape[0]
-    rows, at, following, heard = (
-        np.empty(size, np.int64),
-        np.zeros(size, np.int64),
-        np.empty(size, np.int64),
-        np.empty(size),
-    )
+    rows, at, following = places[0], places[1], places[2]
     scans = 0
     for k in range(max(added - size, 0), added):
         row = k % size
         if times[row] > after:
             rows[scans] = row
+            at[scans] = 0
             at[scans] = _next_young(ages[row], counts[row], at[scans], age_max)
             following[scans] = macs[row, at[scans]] if at[scans] < counts[row] else NO_MAC
             scans += 1
@@ -211,13 +209,13 @@ def _clipped_means(
         found += 1
 
 
-@kernel
+@borrowing_kernel
 def fingerprint_of(receiver, rings, after, age_max, detection_min, std_mode):
     """`_clipped_means` of one receiver of `ScanWindows.rings`, found there."""
-    macs, levels, ages, counts, times, added, found_macs, found_levels = rings.parts
+    macs, levels, ages, counts, times, added, found_macs, found_levels, places, heard = parts_of(rings)
     return _clipped_means(
         macs[receiver], levels[receiver], ages[receiver], counts[receiver], times[receiver], added[receiver], after,
-        age_max, detection_min, std_mode, found_macs, found_levels,
+        age_max, detection_min, std_mode, found_macs, found_levels, places, heard,
     )  # fmt: skip
 
 

@@ -265,7 +265,7 @@ class LineField:
         directions = beam_directions(scans.shape[1])
         if not draw_scans(
             self._cells, self._lines, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m,
-            self._drawn,
+            np.empty((scans.shape[1] + 1, 2)), self._drawn,
         ):  # fmt: skip
             raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Pack, borrowing_kernel, bound, kernel, pack
+from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of
 from twc_env.slam.line_equations import line_scratch
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
 from twc_env.slam.odometry_filter import CompiledFilters, make_filters, predict_state, update_state
@@ -23,7 +23,7 @@ from twc_env.team_messages import TeamFrames
 Array = NDArray
 
 
-@kernel
+@borrowing_kernel
 def _see(
     robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, cells, lines, origins, rule,
     has_lidar, room, matched, information, is_matched, explained,
@@ -63,16 +63,14 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
     return has_arrived
 
 
-@kernel
+@borrowing_kernel
 def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses):
     """A whole step with the compiled filters; whether a robot has come to a new place."""
     (
         states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, cells, lines,
         origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
-    ) = apparatus.parts  # fmt: skip
-    count = states.shape[0]
-    dts, matched, explained = np.empty(count), np.empty((count, 3)), np.zeros(count)
-    is_matched = np.zeros(count, np.bool_)
+        dts, matched, is_matched, explained,
+    ) = parts_of(apparatus)  # fmt: skip
     for a in range(robots.shape[0]):
         k = robots[a]
         dts[a] = now_s - times[k]
@@ -140,15 +138,16 @@ class Tracker:
             self._run = bound(_track, self._packed(self._filters), *now)
         self.has_arrived = self._run(*now)
 
-    def _packed(self, filters: CompiledFilters) -> Pack:
+    def _packed(self, filters: CompiledFilters) -> Lent:
         """What `_track` needs in every step."""
-        return pack(
-            (
-                filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
-                *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
-                self.travels_m, self.steps, self.is_new,
-            )
+        count = len(self.poses_odom)
+        room = np.empty(count), np.empty((count, 3)), np.zeros(count, bool), np.zeros(count)
+        parts = (
+            filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
+            *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
+            self.travels_m, self.steps, self.is_new, *room,
         )  # fmt: skip
+        return Lent(pack(parts))
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import borrowing_kernel
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, distance_in, line_in, wall_cell
 
 REACH_M = 0.49
@@ -158,14 +158,6 @@ def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_m
     _add_run(cells, lines, inverse_m, ends, count, drawn)
 
 
-@kernel
-def _add_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_max, drawn):
-    """Draw scans whose numbers are sound."""
-    ends = np.empty((scans.shape[1] + 1, 2))
-    for k in range(poses.shape[0]):
-        _add_scan(cells, lines, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn)
-
-
 @borrowing_kernel
 def _are_sound(poses, scans):
     """Whether all poses are finite, and ranges numbers; infinite ones mean no return."""
@@ -179,15 +171,16 @@ def _are_sound(poses, scans):
 
 
 @borrowing_kernel
-def draw_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_max, drawn):
+def draw_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_max, ends, drawn):
     """Draw scans (k, beams) [m] taken at poses (k, 3) into cells (rows, columns), see `wall_cells`, and lines (n, 3).
 
     A line is a normal and an offset. origin (2,): the field's corner, from which the offsets are measured. directions
-    (beams, 2): cosine and sine. drawn (5,): left, bottom, right and top end of the cells drawn so far, widened here,
-    and how many lines there are. Gives False, and draws nothing, where a range is no number or a pose is not finite;
-    walls for which there are no lines left are left out.
+    (beams, 2): cosine and sine. ends (beams + 1, 2) is room to work in. drawn (5,): left, bottom, right and top end of
+    the cells drawn so far, widened here, and how many lines there are. Gives False, and draws nothing, where a range is
+    no number or a pose is not finite; walls for which there are no lines left are left out.
     """
     if not _are_sound(poses, scans):
         return False
-    _add_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_max, drawn)
+    for k in range(poses.shape[0]):
+        _add_scan(cells, lines, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn)
     return True
