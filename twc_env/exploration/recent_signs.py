@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import borrowing_kernel
+from twc_env.kernels import borrowing_kernel, bound
 from twc_env.messages import KnownSign, SignReading
 from twc_env.team_messages import KnownSigns
 
@@ -32,6 +32,11 @@ class RecentSigns:
         self._known: Sequence[Sequence[KnownSign]] = ()
         self._known_of: list[Sequence[KnownSign]] = [()] * robots
         self._text_counts: list[Counter[str]] = [Counter()] * robots
+        self._run: Callable[..., None] | None = None
+        """`_note_reading` with the readings."""
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_run": None}
 
     def remember(self, poses: Array, time_s: float, signs: Sequence[tuple[SignReading, ...]]) -> None:
         """Take in what each robot read in a step; poses as `TeamBeliefs` has them."""
@@ -39,13 +44,15 @@ class RecentSigns:
         for robot, own in enumerate(signs):
             if not own:
                 continue
-            texts = self._texts[robot]
+            texts, counts = self._texts[robot], self._text_counts[robot]
             for sign in own:
-                _note_reading(poses, robot, time_s, sign.bearing_rad, sign.range_m, self.readings)
+                elsewhere = float(max(counts[sign.text] - 1, 0))
+                reading = poses, robot, time_s, sign.bearing_rad, sign.range_m, elsewhere
+                if self._run is None:
+                    self._run = bound(_note_reading, self.readings, *reading)
+                self._run(*reading)
                 texts = [sign.text, *texts[: slots - 1]]
             self._texts[robot] = texts
-            if self._text_counts[robot]:
-                self._count_elsewhere(robot)
 
     def know(self, signs: Sequence[Sequence[KnownSign]]) -> None:
         """Take over the signs that each robot knows now; the same objects as before have not changed."""
@@ -73,11 +80,11 @@ def _index_of(texts: tuple[str, ...], places_m: bytes) -> tuple[Array, Counter[s
 
 
 @borrowing_kernel
-def _note_reading(poses, robot, time_s, bearing, away, readings):
-    """Put a sign before the other readings of a robot; as yet its text is known from nowhere else."""
+def _note_reading(readings, poses, robot, time_s, bearing, away, elsewhere):
+    """Put a sign before the other readings of a robot."""
     rows, angle = readings[robot], poses[robot, 2, 2] + bearing
     for k in range(rows.shape[0] - 1, 0, -1):
         for j in range(rows.shape[1]):
             rows[k, j] = rows[k - 1, j]
-    rows[0, 0], rows[0, 3] = time_s, 0.0
+    rows[0, 0], rows[0, 3] = time_s, elsewhere
     rows[0, 1], rows[0, 2] = poses[robot, 2, 0] + away * math.cos(angle), poses[robot, 2, 1] + away * math.sin(angle)
