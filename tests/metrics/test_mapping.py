@@ -32,9 +32,10 @@ def test_a_perfect_map_scores_one():
     assert result.correct_area_m2 == pytest.approx(result.believed_area_m2) == pytest.approx(10 * 14 * 0.01)
 
 
-def test_an_empty_map_scores_nothing():
+@pytest.mark.parametrize("shape", [(5, 5), (0, 0)])
+def test_an_empty_map_scores_nothing(shape):
     free, wall = room()
-    result = score(np.zeros((5, 5), np.int16), free, wall)
+    result = score(np.zeros(shape, np.int16), free, wall)
     assert (result.correct_area_m2, result.coverage_correct, result.map_iou, result.wall_iou) == (0, 0, 0, 0)
 
 

@@ -96,6 +96,8 @@ def score_map(
     with r the share of those that the map has within one cell, and p the share of the map's wall cells that have a true
     wall within one cell, wall_iou = p r / (p + r - p r), which is the plain IoU when both hold exactly.
     """
+    if not log_odds.size:
+        return MapScore(0.0, 0.0, 0.0, 0.0, 0.0)
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
     cell_m2 = truth_resolution_m**2
     whole = np.ascontiguousarray(log_odds)
