@@ -39,10 +39,10 @@ class Dynamics:
 
     def __init__(self, config: DynamicsConfig, index: WallIndex, starts: Array):
         """Walls and start poses (n, 3) in one frame; the robots begin at rest."""
-        self._space, self._radius_m = _walled_space(index.walls_m), config.robot_radius_m
-        starts = np.asarray(starts, float)
-        for pose in starts:
-            _add_robot(self._space, pose, config.robot_radius_m)
+        self._radius_m, self._starts = config.robot_radius_m, np.array(starts, float)
+        self._space: pymunk.Space | None = None
+        """Made when something may touch for the first time: in many an episode nothing ever does."""
+        self._anchored: set[int] = set()
         self._limits = np.array(
             [
                 config.speed_max_m_s,
@@ -54,10 +54,10 @@ class Dynamics:
         stride_m = config.speed_max_m_s * config.time_step_s
         self._substeps = max(1, math.ceil(stride_m / (_STRIDE_RADII * config.robot_radius_m)))
         self._time_step_s, self._reach_m = config.time_step_s, config.robot_radius_m + stride_m + 2 * _CLEAR_M
-        self._count = len(starts)
+        self._count = len(self._starts)
         # x, y, heading, velocity x, y and turn rate of each body, as pymunk lists them; the last carries the walls.
         self._state = np.zeros((self._count + 1, 6))
-        self._state[:-1, :3] = starts
+        self._state[:-1, :3] = self._starts
         self._make_buffers()
         self._gaps = np.empty(self._count)
         """(n,) from each robot's middle to the nearest wall, cut where no step reaches."""
@@ -98,30 +98,38 @@ class Dynamics:
 
     def collide(self) -> None:
         """The step that `advance` has refused, in the rigid-body world."""
-        batch.set_space_bodies(self._space, _STATE, self._outgoing)
+        space = self._space
+        if space is None:
+            space = self._space = _space(self._walls[0], self._starts, self._radius_m)
+            _anchor(space, self._anchored)
+        batch.set_space_bodies(space, _STATE, self._outgoing)
         for _ in range(self._substeps):
-            self._space.step(self._time_step_s / self._substeps)
+            space.step(self._time_step_s / self._substeps)
         self._incoming.clear()
-        batch.get_space_bodies(self._space, _STATE, self._incoming)
+        batch.get_space_bodies(space, _STATE, self._incoming)
         self._state[:] = np.frombuffer(self._incoming.float_buf()).reshape(self._count + 1, 6)
         self._look_around()
 
     def anchor(self, robots: Iterable[int]) -> None:
         """From now on nobody can push these robots: their brakes hold."""
-        bodies = list(self._space.bodies)
-        for robot in robots:
-            bodies[robot].mass = _ANCHORED_KG
+        robots = set(robots) - self._anchored
+        self._anchored |= robots
+        if self._space is not None:
+            _anchor(self._space, robots)
 
     def _look_around(self) -> None:
         _look_around(self._state, *self._walls, self._radius_m, self._reach_m, self._gaps, self.poses, self.contacts)
 
 
-def _walled_space(walls_m: Array) -> pymunk.Space:
+def _space(walls_m: Array, starts: Array, radius_m: float) -> pymunk.Space:
+    """The walls, and robots where they start."""
     space = pymunk.Space()
     space.collision_slop = _SLOP_M
     space.collision_bias = _PENETRATION_KEPT_PER_S
     space.collision_persistence = 1  # steps are left out: what touched in the last one is no hint
     space.add(*(pymunk.Segment(space.static_body, a, b, 0.0) for a, b in walls_m.reshape(-1, 2, 2).tolist()))
+    for pose in starts:
+        _add_robot(space, pose, radius_m)
     return space
 
 
@@ -130,6 +138,12 @@ def _add_robot(space: pymunk.Space, pose: Array, radius_m: float) -> None:
     body = pymunk.Body(_MASS_KG, math.inf)
     body.position, body.angle = (float(pose[0]), float(pose[1])), float(pose[2])
     space.add(body, pymunk.Circle(body, radius_m))
+
+
+def _anchor(space: pymunk.Space, robots: Iterable[int]) -> None:
+    bodies = list(space.bodies)
+    for robot in robots:
+        bodies[robot].mass = _ANCHORED_KG
 
 
 @borrowing_kernel

@@ -14,6 +14,8 @@ from twc_env.world.ocr_table import GARBLED_RATE, MISS_LENGTH, OcrTable
 
 Array = NDArray
 
+_CODES = "utf-32"
+"""Code points as this machine keeps them; Python knows this name at once and looks up "utf-32-le" every time."""
 LINE_DRAWS = 3
 """Numbers drawn per line; two more for each of its characters."""
 
@@ -65,27 +67,21 @@ class TableReader:
             self._table, codes, is_hidden, height_px, 1.0 - width, blur_px / (height_px * width), draws, self._levels,
             out,
         )  # fmt: skip
-        return out[:count].tobytes().decode("utf-32-le").strip()
+        return out[:count].tobytes().decode(_CODES).strip()
 
     def read_signs(self, sights: Array, hidden: Array, texts: SignTexts, fresh: Array) -> list[str]:
         """One reading of each sign in view; sights and hidden as `look` fills them, one row for each.
 
         fresh: standard normal, as many as `draw_count` says of each text, one after the other.
         """
-        rows = len(sights), 2 * texts.codes.shape[1] + 1
-        out, counts = np.empty(rows, np.uint32), np.empty(rows[0], np.int64)
-        given = (
-            sights, hidden, texts.codes, texts.lengths, texts.kept, texts.weights, fresh, texts.draws, self._levels,
-            out, counts,
-        )  # fmt: skip
+        given = sights, hidden, fresh, self._levels, *texts.arguments
         if self._run is None:
             self._run = bound(_misread_signs, self._table, *given)
         self._run(*given)
-        letters, width = out.tobytes(), 4 * rows[1]
-        return [
-            letters[k * width : k * width + 4 * count].decode("utf-32-le").strip()
-            for k, count in enumerate(counts.tolist())
-        ]
+        out, width, readings = texts.out[: len(sights)].tobytes(), texts.out.itemsize * texts.out.shape[1], []
+        for k, count in enumerate(texts.counts[: len(sights)].tolist()):
+            readings.append(out[k * width : k * width + 4 * count].decode(_CODES).strip())
+        return readings
 
 
 class SignTexts:
@@ -103,8 +99,12 @@ class SignTexts:
             self.codes[k, : len(text)] = codes_of(text)
             self.kept[k, : len(share)] = np.sqrt(share) * plates.standard_normal(len(share))
             self.weights[k, : len(share)] = np.sqrt(1.0 - share)
-        self.draws = np.empty(LINE_DRAWS + 2 * longest)
-        """Scratch of `_misread_signs`."""
+        self.out, self.counts = np.empty((len(texts), 2 * longest + 1), np.uint32), np.empty(len(texts), np.int64)
+        """What `_misread_signs` writes: code points read of each sign in view, and how many."""
+        self.arguments = (
+            self.codes, self.lengths, self.kept, self.weights, np.empty(LINE_DRAWS + 2 * longest), self.out,
+            self.counts,
+        )  # fmt: skip
 
 
 @borrowing_kernel
@@ -221,7 +221,7 @@ def _misread(table, codes, is_hidden, height, narrowed, blur, draws, cdf, out):
 
 
 @borrowing_kernel
-def _misread_signs(table, sights, hidden, codes, lengths, kept, weights, fresh, draws, cdf, out, counts):
+def _misread_signs(table, sights, hidden, fresh, cdf, codes, lengths, kept, weights, draws, out, counts):
     """`_misread` of each sight (k, 6), with draws of which part is kept and part fresh."""
     first = 0
     for k in range(sights.shape[0]):

@@ -48,12 +48,18 @@ class _Fast:
 
     def __init__(self, texts: Sequence[str], robot: int, seed: int):
         self._noise = NormalPool(random_stream(seed, "ocr", robot))
-        self._texts = SignTexts(load_table(), texts, random_stream(seed, "sign plates"))
+        self._texts = _texts_of(tuple(texts), seed)
         self._draw_counts = [draw_count(text) for text in texts]
 
     def read(self, signs: Sequence[int], sights: Array, hidden: Array) -> list[str]:
         fresh = self._noise.take(sum([self._draw_counts[sign] for sign in signs]))
         return _shipped().read_signs(sights, hidden, self._texts, fresh)
+
+
+@lru_cache(maxsize=1)
+def _texts_of(texts: tuple[str, ...], seed: int) -> SignTexts:
+    """The same for all robots of an episode."""
+    return SignTexts(load_table(), texts, random_stream(seed, "sign plates"))
 
 
 @lru_cache(maxsize=1)

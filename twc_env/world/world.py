@@ -64,6 +64,9 @@ class World:
         self._hearing_robots = [np.array(robots, np.int64) for robots in self._hearing]
         self._looking = _turns(self._camera_period, config.robots)
         self._no_signs: tuple[tuple[SignReading, ...], ...] = ((),) * config.robots
+        self._run: Callable[..., int] | None = None
+        """`_move_and_sense` with what it needs in every step, as long as the crossing table is `_held_crossings`."""
+        self._held_crossings: tuple[Array, ...] | None = None
 
     def reset(self, seed: int, starts: str | Array = "random") -> None:
         """Begin an episode. Starts: "random" (drawn by seed), "map" (the plan's own), or poses (n, 3).
@@ -90,8 +93,7 @@ class World:
         self._cameras = [SignCamera(config.signs, self._home, robot, seed, config.dynamics) for robot in range(robots)]
         self._sights, self._hidden = self._cameras[0].make_room(robots)
         self._sight_counts = np.zeros(robots, np.int64)
-        self._run: Callable[..., int] | None = None
-        """`_move_and_sense` with what it needs in every step."""
+        self._held_crossings = None
         self._sensed_poses = self._dynamics.poses
         self._step = 0
         self._none_sighted: tuple[tuple[int, ...], ...] = ((),) * robots
