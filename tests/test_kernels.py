@@ -131,3 +131,22 @@ def test_a_bound_kernel_borrows_what_is_packed_and_leaves_no_trace_of_it():
     call(0, out)
     assert out[0] == 300.0
     assert sys.getrefcount(numbers) == holders
+
+
+def total_of(numbers, factor):
+    total = 0.0
+    for i in range(numbers.shape[0]):
+        for k in range(numbers.shape[1]):
+            total += factor * (1 + 2 * i + k) * numbers[i, k]
+    return total
+
+
+def test_what_is_bound_again_is_called_as_what_it_is_then():
+    numbers, compiled = np.arange(6.0).reshape(2, 3), borrowing_kernel(total_of)
+    read_only = numbers.view()
+    read_only.flags.writeable = False
+    kinds = (numbers, np.asfortranarray(numbers), numbers.astype(np.float32), np.repeat(numbers, 2, axis=1)[:, ::2])
+    for held in (*kinds, read_only, *kinds):
+        for factor in (2, 0.5):
+            assert bound(compiled, held, factor)(factor) == total_of(numbers, factor)
+    assert len(compiled.signatures) == 2 * (len(kinds) + 1)

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 import numba
+import numpy as np
 from numba import njit, types
 from numba.core.cgutils import create_struct_proxy
 from numba.core.imputils import impl_ret_borrowed
@@ -128,6 +129,10 @@ def parts_of(_context, lent):
     return parts(lent), generate
 
 
+_ENTRIES: dict[Any, Callable[..., Any]] = {}
+"""Compiled code that was bound before, by kernel and kinds."""
+
+
 def bound(function: Any, held: Any, *others: Any) -> Callable[..., Any]:
     """A kernel with its first argument filled in, to be called with others of the same kinds as these.
 
@@ -136,8 +141,22 @@ def bound(function: Any, held: Any, *others: Any) -> Callable[..., Any]:
     contiguous in memory like the first ones, and may not be read-only where those were not.
     Can be neither copied nor pickled, as a pack.
     """
-    kinds = tuple(function.typeof_pyval(value) for value in (held, *others))
-    return partial(function.compile(kinds), held)
+    values = held, *others
+    kinds = function, _kind(values)
+    if kinds not in _ENTRIES:
+        _ENTRIES[kinds] = function.compile(tuple(map(function.typeof_pyval, values)))
+    return partial(_ENTRIES[kinds], held)
+
+
+def _kind(value: Any) -> Any:
+    """Equal for values of one type to numba, which takes much longer to tell the type itself."""
+    if isinstance(value, np.ndarray):
+        return value.dtype, value.ndim, value.flags.num
+    if isinstance(value, tuple):
+        return tuple(map(_kind, value))
+    if isinstance(value, (Lent, Pack)):
+        return type(value), (value.owner if isinstance(value, Lent) else value)._numba_type_
+    return type(value) if isinstance(value, (bool, int, float, np.generic)) else numba.typeof(value)
 
 
 def rebound(call: Any, held: Any) -> Any:
