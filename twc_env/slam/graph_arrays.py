@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of, rebound
 from twc_env.messages import Keyframe
+from twc_env.slam.growing import doubled
 from twc_env.slam.odometry_filter import invert3
 
 Array = NDArray
@@ -166,8 +167,8 @@ class GraphArrays:
         """A keyframe, put where odometry leads from the robot's last one; gives its node."""
         node = self.node_count
         if node == len(self._nodes[0]):
-            self._nodes = [_doubled(rows) for rows in self._nodes]
-            self._rows = _doubled(self._rows.T).T.copy()
+            self._nodes = [doubled(rows) for rows in self._nodes]
+            self._rows = doubled(self._rows.T).T.copy()
             self._hold_grown()
         self._make_room_for_edge()
         new = (
@@ -188,7 +189,7 @@ class GraphArrays:
 
     def _make_room_for_edge(self) -> None:
         if self.edge_count == len(self._edges[0]):
-            self._edges = [_doubled(rows) for rows in self._edges]
+            self._edges = [doubled(rows) for rows in self._edges]
             self._hold_grown()
 
     def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
@@ -266,7 +267,3 @@ class GraphArrays:
     def is_used(self) -> Array:
         """(edges,) bool; may be written to."""
         return self._edges[4][: self.edge_count]
-
-
-def _doubled(rows: Array) -> Array:
-    return np.concatenate([rows, np.zeros_like(rows)])

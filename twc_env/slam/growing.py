@@ -18,7 +18,7 @@ class Growing:
     def append(self, row) -> None:
         """Add one row."""
         if self.count == len(self._data):
-            self._data = np.concatenate([self._data, np.zeros_like(self._data)])
+            self._data = doubled(self._data)
         self._data[self.count] = row
         self.count += 1
 
@@ -26,3 +26,8 @@ class Growing:
     def rows(self) -> Array:
         """All rows so far; may be written to."""
         return self._data[: self.count]
+
+
+def doubled(rows: Array) -> Array:
+    """The rows, with as many empty ones behind them."""
+    return np.concatenate([rows, np.zeros_like(rows)])

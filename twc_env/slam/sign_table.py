@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of
 from twc_env.messages import Keyframe
-from twc_env.slam.growing import Growing
+from twc_env.slam.growing import doubled
 from twc_env.slam.radio_fingerprint import rssi_similarity
 
 Array = NDArray
 
+_ROOM = 1024
+"""Rows and readings to begin with; doubled when they are full."""
 UNLIKE = -1.0
 """In place of a similarity, of texts that are not alike."""
 
@@ -48,12 +50,12 @@ def _compare(macs, levels, first, end, other_macs, other_levels):
 
 @borrowing_kernel
 def _choose(
-    places, travels, ends, macs, levels, likeness, is_skipped, robot, latest, other_macs, other_levels, mac_min,
-    rssi_min, tolerance, out,
+    table, place_count, likeness, is_skipped, robot, latest, other_macs, other_levels, mac_min, rssi_min, tolerance
 ):  # fmt: skip
-    """See `SignTable.like`; gives how many rows of out (places, 6) were written."""
+    """See `SignTable.like`; gives how many rows of the last part of the table, (places, 6), were written."""
+    places, travels, ends, macs, levels, out = parts_of(table)
     count = 0
-    for k in range(places.shape[0]):
+    for k in range(place_count):
         other, similarity = places[k, 0], likeness[places[k, 1]]
         if similarity == UNLIKE or is_skipped[other] or (other == robot and travels[k] > latest):
             continue
@@ -71,26 +73,36 @@ class SignTable:
     """A row for each place: who read which text there, how far along its path, and what was heard."""
 
     def __init__(self) -> None:
-        self._places, self._travels_m = Growing(2, dtype=np.int64), Growing()
+        self._places, self._travels_m = np.zeros((_ROOM, 2), np.int64), np.zeros(_ROOM)
         """Robot and text; path length."""
-        self._macs, self._rssi_dbm = np.zeros(1024, np.int64), np.zeros(1024)
-        self._ends = Growing(dtype=np.int64)
-        """Where the fingerprint of each row ends; it begins where the one before does."""
-        self._end = self._robots = 0
+        self._ends, self._found = np.zeros(_ROOM, np.int64), np.zeros((_ROOM, 6))
+        """Where the fingerprint of each row ends; it begins where the one before does. And room for what is found."""
+        self._macs, self._rssi_dbm = np.zeros(_ROOM, np.int64), np.zeros(_ROOM)
+        """Of all fingerprints, one after the other."""
+        self._count = self._end = self._robots = 0
+        self._run: Callable[..., int] | None = None
+        """`_choose` with all of this."""
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_run": None}
 
     def append(self, keyframe: Keyframe, text: int) -> None:
         """Add a row for a text of this number, read at a keyframe."""
-        heard = keyframe.fingerprint
+        heard, row = keyframe.fingerprint, self._count
         first, end = self._end, self._end + len(heard.macs)
-        while end > len(self._macs):
-            self._macs = np.concatenate([self._macs, np.zeros_like(self._macs)])
-            self._rssi_dbm = np.concatenate([self._rssi_dbm, np.zeros_like(self._rssi_dbm)])
+        self._make_room(row + 1, end)
         self._macs[first:end], self._rssi_dbm[first:end] = heard.macs, heard.rssi_dbm
-        self._end = end
-        self._ends.append(end)
-        self._places.append((keyframe.robot, text))
-        self._travels_m.append(keyframe.travel_m)
+        self._places[row, 0], self._places[row, 1] = keyframe.robot, text
+        self._travels_m[row], self._ends[row] = keyframe.travel_m, end
+        self._count, self._end = row + 1, end
         self._robots = max(self._robots, keyframe.robot + 1)
+
+    def _make_room(self, rows: int, heard: int) -> None:
+        while heard > len(self._macs):
+            self._macs, self._rssi_dbm, self._run = doubled(self._macs), doubled(self._rssi_dbm), None
+        if rows > len(self._places):
+            self._places, self._travels_m = doubled(self._places), doubled(self._travels_m)
+            self._ends, self._found, self._run = doubled(self._ends), doubled(self._found), None
 
     def like(
         self,
@@ -110,10 +122,13 @@ class SignTable:
         for robot in skipped_robots:
             if robot < self._robots:
                 is_skipped[robot] = True
-        heard, out = keyframe.fingerprint, np.empty((self._places.count, 6))
-        count = _choose(
-            self._places.rows, self._travels_m.rows, self._ends.rows, self._macs, self._rssi_dbm, likeness, is_skipped,
-            keyframe.robot, keyframe.travel_m - apart_m, heard.macs, heard.rssi_dbm, *radio, out,
+        heard = keyframe.fingerprint
+        now = (
+            self._count, likeness, is_skipped, keyframe.robot, keyframe.travel_m - apart_m, heard.macs, heard.rssi_dbm,
+            *radio,
         )  # fmt: skip
-        rows: list[list[float]] = out[:count].tolist()
+        if self._run is None:
+            held = self._places, self._travels_m, self._ends, self._macs, self._rssi_dbm, self._found
+            self._run = bound(_choose, Lent(pack(held)), *now)
+        rows: list[list[float]] = self._found[: self._run(*now)].tolist()
         return rows
