@@ -29,12 +29,21 @@ class Motions:
 
     motion: Array
     turned_rad: Array
+    bent: Array | None = None
+    """(2, n - 1, 3) how motions change with a curl [rad/m] and with a share of turns. None: both turn the robot at the
+    end of each motion, which is straight."""
 
     def __len__(self) -> int:
         return len(self.motion)
 
-    def __getitem__(self, chosen) -> Motions:
-        return Motions(self.motion[chosen], self.turned_rad[chosen])
+    @property
+    def causes(self) -> Array:
+        """(2, n - 1, 3) as `bent`."""
+        if self.bent is not None:
+            return self.bent
+        causes = np.zeros((2, *self.motion.shape))
+        causes[:, :, 2] = self.length_m, self.turned_rad
+        return causes
 
     @property
     def length_m(self) -> Array:
@@ -53,11 +62,12 @@ class Calibration:
 
     def applied(self, motions: Motions) -> Motions:
         """The motions without these errors."""
-        more_turn = self.curl_rad_m * motions.length_m + self.turn * motions.turned_rad
-        motion = motions.motion.copy()
+        curl, turn = motions.causes
+        more = self.curl_rad_m * curl + self.turn * turn
+        motion = motions.motion + more
         motion[:, :2] *= self.scale
-        motion[:, 2] = wrap_angle(motion[:, 2] + more_turn)
-        return Motions(motion, motions.turned_rad + more_turn)
+        motion[:, 2] = wrap_angle(motion[:, 2])
+        return Motions(motion, motions.turned_rad + more[:, 2], motions.bent)
 
     def then(self, other: Calibration) -> Calibration:
         """Both, this one first."""
@@ -68,6 +78,19 @@ class Calibration:
         )
 
 
+def between_places(steps: Motions, places: Array) -> Motions:
+    """The motions between some poses of a chain, by their numbers (k,) from 0 on, and how constant errors bend them."""
+    poses = reckoned_poses(steps.motion)
+    starts, ends = poses[places[:-1]], poses[places[1:]]
+    motion_of = np.repeat(np.arange(len(starts)), np.diff(places))
+    arm = ends[motion_of, :2] - 0.5 * (poses[:-1, :2] + poses[1:, :2])[: len(motion_of)]
+    c, s = np.cos(starts[motion_of, 2]), np.sin(starts[motion_of, 2])
+    swing = np.column_stack([s * arm[:, 0] - c * arm[:, 1], c * arm[:, 0] + s * arm[:, 1]])
+    turned = np.stack([steps.length_m, steps.turned_rad])[:, : len(motion_of), None]
+    bent = np.add.reduceat(turned * np.column_stack([swing, np.ones(len(arm))]), places[:-1], axis=1)
+    return Motions(between(starts, ends), bent[1, :, 2], bent)
+
+
 def calibration(motions: Motions, poses: Array) -> Calibration:
     """The scale, curl and turn factor that poses show against the beginning of odometry."""
     corrected = between(poses[:-1], poses[1:])
@@ -75,7 +98,7 @@ def calibration(motions: Motions, poses: Array) -> Calibration:
     scale = np.hypot(corrected[:, 0], corrected[:, 1]).sum() / max(length[:fitted].sum(), 1e-9)
     piece = np.arange(fitted) // PIECE
     missing = np.bincount(piece, wrap_angle(corrected[:, 2] - motions.motion[:fitted, 2]))
-    causes = np.column_stack([np.bincount(piece, length[:fitted]), np.bincount(piece, motions.turned_rad[:fitted])])
+    causes = np.column_stack([np.bincount(piece, cause[:fitted, 2]) for cause in motions.causes])
     weight = 1.0 / (NOISE_RAD**2 * (causes[:, :1] + 0.1))
     normal = (causes * weight).T @ causes + np.diag([CURL_STD_RAD_M**-2, TURN_STD**-2])
     curl, turn = np.linalg.solve(normal, (causes * weight).T @ missing)

@@ -5,6 +5,9 @@ Ties between single places (`radio_field`) tell displacements one by one. The ev
 posteriori; WiFi-SLAM, Ferris, Fox, Lawrence 2007, without its latent dynamics). Each step solves for all places at once
 with the information that the evidence is expected to hold of them (Fisher scoring), in as many unknowns as places have.
 
+Ways along the walls of a building (`building_axes`) keep the headings straight: without them the heading of the first
+pose, and with it the whole map, is only known as well as the first few turns.
+
 How noisy the odometry is nobody says either: it follows from how well paths under each level of noise explain what was
 heard, all of them and not the best alone (type II maximum likelihood; Rasmussen & Williams 2006, Eq. 5.8).
 """
@@ -20,6 +23,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky
 from scipy.optimize import minimize_scalar
 
 from twc_env.geometry import between, wrap_angle
+from twc_env.slam.building_axes import BuildingAxes
 from twc_env.slam.odometry_calibration import CURL_STD_RAD_M, TURN_STD, Motions, calibration, reckoned_poses
 from twc_env.slam.radio_evidence import FieldEvidence
 
@@ -53,17 +57,21 @@ class Refined:
     """How many times as noisy as configured the odometry is."""
 
 
-def refined(poses: Array, motions: Motions, information: Array, evidences: Sequence[FieldEvidence]) -> Refined:
+def refined(
+    poses: Array, motions: Motions, information: Array, evidences: Sequence[FieldEvidence],
+    axes: BuildingAxes | None = None,
+) -> Refined:  # fmt: skip
     """The path that is likeliest, from poses (p, 3); its first pose is the origin.
 
     `motions` lead from place to place, with information (p - 1, 3, 3) of which only the diagonal counts. Fields of any
     size explain what was heard as well in a map of that size: so it is the odometry's, whatever size the poses have.
+    `axes` are where the search for those of the building begins; with a share of 0 there are none.
     """
     poses = poses / [*2 * [calibration(motions, poses).scale], 1.0]
     sizes = [evidence.fitted(poses[:, :2], iterations=SIZE_ITERATIONS)[1] for evidence in evidences]
     missed = between(poses[:-1], poses[1:]) - motions.motion
     missed[:, 2] = wrap_angle(missed[:, 2])
-    fit, noise = _Fit(motions, information, evidences), 1.0
+    fit, noise = _Fit(motions, information, evidences, axes or BuildingAxes()), 1.0
     missed, view = fit.settled(missed, noise, sizes)
     for _ in range(ROUNDS - 1):
         noise = float(np.sqrt(noise * view.noise()))
@@ -89,11 +97,10 @@ class _Fit:
     """A path whose unknowns are what the odometry missed of each motion (p - 1, 3): noise, and errors that stay the
     same all along (`odometry_calibration`)."""
 
-    def __init__(self, motions: Motions, information: Array, evidences: Sequence[FieldEvidence]):
-        self._motion, self._evidences = motions.motion, evidences
+    def __init__(self, motions: Motions, information: Array, evidences: Sequence[FieldEvidence], axes: BuildingAxes):
+        self._motion, self._evidences, self._axes = motions.motion, evidences, axes
         self._variance = 1.0 / np.diagonal(information, axis1=1, axis2=2)
-        self._causes = np.zeros((2, *motions.motion.shape))
-        self._causes[:, :, 2] = CURL_STD_RAD_M * motions.length_m, TURN_STD * motions.turned_rad
+        self._causes = motions.causes * np.array([CURL_STD_RAD_M, TURN_STD])[:, None, None]
 
     def poses(self, missed: Array) -> Array:
         """(p, 3)."""
@@ -108,10 +115,11 @@ class _Fit:
         strain = (missed**2 / variance).sum() - constant @ np.linalg.solve(normal, constant)
         places = self.poses(missed)[:, :2]
         told = sum(evidence.under(places, size) for evidence, size in zip(self._evidences, sizes, strict=True))
-        return 0.5 * float(strain) - EVIDENCE_WEIGHT * told
+        return 0.5 * float(strain) + self._axes.cost(places) - EVIDENCE_WEIGHT * told
 
     def settled(self, missed: Array, noise: float, sizes: Sequence[Array]) -> tuple[Array, _View]:
         """What the odometry missed where the cost is least, and the last view from there."""
+        self._axes = self._axes.fitted(self.poses(missed)[:, :2])
         cost = self.cost(missed, noise, sizes)
         for _ in range(STEPS_MAX):
             view = self._view(missed, sizes)
@@ -130,7 +138,7 @@ class _Fit:
 
     def _view(self, missed: Array, sizes: Sequence[Array]) -> _View:
         poses = self.poses(missed)
-        by_place, information = np.zeros((len(poses), 2)), np.zeros((len(poses), 2, len(poses), 2))
+        by_place, information = self._axes.slopes(poses[:, :2])
         for evidence, size in zip(self._evidences, sizes, strict=True):
             slopes, its_information = evidence.slopes(poses[:, :2], size)
             by_place += EVIDENCE_WEIGHT * slopes

@@ -25,7 +25,7 @@ from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_cue, radio_field
 from twc_env.slam.distance_factor import Distances, together
-from twc_env.slam.odometry_calibration import Calibration, Motions, calibrated, reckoned_poses
+from twc_env.slam.odometry_calibration import Calibration, Motions, between_places, calibrated, reckoned_poses
 from twc_env.slam.pose_graph import squared_errors
 from twc_env.slam.radio_cue import CUES, RadioCue
 from twc_env.slam.radio_path import PathFit
@@ -121,10 +121,8 @@ class _Solver:
         self._places = _spaced(travel_m, spacing_m)
         self._travel_m = travel_m[self._places]
         self._odometry = odometry[self._places]
-        turned = np.concatenate([[0.0], np.cumsum(log.turned_rad)])[self._places]
         turned_abs = np.concatenate([[0.0], np.cumsum(np.abs(log.turned_rad))])[self._places]
-        motion = between(self._odometry[:-1], self._odometry[1:])
-        self._motions = Motions(motion, np.diff(turned))
+        self._motions = between_places(Motions(log.motions, log.turned_rad), self._places)
         self._information = motion_information(config, np.diff(self._travel_m), np.diff(turned_abs))
         self._cell_m = max(config.cell_m, 2 * spacing_m)
         found = [

@@ -1,0 +1,20 @@
+import numpy as np
+import pytest
+
+from twc_env.slam.odometry_calibration import Calibration, Motions, between_places
+
+RANDOM = np.random.default_rng(8)
+TURNED = RANDOM.choice([0.0, 0.0, 0.0, 0.8, -0.8], 200)
+STEPS = Motions(np.column_stack([np.full(200, 0.6), np.zeros(200), TURNED]), TURNED)
+PLACES = np.array([0, 5, 9, 40, 41, 120, 200])
+
+
+@pytest.mark.parametrize("wrong", [Calibration(curl_rad_m=1e-4), Calibration(turn=1e-4)])
+def test_constant_errors_bend_the_ways_between_places_as_they_bend_each_step(wrong):
+    right = between_places(STEPS, PLACES)
+    straight = between_places(Motions(wrong.applied(STEPS).motion, wrong.applied(STEPS).turned_rad), PLACES)
+    bent = wrong.applied(right)
+    assert bent.turned_rad == pytest.approx(straight.turned_rad)
+    moved, expected = bent.motion - right.motion, straight.motion - right.motion
+    assert moved == pytest.approx(expected, abs=0.05 * np.abs(expected).max())
+    assert np.abs(expected[:, :2]).max() > 1e-3
