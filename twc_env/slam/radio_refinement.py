@@ -32,6 +32,8 @@ Array = NDArray
 EVIDENCE_WEIGHT = 6.0
 """What is heard weighs as so many independent transmitters: with more of them, paths stray from the truth further than
 they claim. Chosen on walks 0 to 3 and 100 to 105 of the twins."""
+AXES_WEIGHT = 0.5
+"""Ways along axes count half: counted in full they bend a path that odometry knows better (uw_floor)."""
 ROUNDS, STEPS_MAX, SIZE_ITERATIONS = 5, 3, 30
 """Each round moves the path, then fits noise and covariance anew; this one is first fitted in more iterations."""
 GAIN_MIN = 0.1
@@ -74,7 +76,7 @@ def refined(
     fit, noise = _Fit(motions, information, evidences, axes or BuildingAxes()), 1.0
     missed, view = fit.settled(missed, noise, sizes)
     for _ in range(ROUNDS - 1):
-        noise = float(np.sqrt(noise * view.noise()))
+        noise = float(np.sqrt(noise * fit.noise(missed, sizes)))
         poses = fit.poses(missed)
         sizes = [evidence.fitted(poses[:, :2], size)[1] for evidence, size in zip(evidences, sizes, strict=True)]
         missed, view = fit.settled(missed, noise, sizes)
@@ -115,14 +117,14 @@ class _Fit:
         strain = (missed**2 / variance).sum() - constant @ np.linalg.solve(normal, constant)
         places = self.poses(missed)[:, :2]
         told = sum(evidence.under(places, size) for evidence, size in zip(self._evidences, sizes, strict=True))
-        return 0.5 * float(strain) + self._axes.cost(places) - EVIDENCE_WEIGHT * told
+        return 0.5 * float(strain) + AXES_WEIGHT * self._axes.cost(places) - EVIDENCE_WEIGHT * told
 
     def settled(self, missed: Array, noise: float, sizes: Sequence[Array]) -> tuple[Array, _View]:
         """What the odometry missed where the cost is least, and the last view from there."""
         self._axes = self._axes.fitted(self.poses(missed)[:, :2])
         cost = self.cost(missed, noise, sizes)
         for _ in range(STEPS_MAX):
-            view = self._view(missed, sizes)
+            view = self._view(missed, sizes, self._axes)
             step = view.likeliest(noise) - missed
             for halving in range(HALVINGS):
                 moved = missed + 0.5**halving * step
@@ -136,9 +138,13 @@ class _Fit:
                 break
         return missed, view
 
-    def _view(self, missed: Array, sizes: Sequence[Array]) -> _View:
+    def noise(self, missed: Array, sizes: Sequence[Array]) -> float:
+        """How noisy the odometry is, by what was heard alone: ways that axes hold straight look less noisy."""
+        return self._view(missed, sizes, BuildingAxes(0.0)).noise()
+
+    def _view(self, missed: Array, sizes: Sequence[Array], axes: BuildingAxes) -> _View:
         poses = self.poses(missed)
-        by_place, information = self._axes.slopes(poses[:, :2])
+        by_place, information = (AXES_WEIGHT * part for part in axes.slopes(poses[:, :2]))
         for evidence, size in zip(self._evidences, sizes, strict=True):
             slopes, its_information = evidence.slopes(poses[:, :2], size)
             by_place += EVIDENCE_WEIGHT * slopes
