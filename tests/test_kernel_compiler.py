@@ -14,6 +14,7 @@ from numba.core.codegen import JITCPUCodegen
 from numba.core.postproc import PostProcessor
 from numba.core.target_extension import current_target
 from numba.core.types.functions import BaseFunction
+from numba.core.typing.context import BaseContext
 
 from twc_env import kernel_compiler
 from twc_env.file_lock import FileLock
@@ -126,6 +127,7 @@ def test_numba_is_as_before_once_a_kernel_is_compiled_or_not():
         assert current_target() == "cpu"
         assert BaseFunction.get_call_type.__module__.startswith("numba.")
         assert PostProcessor.run.__module__.startswith("numba.")
+        assert BaseContext.resolve_value_type.__module__.startswith("numba.")
         assert "errmsg" not in vars(errors.termcolor())
     assert numba.njit(lambda x: np.zeros(3)[x] + max(x, 1) + whole(x))(2) == 4.0
 

@@ -10,6 +10,7 @@ import contextlib
 import operator
 from collections.abc import Iterator
 from functools import cached_property
+from types import BuiltinFunctionType
 from typing import Any
 
 from numba.core import errors, types
@@ -20,6 +21,7 @@ from numba.core.runtime.context import NRTContext
 from numba.core.targetconfig import ConfigStack
 from numba.core.transforms import canonicalize_cfg
 from numba.core.types.functions import BaseFunction
+from numba.core.typing.context import BaseContext
 
 from twc_env.kernel_library import PartLibrary
 
@@ -97,7 +99,9 @@ def nothing_twice() -> Iterator[None]:
     functions: Any = BaseFunction
     processor: Any = PostProcessor
     colours: Any = errors.termcolor()
-    find, process = functions.get_call_type, processor.run
+    typing: Any = BaseContext
+    find, process, look_up = functions.get_call_type, processor.run, typing.resolve_value_type
+    operators: dict[Any, Any] = {}
 
     def remember(self, context, args, kws):
         if kws or self.typing_key not in _OPERATORS or not isinstance(args[0], _OPERANDS):
@@ -106,6 +110,13 @@ def nothing_twice() -> Iterator[None]:
         if key not in _SIGNATURES:
             _SIGNATURES[key] = find(self, context, args, kws)
         return _SIGNATURES[key]
+
+    def name(self, value):
+        if type(value) is not BuiltinFunctionType or value not in _OPERATORS:
+            return look_up(self, value)
+        if value not in operators:
+            operators[value] = look_up(self, value)
+        return operators[value]
 
     def tidy(self, emit_dels=False, extend_lifetimes=False):
         code = self.func_ir
@@ -117,9 +128,10 @@ def nothing_twice() -> Iterator[None]:
         if emit_dels:
             self._insert_var_dels(extend_lifetimes=extend_lifetimes)
 
-    functions.get_call_type, processor.run, colours.errmsg = remember, tidy, str
+    functions.get_call_type, processor.run, typing.resolve_value_type = remember, tidy, name
+    colours.errmsg = str
     try:
         yield
     finally:
-        functions.get_call_type, processor.run = find, process
+        functions.get_call_type, processor.run, typing.resolve_value_type = find, process, look_up
         del colours.errmsg
