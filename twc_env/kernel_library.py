@@ -23,10 +23,7 @@ class PlainLibrary(KernelLibrary):
         ll_module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
-        for function in self._final_module.functions:
-            if not function.is_declaration:
-                function.add_function_attribute("noinline")
-                function.add_function_attribute("optnone")
+        """Nothing."""
 
 
 class PartLibrary(KernelLibrary):
