@@ -235,3 +235,38 @@ def test_a_graph_that_cannot_be_meant_is_refused(mode, changed, value, message):
     graph[changed] = np.array(value)
     with pytest.raises(DataError, match=message):
         solve(mode, np.zeros((3, 3)), graph)
+
+
+def revise(start, graph, is_used, is_thorough):
+    config = PoseGraphConfig(robust="ours")
+    return robust_backend.revise(start, pose_graph.Graph(*graph), is_used, config, 0, is_thorough)
+
+
+def test_a_single_refused_closure_that_is_false_stays_refused_when_all_are_weighed_anew():
+    true, start, graph = loops()
+    corrupted = with_false(graph, [(21, 70)], [(1.0, -0.7, 0.4)])
+    is_used = np.append(np.ones(len(graph[0]), bool), False)
+    quick, thorough = (revise(start, corrupted, is_used, each) for each in (False, True))
+    assert np.array_equal(quick.accepted, is_used)
+    assert np.array_equal(thorough.accepted, is_used)
+    assert worst_m(thorough.poses, true) < 0.5
+
+
+def test_refused_closures_that_are_true_come_back_when_all_are_weighed_anew():
+    true, start, graph = loops(laps=2)
+    chain = ~graph[3]
+    few = [np.concatenate([part[chain], part[~chain][[2, 5]]]) for part in graph]
+    quick, thorough = (revise(start, few, np.arange(len(few[0])) < chain.sum(), each) for each in (False, True))
+    assert quick.accepted[-2:].tolist() == [False, False]
+    assert thorough.accepted.all()
+    assert worst_m(thorough.poses, true) < 0.5 * worst_m(quick.poses, true)
+
+
+@pytest.mark.parametrize("is_thorough", [False, True])
+def test_a_revision_holds_the_pose_that_it_is_told_to(is_thorough):
+    _, start, graph = loops(laps=2)
+    is_used = np.append(np.ones(len(graph[0]), bool), False)
+    corrupted = pose_graph.Graph(*with_false(graph, [(6, 40)], [(1.0, -0.7, 0.4)]))
+    poses = robust_backend.revise(start, corrupted, is_used, PoseGraphConfig(), 20, is_thorough).poses
+    assert poses[20] == pytest.approx(start[20], abs=1e-12)
+    assert np.abs(poses[0] - start[0]).max() > 1e-3
