@@ -12,17 +12,13 @@ from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_o
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import doubled
 from twc_env.slam.odometry_filter import invert3
+from twc_env.slam.relative_equations import wrapped
 
 Array = NDArray
 
 ODOMETRY = -1
 _ROOM = 64
 """Rows to begin with; doubled when they are full."""
-
-
-@kernel
-def _wrap(angle):
-    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 @borrowing_kernel
@@ -35,7 +31,7 @@ def _put_node(
         c, s = math.cos(poses[previous, 2]), math.sin(poses[previous, 2])
         x = poses[previous, 0] + c * motion[0] - s * motion[1]
         y = poses[previous, 1] + s * motion[0] + c * motion[1]
-        heading = _wrap(poses[previous, 2] + motion[2])
+        heading = wrapped(poses[previous, 2] + motion[2])
     poses[node, 0], poses[node, 1], poses[node, 2] = x, y, heading
     for i in range(ranges.shape[0]):
         scans[node, i] = ranges[i]
@@ -98,7 +94,7 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
         c, s = math.cos(poses[node, 2]), math.sin(poses[node, 2])
         poses_map_odom[k, 0] = poses[node, 0] + c * x - s * y
         poses_map_odom[k, 1] = poses[node, 1] + s * x + c * y
-        poses_map_odom[k, 2] = _wrap(poses[node, 2] - pose_odom[2])
+        poses_map_odom[k, 2] = wrapped(poses[node, 2] - pose_odom[2])
         for axis in range(3):
             std[k, axis] = math.sqrt(max(strains[node, axis] - strains[first, axis], 0.0))
         since_m[k] = travels[node] - travels[first]

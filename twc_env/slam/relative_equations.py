@@ -9,7 +9,8 @@ from twc_env.slam.block_cholesky import factorise, substitute_back
 
 
 @kernel
-def _wrap(angle):
+def wrapped(angle):
+    """The angle moved into [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -23,7 +24,7 @@ def relative_residuals(poses, edges, measured):
         c, s, cz, sz = np.cos(heading), np.sin(heading), np.cos(turn), np.sin(turn)
         dx, dy = poses[b, 0] - poses[a, 0], poses[b, 1] - poses[a, 1]
         ex, ey = c * dx + s * dy - zx, -s * dx + c * dy - zy
-        out[e, 0], out[e, 1], out[e, 2] = cz * ex + sz * ey, -sz * ex + cz * ey, _wrap(poses[b, 2] - heading - turn)
+        out[e, 0], out[e, 1], out[e, 2] = cz * ex + sz * ey, -sz * ex + cz * ey, wrapped(poses[b, 2] - heading - turn)
     return out
 
 
@@ -146,9 +147,9 @@ def moved_by(poses, delta, fixed):
             continue
         out[i, 0] += delta[i, 0]
         out[i, 1] += delta[i, 1]
-        out[i, 2] = _wrap(out[i, 2] + delta[i, 2])
+        out[i, 2] = wrapped(out[i, 2] + delta[i, 2])
         moved_m = max(moved_m, abs(delta[i, 0]), abs(delta[i, 1]))
-        moved_rad = max(moved_rad, abs(_wrap(delta[i, 2])))
+        moved_rad = max(moved_rad, abs(wrapped(delta[i, 2])))
     return out, moved_m, moved_rad
 
 
