@@ -40,6 +40,7 @@ TABLES: dict[str, str] = {
     "sfw-houseexpo": "sfw_houseexpo",
     "radio-table1": "radio_table1",
     "radio-scale": "radio_scale",
+    "building-axes": "building_axes",
     "real-radio": "real_radio",
 }
 """Name on the command line -> module of this package."""

@@ -9,7 +9,7 @@ How near ways keep to them comes from robots in real buildings. The scripted wal
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ Array = NDArray
 
 STD_RAD, LENGTH_M = np.radians(5.0), 3.0
 """How far ways of this length or longer are off the walls that they follow. In the laser logs of five buildings it is
-2.8 to 5.7 degrees, 4.9 in the middle (ACES, Freiburg 79 and 101, Intel, Orebro; the share is 0.28 to 0.91)."""
+2.8 to 5.7 degrees, 4.9 in the middle, and the share 0.28 to 0.91 (`reproduce building-axes`)."""
 LENGTH_MIN_M = 0.01
 TURNS = 12
 
@@ -31,13 +31,20 @@ class BuildingAxes:
 
     share: float = 0.5
     """Of the ways that follow axes."""
+    std_rad: float = STD_RAD
+    """How far these are off, where they are `LENGTH_M` long or longer."""
 
     def fitted(self, places: Array) -> BuildingAxes:
         """With the share that these places show."""
         axes = self
         for _ in range(TURNS):
-            axes = BuildingAxes(float(axes._along(places)[1].mean()))
+            axes = replace(axes, share=float(axes._along(places)[1].mean()))
         return axes
+
+    def strayed_rad(self, places: Array) -> float:
+        """How far ways of places at least `LENGTH_M` apart are off the axes that they follow."""
+        off, along, _ = self._along(places)
+        return float(np.sqrt((along * off**2).sum() / max(along.sum(), 1e-12)))
 
     def cost(self, places: Array) -> float:
         """Minus the logarithm of the probability of places, by the likeliest axes, against ways anyhow."""
@@ -64,7 +71,7 @@ class BuildingAxes:
         ways = np.diff(places, axis=0)
         direction = np.arctan2(ways[:, 1], ways[:, 0])
         length = np.maximum(np.hypot(ways[:, 0], ways[:, 1]), LENGTH_MIN_M)
-        std = STD_RAD * np.maximum(1.0, LENGTH_M / length)
+        std = self.std_rad * np.maximum(1.0, LENGTH_M / length)
         axis = float(np.angle(np.exp(4j * direction).sum())) / 4
         for _ in range(TURNS):
             off = wrap_angle(4 * (direction - axis)) / 4

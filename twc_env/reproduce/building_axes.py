@@ -1,0 +1,64 @@
+"""How near robots keep to a building's axes: corrected paths of public laser logs, and the walks of `radio-table1`.
+
+Places are taken every 3 m along a path. Of the ways between them, some follow two directions at right angles and stray
+from these by a normal deviation, the others go anyhow; share and deviation are fitted to each path. The logs chose
+`slam.building_axes.STD_RAD`; the walks were only reported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.datasets.scan_log import read_carmen_log
+from twc_env.reproduce.radio_twins import PLACES, true_path
+from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
+from twc_env.slam.building_axes import LENGTH_M, BuildingAxes
+
+Array = NDArray
+
+SUMMARY = "how near robots keep to the directions of walls: five laser logs beside the walks of radio-table1"
+CHOOSES = ("seeds",)
+
+LOGS = ("aces", "freiburg-079", "freiburg-101", "intel", "orebro")
+ROUNDS = 100
+LEAST_RAD = np.radians(1.0)
+"""Deviations below this are not told apart: a few ways that lie exactly on an axis would explain all."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the table."""
+    parser.add_argument("--seeds", type=seeds_argument, default=[0, 1], help="walks of each place (default: 0-1)")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per path: {path, role, ways, share, std_deg}."""
+    folder = data_folder() / "lidar" / "carmen"
+    found = runner.each(LOGS, lambda log: figures(read_carmen_log(folder / f"{log}-corrected.log.gz").poses), str)
+    table = [{"path": log, "role": "calibrated", **row} for log, row in zip(LOGS, found, strict=True)]
+    walks = [(name, seed) for name in PLACES for seed in options.seeds]
+    found = runner.each(walks, lambda walk: figures(true_path(PLACES[walk[0]], walk[1])), lambda walk: f"walk {walk}")
+    return table + [
+        {"path": f"{name}, walk {seed}", "role": "reported", **row}
+        for (name, seed), row in zip(walks, found, strict=True)
+    ]
+
+
+def figures(path: Array) -> dict[str, float]:
+    """Ways along a path (n, 3), the share that follows axes, and how far these are off [deg], one at least."""
+    places, axes = spaced(path[:, :2]), BuildingAxes()
+    for _ in range(ROUNDS):
+        axes = dataclasses.replace(axes.fitted(places), std_rad=max(axes.strayed_rad(places), LEAST_RAD))
+    return {"ways": len(places) - 1, "share": axes.share, "std_deg": float(np.degrees(axes.std_rad))}
+
+
+def spaced(path_m: Array) -> Array:
+    """The first place of a path (n, 2), and each next one that lies `LENGTH_M` or more from the last."""
+    chosen = [path_m[0]]
+    for place in path_m[1:]:
+        if np.hypot(*(place - chosen[-1])) >= LENGTH_M:
+            chosen.append(place)
+    return np.array(chosen)
