@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of, rebound
+from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import doubled
 from twc_env.slam.odometry_filter import invert3
