@@ -19,7 +19,7 @@ from agents.openings import is_open_behind, open_bearing
 from agents.tours import Tours
 from twc_env.config import DynamicsConfig, EnvConfig
 from twc_env.geometry import compose, inverse
-from twc_env.messages import Belief
+from twc_env.messages import Belief, GridMap
 from twc_env.planning import (
     Disc,
     Follower,
@@ -49,7 +49,7 @@ class NearestFrontier:
         """Forget everything; the seed only breaks ties when robots are stuck."""
         self._rng = np.random.default_rng(seed)
         self._robots = {agent: ExplorerRobot(Follower(self.dynamics)) for agent in agents}
-        self._terrains: dict[tuple[float, ...], tuple[int, Terrain]] = {}
+        self._terrains: dict[tuple[float, GridMap], tuple[int, Terrain]] = {}
         self._idle_since: int | None = None
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
@@ -161,9 +161,9 @@ class NearestFrontier:
         return path_is_blocked(belief.grid, robot.follower.ahead(robot.pose, 3.0), self.dynamics.robot_radius_m)
 
     def _terrain(self, agent: str, beliefs: dict[str, Belief], squeeze: float = 1.0) -> Terrain:
-        """The group's map as this step's planning sees it for robots `squeeze` times as wide, shared in the group."""
+        """The robot's map as this planning sees it for robots `squeeze` times as wide; shared with who has the same."""
         belief = beliefs[agent]
-        key = (squeeze, *sorted({belief.robot, *belief.mates}))
+        key = squeeze, belief.grid
         if key in self._terrains and self._terrains[key][0] == belief.step:
             return self._terrains[key][1]
         poses = [belief.pose_map_robot, *belief.mates.values()]

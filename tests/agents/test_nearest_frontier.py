@@ -216,3 +216,16 @@ def test_a_robot_that_its_map_shuts_in_squeezes_out():
     policy.reset(0, ["robot_0"])
     policy.act({"robot_0": belief})
     assert policy._robots["robot_0"].goal_kind == ""
+
+
+def test_a_robot_plans_on_its_own_map_though_a_mate_of_its_group_holds_another():
+    team, agents = NearestFrontier(EnvConfig(robots=2)), ["robot_0", "robot_1"]
+    team.reset(0, agents)
+    known = [np.zeros((40, 60), np.int16) for _ in agents]
+    known[0][5:20, 5:20], known[1][5:35, 5:55] = -100, -100
+    beliefs = {
+        agent: Belief(i, 1, np.array([1.0, 1.0, 0.0]), GridMap(cells, np.zeros(2), CELL_M), {1 - i: np.ones(3)})
+        for i, (agent, cells) in enumerate(zip(agents, known, strict=True))
+    }
+    open_cells = [int((team._terrain(agent, beliefs).cost > 0).sum()) for agent in agents]
+    assert open_cells[1] > 4 * open_cells[0]

@@ -1,6 +1,7 @@
 """One mapper per robot: limited range, store and forward, scans on request."""
 
 import pickle
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import twc_env
 from twc_env.config import override
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.observations import ObservationBuilder
+from twc_env.exploration.pilot import terrain_of
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.loop_verification import LoopVerifier
 
@@ -79,6 +81,14 @@ def test_robots_that_met_share_a_map_and_each_has_its_own(played):
     own = [len(engine.mapper_of(r).keyframes[r]) for r in range(3)]
     assert all(counts[r] == own[r] for r, counts in enumerate(known))
     assert any(counts[r] < own[r] for counts in known for r in range(3)), "somebody lags behind"
+
+
+def test_robots_of_one_group_plan_on_the_map_that_each_holds_itself(played):
+    beliefs, known = played[0].beliefs[-1], {}
+    assert any({b.robot, *b.mates} == {c.robot, *c.mates} for b, c in combinations(beliefs, 2))
+    for belief in beliefs:
+        planned, alone = terrain_of(known, belief, 0.2), terrain_of({}, belief, 0.2)
+        assert np.array_equal(planned.origin_m, alone.origin_m) and np.array_equal(planned.kind, alone.kind)
 
 
 def test_the_report_judges_peers_as_it_judges_a_team(played):

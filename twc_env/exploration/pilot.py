@@ -14,7 +14,7 @@ from twc_env.errors import ActionError
 from twc_env.exploration.actions import action_array
 from twc_env.exploration.observation_blocks import EXTRA_CHOICES
 from twc_env.geometry import transform_points
-from twc_env.messages import Belief
+from twc_env.messages import Belief, GridMap
 from twc_env.planning.candidates import NOTHING, Candidates, find_candidates
 from twc_env.planning.driver import Driver
 from twc_env.planning.path_finder import PathFinder
@@ -50,7 +50,7 @@ class Scout:
         if beliefs[0].step - self._looked_step < self._period:
             return
         self._looked_step = beliefs[0].step
-        terrains: dict[tuple, Terrain] = {}
+        terrains: dict[tuple[float, GridMap], Terrain] = {}
         for robot, belief in enumerate(beliefs):
             terrain = terrain_of(terrains, belief, self._config.dynamics.robot_radius_m)
             self.candidates[robot] = find_candidates(belief, terrain, self._finder, self._config.action.frontier_slots)
@@ -69,7 +69,7 @@ class Pilot:
         self.is_deciding = np.ones(count, bool)
         """(robots,) whose action counts in the next step; the others are still busy with their last one."""
         self._stay_until = np.zeros(count, np.int64)
-        self._terrains: dict[tuple, Terrain] = {}
+        self._terrains: dict[tuple[float, GridMap], Terrain] = {}
         self._ticks = 0
         self._deadline = 0
         self._seconds = 1.0 / config.dynamics.time_step_s
@@ -159,9 +159,12 @@ class Pilot:
         return terrain_of(self._terrains, belief, squeeze * self._config.dynamics.robot_radius_m)
 
 
-def terrain_of(known: dict[tuple, Terrain], belief: Belief, radius_m: float) -> Terrain:
-    """The group's map read for robots of a radius; looked up in `known` first, which must be of this moment."""
-    key = (radius_m, *sorted({belief.robot, *belief.mates}))
+def terrain_of(known: dict[tuple[float, GridMap], Terrain], belief: Belief, radius_m: float) -> Terrain:
+    """The robot's map read for robots of a radius; looked up in `known` first, which must be of this moment.
+
+    Robots may know each other and yet hold different maps (`link.topology = "peer"`): the map is what is looked up.
+    """
+    key = radius_m, belief.grid
     if key not in known:
         poses = np.array([belief.pose_map_robot, *belief.mates.values()])
         known[key] = Terrain(belief.grid, radius_m, poses[:, :2])
