@@ -66,3 +66,9 @@ def test_evo_reads_the_same_poses(tmp_path):
     assert np.allclose(trajectory.positions_xyz[:, :2], poses[:, :2], atol=1e-6)
     assert np.allclose(2 * np.arctan2(trajectory.orientations_quat_wxyz[:, 3], trajectory.orientations_quat_wxyz[:, 0]),
                        poses[:, 2], atol=1e-6)  # fmt: skip
+
+
+def test_unix_times_keep_their_fractions(tmp_path):
+    times_s = np.array([1305031102.1758, 1305031102.2113])
+    write_tum(tmp_path / "a.tum", times_s, np.zeros((2, 3)))
+    assert np.abs(read_tum(tmp_path / "a.tum")[0] - times_s).max() < 1e-5

@@ -6,9 +6,7 @@ are wrapped over lines; commands are lines `unix_s,command,speed`.
 
 from __future__ import annotations
 
-import gzip
 import re
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from numpy.typing import NDArray
 from twc_env.datasets.ble_flat import ANCHORS, POSE_LAYOUT_RUN
 from twc_env.datasets.fingerprints import numbers, read_table
 from twc_env.datasets.scan_log import onto_circle
+from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import between, compose, transform_points
 from twc_env.messages import SensorFrame, WifiScan
@@ -88,7 +87,7 @@ def _heard(rssi_dbm: Array) -> WifiScan | None:
 
 def _scans(path: Path) -> tuple[Array, list[Array], list[Array]]:
     """Times (scans,), and angles [rad] and ranges [m] of each scan; too near and too far ranges are 0: nothing told."""
-    text = _text(path)
+    text = read_text(path)
     times = re.findall(r"^(\d+\.\d+)\s*$", text, flags=re.MULTILINE)
     try:
         blocks = [np.array(block.split(), float) for block in re.findall(r"\[([^\]]*)\]", text)]
@@ -108,7 +107,7 @@ def _differ(a: Array, b: Array) -> bool:
 def _commanded(path: Path, times_s: Array) -> tuple[Array, Array]:
     """Poses (k, 3) by the commands alone in the middle (k,) of each scan, and whether the robot turned during it."""
     try:
-        lines = [line.split(",") for line in _text(path).splitlines() if line.strip()]
+        lines = [line.split(",") for line in read_text(path).splitlines() if line.strip()]
         starts = np.array([float(line[0]) for line in lines])
         speed = np.array([float(line[2]) for line in lines])
         ahead = np.array([{"forward": 1.0, "reverse": -1.0}.get(line[1], 0.0) for line in lines]) * speed * SPEED_M_S
@@ -132,10 +131,3 @@ def _commanded(path: Path, times_s: Array) -> tuple[Array, Array]:
 def _moved(ahead_m_s: float, turn_rad_s: float, time_s: float) -> Array:
     """Motion at constant speeds; the robot never does both at once."""
     return np.array([ahead_m_s * time_s, 0.0, turn_rad_s * time_s])
-
-
-def _text(path: Path) -> str:
-    try:
-        return gzip.decompress(path.read_bytes()).decode()
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
-        raise DataError(f"cannot read {path}: {error}; check the path or fetch the file again") from error

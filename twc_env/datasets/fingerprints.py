@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import gzip
 import io
-import lzma
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 
 Array = NDArray
@@ -74,20 +72,6 @@ class RadioSurvey:
         if self.transmitter_m is None or self.transmitter_floor is None or self.is_high_band is None:
             raise DataError(f"survey {self.name} does not tell where its transmitters stand; use one that does")
         return self.transmitter_m, self.transmitter_floor, self.is_high_band
-
-
-def read_text(path: Path) -> str:
-    """The text of a plain, gzip or xz file; DataError when it cannot be read."""
-    try:
-        raw = path.read_bytes()
-        if path.suffix == ".gz":
-            raw = gzip.decompress(raw)
-        elif path.suffix == ".xz":
-            raw = lzma.decompress(raw)
-        return raw.decode("utf-8-sig")
-    except (OSError, EOFError, zlib.error, lzma.LZMAError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DataError(f"cannot read {path}: {reason}; check the path or fetch the file again") from error
 
 
 def read_table(path: Path, columns: tuple[str, ...] = ()) -> tuple[list[str], list[list[str]]]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import compose, inverse
 
@@ -21,6 +22,7 @@ Array = NDArray
 _UPPER = np.triu_indices(3)
 _COUNTS = {"VERTEX_SE2": 5, "EDGE_SE2": 12}
 """Words on a line of each kind."""
+_ID_MAX = 2**63 - 1
 
 
 def write_g2o(path: str | Path, graph: Mapping[str, Any]) -> None:
@@ -33,8 +35,8 @@ def write_g2o(path: str | Path, graph: Mapping[str, Any]) -> None:
     lines += ["FIX 0"] if len(nodes) else []
     for (i, j), measured, matrix in zip(ij, z, information, strict=True):
         lines.append(f"EDGE_SE2 {i} {j} {_numbers(measured)} {_numbers(matrix[_UPPER])}")
-    with _open(path, "wt") as file:
-        file.write("\n".join(lines) + "\n")
+    text = "\n".join(lines) + "\n"
+    Path(path).write_bytes(gzip.compress(text.encode()) if str(path).endswith(".gz") else text.encode())
 
 
 def read_g2o(path: str | Path) -> dict[str, Any]:
@@ -48,20 +50,16 @@ def read_g2o(path: str | Path) -> dict[str, Any]:
     vertices: dict[int, list[float]] = {}
     edges: list[tuple[int, int, list[float], int]] = []
     others: set[str] = set()
-    try:
-        with _open(path, "rt") as file:
-            for number, line in enumerate(file, 1):
-                words = line.split()
-                if not words or words[0] not in _COUNTS:
-                    others.update(words[:1])
-                    continue
-                ids, values = _parse(words, path, number)
-                if words[0] == "VERTEX_SE2":
-                    vertices[ids[0]] = values
-                else:
-                    edges.append((ids[0], ids[1], values, number))
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"cannot read the pose graph {path}: {error}; check the path and the format") from error
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.split()
+        if not words or words[0] not in _COUNTS:
+            others.update(words[:1])
+            continue
+        ids, values = _parse(words, path, number)
+        if words[0] == "VERTEX_SE2":
+            vertices[ids[0]] = values
+        else:
+            edges.append((ids[0], ids[1], values, number))
     if edges and not vertices:
         vertices = _laid_along(edges, path)
     if not vertices:
@@ -117,7 +115,7 @@ def _parse(words: list[str], path, number: int) -> tuple[list[int], list[float]]
         if len(words) != _COUNTS[words[0]]:
             raise ValueError
         numbers, values = [int(w) for w in words[1 : 1 + ids]], [float(w) for w in words[1 + ids :]]
-        if not all(map(math.isfinite, values)):
+        if not all(map(math.isfinite, values)) or max(map(abs, numbers)) > _ID_MAX:
             raise ValueError
     except ValueError:
         expected = f"{_COUNTS[words[0]] - 1} finite numbers after {words[0]}"
@@ -148,7 +146,3 @@ def _checked(graph: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]:
 
 def _numbers(values: Array) -> str:
     return " ".join(f"{value:.9g}" for value in values)
-
-
-def _open(path: str | Path, mode: str):
-    return gzip.open(path, mode) if str(path).endswith(".gz") else open(path, mode)

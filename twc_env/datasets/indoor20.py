@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.datasets.fingerprints import RadioSurvey, from_rows, read_text
+from twc_env.datasets.fingerprints import RadioSurvey, from_rows
+from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 
 Array = NDArray

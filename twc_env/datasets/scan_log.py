@@ -7,9 +7,7 @@ t2 in the frame of the pose at t1. All may be gzipped. `sensor_frames` makes of 
 
 from __future__ import annotations
 
-import gzip
 import json
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import between
 from twc_env.messages import UNSEEN_M, SensorFrame
@@ -61,7 +60,7 @@ class Relations:
 def read_scan_log(path: str | Path) -> ScanLog:
     """Read a log. Raises DataError for files that are missing, cut off, or hold something else."""
     try:
-        scans = json.loads(_text(path))["map"]
+        scans = json.loads(read_text(path))["map"]
         times = sorted(scans, key=float)
         ranges_m = np.array([scans[t]["range"] for t in times], float)
         return ScanLog(
@@ -80,7 +79,7 @@ def read_carmen_log(path: str | Path) -> ScanLog:
     """Read the scans of a CARMEN log in the order of its lines. Raises DataError for anything without such scans."""
     scans, poses, times = [], [], []
     try:
-        for line in _text(path).splitlines():
+        for line in read_text(path).splitlines():
             if line.startswith("FLASER "):
                 _, beams, *values = line.split()
                 count = int(beams)
@@ -139,7 +138,7 @@ def sensor_frames(
 def read_relations(path: str | Path, log: ScanLog, tolerance_s: float = TIME_TOLERANCE_S) -> Relations:
     """The relations between two different scans of the log. Raises DataError for anything but lines of 8 numbers."""
     try:
-        rows = np.array([line.split() for line in _text(path).splitlines() if line.strip()], float)
+        rows = np.array([line.split() for line in read_text(path).splitlines() if line.strip()], float)
         times, values = rows[:, :2], rows[:, [2, 3, 7]]
     except (ValueError, IndexError) as error:
         raise DataError(f"{path} holds no relations: {_short(error)}; expected lines of 8 numbers") from error
@@ -157,13 +156,5 @@ def _nearest(times_s: Array, wanted_s: Array) -> Array:
     return np.where(wanted_s - times_s[after - 1] < times_s[after] - wanted_s, after - 1, after)
 
 
-def _text(path: str | Path) -> str:
-    try:
-        raw = Path(path).read_bytes()
-        return (gzip.decompress(raw) if Path(path).suffix == ".gz" else raw).decode()
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
-        raise DataError(f"cannot read {path}: {_short(error)}; check the path or fetch the file again") from error
-
-
 def _short(error: Exception) -> str:
-    return str(getattr(error, "strerror", None) or error)[:120]
+    return str(error)[:120]

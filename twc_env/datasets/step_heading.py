@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import find_peaks
 
-from twc_env.datasets.fingerprints import read_text
+from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.messages import Fingerprint
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import gzip
 import math
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import wrap_angle
 
@@ -26,8 +26,7 @@ def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
     half = poses[:, 2] / 2
     zeros = np.zeros(len(poses))
     columns = [times_s, poses[:, 0], poses[:, 1], zeros, zeros, zeros, np.sin(half), np.cos(half)]
-    with _open(path, "wt") as file:
-        np.savetxt(file, np.column_stack(columns), fmt="%.9g")
+    np.savetxt(path, np.column_stack(columns), fmt=["%.15g"] + 7 * ["%.9g"])  # unix times have ten digits and more
 
 
 def read_tum(path: str | Path) -> tuple[Array, Array]:
@@ -36,14 +35,10 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
     Raises DataError naming the first line that is not eight numbers.
     """
     rows = []
-    try:
-        with _open(path, "rt") as file:
-            for number, line in enumerate(file, 1):
-                words = line.split("#", 1)[0].replace(",", " ").split()
-                if words:
-                    rows.append(_row(words, path, number))
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"cannot read the trajectory {path}: {error}; check the path and the format") from error
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.split("#", 1)[0].replace(",", " ").split()
+        if words:
+            rows.append(_row(words, path, number))
     values = np.array(rows).reshape(-1, 8)
     qx, qy, qz, qw = values[:, 4:].T
     heading = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
@@ -58,7 +53,3 @@ def _row(words: list[str], path: str | Path, number: int) -> list[float]:
     if len(values) != 8 or not all(map(math.isfinite, values)):
         raise DataError(f"{path}, line {number}: expected 8 numbers 'time x y z qx qy qz qw'; got {' '.join(words)!r}")
     return values
-
-
-def _open(path: str | Path, mode: str):
-    return gzip.open(path, mode) if str(path).endswith(".gz") else open(path, mode)

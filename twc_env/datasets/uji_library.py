@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from twc_env.datasets.fingerprints import RadioSurvey, heard_only, numbers, read_text
+from twc_env.datasets.fingerprints import RadioSurvey, heard_only, numbers
+from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 
 

@@ -1,0 +1,48 @@
+"""Files of text that are packed, cut off or no text: read whole, or refused with one kind of error."""
+
+import gzip
+import lzma
+
+import numpy as np
+import pytest
+
+from twc_env.datasets.fingerprints import read_table
+from twc_env.datasets.g2o import read_g2o
+from twc_env.datasets.scan_log import read_carmen_log, read_relations, read_scan_log
+from twc_env.datasets.text_file import read_text
+from twc_env.datasets.tum import read_tum
+from twc_env.errors import DataError
+
+READERS = [read_tum, read_g2o, read_scan_log, read_carmen_log, lambda path: read_relations(path, None), read_table]
+
+
+@pytest.mark.parametrize(("name", "pack"), [("a.txt", bytes), ("a.txt.gz", gzip.compress), ("a.txt.xz", lzma.compress)])
+def test_text_is_unpacked_by_its_name_and_loses_its_byte_order_mark(tmp_path, name, pack):
+    (tmp_path / name).write_bytes(pack("\ufeffZürich\n".encode()))
+    assert read_text(tmp_path / name) == "Zürich\n"
+
+
+def broken(raw, kind):
+    if kind == "cut off":
+        return raw[: len(raw) // 2]
+    return raw[:200] + b"\xff" * 20 + raw[220:]
+
+
+@pytest.mark.parametrize("kind", ["cut off", "damaged"])
+@pytest.mark.parametrize("read", READERS)
+def test_a_broken_archive_is_a_data_error(tmp_path, read, kind):
+    numbers = np.random.default_rng(0).random(2000).tobytes().hex().encode()
+    (tmp_path / "a.gz").write_bytes(broken(gzip.compress(numbers), kind))
+    with pytest.raises(DataError, match=r"cannot read .*a\.gz"):
+        read(tmp_path / "a.gz")
+
+
+def test_a_byte_order_mark_does_not_hide_the_first_vertex(tmp_path):
+    (tmp_path / "a.g2o").write_text("\ufeffVERTEX_SE2 0 1 2 3\r\n", encoding="utf-8")
+    assert read_g2o(tmp_path / "a.g2o")["nodes"].tolist() == [[1.0, 2.0, 3.0]]
+
+
+def test_a_vertex_number_beyond_64_bits_is_named(tmp_path):
+    (tmp_path / "a.g2o").write_text("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 99999999999999999999 0 0 0\n")
+    with pytest.raises(DataError, match="line 2: expected"):
+        read_g2o(tmp_path / "a.g2o")
