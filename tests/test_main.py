@@ -69,6 +69,23 @@ def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, caps
     assert {"map.pgm", "map.yaml", "pose_graph.g2o"} <= written
 
 
+@pytest.mark.parametrize(
+    ("recorded_with", "arguments", "used"),
+    [
+        ("filterpy", [], "filterpy"),
+        ("compiled", ["--set", "slam.odometry_filter.backend=filterpy"], "filterpy"),
+        ("filterpy", ["--filter", "compiled"], "compiled"),
+    ],
+)
+def test_replay_filters_as_the_log_does_unless_told_otherwise(recorded_with, arguments, used, tmp_path):
+    settings = {"map": "twin-01", "robots": 1, "slam.odometry_filter.backend": recorded_with}
+    env = twc_env.parallel_env(config=settings)
+    env.reset(seed=0)
+    write_frame_log(tmp_path / "frames.npz", env.config, [env.frames])
+    assert main(["replay", str(tmp_path), *arguments, "--json", str(tmp_path / "replay.json")]) == 0
+    assert json.loads((tmp_path / "replay.json").read_text())["filter"] == used
+
+
 def test_help_names_every_command(capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["--help"])

@@ -65,8 +65,7 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
     replay.add_argument(
         "--filter",
         choices=("compiled", "filterpy"),
-        default="compiled",
-        help="odometry filter: the compiled kernel, or filterpy's EKF, its oracle (default: %(default)s)",
+        help="odometry filter: the compiled kernel, or filterpy's EKF, its oracle (default: the log's)",
     )
     replay.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
     replay.add_argument("--out", type=Path, metavar="DIR", help="write merged maps (map_server) and pose_graph.g2o")
@@ -123,7 +122,8 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
 
     check_folder(options.out)
     config, steps = read_frame_log(log)
-    config = override(config, {**assignments(options.set), "slam.odometry_filter.backend": options.filter})
+    chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
+    config = override(config, {**assignments(options.set), **chosen})
     robots = 1 + max(frame.robot for frames in steps for frame in frames)
     engine = CooperativeSlam(config, robots)
     odom_poses = []
@@ -138,7 +138,7 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     figures = {
         "log": str(log),
         "steps": len(steps),
-        "filter": options.filter,
+        "filter": config.slam.odometry_filter.backend,
         "groups": [list(group.robots) for group in team.groups],
         "keyframes": [len(keyframes) for keyframes in team.keyframes],
         "closures_accepted": sum(c.status == "accepted" for c in team.closures),

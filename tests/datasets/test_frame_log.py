@@ -1,3 +1,4 @@
+import dataclasses
 import re
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from twc_env.datasets.frame_log import (
     write_truth_log,
 )
 from twc_env.errors import DataError, TwcError
-from twc_env.messages import Contacts
+from twc_env.messages import Contacts, WifiScan
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +61,16 @@ def test_ages_of_repeated_readings_survive(tmp_path):
     ]
     assert any(scan.age_s.max(initial=0.0) > 0 for scan in scans[0])
     assert all(np.array_equal(a.age_s, b.age_s) for a, b in zip(*scans, strict=True))
+
+
+def test_scans_without_ages_among_others_are_new(recorded, tmp_path):
+    env, steps = recorded
+    frame, scan = steps[0][0], WifiScan(np.array([1, 2]), np.array([-50.0, -60.0]))
+    frames = [dataclasses.replace(frame, step=k, wifi=scan) for k in range(3)]
+    frames[1] = dataclasses.replace(frames[1], wifi=dataclasses.replace(scan, age_s=np.array([1.0, 2.0])))
+    write_frame_log(tmp_path / "frames.npz", env.config, [[one] for one in frames])
+    _, read = read_frame_log(tmp_path / "frames.npz")
+    assert [one.wifi.age_s.tolist() for (one,) in read] == [[0.0, 0.0], [1.0, 2.0], [0.0, 0.0]]
 
 
 def test_the_engine_finds_on_a_log_what_it_found_in_the_world(recorded, tmp_path):
@@ -126,6 +137,14 @@ def test_a_log_without_any_of_its_columns_is_named(columns, tmp_path):
         ({"sign_text": np.array("[")}, "contradicts itself"),
         ({"sign_text": np.array(3)}, "contradicts itself"),
         ({"config": np.array("{")}, "contradicts itself"),
+        ({"wifi_count": np.full(6, 99, np.int32)}, "wifi_count tells of 594 readings"),
+        ({"wifi_count": np.full(6, -2, np.int32)}, "wifi_count"),
+        ({"wifi_age_s": np.zeros(1)}, "wifi_age_s"),
+        ({"odometry": np.zeros((6, 2))}, "odometry"),
+        ({"ranges_m": np.zeros(6)}, "ranges_m"),
+        ({"sign_frame": np.array([6]), "sign_place": np.zeros((1, 2)), "sign_text": np.array('["A"]')}, "sign_frame"),
+        ({"sign_frame": np.array([-1]), "sign_place": np.zeros((1, 2)), "sign_text": np.array('["A"]')}, "sign_frame"),
+        ({"sign_frame": np.array([0]), "sign_place": np.zeros((1, 2)), "sign_text": np.array("[1]")}, "sign_text"),
         (
             {key: np.zeros(0, int) for key in (*PER_FRAME, *PER_READING)} | {"sign_text": np.array("[]")},
             "no frames",

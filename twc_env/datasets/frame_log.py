@@ -62,9 +62,11 @@ def write_frame_log(
 
 
 def _ages(scans: Sequence[WifiScan]) -> dict[str, Any]:
-    """The column of ages; none where the receivers repeat no old readings (all scans of an episode are alike)."""
-    ages = [scan.age_s for scan in scans if scan.age_s is not None]
-    return {"wifi_age_s": np.concatenate(ages)} if ages else {}
+    """The column of ages; none where the receivers repeat no old readings."""
+    if all(scan.age_s is None for scan in scans):
+        return {}
+    ages = [np.zeros(len(scan.macs)) if scan.age_s is None else scan.age_s for scan in scans]
+    return {"wifi_age_s": np.concatenate(ages)}
 
 
 def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame, ...]]]:
@@ -79,8 +81,6 @@ def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame,
         raise
     except (LookupError, TypeError, ValueError) as error:
         raise DataError(f"{path} contradicts itself: {error}; {REMEDY}") from error
-    if not steps:
-        raise DataError(f"{path} holds no frames; {REMEDY}")
     return config, steps
 
 
@@ -119,11 +119,31 @@ def _read(path: str | Path) -> dict[str, Array]:
         lengths = {key: log[key].shape[0] if log[key].ndim else None for key in keys}
         if len(set(lengths.values())) > 1:
             raise DataError(f"{path} contradicts itself: columns of different length, {lengths}; {REMEDY}")
+    if not len(log["robot"]):
+        raise DataError(f"{path} holds no frames; {REMEDY}")
+    if fault := _fault(log):
+        raise DataError(f"{path} contradicts itself: {fault}; {REMEDY}")
     return log
+
+
+def _fault(log: dict[str, Array]) -> str | None:
+    """What does not fit together in columns of right length."""
+    frames, readings, counts = len(log["robot"]), len(log["wifi_macs"]), log["wifi_count"]
+    if log["odometry"].shape != (frames, 3) or log["ranges_m"].ndim != 2:
+        return f"odometry of shape {log['odometry'].shape} and ranges_m of {log['ranges_m'].shape}"
+    if (counts < -1).any() or np.maximum(counts, 0).sum() != readings:
+        return f"wifi_count tells of {np.maximum(counts, 0).sum()} readings and wifi_macs holds {readings}"
+    if "wifi_age_s" in log and log["wifi_age_s"].shape != (readings,):
+        return f"wifi_age_s of shape {log['wifi_age_s'].shape} for {readings} readings"
+    if not np.isin(log["sign_frame"], np.arange(frames)).all():
+        return f"sign_frame names frames beyond the {frames} that there are"
+    return None
 
 
 def _steps(log: dict[str, Array]) -> list[tuple[SensorFrame, ...]]:
     texts = json.loads(str(log["sign_text"]))
+    if not all(isinstance(text, str) for text in texts):
+        raise TypeError("sign_text holds what is no text")
     signs: dict[int, list[SignReading]] = {}
     for frame, (bearing, range_m), text in zip(log["sign_frame"].tolist(), log["sign_place"], texts, strict=True):
         signs.setdefault(frame, []).append(SignReading(text, float(bearing), float(range_m)))
