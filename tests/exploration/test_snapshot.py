@@ -60,20 +60,22 @@ def test_an_episode_goes_on_from_a_snapshot_to_the_byte(kind, before, after, sam
     assert equal(go_on(other, observations, after), first, same)
 
 
-def test_robots_that_push_against_walls_and_mates_go_on_to_the_byte(same):
-    env = twc_env.parallel_env(map="sfw-e1", robots=3, config=settings("velocity"))
+@pytest.mark.parametrize(("robots", "stopped", "steps"), [(1, 0, 60), (3, 0, 60), (3, 1, 60), (3, 1, 30)])
+def test_robots_that_push_against_walls_and_mates_go_on_to_the_byte(robots, stopped, steps):
+    failure = {"failure.robots": stopped, "failure.robots_step": 40}
+    env = twc_env.parallel_env(map="sfw-e1", robots=robots, config={"slam.mode": "off", **failure})
     env.reset(seed=1)
     ahead = dict.fromkeys(env.agents, np.array([1.0, 0.05], np.float32))
-    for _ in range(60):
+    for _ in range(steps):
         env.step(ahead)
-    moment, first, second = env.snapshot(), [], []
-    for seen in (first, second):
-        env.restore(moment)
+    moment, seen = env.snapshot(), [[], [], []]
+    for own in seen:  # the first goes on as if no snapshot had been taken
         for _ in range(40):
             env.step(ahead)
-            seen.append(env.state().tolist())
-    assert env.record.contact_count > 0
-    assert first == second
+            own.append(env.state().tolist())
+        assert env.record.contact_count > 0
+        env.restore(moment)
+    assert seen[0] == seen[1] == seen[2]
 
 
 def test_what_happens_after_a_snapshot_does_not_change_it(same):

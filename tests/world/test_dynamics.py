@@ -1,3 +1,5 @@
+import copy
+
 import numpy as np
 import pytest
 
@@ -108,6 +110,21 @@ def test_a_blocked_robot_regains_speed_only_by_accelerating():
     before = dynamics.poses[0].copy()
     drive(dynamics, [[1.0, 0.0]], 1)
     assert np.hypot(*(dynamics.poses[0] - before)[:2]) < 0.03
+
+
+def test_a_copy_goes_on_to_the_byte_though_its_rigid_body_world_was_made_anew(monkeypatch):
+    monkeypatch.setattr("twc_env.world.dynamics._ASKED_MAX", 60)
+    random = np.random.default_rng(5)
+    first = robots_in(DynamicsConfig(), ROOM, [[1, 1, 0.0], [1.6, 1, 1.0], [1, 1.7, 2.0]])
+    for step in range(100):
+        commands = random.choice([-1.0, 0.5, 1.0], (3, 2))
+        if step == 40:
+            first.anchor([2])
+        other = copy.deepcopy(first)
+        drive(other, commands, 3)
+        drive(first, commands, 3)
+        assert np.array_equal(first.poses, other.poses)
+    assert first.contacts.any() and len(first._asked) <= 60
 
 
 def test_steps_without_the_rigid_body_world_are_those_it_would_have_taken():

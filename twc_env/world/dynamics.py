@@ -26,6 +26,8 @@ _PENETRATION_KEPT_PER_S = 1e-6
 _STATE = (
     batch.BodyFields.POSITION | batch.BodyFields.ANGLE | batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY
 )
+_ASKED_MAX = 4096
+"""After so many steps in it the rigid-body world is made anew, so that what a copy has to repeat stays bounded."""
 _BOOL = np.dtype(np.bool_)
 _CLEAR_M = 1e-6
 """Gaps larger than the step by this much are not closed in it."""
@@ -42,6 +44,10 @@ class Dynamics:
         self._radius_m, self._starts = config.robot_radius_m, np.array(starts, float)
         self._space: pymunk.Space | None = None
         """Made when something may touch for the first time: in many an episode nothing ever does."""
+        self._asked: list[bytes | frozenset[int]] = []
+        """All that happened to it since it was made: robots anchored, and the states it was asked to go on from.
+
+        It keeps more from step to step than it tells, so a copy of it comes from doing the same again."""
         self._anchored: set[int] = set()
         self._limits = np.array(
             [
@@ -70,7 +76,8 @@ class Dynamics:
         self._outgoing.set_float_buf(self._state)
 
     def __getstate__(self) -> dict:
-        return {key: value for key, value in self.__dict__.items() if key not in ("_outgoing", "_incoming")}
+        kept = {key: value for key, value in self.__dict__.items() if key not in ("_outgoing", "_incoming")}
+        return kept | {"_space": None, "_asked": self._asked.copy()}
 
     def __setstate__(self, state: dict) -> None:
         self.__dict__.update(state)
@@ -99,12 +106,12 @@ class Dynamics:
     def collide(self) -> None:
         """The step that `advance` has refused, in the rigid-body world."""
         space = self._space
+        if len(self._asked) >= _ASKED_MAX:
+            space, self._asked = None, []
         if space is None:
-            space = self._space = _space(self._walls[0], self._starts, self._radius_m)
-            _anchor(space, self._anchored)
-        batch.set_space_bodies(space, _STATE, self._outgoing)
-        for _ in range(self._substeps):
-            space.step(self._time_step_s / self._substeps)
+            space = self._space = self._make_space()
+        self._asked.append(self._state.tobytes())
+        self._ask(space, self._outgoing)
         self._incoming.clear()
         batch.get_space_bodies(space, _STATE, self._incoming)
         self._state[:] = np.frombuffer(self._incoming.float_buf()).reshape(self._count + 1, 6)
@@ -114,8 +121,29 @@ class Dynamics:
         """From now on nobody can push these robots: their brakes hold."""
         robots = set(robots) - self._anchored
         self._anchored |= robots
+        if self._asked and robots:
+            self._asked.append(frozenset(robots))
         if self._space is not None:
             _anchor(self._space, robots)
+
+    def _make_space(self) -> pymunk.Space:
+        """The rigid-body world as all that happened to it has left it."""
+        space = _space(self._walls[0], self._starts, self._radius_m)
+        if not self._asked:
+            self._asked.append(frozenset(self._anchored))
+        for event in self._asked:
+            if isinstance(event, frozenset):
+                _anchor(space, event)
+            else:
+                states = batch.Buffer()
+                states.set_float_buf(bytearray(event))
+                self._ask(space, states)
+        return space
+
+    def _ask(self, space: pymunk.Space, states: batch.Buffer) -> None:
+        batch.set_space_bodies(space, _STATE, states)
+        for _ in range(self._substeps):
+            space.step(self._time_step_s / self._substeps)
 
     def _look_around(self) -> None:
         _look_around(self._state, *self._walls, self._radius_m, self._reach_m, self._gaps, self.poses, self.contacts)
