@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from twc_env.slam.odometry_calibration import Calibration, Motions, between_places
+from twc_env.slam.odometry_calibration import Calibration, Motions, between_places, calibration
 
 RANDOM = np.random.default_rng(8)
 TURNED = RANDOM.choice([0.0, 0.0, 0.0, 0.8, -0.8], 200)
@@ -18,3 +18,8 @@ def test_constant_errors_bend_the_ways_between_places_as_they_bend_each_step(wro
     moved, expected = bent.motion - right.motion, straight.motion - right.motion
     assert moved == pytest.approx(expected, abs=0.05 * np.abs(expected).max())
     assert np.abs(expected[:, :2]).max() > 1e-3
+
+
+def test_a_robot_that_stands_still_tells_no_scale():
+    still = Motions(np.zeros((4, 3)), np.zeros(4))
+    assert calibration(still, np.zeros((5, 3))) == Calibration()

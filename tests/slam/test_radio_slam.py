@@ -69,6 +69,13 @@ def test_a_fifth_of_false_closures_changes_little():
     assert errors(log, truth, false_closures=false)[0] < 1.5
 
 
+def test_one_transmitter_heard_everywhere_leaves_the_odometry_alone():
+    log, _ = made_log(laps=2)
+    alike = [Fingerprint(np.array([CELL_ID_MIN]), np.array([-80.0]))] * len(log.fingerprints)
+    result = solve(dataclasses.replace(log, fingerprints=alike), RadioSlamConfig(), ("lte",))
+    assert result.fell_back and result.poses == pytest.approx(log.odometry, abs=1e-9)
+
+
 def test_fingerprints_that_tell_nothing_leave_the_odometry_alone():
     log, _ = made_log()
     random = np.random.default_rng(2)

@@ -95,7 +95,8 @@ def calibration(motions: Motions, poses: Array) -> Calibration:
     """The scale, curl and turn factor that poses show against the beginning of odometry."""
     corrected = between(poses[:-1], poses[1:])
     length, fitted = motions.length_m, len(corrected)
-    scale = np.hypot(corrected[:, 0], corrected[:, 1]).sum() / max(length[:fitted].sum(), 1e-9)
+    travel_m = length[:fitted].sum()
+    scale = np.hypot(corrected[:, 0], corrected[:, 1]).sum() / travel_m if travel_m > 0 else 1.0
     piece = np.arange(fitted) // PIECE
     missing = np.bincount(piece, wrap_angle(corrected[:, 2] - motions.motion[:fitted, 2]))
     causes = np.column_stack([np.bincount(piece, cause[:fitted, 2]) for cause in motions.causes])

@@ -189,7 +189,7 @@ class _Solver:
         chosen = apart[:: max(1, len(apart) // JUDGES_MAX)]
         i, j = i[chosen], j[chosen]
         near = -np.linalg.norm(poses[i, :2] - poses[j, :2], axis=1)
-        return float(np.mean([spearmanr(near, cue.similarity[i, j]).statistic for cue in self._cues]))
+        return float(np.mean([_rank_correlation(near, cue.similarity[i, j]) for cue in self._cues]))
 
     def _closures(self, cues: Sequence[RadioCue], false_closures: Distances | None) -> Distances:
         """What these cues tell of distances, with the false ones among it."""
@@ -207,6 +207,11 @@ class _Solver:
         poses = spread(self._log.odometry, self._log.travel_m, self._places, place_poses)
         models = {cue.name: cue.model for cue in self._cues}
         return RadioResult(poses, self._places, place_poses, models, closures, fell_back)
+
+
+def _rank_correlation(near: Array, likeness: Array) -> float:
+    """0 where all are alike, as where one transmitter is heard everywhere: that orders nothing."""
+    return float(spearmanr(near, likeness).statistic) if np.ptp(near) > 0 and np.ptp(likeness) > 0 else 0.0
 
 
 def motion_information(config: RadioSlamConfig, length_m: Array, turned_rad: Array) -> Array:
