@@ -106,8 +106,12 @@ class TeamFrames(_Team[SensorFrame]):
         self.step, self.time_s = step, time_s
         self.odometry, self.turn_rates_rad_s, self.ranges_m = odometry, turn_rates_rad_s, ranges_m
         self.signs = signs
-        self._scans: WifiScans | None = wifi if isinstance(wifi, WifiScans) else None
-        self._wifi: Sequence[WifiScan | None] | None = None if isinstance(wifi, WifiScans) else wifi
+        self._scans: WifiScans | None
+        self._wifi: Sequence[WifiScan | None] | None
+        if isinstance(wifi, WifiScans):
+            self._scans, self._wifi = wifi, None
+        else:
+            self._scans, self._wifi = None, wifi
 
     @property
     def wifi(self) -> Sequence[WifiScan | None]:

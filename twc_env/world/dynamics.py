@@ -68,7 +68,12 @@ class Dynamics:
         self._gaps = np.empty(self._count)
         """(n,) from each robot's middle to the nearest wall, cut where no step reaches."""
         self._walls = index.buckets()
-        self.make_room()
+        self.poses: Array = np.empty((self._count, 3))
+        """(n, 3) true poses, a new array with every step."""
+        self.contacts: Array = np.empty(self._count, _BOOL)
+        """(n,) whether the robot touches a wall or a robot at the end of the step."""
+        self.untouched: Array = np.zeros(self._count, _BOOL)
+        """(n,) `contacts` of every step in which nobody touches anything."""
         self._look_around()
 
     def _make_buffers(self) -> None:
@@ -92,16 +97,11 @@ class Dynamics:
 
     def step(self, commands: Array) -> None:
         """Advance one time step; commands (n, 2) are forward speed [m/s] and turn rate [rad/s], cut to the limits."""
-        self.make_room()
-        if not advance(np.asarray(commands, float), *self._walls, *self.arguments, self.poses, self.contacts):
+        poses = np.empty((self._count, 3))
+        if advance(np.asarray(commands, float), *self._walls, *self.arguments, poses):
+            self.poses, self.contacts = poses, self.untouched
+        else:
             self.collide()
-
-    def make_room(self) -> None:
-        """New arrays for the poses and contacts of a step, which `advance` or `collide` fills."""
-        self.poses: Array = np.empty((self._count, 3))
-        """(n, 3) true poses, a new array with every step."""
-        self.contacts: Array = np.empty(self._count, _BOOL)
-        """(n,) whether the robot touches a wall or a robot at the end of the step; a new array with every step."""
 
     def collide(self) -> None:
         """The step that `advance` has refused, in the rigid-body world."""
@@ -146,7 +146,9 @@ class Dynamics:
             space.step(self._time_step_s / self._substeps)
 
     def _look_around(self) -> None:
-        _look_around(self._state, *self._walls, self._radius_m, self._reach_m, self._gaps, self.poses, self.contacts)
+        self.poses, self.contacts = np.empty((self._count, 3)), np.empty(self._count, _BOOL)
+        _locate(self._state, *self._walls, self._reach_m, self._gaps, self.poses)
+        _touch(self.poses, self._gaps, self._radius_m, self.contacts)
 
 
 def _space(walls_m: Array, starts: Array, radius_m: float) -> pymunk.Space:
@@ -210,15 +212,19 @@ def _drive(state, commands, limits, time_step, substeps, gaps, radius):
 
 
 @borrowing_kernel
-def _look_around(state, walls, origin, bucket, rows, columns, first, members, radius, reach, gaps, poses, contacts):
-    """Poses of the robots, their distances to walls, and who touches something."""
-    robots = poses.shape[0]
-    for i in range(robots):
+def _locate(state, walls, origin, bucket, rows, columns, first, members, reach, gaps, poses):
+    """Poses of the robots, and their distances to walls."""
+    for i in range(poses.shape[0]):
         poses[i, 0], poses[i, 1] = state[i, 0], state[i, 1]
         poses[i, 2] = (state[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
         gaps[i] = gap(walls, origin, bucket, rows, columns, first, members, state[i, 0], state[i, 1], reach)
+
+
+@borrowing_kernel
+def _touch(poses, gaps, radius, contacts):
+    """Which robots touch a wall or each other."""
+    for i in range(poses.shape[0]):
         contacts[i] = gaps[i] < radius
-    for i in range(robots):
         for j in range(i):
             dx, dy = poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]
             if dx * dx + dy * dy < 4.0 * radius * radius:
@@ -228,10 +234,10 @@ def _look_around(state, walls, origin, bucket, rows, columns, first, members, ra
 @borrowing_kernel
 def advance(
     commands, walls, origin, bucket, rows, columns, first, members, state, limits, time_step, substeps, radius, reach,
-    gaps, poses, contacts,
+    gaps, poses,
 ):  # fmt: skip
-    """`_drive` and, where nothing can be touched, `_look_around`; whether that was so."""
+    """`_drive` and, where nothing can be touched, `_locate`; whether that was so. Nobody touches anything then."""
     is_free = _drive(state, commands, limits, time_step, substeps, gaps, radius)
     if is_free:
-        _look_around(state, walls, origin, bucket, rows, columns, first, members, radius, reach, gaps, poses, contacts)
+        _locate(state, walls, origin, bucket, rows, columns, first, members, reach, gaps, poses)
     return is_free

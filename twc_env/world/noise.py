@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray
 
-_STEPS, _STEPS_MAX = 64, 256
+STEPS, _STEPS_MAX = 64, 256
 _FEW = 16
 """Numbers per step that are so few that drawing them costs less than asking for them: they are drawn for more steps."""
 _POOL = 512
@@ -26,26 +26,30 @@ class StepNoise:
         self._sources = [(streams, count, kind)]
         self.numbers = np.empty((_steps(count), len(streams), count), np.uint64 if kind == "bits" else np.float64)
         """(steps, robots, count)."""
-        self._used = len(self.numbers)
+        self._taken, self._block = 0, -1
 
     def beside(self, streams: Sequence[np.random.Generator], count: int, kind: str = "standard_normal") -> StepNoise:
         """The same with further numbers of other streams in the columns behind."""
         self._sources.append((streams, count, kind))
         _, robots, columns = self.numbers.shape
         self.numbers = np.empty((_steps(columns + count), robots, columns + count))
-        self._used = len(self.numbers)
         return self
 
     def next(self) -> Array:
-        """(robots, count) numbers of the next step; valid until the call after."""
-        return self.numbers[self.next_row()]
+        """(robots, count) numbers of step 0, then of step 1, ...; valid until the call after."""
+        self.hold(self._taken)
+        self._taken += 1
+        return self.numbers[(self._taken - 1) % len(self.numbers)]
 
-    def next_row(self) -> int:
-        """The row of `numbers` for the next step."""
-        if self._used == len(self.numbers):
+    def hold(self, step: int) -> None:
+        """Have the numbers of a step in row `step % len(numbers)`, for kernels; blocks of steps follow each other.
+
+        As long as `step // STEPS` stays the same it need not be called again.
+        """
+        block = step // len(self.numbers)
+        if block != self._block:
+            self._block = block
             self._draw()
-        self._used += 1
-        return self._used - 1
 
     def _draw(self) -> None:
         first, steps = 0, len(self.numbers)
@@ -54,12 +58,11 @@ class StepNoise:
                 draw = stream.bit_generator.random_raw if kind == "bits" else getattr(stream, kind)
                 self.numbers[:, robot, first : first + count] = draw(steps * count).reshape(steps, count)
             first += count
-        self._used = 0
 
 
 def _steps(count: int) -> int:
     """For how many steps numbers are drawn at once, `count` of them for each."""
-    return _STEPS_MAX if count <= _FEW else _STEPS
+    return _STEPS_MAX if count <= _FEW else STEPS
 
 
 class NormalPool:
@@ -86,15 +89,22 @@ class StepQueue:
 
     def __init__(self, streams: Sequence[np.random.Generator], count: int):
         self._streams = streams
-        self.numbers = np.empty((_STEPS, len(streams), count))
-        self.used = np.full(len(streams), _STEPS)
+        self.numbers = np.empty((STEPS, len(streams), count))
+        self.used = np.full(len(streams), STEPS)
+        self._block = -1
 
-    def refill(self) -> None:
-        """Draw anew what was taken; to be called before the first step and every 64 steps."""
+    def hold(self, step: int) -> None:
+        """Have enough for a step and those after it with the same `step // STEPS`."""
+        if step // STEPS != self._block:
+            self._block = step // STEPS
+            self._refill()
+
+    def _refill(self) -> None:
+        """Draw anew what was taken."""
         for robot, (stream, used) in enumerate(zip(self._streams, self.used.tolist(), strict=True)):
             rows = self.numbers[:, robot]
-            rows[: _STEPS - used] = rows[used:].copy()
-            rows[_STEPS - used :] = stream.standard_normal((used, rows.shape[1]))
+            rows[: STEPS - used] = rows[used:].copy()
+            rows[STEPS - used :] = stream.standard_normal((used, rows.shape[1]))
         self.used[:] = 0
 
 

@@ -104,8 +104,8 @@ class Odometry:
     def measure(self, poses_before: Array, poses: Array) -> tuple[Array, Array]:
         """True poses (n, 3) at the last frame and now -> odometry (n, 3), gyro turn rate (n,) [rad/s]."""
         odometry, turn_rates = np.empty((len(poses), 3)), np.empty(len(poses))
-        *arguments, numbers = self.arguments
-        measure(poses_before, poses, *arguments, numbers[self.noise.next_row()], odometry, turn_rates)
+        *arguments, _ = self.arguments
+        measure(poses_before, poses, *arguments, self.noise.next(), odometry, turn_rates)
         return odometry, turn_rates
 
     @property

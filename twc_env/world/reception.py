@@ -110,14 +110,11 @@ class WifiReceivers:
             model.radio_of if self._is_fading_shared else np.arange(count), model.macs,
             np.empty(len(self._crossings.arrays[1]), np.int64), np.empty(count), np.empty(count, np.bool_),
         )  # fmt: skip
-        self.row = 0
-        """Of the numbers drawn, for a scan of each robot."""
 
-    def begin_round(self) -> None:
-        """Draw the numbers for a further scan of each robot."""
-        self.row = self._noise.next_row()
-        if self.row % len(self._fading.numbers) == 0:
-            self._fading.refill()
+    def hold(self, number: int) -> None:
+        """Have what is drawn for scan 0, 1, ... of each robot, see `StepNoise.hold`."""
+        self._noise.hold(number)
+        self._fading.hold(number)
 
     @property
     def arguments(self) -> tuple:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from twc_env.world.crossing_table import MISSING, square_at
 from twc_env.world.dynamics import Dynamics, advance
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.lidar import Lidar, glass_walls, sweep
+from twc_env.world.noise import STEPS
 from twc_env.world.odometry import Odometry, measure
 from twc_env.world.radio import RadioModel
 from twc_env.world.reception import WifiReceiver, WifiReceivers, hear
@@ -33,9 +35,11 @@ START_SPACING_M = 1.5
 """Distance between drawn starts."""
 START_SPACING_MIN_M = 0.6
 _PLACES_MAX = 2000
-_BOOL, _FLOAT, _INT = np.dtype(np.bool_), np.dtype(np.float64), np.dtype(np.int64)
-_TYPES = _BOOL, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _INT, _FLOAT, _INT
-"""Of what a step fills: contacts, poses, odometry, turn rates, ranges; addresses heard, how strongly, and how many."""
+_FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
+_TYPES = _FLOAT, _FLOAT, _FLOAT, _FLOAT, _INT, _FLOAT, _INT
+"""Of what a step fills: poses, odometry, turn rates, ranges; addresses heard, how strongly, and how many."""
+_scans_of = partial(tuple.__new__, WifiScans)
+"""Of its four fields; half as long as calling the class, which goes through Python."""
 _STEPS_AT_ONCE = 16
 """Steps for which arrays are made together: a row of one costs a third of an array of its own."""
 _NO_COMMANDS = np.empty((0, 2))
@@ -61,7 +65,6 @@ class World:
         self._wifi_period = _period_steps(config.radio.scan_period_s, config)
         self._camera_period = _period_steps(config.signs.period_s, config)
         self._hearing = _turns(self._wifi_period, config.robots)
-        self._hearing_robots = [np.array(robots, np.int64) for robots in self._hearing]
         self._looking = _turns(self._camera_period, config.robots)
         self._no_signs: tuple[tuple[SignReading, ...], ...] = ((),) * config.robots
         self._run: Callable[..., int] | None = None
@@ -88,14 +91,17 @@ class World:
         ]
         self._wifi = WifiReceivers(self._radio, self._receivers)
         self._hears_at_once = self._receivers[0].is_plain
-        self._rooms: list[Iterator[tuple[Array, ...]]] = [iter(()) for _ in self._hearing]
-        """For each step of a WiFi period, what the next such steps fill: in the order of `_TYPES`."""
+        self._listeners = [np.array(turn if self._hears_at_once else (), np.int64) for turn in self._hearing]
+        """For each step of a WiFi period, the robots that hear in the one call of the step."""
+        self._rooms: list[Iterator[tuple]] = [iter(()) for _ in self._hearing]
+        """For each step of a WiFi period, what the next such steps fill: poses, odometry, turn rates, ranges, scans."""
         self._cameras = [SignCamera(config.signs, self._home, robot, seed, config.dynamics) for robot in range(robots)]
         self._sights, self._hidden = self._cameras[0].make_room(robots)
         self._sight_counts = np.zeros(robots, np.int64)
         self._held_crossings = None
-        self._sensed_poses = self._dynamics.poses
-        self._step = 0
+        self._sensed_poses = self._dynamics.poses.copy()
+        """(n, 3) at the last reading of the sensors."""
+        self._step, self._noise_block = 0, -1
         self._none_sighted: tuple[tuple[int, ...], ...] = ((),) * robots
         self.sighted_signs = self._none_sighted
 
@@ -142,50 +148,54 @@ class World:
 
     def _read(self, commands: Array | None) -> TeamFrames:
         """What all sensors read, once the robots have followed the commands of this step, if there are any."""
-        step, dynamics, is_plain = self._step, self._dynamics, self._lidar.is_plain
+        step, dynamics = self._step, self._dynamics
+        if step // STEPS != self._noise_block:
+            self._draw_noise()
         turn = step % self._wifi_period
-        if turn == 0 and self._hears_at_once:
-            self._wifi.begin_round()
-        outputs: list[Array]
-        contacts, poses, *outputs = next(self._rooms[turn], None) or self._make_room(turn)
+        poses, odometry, turn_rates, ranges, heard = next(self._rooms[turn], None) or self._make_room(turn)
         if commands is None:
-            poses = dynamics.poses
+            commands, poses = _NO_COMMANDS, dynamics.poses
         else:
-            dynamics.contacts, dynamics.poses = contacts, poses
-        arguments = (
-            contacts, self._sensed_poses, poses, step, self._odometry.noise.next_row(),
-            self._lidar.noise.next_row() if is_plain else 0, self._wifi.row, *outputs,
-        )  # fmt: skip
+            dynamics.poses, dynamics.contacts = poses, dynamics.untouched
+        arguments = poses, step, odometry, turn_rates, ranges, *heard
         run = self._run
         if run is None or self._held_crossings is not self._radio.crossings.arrays:  # another table when it has grown
             run = self._bind(arguments)
-        sighted = run(_NO_COMMANDS if commands is None else commands, *arguments)
+        sighted = run(commands, *arguments)
         while sighted < 0:
             if sighted == _TOUCHING:
                 dynamics.collide()
+                poses = dynamics.poses
+                arguments = poses, *arguments[1:]
             else:
                 self._radio.crossings.prepare(*poses[_UNSEEN - sighted, :2].tolist())
                 run = self._bind(arguments)
             sighted = run(_NO_COMMANDS, *arguments)
-        self._sensed_poses = poses
-        odometry, turn_rates, ranges, *heard = outputs
-        if not is_plain:
+        if not self._lidar.is_plain:
             ranges = self._lidar.scan(poses)
         if step == 0:
             odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self._time_step_s
-        wifi: WifiScans | list[WifiScan | None]
-        wifi = WifiScans(self._hearing_robots[turn], *heard) if self._hears_at_once else self._hear_one_by_one(time_s)
+        wifi: WifiScans | list[WifiScan | None] = heard if self._hears_at_once else self._hear_one_by_one(time_s)
         return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, self._read_signs(sighted))
 
-    def _make_room(self, turn: int) -> tuple[Array, ...]:
+    def _draw_noise(self) -> None:
+        """Random numbers for the coming steps."""
+        self._noise_block = self._step // STEPS
+        self._odometry.noise.hold(self._step)
+        if self._lidar.is_plain:
+            self._lidar.noise.hold(self._step)
+        if self._hears_at_once:
+            self._wifi.hold(self._step // self._wifi_period)
+
+    def _make_room(self, turn: int) -> tuple:
         """New arrays for some steps of which all are of that turn; the first step's."""
-        robots, beams = self.config.robots, self.config.lidar.beam_count
-        hearing = len(self._hearing[turn]) if self._hears_at_once else 0
-        laser, radio = ((robots, beams) if self._lidar.is_plain else (0, 0)), (hearing, len(self._radio.macs))
-        shapes = (robots,), (robots, 3), (robots, 3), (robots,), laser, radio, radio, (hearing,)
-        blocks = [np.empty((_STEPS_AT_ONCE, *shape), kind) for shape, kind in zip(shapes, _TYPES, strict=True)]
-        self._rooms[turn] = zip(*blocks, strict=True)
+        robots, beams, listeners = self.config.robots, self.config.lidar.beam_count, self._listeners[turn]
+        laser, radio = ((robots, beams) if self._lidar.is_plain else (0, 0)), (len(listeners), len(self._radio.macs))
+        shapes = (robots, 3), (robots, 3), (robots,), laser, radio, radio, (len(listeners),)
+        *team, macs, readings, counts = map(np.empty, [(_STEPS_AT_ONCE, *shape) for shape in shapes], _TYPES)
+        scans = map(_scans_of, zip(repeat(listeners), macs, readings, counts, strict=False))
+        self._rooms[turn] = zip(*team, scans, strict=True)
         return next(self._rooms[turn])
 
     def _hear_one_by_one(self, time_s: float) -> list[WifiScan | None]:
@@ -214,7 +224,7 @@ class World:
         apparatus = (
             *self._walls, *self._dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
             *self._wifi.arguments, *self._cameras[0].arguments, self._sights, self._hidden, self._sight_counts,
-            self._wifi_period, self._camera_period,
+            self._sensed_poses, self._wifi_period, self._camera_period,
         )  # fmt: skip
         held = Lent(pack(apparatus))
         run = rebound(self._run, held) or bound(_move_and_sense, held, _NO_COMMANDS, *arguments)
@@ -303,15 +313,14 @@ def _radio_model(config: RadioConfig, plan: Floorplan) -> RadioModel:
 
 @borrowing_kernel
 def _move_and_sense(
-    apparatus, commands, contacts, before, now, step, odometry_row, lidar_row, wifi_row, odometry, turn_rates, ranges,
-    macs, readings, heard_counts,
+    apparatus, commands, now, step, odometry, turn_rates, ranges, listeners, macs, readings, heard_counts
 ):  # fmt: skip
-    """Move all robots, where there are commands, then one reading of each: `advance`, which fills `contacts` and
-    `now`; `measure`, `sweep`, `hear` and `look`, the last two where they are due.
+    """Move all robots, where there are commands, then one reading of each: `advance`, which fills `now`; `measure`,
+    `sweep`, `hear` of the listeners and `look` where it is due.
 
     Gives how many signs are in view. Nothing is read where `advance` refuses, which gives _TOUCHING, and where the
-    walls around robot i are still to be worked out, which gives _UNSEEN - i. Lasers and radios need a row each for what
-    they read, or none at all is used.
+    walls around robot i are still to be worked out, which gives _UNSEEN - i. Lasers need a row each for what they read,
+    or none at all is used.
     """
     (
         walls, origin, bucket, rows, columns, first, members, state, limits, move_s, substeps, girth, reach, gaps,
@@ -320,31 +329,33 @@ def _move_and_sense(
         loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
         pose_home_building, boxes, waves, radios, parts, distance_min, scratch,
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
-        draws, signs, lengths, optics, does_hide, sights, hidden, sight_counts, wifi_period, camera_period,
+        draws, signs, lengths, optics, does_hide, sights, hidden, sight_counts, before, wifi_period, camera_period,
     ) = parts_of(apparatus)  # fmt: skip
     if commands.shape[0] > 0 and not advance(
         commands, walls, origin, bucket, rows, columns, first, members, state, limits, move_s, substeps, girth, reach,
-        gaps, now, contacts,
+        gaps, now,
     ):  # fmt: skip
         return _TOUCHING
     robots = now.shape[0]
-    hearing = range(-step % wifi_period, robots if macs.shape[0] > 0 else 0, wifi_period)
-    for i in hearing:
+    for k in range(listeners.shape[0]):
+        i = listeners[k]
         if square_at(now[i, 0], now[i, 1], low, numbers) == MISSING:
             return _UNSEEN - i
-    noise = odometry_noise[odometry_row]
+    noise = odometry_noise[step % odometry_noise.shape[0]]
     measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates)
     if ranges.shape[0] == robots:
         sweep(
             walls, origin, bucket, rows, columns, first, members, now, directions, radius, far, near, near_counts,
-            anchors, laid, stamps, deviates, quantiles, range_std, words[lidar_row], ranges,
+            anchors, laid, stamps, deviates, quantiles, range_std, words[step % words.shape[0]], ranges,
         )  # fmt: skip
-    for k, i in enumerate(hearing):
+    scan = step // wifi_period % draws.shape[0]
+    for k in range(listeners.shape[0]):
+        i = listeners[k]
         heard_counts[k] = hear(
             i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
             sure_counts, sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts,
             distance_min, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
-            all_macs, crossed, rssi, heard, draws[wifi_row], macs[k], readings[k],
+            all_macs, crossed, rssi, heard, draws[scan], macs[k], readings[k],
         )  # fmt: skip
     sighted = 0
     for i in range(-step % camera_period, robots, camera_period):
@@ -353,4 +364,7 @@ def _move_and_sense(
             now if does_hide else now[:0], sights[i], hidden[i],
         )  # fmt: skip
         sighted += sight_counts[i]
+    for i in range(robots):
+        for k in range(3):
+            before[i, k] = now[i, k]
     return sighted
