@@ -6,6 +6,8 @@ baseline of DCL-SLAM's kind) and `fused` (all cues weighed as log-odds). `make_r
 
 from __future__ import annotations
 
+import math
+from bisect import bisect, insort
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -53,20 +55,27 @@ class ProposalFilter:
 
     def __init__(self):
         self._tried: dict[tuple[int, int], list[tuple[float, float]]] = {}
+        """Path lengths up to both ends of what was tried between two robots, ascending."""
 
     def is_new(self, target: Keyframe, source: Keyframe, reach_m: float) -> bool:
         """Whether no earlier proposal between the two robots lies within reach_m at both ends; remembers this one."""
         if self.was_tried(target, source, reach_m):
             return False
         robots, travels_m = _in_order(target, source)
-        self._tried.setdefault(robots, []).append(travels_m)
+        insort(self._tried.setdefault(robots, []), travels_m)
         return True
 
     def was_tried(self, target: Keyframe, source: Keyframe, reach_m: float) -> bool:
         """Whether an earlier proposal between the two robots lies within reach_m at both ends."""
         robots, (a, b) = _in_order(target, source)
-        tried = reversed(self._tried.get(robots, ()))
-        return any(abs(a - x) < reach_m and abs(b - y) < reach_m for x, y in tried)
+        tried = self._tried.get(robots, ())
+        for k in range(bisect(tried, (a - reach_m, math.inf)), len(tried)):
+            x, y = tried[k]
+            if x >= a + reach_m:
+                return False
+            if abs(b - y) < reach_m:
+                return True
+        return False
 
 
 def _in_order(a: Keyframe, b: Keyframe) -> tuple[tuple[int, int], tuple[float, float]]:
