@@ -79,7 +79,9 @@ class SignTable:
         """Where the fingerprint of each row ends; it begins where the one before does. And room for what is found."""
         self._macs, self._rssi_dbm = np.zeros(_ROOM, np.int64), np.zeros(_ROOM)
         """Of all fingerprints, one after the other."""
-        self._count = self._end = self._robots = 0
+        self._count = self._end = 0
+        self._robots: set[int] = set()
+        """Whose places they are."""
         self._run: Callable[..., int] | None = None
         """`_choose` with all of this."""
 
@@ -95,7 +97,7 @@ class SignTable:
         self._places[row, 0], self._places[row, 1] = keyframe.robot, text
         self._travels_m[row], self._ends[row] = keyframe.travel_m, end
         self._count, self._end = row + 1, end
-        self._robots = max(self._robots, keyframe.robot + 1)
+        self._robots.add(keyframe.robot)
 
     def _make_room(self, rows: int, heard: int) -> None:
         while heard > len(self._macs):
@@ -103,6 +105,10 @@ class SignTable:
         if rows > len(self._places):
             self._places, self._travels_m = doubled(self._places), doubled(self._travels_m)
             self._ends, self._found, self._run = doubled(self._ends), doubled(self._found), None
+
+    def has_others(self, robots: Sequence[int]) -> bool:
+        """Whether there are places of any but these robots."""
+        return not self._robots.issubset(robots)
 
     def like(
         self,
@@ -118,10 +124,9 @@ class SignTable:
         keyframe's own those less than apart_m before it along the path. Each comes as its number, the similarity of
         texts, `mac_similarity`, `rssi_similarity`, and distance [dB] and count of `rssi_distance_db`.
         """
-        is_skipped = np.zeros(self._robots, bool)
-        for robot in skipped_robots:
-            if robot < self._robots:
-                is_skipped[robot] = True
+        is_skipped = np.zeros(max(self._robots, default=-1) + 1, bool)
+        for robot in self._robots.intersection(skipped_robots):
+            is_skipped[robot] = True
         heard = keyframe.fingerprint
         now = (
             self._count, likeness, is_skipped, keyframe.robot, keyframe.travel_m - apart_m, heard.macs, heard.rssi_dbm,

@@ -57,7 +57,8 @@ class TextWifiRecogniser:
             return []
         best: dict[tuple[int, int], tuple[float, int, SignObservation, float, float]] = {}
         readings = [(self._key(sign.text), sign) for sign in keyframe.signs]
-        for text, sign in readings:
+        compared = readings if self._table.has_others(skipped_robots) else []
+        for text, sign in compared:
             if math.isnan(sign.facing_rad):
                 continue
             for k, similarity, macs, rssi in self._like_places(text, keyframe, skipped_robots):
