@@ -23,7 +23,7 @@ from twc_env.slam.wall_drawing import BLOCK_CELLS, draw_scans
 
 Array = NDArray
 
-NOTHING_DRAWN = (2**31, 2**31, 0, 0, 0)
+NOTHING_DRAWN = np.array([2**31, 2**31, 0, 0, 0])
 SIGN_TO_WALL_M = 0.3
 """A sign hangs on the wall that is at most this far away."""
 WEIGHT_MIN = 5.0
@@ -216,22 +216,28 @@ class Match:
 
     pose: Array
     """(3,) of the scan in the frame of the field."""
-    hessian: Array
-    """(3, 3) sum of J^T w J over the beams [1/m2 units once divided by the beam variance]."""
+    sums: Array
+    """(9,) over the beams, see `normal_equations`."""
     weight: float
     """Sum of the beams' weights; below WEIGHT_MIN nothing was matched."""
     is_degenerate: bool
     direction: Array
     """(2,) the direction that the walls fix least, unit length."""
 
+    @property
+    def hessian(self) -> Array:
+        """(3, 3) sum of J^T w J over the beams [1/m2 units once divided by the beam variance]."""
+        xx, xy, xt, yy, yt, tt = self.sums[:6].tolist()
+        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
+
     def information(self, beam_std_m: float, correlation: float) -> Array:
         """(3, 3) information of `pose`, along the field's axes.
 
         None along a degenerate direction, as a corridor does not fix its own axis.
         """
-        h, information = self.hessian, np.empty((3, 3))
-        upper = np.array([h[0, 0], h[0, 1], h[0, 2], h[1, 1], h[1, 2], h[2, 2]])
-        _information(upper, self.is_degenerate, *self.direction, beam_std_m**2 * correlation, information)
+        information = np.empty((3, 3))
+        vx, vy = self.direction.tolist()
+        _information(self.sums, self.is_degenerate, vx, vy, beam_std_m**2 * correlation, information)
         return information
 
 
@@ -276,8 +282,7 @@ class LineField:
             self._cells, self._lines, self._origin_m, self._inverse_m, points, len(points), guess, distance_max_m,
             iterations, degenerate_share, STOP_M, STOP_RAD, self._scratch, pose, h,
         )  # fmt: skip
-        hessian = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
-        return Match(pose, hessian, weight, degenerate, np.array([vx, vy]))
+        return Match(pose, h, weight, degenerate, np.array([vx, vy]))
 
     def correlate(
         self, points: Array, guess: Array, window: tuple[float, float], step: tuple[float, float], stride: int = 1
