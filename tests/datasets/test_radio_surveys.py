@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from twc_env.datasets.ble_flat import read_ble_run, read_flat
+from twc_env.datasets.fingerprints import read_table
 from twc_env.datasets.indoor20 import read_indoor20
 from twc_env.datasets.scan_log import read_carmen_log, read_relations, read_scan_log
 from twc_env.datasets.sod_indoor_loc import read_sod
@@ -60,13 +61,23 @@ def test_relations_belong_to_two_different_scans(tmp_path):
     assert pairs.pose_first_second.tolist() == [[1.0, 0.0, 0.2]]
 
 
+SCAN = '{"range": [1, 2], "x": 3, "y": 0, "theta": 0}'
+
+
 @pytest.mark.parametrize(
     ("name", "content", "read"),
     [
         ("floor.txt", "100.5 aa 1.0 2.0", lambda p: read_uw_floor(p)),
         ("floor.txt", "", lambda p: read_uw_floor(p)),
         ("floor.txt", "x aa 1 2 -60", lambda p: read_uw_floor(p)),
+        ("floor.txt", "1 aa 0 0 nan", lambda p: read_uw_floor(p)),
         ("log.json", "{}", lambda p: read_scan_log(p)),
+        ("log.json", '{"map": {}}', lambda p: read_scan_log(p)),
+        ("log.json", f'{{"map": {{"1": {SCAN}, "2": {SCAN.replace("3", "null")}}}}}', lambda p: read_scan_log(p)),
+        ("log.json", f'{{"map": {{"1": {SCAN}, "nan": {SCAN}}}}}', lambda p: read_scan_log(p)),
+        ("carmen.log", "FLASER -2 1 1 0 0 0 0 0 0 12 h 12", lambda p: read_carmen_log(p)),
+        ("carmen.log", "FLASER 1 1.0 0 nan 0 0 0 0 12 h 12", lambda p: read_carmen_log(p)),
+        ("table.csv", 'x,y\n1,"' + 200_000 * "2", lambda p: read_table(p)),
         ("log.json", '{"map": {"1": 3}}', lambda p: read_scan_log(p)),
         ("log.json", '{"map": {"1": ', lambda p: read_scan_log(p)),
         ("carmen.log", "ODOM 0 0 0", lambda p: read_carmen_log(p)),
@@ -84,6 +95,25 @@ def test_broken_files_are_data_errors(tmp_path, name, content, read):
     (tmp_path / name).write_text(content)
     with pytest.raises(DataError):
         read(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "header", "read"),
+    [
+        ("calibration_df.csv.gz", "ts,x,y," + ",".join(f"rssi_{k}" for k in range(1, 7)), read_ble_run),
+        ("Training_CETC331.csv.gz", "ECoord,NCoord,FloorID,SampleTimes,aa", read_sod),
+    ],
+)
+def test_a_table_of_a_header_alone_is_a_data_error(tmp_path, name, header, read):
+    (tmp_path / name).write_bytes(gzip.compress(header.encode() + b"\n"))
+    (tmp_path / "aps_CETC331.csv").write_text("ECoord,NCoord,FloorID,Attribute_2.4,Attribute_5\n1,2,0,aa,bb\n")
+    with pytest.raises(DataError, match="holds no rows"):
+        read(tmp_path, name.removesuffix(".csv.gz").split("_")[-1 if read is read_sod else 0])
+
+
+def test_empty_lines_of_a_table_are_left_out(tmp_path):
+    (tmp_path / "a.csv").write_text("a,b\r\n\r\n1,2\r\n\r\n")
+    assert read_table(tmp_path / "a.csv") == (["a", "b"], [["1", "2"]])
 
 
 @needs_data

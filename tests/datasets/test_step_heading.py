@@ -45,6 +45,42 @@ def test_dead_reckoning_of_real_walks_is_near_the_survey():
     assert all(len(w.fingerprints) == len(w.reckoned) == len(w.surveyed_m) for w in walks)
 
 
+SOUND = {
+    "WAYPOINT": "{t}\tTYPE_WAYPOINT\t{k}\t1.0",
+    "ACCELEROMETER": "{t}\tTYPE_ACCELEROMETER\t0.0\t0.0\t9.81",
+    "ROTATION_VECTOR": "{t}\tTYPE_ROTATION_VECTOR\t0.0\t0.0\t0.1",
+    "WIFI": "{t}\tTYPE_WIFI\tname\t02:00:00:00:00:01\t-50\t2412\t{t}",
+}
+
+
+def write_trace(folder, **changes):
+    (folder / "traces").mkdir()
+    lines = [line.format(t=1000 + 20 * k, k=k) for k in range(60) for line in (SOUND | changes).values()]
+    (folder / "traces" / "a.txt").write_text("\n".join(lines))
+
+
+def test_a_walker_who_takes_no_step_stays_where_it_is(tmp_path):
+    write_trace(tmp_path)
+    (walk,) = read_walks(tmp_path)
+    assert np.abs(walk.reckoned[:, :2]).max() == 0.0 and len(walk.turned_rad) == len(walk.time_s) - 1
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"WAYPOINT": "{t}\tTYPE_WAYPOINT\t{k}"},
+        {"ROTATION_VECTOR": "{t}\tTYPE_ROTATION_VECTOR\t0.0\t0.0"},
+        {"ACCELEROMETER": "{t}\tTYPE_ACCELEROMETER\t0.0\tup\t9.81"},
+        {"ACCELEROMETER": "1000\tTYPE_ACCELEROMETER\t0.0\t0.0\t9.81"},
+        {"WIFI": "{t}\tTYPE_WIFI\tname\t02:00:00:00:00:01\t-50"},
+    ],
+)
+def test_a_trace_that_is_cut_off_in_its_lines_is_a_data_error(tmp_path, changes):
+    write_trace(tmp_path, **changes)
+    with pytest.raises(DataError):
+        read_walks(tmp_path)
+
+
 def test_a_folder_without_traces_is_told(tmp_path):
     with pytest.raises(DataError, match="no trace"):
         read_walks(tmp_path)

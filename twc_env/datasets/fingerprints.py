@@ -75,18 +75,23 @@ class RadioSurvey:
 
 
 def read_table(path: Path, columns: tuple[str, ...] = ()) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of a CSV file; DataError when it lacks one of `columns` or a row is cut off."""
-    rows = list(csv.reader(io.StringIO(read_text(path))))
+    """Header and rows of a CSV file without its empty lines; DataError if `columns` are missing or a row is cut off."""
+    try:
+        rows = list(csv.reader(io.StringIO(read_text(path))))
+    except csv.Error as error:
+        raise DataError(f"{path} is no table: {error}; fetch the file again") from error
     if not rows or (missing := [c for c in columns if c not in rows[0]]):
         raise DataError(f"{path} lacks the columns {', '.join(columns if not rows else missing)}; fetch the file again")
     for number, row in enumerate(rows[1:], 2):
-        if len(row) != len(rows[0]):
+        if row and len(row) != len(rows[0]):
             raise DataError(f"{path}, line {number}: expected {len(rows[0])} values; got {len(row)}")
-    return rows[0], rows[1:]
+    return rows[0], [row for row in rows[1:] if row]
 
 
 def numbers(rows: list[list[str]], path: Path) -> Array:
-    """Rows of text as (rows, columns) floats, empty cells as NaN; DataError where a cell is no number."""
+    """Rows of text as (rows, columns) floats, empty cells as NaN; DataError for no rows and what is no number."""
+    if not rows:
+        raise DataError(f"{path} holds no rows; fetch the file again")
     try:
         return np.array([[float(cell) if cell else np.nan for cell in row] for row in rows], float)
     except ValueError as error:

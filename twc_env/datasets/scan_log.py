@@ -63,12 +63,8 @@ def read_scan_log(path: str | Path) -> ScanLog:
         scans = json.loads(read_text(path))["map"]
         times = sorted(scans, key=float)
         ranges_m = np.array([scans[t]["range"] for t in times], float)
-        return ScanLog(
-            times_s=np.array(times, float),
-            poses=np.array([[scans[t][key] for key in ("x", "y", "theta")] for t in times], float).reshape(-1, 3),
-            ranges_m=ranges_m,
-            beam_angles_rad=_half_circle(ranges_m.shape[1] if ranges_m.ndim == 2 else 0),
-        )
+        poses = [[scans[t][key] for key in ("x", "y", "theta")] for t in times]
+        return _log(np.array(times, float), np.array(poses, float), ranges_m)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
             f"{path} is no scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
@@ -83,17 +79,22 @@ def read_carmen_log(path: str | Path) -> ScanLog:
             if line.startswith("FLASER "):
                 _, beams, *values = line.split()
                 count = int(beams)
+                if count < 1:
+                    raise ValueError(f"a scan of {count} beams")
                 scans.append([float(v) for v in values[:count]])
                 poses.append([float(v) for v in values[count : count + 3]])
                 times.append(float(values[count + 6]))
-        ranges_m = np.array(scans, float)
-        if ranges_m.ndim != 2:
-            raise ValueError("no FLASER lines of one length")
-        return ScanLog(np.array(times), np.array(poses), ranges_m, _half_circle(ranges_m.shape[1]))
+        return _log(np.array(times), np.array(poses), np.array(scans, float))
     except (ValueError, IndexError) as error:
         raise DataError(
             f"{path} is no CARMEN log: {_short(error)}; expected lines FLASER n r1 .. rn x y theta"
         ) from error
+
+
+def _log(times_s: Array, poses: Array, ranges_m: Array) -> ScanLog:
+    if ranges_m.ndim != 2 or not np.isfinite(times_s).all() or not np.isfinite(poses).all():
+        raise ValueError("no scans of one length, each with a finite time and pose")
+    return ScanLog(times_s, poses, ranges_m, _half_circle(ranges_m.shape[1]))
 
 
 def _half_circle(beams: int) -> Array:

@@ -48,9 +48,14 @@ class WalkerTrace:
 
 
 def steps(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
-    """Times (s,) and lengths [m] (s,) of the steps in acceleration (k, 3) [m/s2] at times (k,) [s]."""
+    """Times (s,) and lengths [m] (s,) of the steps in acceleration (k, 3) [m/s2] at times (k,) [s].
+
+    Raises DataError where times do not ascend.
+    """
     size = np.linalg.norm(acceleration, axis=1)
     period_s = float(np.median(np.diff(time_s)))
+    if not period_s > 0.0:
+        raise DataError("the times of the acceleration do not ascend; record it again")
     smooth = uniform_filter1d(size, max(1, round(SMOOTHING_S / period_s)))
     peaks, _ = find_peaks(smooth, distance=max(1, round(STEP_PERIOD_MIN_S / period_s)), prominence=SWING_MIN_M_S2)
     if not len(peaks):
@@ -78,7 +83,7 @@ def dead_reckoning(
     at_step = np.interp(step_time_s, time_s, unwrapped)
     moved = step_length_m[:, None] * np.column_stack([np.cos(at_step), np.sin(at_step)])
     path = np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)])
-    times = np.concatenate([[min(time_s[0], *step_time_s[:1])], step_time_s])
+    times = np.concatenate([[min([time_s[0], *step_time_s[:1]])], step_time_s])
     position = np.column_stack([np.interp(at_s, times, path[:, k]) for k in (0, 1)])
     heading = np.interp(at_s, time_s, unwrapped)
     return np.column_stack([position, (heading + np.pi) % (2 * np.pi) - np.pi]), np.diff(heading)
@@ -106,7 +111,7 @@ def _read_walk(path: Path, age_max_s: float) -> WalkerTrace | None:
             rows[words[1]].append(words)
     try:
         waypoints, acceleration, rotation = (
-            np.array([[float(w[0]) / 1000, *map(float, w[2 : 2 + size])] for w in rows[f"TYPE_{kind}"]])
+            np.array([[float(w[0]) / 1000, *(float(w[2 + k]) for k in range(size))] for w in rows[f"TYPE_{kind}"]])
             for kind, size in (("WAYPOINT", 2), ("ACCELEROMETER", 3), ("ROTATION_VECTOR", 3))
         )
         at_s, prints = _scans(rows["TYPE_WIFI"], age_max_s)

@@ -19,8 +19,8 @@ def read_uw_floor(path: str | Path) -> RadioSurvey:
         values = np.array([[row[0], row[2], row[3], row[4]] for row in rows], float)
     except (IndexError, ValueError) as error:
         raise DataError(f"{path}: {error}; expected lines of time, MAC, x, y, strength") from error
-    if not len(values):
-        raise DataError(f"{path} holds no readings; fetch the file again")
+    if not len(values) or not np.isfinite(values).all():
+        raise DataError(f"{path} holds no readings, or one that is not finite; fetch the file again")
     return from_rows(
         "uw_floor",
         values[:, 0],
