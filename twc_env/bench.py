@@ -54,7 +54,11 @@ def wander(env: ExplorationEnv, seed: int) -> Iterator[dict[str, Array]]:
     """The actions of a wandering team, step by step, until the episode ends; the caller steps the environment."""
     drivers = {agent: Wanderer(seed * 1000 + robot) for robot, agent in enumerate(env.agents)}
     while env.agents:
-        yield {agent: drivers[agent].act(f.ranges_m) for agent, f in zip(env.agents, env.frames, strict=True)}
+        seen = {f.robot: f.ranges_m for f in env.frames}  # robots that have failed see nothing, and do not move
+        yield {
+            agent: drivers[agent].act(seen[robot]) if robot in seen else np.zeros(2)
+            for robot, agent in enumerate(env.agents)
+        }
 
 
 @dataclass(frozen=True, slots=True)

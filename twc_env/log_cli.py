@@ -124,10 +124,9 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     config, steps = read_frame_log(log)
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
     config = override(config, {**assignments(options.set), **chosen})
-    robots = 1 + max(frame.robot for frames in steps for frame in frames)
-    engine = CooperativeSlam(config, robots)
-    odom_poses = []
-    contacts = read_contacts(log)
+    contacts, odom_poses = read_contacts(log), []
+    seen = 1 + max(frame.robot for frames in steps for frame in frames)
+    engine = CooperativeSlam(config, contacts[0].heard.shape[1] if contacts else seen)
     for k, frames in enumerate(steps):
         engine.update(frames, contacts[k] if contacts else None)
         odom_poses.append(engine.poses_odom)

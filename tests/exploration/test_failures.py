@@ -1,9 +1,13 @@
 """Robots that stop, links that are cut, an odd receiver."""
 
+import json
+from unittest import mock
+
 import numpy as np
 import pytest
 
 import twc_env
+from twc_env.__main__ import main
 from twc_env.config import FailureConfig
 from twc_env.messages import Contacts
 from twc_env.world.failures import Failures
@@ -71,3 +75,33 @@ def test_a_failed_robot_cannot_be_pushed_away():
     pusher, pushed = env.state().reshape(2, 6)[:, :2]
     assert np.hypot(*(pushed - [9.8, 1.2])) < 0.02
     assert np.hypot(*(pusher - pushed)) > 0.38  # it got as far as the other's edge
+
+
+def test_a_failed_robot_sees_and_hears_nothing_more_and_has_no_frames():
+    config = {"failure.robots": 1, "failure.robots_step": STOP, "observation.sign_memory_s": 1.0}
+    env = twc_env.parallel_env(robots=2, max_cycles=2 * STOP, config=config)
+    observations, _ = env.reset(seed=3)
+    for step in range(1, 2 * STOP + 1):
+        before = observations
+        observations, *_ = env.step({agent: np.array([0.5, 0.3]) for agent in env.agents})
+        assert [frame.robot for frame in env.frames] == ([0, 1] if step < STOP else [0])
+        if step >= STOP:
+            assert not observations["robot_1"]["lidar"].any() and observations["robot_0"]["lidar"].any()
+        if step > STOP:
+            assert np.array_equal(observations["robot_1"]["wifi"], before["robot_1"]["wifi"])
+    assert before["robot_1"]["wifi"].any() and not observations["robot_1"]["signs"].any()
+
+
+@pytest.mark.parametrize("begin", [0, STOP])
+@pytest.mark.parametrize("topology", ["central", "peer"])
+def test_a_log_of_robots_that_failed_replays_to_the_byte(tmp_path, topology, begin):
+    failure = [f"failure.robots_step={begin}", "failure.robots=1", f"link.topology={topology}"]
+    settings = [part for setting in failure for part in ("--set", setting)]
+    record = ["record", "--steps", "90", "--robots", "2", *settings, "--out", str(tmp_path)]
+    engines: list = []
+    with mock.patch("twc_env.exploration.environment.ExplorationEnv.result", autospec=True) as judged:
+        judged.side_effect = lambda env: (engines.append(env.engine), env.episode.result())[1]
+        assert main(record) == 0
+    assert main(["replay", str(tmp_path), "--json", str(tmp_path / "found.json")]) == 0
+    found = json.loads((tmp_path / "found.json").read_text())["final_poses"]
+    assert found == [[round(float(v), 6) for v in engines[-1].pose_map_robot(robot)] for robot in range(2)]

@@ -31,9 +31,11 @@ def write_frame_log(
 ) -> None:
     """Write the frames of an episode (one sequence of frames per step) to a compressed .npz file.
 
-    `contacts`, one per step, say who heard whom; a log without them is replayed with all robots in touch.
+    `contacts`, one per step, say who heard whom; a log without them is replayed with all robots in touch. Steps in
+    which no robot sensed anything are left out.
     """
     frames = [frame for step in steps for frame in step]
+    contacts = [own for own, step in zip(contacts, steps, strict=True) if step] if contacts else ()
     if not frames:
         raise DataError(f"no frames to write to {path}: record at least one step")
     heard = [frame.wifi for frame in frames]

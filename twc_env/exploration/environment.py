@@ -25,9 +25,8 @@ from twc_env.exploration.reset_options import ResetOptions, checked_seed
 from twc_env.exploration.settings import resolve
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
-from twc_env.messages import Belief, Contacts
+from twc_env.messages import Belief, Contacts, SensorFrame
 from twc_env.slam.modes import Engine
-from twc_env.team_messages import TeamFrames
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.thinning import thinned
 from twc_env.world.world import World
@@ -221,12 +220,15 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self.episode.engine
 
     @property
-    def frames(self) -> TeamFrames:
-        """What each robot sensed in the last time step; `twc_env.datasets.write_frame_log` records them."""
+    def frames(self) -> Sequence[SensorFrame]:
+        """What each robot sensed in the last time step; `twc_env.datasets.write_frame_log` records them.
+
+        As long as no robot has failed they are `TeamFrames`, with arrays over robots; who has failed has none.
+        """
         return self.episode.frames
 
     @property
-    def frames_of_step(self) -> list[TeamFrames]:
+    def frames_of_step(self) -> list[Sequence[SensorFrame]]:
         """The same for each time step of the last `step`: one for velocities, many for actions that last."""
         return self.episode.frames_of_step
 

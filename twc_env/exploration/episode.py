@@ -15,11 +15,11 @@ from twc_env.exploration.compilation import FIRST_START
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observations import ObservationBuilder, first_observations
 from twc_env.exploration.pilot import Pilot, Scout
-from twc_env.messages import Belief, Contacts
+from twc_env.messages import Belief, Contacts, SensorFrame
 from twc_env.random_streams import random_stream
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.team_messages import TeamFrames
-from twc_env.world.failures import Failures
+from twc_env.world.failures import Failures, silenced
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.link import Link
 from twc_env.world.world import World
@@ -55,8 +55,11 @@ class Episode:
         self.record = EpisodeRecord(count)
         """What truly happened, for judging; no agent may read it."""
         self._standing = rewards.Standing.nothing(count)
-        self.frames_of_step: list[TeamFrames] = []
+        self.frames_of_step: list[Sequence[SensorFrame]] = []
         """What was sensed in each time step of the last `step`."""
+        self._frames: Sequence[SensorFrame]
+        self._shown: TeamFrames
+        """The same for observations: a row for each robot, in which those that have failed tell nothing."""
         frames = world.sense()
         if FIRST_START.is_helped:  # it is with the engine: no need to wait for it yet
             first_observations(config, frames)
@@ -75,8 +78,8 @@ class Episode:
         return self._world
 
     @property
-    def frames(self) -> TeamFrames:
-        """What each robot sensed in the last time step."""
+    def frames(self) -> Sequence[SensorFrame]:
+        """What each robot sensed in the last time step; robots that have failed have none."""
         return self._frames
 
     @property
@@ -156,26 +159,25 @@ class Episode:
 
     def _think(self, frames: TeamFrames) -> None:
         """Front ends, link and mappers take in one set of frames."""
-        self._frames = frames
-        self.frames_of_step.append(frames)
         world, engine, failures = self._world, self.engine, self._failures
+        self._frames, self._shown = frames, frames
         self._contacts = self._link.contacts(world.poses_home)
-        if failures.is_nothing:
-            engine.track(frames)
-        else:
+        if not failures.is_nothing:
             self._contacts = failures.contacts(self.steps, self._contacts)
             is_alive = failures.is_alive(self.steps)
-            if is_alive.all():
-                engine.track(frames)
-            elif is_alive.any():
-                engine.track([frame for frame in frames if is_alive[frame.robot]])
+            if not is_alive.all():
+                self._frames = [frame for frame in frames if is_alive[frame.robot]]
+                self._shown = silenced(frames, is_alive)
+        self.frames_of_step.append(self._frames)
+        if len(self._frames):
+            engine.track(self._frames)
         engine.absorb(self.steps, self._contacts)
         self.record.append(world.poses, engine.poses_odom, frames.odometry, world.contacts)
 
     def _notice(self) -> None:
         """What the robots believe now, and what their observations must remember of it."""
         self._beliefs = self.engine.beliefs()
-        self._builder.notice(self._frames, self._beliefs)
+        self._builder.notice(self._shown, self._beliefs)
 
     def _judge(self, is_last: bool) -> list[dict[str, float]]:
         config, before, sent_before = self.config, self._standing, self._bytes_judged

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import FailureConfig
-from twc_env.messages import Contacts
+from twc_env.messages import UNSEEN_M, Contacts
+from twc_env.team_messages import TeamFrames
 
 Array = NDArray
 
@@ -43,3 +44,17 @@ class Failures:
         alive = self.is_alive(step)
         talks = alive[None] & (alive[:, None] if len(contacts.tried) == len(alive) else True)
         return Contacts(contacts.tried & talks, contacts.heard & talks)
+
+
+def silenced(frames: TeamFrames, is_alive: Array) -> TeamFrames:
+    """The frames of a step, of which those of the dead tell nothing; is_alive (robots,) bool."""
+    alive = is_alive.tolist()
+    return TeamFrames(
+        frames.step,
+        frames.time_s,
+        np.where(is_alive[:, None], frames.odometry, 0.0),
+        np.where(is_alive, frames.turn_rates_rad_s, 0.0),
+        np.where(is_alive[:, None], frames.ranges_m, UNSEEN_M),
+        [scan if lives else None for scan, lives in zip(frames.wifi, alive, strict=True)],
+        [signs if lives else () for signs, lives in zip(frames.signs, alive, strict=True)],
+    )
