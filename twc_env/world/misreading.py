@@ -14,7 +14,7 @@ from twc_env.world.ocr_table import GARBLED_RATE, MISS_LENGTH, OcrTable
 
 Array = NDArray
 
-_CODES = "utf-32"
+CODES = "utf-32"
 """Code points as this machine keeps them; Python knows this name at once and looks up "utf-32-le" every time."""
 LINE_DRAWS = 3
 """Numbers drawn per line; two more for each of its characters."""
@@ -50,10 +50,11 @@ class TableReader:
         letters = (
             t.characters, t.proneness, t.confusion_code, t.confusion_cdf, t.added_code, t.added_cdf,
         )  # fmt: skip
-        self._table = Lent(pack((grid, lines, letters)))
+        self.table = Lent(pack((grid, lines, letters)))
+        """For `misread_signs`."""
         self._levels = np.empty(len(t.level_rate))
         self._run: Callable[..., None] | None = None
-        """`_misread_signs` with the table."""
+        """`misread_signs` with the table."""
 
     def read(
         self, codes: Array, is_hidden: Array, height_px: float, incidence_rad: float, blur_px: float, draws: Array
@@ -64,23 +65,23 @@ class TableReader:
         """
         out, width = np.empty(2 * len(codes) + 1, np.uint32), math.cos(incidence_rad)
         count = _misread(
-            self._table, codes, is_hidden, height_px, 1.0 - width, blur_px / (height_px * width), draws, self._levels,
+            self.table, codes, is_hidden, height_px, 1.0 - width, blur_px / (height_px * width), draws, self._levels,
             out,
         )  # fmt: skip
-        return out[:count].tobytes().decode(_CODES).strip()
+        return out[:count].tobytes().decode(CODES).strip()
 
     def read_signs(self, sights: Array, hidden: Array, texts: SignTexts, fresh: Array) -> list[str]:
         """One reading of each sign in view; sights and hidden as `look` fills them, one row for each.
 
         fresh: standard normal, as many as `draw_count` says of each text, one after the other.
         """
-        given = sights, hidden, fresh, self._levels, *texts.arguments
+        given = len(sights), sights, hidden, fresh, 0, *texts.arguments
         if self._run is None:
-            self._run = bound(_misread_signs, self._table, *given)
+            self._run = bound(misread_signs, self.table, *given)
         self._run(*given)
         out, width, readings = texts.out[: len(sights)].tobytes(), texts.out.itemsize * texts.out.shape[1], []
         for k, count in enumerate(texts.counts[: len(sights)].tolist()):
-            readings.append(out[k * width : k * width + 4 * count].decode(_CODES).strip())
+            readings.append(out[k * width : k * width + 4 * count].decode(CODES).strip())
         return readings
 
 
@@ -100,10 +101,10 @@ class SignTexts:
             self.kept[k, : len(share)] = np.sqrt(share) * plates.standard_normal(len(share))
             self.weights[k, : len(share)] = np.sqrt(1.0 - share)
         self.out, self.counts = np.empty((len(texts), 2 * longest + 1), np.uint32), np.empty(len(texts), np.int64)
-        """What `_misread_signs` writes: code points read of each sign in view, and how many."""
+        """What `misread_signs` writes: code points read of each sign in view, and how many."""
         self.arguments = (
-            self.codes, self.lengths, self.kept, self.weights, np.empty(LINE_DRAWS + 2 * longest), self.out,
-            self.counts,
+            self.codes, self.lengths, self.kept, self.weights, np.empty(LINE_DRAWS + 2 * longest),
+            np.empty(len(table.level_rate)), self.out, self.counts,
         )  # fmt: skip
 
 
@@ -221,10 +222,11 @@ def _misread(table, codes, is_hidden, height, narrowed, blur, draws, cdf, out):
 
 
 @borrowing_kernel
-def _misread_signs(table, sights, hidden, fresh, cdf, codes, lengths, kept, weights, draws, out, counts):
-    """`_misread` of each sight (k, 6), with draws of which part is kept and part fresh."""
-    first = 0
-    for k in range(sights.shape[0]):
+def misread_signs(
+    table, sight_count, sights, hidden, fresh, first, codes, lengths, kept, weights, draws, cdf, out, counts
+):  # fmt: skip
+    """`_misread` of the first sights (k, 6), with draws of which part is kept and part fresh -> the next fresh one."""
+    for k in range(sight_count):
         sign = int(sights[k, 0])
         count = lengths[sign]
         for m in range(LINE_DRAWS + 2 * count):
@@ -235,6 +237,7 @@ def _misread_signs(table, sights, hidden, fresh, cdf, codes, lengths, kept, weig
             table, codes[sign, :count], hidden[k, :count], height, 1.0 - width, blur / (height * width), draws, cdf,
             out[k],
         )  # fmt: skip
+    return first
 
 
 # --- two plain numbers ---

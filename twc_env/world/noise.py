@@ -81,6 +81,28 @@ class NormalPool:
         return self._numbers[self._used - count : self._used]
 
 
+class NormalPools:
+    """The same for a kernel, of one stream per robot: it takes what it needs from a row and counts that itself."""
+
+    def __init__(self, streams: Sequence[np.random.Generator], count_max: int):
+        """`count_max`: the most that is ever asked for at once."""
+        self._streams = streams
+        numbers = np.empty((len(streams), _POOL + count_max))
+        self._numbers, self._used, self._end = numbers, *np.zeros((2, len(streams)), np.int64)
+        self.arguments = self._numbers, self._used, self._end
+        """(robots, k) numbers, of which those from `used` (robots,) on and before `end` (robots,) are to be taken."""
+
+    def refill(self, count: int) -> None:
+        """Have at least `count` numbers for each robot."""
+        for robot, stream in enumerate(self._streams):
+            row, used, end = self._numbers[robot], int(self._used[robot]), int(self._end[robot])
+            left = end - used
+            if left < count:
+                row[:left] = row[used:end].copy()
+                self._used[robot], self._end[robot] = 0, left + max(_POOL, count - left)
+                row[left : self._end[robot]] = stream.standard_normal(self._end[robot] - left)
+
+
 class StepQueue:
     """Normal deviates from one stream per robot for a kernel that takes a row of them now and then, at most one a step.
 

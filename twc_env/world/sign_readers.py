@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import SignsConfig
+from twc_env.kernels import Lent
 from twc_env.random_streams import random_stream
 from twc_env.world.misreading import SignTexts, TableReader, draw_count, misread
 from twc_env.world.noise import NormalPool
@@ -47,8 +48,8 @@ class _Fast:
     """Draws from the measured table. Part of what goes wrong stays with the sign, for all robots and the episode."""
 
     def __init__(self, texts: Sequence[str], robot: int, seed: int):
-        self._noise = NormalPool(random_stream(seed, "ocr", robot))
-        self._texts = _texts_of(tuple(texts), seed)
+        self._noise = NormalPool(ocr_stream(seed, robot))
+        self._texts = texts_of(tuple(texts), seed)
         self._draw_counts = [draw_count(text) for text in texts]
 
     def read(self, signs: Sequence[int], sights: Array, hidden: Array) -> list[str]:
@@ -56,8 +57,13 @@ class _Fast:
         return _shipped().read_signs(sights, hidden, self._texts, fresh)
 
 
+def ocr_stream(seed: int, robot: int) -> np.random.Generator:
+    """What is drawn anew with each of a robot's readings."""
+    return random_stream(seed, "ocr", robot)
+
+
 @lru_cache(maxsize=1)
-def _texts_of(texts: tuple[str, ...], seed: int) -> SignTexts:
+def texts_of(texts: tuple[str, ...], seed: int) -> SignTexts:
     """The same for all robots of an episode."""
     return SignTexts(load_table(), texts, random_stream(seed, "sign plates"))
 
@@ -66,6 +72,11 @@ def _texts_of(texts: tuple[str, ...], seed: int) -> SignTexts:
 def _shipped() -> TableReader:
     """The same for all: copies and snapshots of an environment carry no table along."""
     return TableReader(load_table())
+
+
+def shipped_table() -> Lent:
+    """For `misread_signs`."""
+    return _shipped().table
 
 
 class _Simple:

@@ -48,7 +48,7 @@ class SignCamera:
                 CHARACTER_PITCH * config.character_height_m,
             ]
         )
-        self._noise = NormalPool(random_stream(seed, "camera", robot))
+        self._noise = NormalPool(bearing_stream(seed, robot))
         self._reader = make_reader(config, texts, robot, seed)
 
     def legible(self, pose: Array) -> tuple[int, ...]:
@@ -97,6 +97,11 @@ class SignCamera:
             *self._walls, self._signs, self._lengths, self._constants, pose, previous, robots, self._sights,
             self._hidden,
         )  # fmt: skip
+
+
+def bearing_stream(seed: int, robot: int) -> np.random.Generator:
+    """What a robot's errors of bearing and distance are drawn from."""
+    return random_stream(seed, "camera", robot)
 
 
 @borrowing_kernel

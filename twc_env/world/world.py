@@ -14,7 +14,7 @@ from twc_env.config import EnvConfig, RadioConfig
 from twc_env.errors import ConfigError, MapError
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of, rebound
-from twc_env.messages import SignReading, WifiScan
+from twc_env.messages import WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.team_messages import TeamFrames, WifiScans
 from twc_env.world.crossing_table import MISSING, square_at
@@ -25,7 +25,8 @@ from twc_env.world.noise import STEPS
 from twc_env.world.odometry import Odometry, measure
 from twc_env.world.radio import RadioModel
 from twc_env.world.reception import WifiReceiver, WifiReceivers, hear
-from twc_env.world.signs import SignCamera, look
+from twc_env.world.sign_cameras import SignCameras
+from twc_env.world.signs import look
 
 Array = NDArray
 
@@ -65,8 +66,6 @@ class World:
         self._wifi_period = _period_steps(config.radio.scan_period_s, config)
         self._camera_period = _period_steps(config.signs.period_s, config)
         self._hearing = _turns(self._wifi_period, config.robots)
-        self._looking = _turns(self._camera_period, config.robots)
-        self._no_signs: tuple[tuple[SignReading, ...], ...] = ((),) * config.robots
         self._run: Callable[..., int] | None = None
         """`_move_and_sense` with what it needs in every step, as long as the crossing table is `_held_crossings`."""
         self._held_crossings: tuple[Array, ...] | None = None
@@ -95,15 +94,12 @@ class World:
         """For each step of a WiFi period, the robots that hear in the one call of the step."""
         self._rooms: list[Iterator[tuple]] = [iter(()) for _ in self._hearing]
         """For each step of a WiFi period, what the next such steps fill: poses, odometry, turn rates, ranges, scans."""
-        self._cameras = [SignCamera(config.signs, self._home, robot, seed, config.dynamics) for robot in range(robots)]
-        self._sights, self._hidden = self._cameras[0].make_room(robots)
-        self._sight_counts = np.zeros(robots, np.int64)
+        self._cameras = SignCameras(config, self._home, seed, self._camera_period)
         self._held_crossings = None
         self._sensed_poses = self._dynamics.poses.copy()
         """(n, 3) at the last reading of the sensors."""
         self._step, self._noise_block = 0, -1
-        self._none_sighted: tuple[tuple[int, ...], ...] = ((),) * robots
-        self.sighted_signs = self._none_sighted
+        self.sighted_signs = self._cameras.nothing[1]
 
     @property
     def poses(self) -> Array:
@@ -177,7 +173,8 @@ class World:
             odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self._time_step_s
         wifi: WifiScans | list[WifiScan | None] = heard if self._hears_at_once else self._hear_one_by_one(time_s)
-        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, self._read_signs(sighted))
+        signs, self.sighted_signs = self._cameras.read(step) if sighted else self._cameras.nothing
+        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs)
 
     def _draw_noise(self) -> None:
         """Random numbers for the coming steps."""
@@ -204,27 +201,12 @@ class World:
             wifi[robot] = self._receivers[robot].scan(self._dynamics.poses[robot], time_s)
         return wifi
 
-    def _read_signs(self, sighted: int) -> tuple[tuple[SignReading, ...], ...]:
-        """What OCR makes of the signs that `_move_and_sense` has found in view."""
-        if not sighted:
-            self.sighted_signs = self._none_sighted
-            return self._no_signs
-        counts = self._sight_counts.tolist()
-        signs, sources = list(self._no_signs), list(self._none_sighted)
-        for robot in self._looking[self._step % self._camera_period]:
-            if counts[robot]:
-                sights = self._sights[robot, : counts[robot]]
-                signs[robot], sources[robot] = self._cameras[robot].read_sights(sights, self._hidden[robot])
-        self.sighted_signs = tuple(sources)
-        return tuple(signs)
-
     def _bind(self, arguments: tuple) -> Callable[..., int]:
         """`_move_and_sense` with all that stays the same from step to step while the crossing table does."""
         self._held_crossings = self._radio.crossings.arrays
         apparatus = (
             *self._walls, *self._dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
-            *self._wifi.arguments, *self._cameras[0].arguments, self._sights, self._hidden, self._sight_counts,
-            self._sensed_poses, self._wifi_period, self._camera_period,
+            *self._wifi.arguments, *self._cameras.arguments, self._sensed_poses, self._wifi_period,
         )  # fmt: skip
         held = Lent(pack(apparatus))
         run = rebound(self._run, held) or bound(_move_and_sense, held, _NO_COMMANDS, *arguments)
@@ -329,7 +311,7 @@ def _move_and_sense(
         loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
         pose_home_building, boxes, waves, radios, parts, distance_min, scratch,
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
-        draws, signs, lengths, optics, does_hide, sights, hidden, sight_counts, before, wifi_period, camera_period,
+        draws, signs, lengths, optics, does_hide, sights, hidden, sight_counts, camera_period, before, wifi_period,
     ) = parts_of(apparatus)  # fmt: skip
     if commands.shape[0] > 0 and not advance(
         commands, walls, origin, bucket, rows, columns, first, members, state, limits, move_s, substeps, girth, reach,
