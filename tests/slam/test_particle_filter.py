@@ -57,6 +57,15 @@ def test_a_path_is_that_of_one_ancestor_after_resampling(drive):
     assert np.abs(steps - told).max() < 0.15
 
 
+def test_a_robot_that_stands_for_long_still_stands_on_free_floor():
+    pose = np.array([0.05, 0.05, 0.0])
+    frames = [SensorFrame(0, k, 0.1 * k, np.zeros(3), 0.0, scan_of_the_room(pose)) for k in range(800)]
+    settings = ParticleFilterSettings(particles=1, samples=1, size_m=12.0)
+    _, grid = map_frames(frames, settings, RANGE_MAX_M, seed=0)
+    middle = len(grid.log_odds) // 2
+    assert (grid.log_odds[middle - 5 : middle + 6, middle - 5 : middle + 6] < 0).all()
+
+
 def test_the_same_seed_gives_the_same_path(drive):
     frames = drive[0][:15]
     paths = [map_frames(frames, SETTINGS, RANGE_MAX_M, seed=seed)[0] for seed in (3, 3, 4)]

@@ -23,6 +23,8 @@ Array = NDArray
 
 OCCUPIED_SHARE = 0.25
 """A cell is wall when at least this share of the beams that came to it ended in it."""
+VISITS_MAX = 32_767
+"""Beams counted in a cell: as many as its 16 bits hold."""
 NO_WALL_CELLS = 1.5
 """A beam that ends near no wall counts as one this many cells away from it."""
 CLIMB_STEP_M, CLIMB_STEP_RAD, CLIMB_HALVINGS = 0.1, 0.05, 5
@@ -133,8 +135,10 @@ def _draw(hits, visits, ends, inverse_m, pose, ranges, range_max, directions):
             if is_hit and row == last_row and column == last_column:
                 break
             if 0 <= row < rows and 0 <= column < columns:
-                visits[row, column] += 1
-        if is_hit and 0 <= last_row < rows and 0 <= last_column < columns:
+                visits[row, column] += visits[row, column] < VISITS_MAX
+        if not is_hit or not (0 <= last_row < rows and 0 <= last_column < columns):
+            continue
+        if visits[last_row, last_column] < VISITS_MAX:
             hits[last_row, last_column] += 1
             visits[last_row, last_column] += 1
             ends[last_row, last_column, 0] += x0 + length * dx

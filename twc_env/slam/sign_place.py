@@ -27,7 +27,7 @@ class SignPlace:
 
     robot: int
     position_odom: Array
-    """(2,) mean of the latest pass."""
+    """(2,) of the latest reading."""
     travel_m: float
     facing_odom: float = math.nan
     """The facing that is nearest to all readings of it; NaN where none is known."""
