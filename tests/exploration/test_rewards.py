@@ -54,6 +54,11 @@ def test_rewards_of_a_robot_alone_add_up_to_the_floor_it_mapped(explore, steps):
     assert total(log) == pytest.approx(result.figures["coverage_correct"], abs=1e-9)
 
 
+def test_a_map_whose_cells_count_a_little_more_floor_than_there_is_gives_the_whole_floor():
+    standing = standing_of([JudgedMap((0,), 1, True, 1.0007)], [0.0])
+    assert standing.team[0] == standing.own[0][0] == 1.0
+
+
 def test_rewards_of_a_team_add_up_to_the_floor_of_its_best_right_group(team):
     result = team.env.result()
     assert result.figures["wrong_merges"] == 0

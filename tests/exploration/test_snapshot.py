@@ -115,6 +115,18 @@ def test_a_snapshot_of_another_configuration_or_version_is_refused(monkeypatch):
         env.restore(moment)
 
 
+def test_the_oracle_of_the_odometry_filter_can_be_saved_too():
+    env = twc_env.parallel_env(robots=1, config={"slam.odometry_filter.backend": "filterpy"})
+    env.reset(seed=1)
+    moment, seen = env.snapshot(), [[], []]
+    for own in seen:
+        for _ in range(5):
+            env.step({"robot_0": np.array([1.0, 0.2], np.float32)})
+            own.append(env.state().tolist())
+        env.restore(pickle.loads(pickle.dumps(moment)))
+    assert seen[0] == seen[1]
+
+
 def test_there_is_nothing_to_save_before_an_episode():
     with pytest.raises(TwcError, match="reset"):
         twc_env.parallel_env().snapshot()

@@ -87,9 +87,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     With `observation.kind = "flat"` the blocks come as one vector of float32, pictures scaled to [0, 1].
 
     Reward: sum of named terms times the weights of `reward`; `twc_env.exploration.rewards` has their table, and they
-    stand in `info["reward_terms"]`. By default each agent gets the gain in `coverage_correct` of the largest rightly
-    merged group, so that an episode's sum is that share at its end. The team is judged every `reward.period_steps` time
-    steps and at the last. The last `info` also holds the scalar figures of the report (docs/figures.md).
+    stand in `info["reward_terms"]`. By default each agent gets the gain in rightly mapped floor of the rightly merged
+    group that maps most, so that an episode's sum is that share at its end: `coverage_correct`, unless another group
+    has more robots. The team is judged every `reward.period_steps` time steps and at the last. The last `info` also
+    holds the scalar figures of the report (docs/figures.md).
 
     `slam.mode = "off"` runs no engine: `pose` is odometry summed up, `map` and `team` stay zero, `coverage` pays
     nothing (there is no map), and `result()` judges dead reckoning.

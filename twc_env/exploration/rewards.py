@@ -2,7 +2,7 @@
 
 | term | value | kind |
 |---|---|---|
-| `coverage` | share of the floor that is mapped rightly, in the largest rightly merged group | potential |
+| `coverage` | share of the floor that is mapped rightly, by the rightly merged group that maps most | potential |
 | `merge` | robots of that group beyond the first, over those there could be | potential |
 | `localisation` | 1 - error / 1 m of where robots believe to be, 0 from 1 m on; mean of the team | potential |
 | `collision` | 1 while the robot touches something | event |
@@ -12,7 +12,7 @@
 Every value lies in [0, 1]. A potential pays its change, so that its sum over an episode is its value at the end (before
 the first scan it is 0); an event pays its value. The reward is the sum of terms times the weights of the same names in
 `RewardConfig`; give events negative weights. Before the last step a map is laid on the building to 2 cm and 1 mrad and
-its own cells are counted instead of the floor's, which gives the same share to a thousandth of the floor.
+its own cells are counted instead of the floor's, which gives the same share to a thousandth of the floor (1 at most).
 
 With `reward.sharing = "individual"` each robot is paid for its own group's coverage and merge and its own localisation,
 instead of the team's.
@@ -124,6 +124,6 @@ def standing_of(maps: Sequence[JudgedMap], errors_m: Sequence[float] | Array) ->
     for judged in maps:
         if judged.is_right:
             for viewer in judged.viewers:
-                own[viewer][:2] = float(judged.share), (judged.robot_count - 1) / max(count - 1, 1)
+                own[viewer][:2] = min(float(judged.share), 1.0), (judged.robot_count - 1) / max(count - 1, 1)
     best = max(own, key=lambda potentials: potentials[0])
     return Standing([best[0], best[1], sum([row[2] for row in own]) / count], own)

@@ -42,7 +42,7 @@ class _Pickler(pickle.Pickler):
         return _PLAN if value is self._floorplan else None
 
     def reducer_override(self, value: Any) -> Any:
-        if type(value) is not np.ndarray or not isinstance(value.base, np.ndarray):
+        if type(value) is not np.ndarray or not isinstance(value.base, np.ndarray) or value.dtype.hasobject:
             return NotImplemented
         whole = value.base
         while isinstance(whole.base, np.ndarray):
