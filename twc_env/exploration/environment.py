@@ -314,7 +314,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     ) -> dict[str, dict[str, Any]]:
         infos: dict[str, dict[str, Any]] = {}
         for robot, agent in self._numbered:
-            infos[agent] = {"reward_terms": terms[robot]} if terms else {}
+            infos[agent] = {"reward_terms": terms[robot].copy()} if terms else {}
         pilot = episode.pilot
         if pilot is not None:
             for robot, info in enumerate(infos.values()):

@@ -55,6 +55,8 @@ class Episode:
         self.record = EpisodeRecord(count)
         """What truly happened, for judging; no agent may read it."""
         self._standing = rewards.Standing.nothing(count)
+        self._uneventful = rewards.terms(self._transition(self._standing, np.zeros(count, bool), 0.0), "team")
+        """The terms of a step in which nobody touches, sends or is judged."""
         self.frames_of_step: list[Sequence[SensorFrame]] = []
         """What was sensed in each time step of the last `step`."""
         self._frames: Sequence[SensorFrame]
@@ -180,10 +182,15 @@ class Episode:
         self._builder.notice(self._shown, self._beliefs)
 
     def _judge(self, is_last: bool) -> list[dict[str, float]]:
-        config, before, sent_before = self.config, self._standing, self._bytes_judged
+        config, before, sent_before, contacts = self.config, self._standing, self._bytes_judged, self._world.contacts
         self._bytes_judged = self.bytes_sent
         if is_last or self.steps % config.reward.period_steps == 0:
             self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), is_last)
+        elif self._bytes_judged == sent_before and True not in contacts.tolist():
+            return self._uneventful
         sent = (self._bytes_judged - sent_before) / config.robots
-        transition = rewards.Transition(before, self._standing, self._world.contacts, sent, config.max_cycles)
-        return rewards.terms(transition, config.reward.sharing)
+        return rewards.terms(self._transition(before, contacts, sent), config.reward.sharing)
+
+    def _transition(self, before: rewards.Standing, contacts: Array, bytes_per_robot: float) -> rewards.Transition:
+        """The time step from a standing to the present one."""
+        return rewards.Transition(before, self._standing, contacts, bytes_per_robot, self.config.max_cycles)

@@ -78,19 +78,24 @@ class Transition(NamedTuple):
 
 
 def terms(transition: Transition, sharing: str) -> list[dict[str, float]]:
-    """The terms of each robot, by name; the names are those of the weights in RewardConfig."""
+    """The terms of each robot, by name; the names are those of the weights in RewardConfig.
+
+    Robots that did alike share one dict: whoever gives it away copies it.
+    """
     before, after, contacts, bytes_per_robot, step_count_max = transition
     common, touching = _NOTHING.copy(), contacts.tolist()
     common["time"], common["bytes"] = 1.0 / step_count_max, min(bytes_per_robot / BYTES_MAX, 1.0)
     if after is not before and sharing == "team":
         common["coverage"], common["merge"], common["localisation"] = _gains(before.team, after.team)
+    is_paid_apart = after is not before and sharing != "team"
+    if not is_paid_apart and True not in touching:
+        return [common] * len(touching)
     each = [common.copy() for _ in touching]
-    if after is not before and sharing != "team":
+    if is_paid_apart:
         for own, old, new in zip(each, before.own, after.own, strict=True):
             own["coverage"], own["merge"], own["localisation"] = _gains(old, new)
-    if True in touching:
-        for own, touches in zip(each, touching, strict=True):
-            own["collision"] = float(touches)
+    for own, touches in zip(each, touching, strict=True):
+        own["collision"] = float(touches)
     return each
 
 
@@ -105,11 +110,13 @@ def weights_of(config: RewardConfig) -> tuple[tuple[str, float], ...]:
 
 def weigh(values: Sequence[dict[str, float]], weights: Sequence[tuple[str, float]]) -> list[float]:
     """The reward of each robot: each term that counts times its weight."""
-    rewards = []
+    rewards: list[float] = []
+    weighed, reward = None, 0.0
     for own in values:
-        reward = 0.0
-        for name, weight in weights:
-            reward += weight * own[name]
+        if own is not weighed:  # many robots share one
+            weighed, reward = own, 0.0
+            for name, weight in weights:
+                reward += weight * own[name]
         rewards.append(reward)
     return rewards
 
