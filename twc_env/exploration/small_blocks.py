@@ -6,8 +6,7 @@ What is kept of a robot for them stands in a row of an array, so that one compil
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from twc_env.config import EnvConfig
 from twc_env.exploration.observation_blocks import POSE_LIMITS
 from twc_env.exploration.recent_signs import RecentSigns
 from twc_env.exploration.wifi_slots import slots_for, take_scans
-from twc_env.kernels import borrowing_kernel, bound, kernel
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of
 from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames
 
 Array = NDArray
@@ -26,8 +25,10 @@ HALF_WAY_M = 10.0
 HALF_AGE_S = 10.0
 HALF_COUNT = 2.0
 PATH_SPACING_M = 0.2
-_FLOATS = 5 * [np.dtype(np.float32)]
+_FLOAT = np.dtype(np.float32)
 """Of the numbers in each block."""
+_STEPS_AT_ONCE = 16
+"""Steps for which blocks are made together: a row of one costs a third of an array of its own."""
 
 
 class SmallBlocks:
@@ -47,13 +48,13 @@ class SmallBlocks:
             (robots, config.lidar.beam_count), (robots, len(POSE_LIMITS)), (robots, shape.wifi_slots),
             (robots, shape.sign_slots, 5), (robots, mates, 5),
         )  # fmt: skip
-        rule = np.array([1.0 / config.lidar.range_max_m, shape.sign_memory_s, config.dynamics.time_step_s])
-        self._kept = (
-            self.path_counts, self.paths_odom, *slots_for(robots, shape.wifi_slots), signs.readings, self.mate_places,
-            rule,
-        )  # fmt: skip
+        rule = 1.0 / config.lidar.range_max_m, float(shape.sign_memory_s), float(config.dynamics.time_step_s)
+        slots = slots_for(robots, shape.wifi_slots)
+        self._kept = self.path_counts, self.paths_odom, *slots, signs.readings, self.mate_places, *rule
         self._run: Callable[..., None] | None = None
         """`_fill_small` with what is kept."""
+        self._rooms: Iterator[tuple[Array, ...]] = iter(())
+        """For each of the next steps, the blocks of all robots."""
         self._unseen = self._make_room()
         self._frames: TeamFrames | None = None
         """What was noticed last; taken in once it is shown, or once there is more."""
@@ -65,16 +66,18 @@ class SmallBlocks:
             self._fill(self._unseen, False)
         self._frames, self._beliefs, self._is_taken_in = frames, beliefs, False
 
-    def build(self) -> list[Array]:
+    def build(self) -> tuple[Array, ...]:
         """The blocks of all robots, in the order of `names`, after the step that was noticed last."""
-        blocks = self._make_room()
+        blocks = next(self._rooms, None) or self._make_room()
         self._fill(blocks, True)
         return blocks
 
-    def _make_room(self) -> list[Array]:
-        return list(map(np.empty, self._shapes, _FLOATS))
+    def _make_room(self) -> tuple[Array, ...]:
+        """New blocks for some steps; those of the first."""
+        self._rooms = zip(*[np.empty((_STEPS_AT_ONCE, *shape), _FLOAT) for shape in self._shapes], strict=True)
+        return next(self._rooms)
 
-    def _fill(self, blocks: list[Array], is_shown: bool) -> None:
+    def _fill(self, blocks: tuple[Array, ...], is_shown: bool) -> None:
         frames, beliefs = self._frames, self._beliefs
         assert frames is not None
         now = (
@@ -82,12 +85,12 @@ class SmallBlocks:
             beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, *blocks,
         )  # fmt: skip
         if self._run is None:
-            self._run = partial(bound(_fill_small, *self._kept, *now), *self._kept[1:])
+            self._run = bound(_fill_small, Lent(pack(self._kept)), *now)
         self._run(*now)
         self._is_taken_in = True
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
+        return self.__dict__ | {"_run": None, "_rooms": iter(())}
 
 
 @kernel
@@ -161,15 +164,14 @@ def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, 
 
 @borrowing_kernel
 def _fill_small(
-    path_counts, paths, wifi_slots, levels, readings, mate_places, rule, is_new, is_shown, now_s, step, scan_robots,
-    macs, rssi_dbm, heard_counts, ranges, poses, since_m, contact_steps, mates, mate_poses, lidar, pose, wifi, signs,
-    team,
+    kept, is_new, is_shown, now_s, step, scan_robots, macs, rssi_dbm, heard_counts, ranges, poses, since_m,
+    contact_steps, mates, mate_poses, lidar, pose, wifi, signs, team,
 ):  # fmt: skip
     """Take in a step that `is_new`; fill the blocks of all robots if it `is_shown`, and the places of mates.
 
     poses (robots, 3, 3): in the map, its spread, in odom; contact_steps, mates, mate_poses as in `TeamBeliefs`.
     """
-    per_metre, memory_s, time_step_s = rule[0], rule[1], rule[2]
+    path_counts, paths, wifi_slots, levels, readings, mate_places, per_metre, memory_s, time_step_s = parts_of(kept)
     if is_new:
         _extend_paths(poses, path_counts, paths)
         take_scans(step + 1, scan_robots, macs, rssi_dbm, heard_counts, wifi_slots, levels)
