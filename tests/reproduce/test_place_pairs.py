@@ -9,6 +9,7 @@ from twc_env.reproduce.place_pairs import (
     all_pairs,
     average_precision,
     best_match,
+    precision_recall_curve,
     recall_at_full_precision,
 )
 
@@ -54,3 +55,9 @@ def test_recall_at_full_precision_stops_before_the_first_wrong_pair():
     truth = np.array([True, True, False, True])
     assert recall_at_full_precision(np.array([4.0, 3.0, 2.0, 1.0]), truth) == pytest.approx(2 / 3)
     assert recall_at_full_precision(np.array([4.0, 3.0, 4.0, 1.0]), truth) == 0.0
+
+
+def test_of_no_pairs_there_is_no_curve():
+    precision, recall = precision_recall_curve(np.zeros(0), np.zeros(0, bool))
+    assert len(precision) == len(recall) == 0
+    assert np.isnan(average_precision(np.zeros(0), np.zeros(0, bool)))

@@ -138,3 +138,19 @@ def test_too_few_readings_are_refused_with_a_reason():
 def test_a_long_run_a_little_off_the_main_direction_still_offers_walls():
     corners = np.array([(0.0, 0), (10, 0), (10, 1), (0, 1), (0, 2), (3, 2.75)])
     assert (wall_candidates(corners, 0.3).ends_m[:, 1] > 2.1).any()
+
+
+@pytest.mark.parametrize("outside", [[(-1, -1)], [(-1, 40)], [(40, 5), (-3, 5)]])
+def test_readings_off_the_grid_cast_rays_and_mark_no_other_cell(outside):
+    cells, router = np.array([(5, 9), *outside]), np.array([[5.5, 2.5]])
+    walls, focus = np.ones(len(cells), int), np.zeros(len(cells), int)
+    classes, _ = rules.map_by_rules(cells, walls, focus, router, (10, 12))
+    levels = rules.map_by_algorithm_1(cells, walls, np.zeros((len(cells), 1)), router, (10, 12))
+    assert np.argwhere(classes == rules.FREE).tolist() == [[5, 9]]
+    assert np.argwhere(levels > rules.UNKNOWN).tolist() == [[5, 9]]
+
+
+def test_no_readings_leave_everything_unknown():
+    nothing = np.zeros(0, int)
+    classes, _ = rules.map_by_rules(np.zeros((0, 2), int), nothing, nothing, np.array([[2.0, 2.0]]), (4, 5))
+    assert (classes == rules.UNKNOWN).all()

@@ -17,6 +17,7 @@ from scipy.signal import find_peaks
 
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
+from twc_env.geometry import wrap_angle
 from twc_env.messages import Fingerprint
 
 Array = NDArray
@@ -86,7 +87,7 @@ def dead_reckoning(
     times = np.concatenate([[min([time_s[0], *step_time_s[:1]])], step_time_s])
     position = np.column_stack([np.interp(at_s, times, path[:, k]) for k in (0, 1)])
     heading = np.interp(at_s, time_s, unwrapped)
-    return np.column_stack([position, (heading + np.pi) % (2 * np.pi) - np.pi]), np.diff(heading)
+    return np.column_stack([position, wrap_angle(heading)]), np.diff(heading)
 
 
 def read_walks(folder: str | Path, age_max_s: float = FRESH_S, traces_max: int | None = None) -> list[WalkerTrace]:

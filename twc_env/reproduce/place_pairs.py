@@ -86,6 +86,6 @@ def precision_recall_curve(score: Array, is_same: Array) -> tuple[Array, Array]:
     """Precision and recall at every distinct score, from the highest down."""
     order = np.argsort(-score, kind="stable")
     score, right = score[order], np.cumsum(is_same[order])
-    is_last = np.append(score[1:] != score[:-1], True)
+    is_last = np.append(score[1:] != score[:-1], True)[: len(score)]
     precision = right / np.arange(1, len(right) + 1)
     return precision[is_last], right[is_last] / max(int(is_same.sum()), 1)

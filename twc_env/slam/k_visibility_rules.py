@@ -5,6 +5,7 @@ Grids are coded 255 free, 127 unknown, 0 wall. Where the paper leaves a choice o
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,11 +94,13 @@ def map_by_algorithm_1(
 
 
 def _put_medians(known_k: Array, cells: Array, walls: Array) -> None:
-    """The median k of the readings in each cell."""
+    """The median k of the readings in each cell of the grid."""
+    inside = ((cells >= 0) & (cells < known_k.shape)).all(axis=1)
+    cells, walls = cells[inside], walls[inside]
     order = np.lexsort((walls, cells[:, 1], cells[:, 0]))
     rows = cells[order]
     starts = np.flatnonzero(np.any(np.diff(rows, axis=0, prepend=-1), axis=1))
-    for first, last in zip(starts, np.append(starts[1:], len(rows)), strict=True):
+    for first, last in itertools.pairwise([*starts, len(rows)]):
         known_k[tuple(rows[first])] = walls[order[(first + last) // 2]]
 
 

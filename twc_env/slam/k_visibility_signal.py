@@ -80,14 +80,14 @@ def fit_signal(bins: PathBins, router: int, router_m: Array, k_max: int | None =
     Raises DataError when the router was heard in fewer than five bins.
     """
     distance = np.linalg.norm(bins.position_m - np.asarray(router_m, float), axis=1)
-    rows, decades, level, weight = _heard(bins, router, distance)
+    rows, decades, level = _heard(bins, router, distance)
     best = max(
-        (_fit(decades, level, weight, bins, rows, K_MAX if k_max is None else k_max, start)
+        (_fit(decades, level, bins, rows, K_MAX if k_max is None else k_max, start)
          for start in _WALL_LOSS_STARTS_DB),
         key=lambda fit: fit.log_likelihood,
     )  # fmt: skip
     if k_max is None:
-        smaller = [_fit(decades, level, weight, bins, rows, k, best.wall_loss_db) for k in range(K_MAX)]
+        smaller = [_fit(decades, level, bins, rows, k, best.wall_loss_db) for k in range(K_MAX)]
         effective = max(len(rows) * min(1.0, bins.step_m / _CORRELATION_M), 2.0)
         best = max(
             [*smaller, best],
@@ -99,7 +99,7 @@ def fit_signal(bins: PathBins, router: int, router_m: Array, k_max: int | None =
 def typical_signal(bins: PathBins, router: int, router_m: Array) -> SignalFit:
     """A start for those who estimate further: usual exponent and wall loss, power from the strongest readings."""
     distance = np.linalg.norm(bins.position_m - router_m, axis=1)
-    rows, decades, level, _ = _heard(bins, router, distance)
+    rows, decades, level = _heard(bins, router, distance)
     power = float(np.quantile(level + _TYPICAL_EXPONENT * decades, _TYPICAL_CLEAR))
     walls = np.clip(np.round((power - _TYPICAL_EXPONENT * decades - level) / _TYPICAL_LOSS_DB), 0, K_MAX).astype(int)
     probability = np.eye(K_MAX + 1)[walls]
@@ -111,7 +111,7 @@ def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
     """One fit for all routers (routers, 2) of one make: power, exponent and wall loss are shared."""
     parts = []
     for router, place in enumerate(np.asarray(router_m, float)):
-        rows, decades, level, _ = _heard(bins, router, np.linalg.norm(bins.position_m - place, axis=1))
+        rows, decades, level = _heard(bins, router, np.linalg.norm(bins.position_m - place, axis=1))
         steps = np.diff(bins.travel_m[rows], prepend=bins.travel_m[rows[0]] - 1e3)  # nothing carries over
         parts.append((rows, decades, level, steps))
     decades, level, steps = (np.concatenate([part[i] for part in parts]) for i in (1, 2, 3))
@@ -122,7 +122,7 @@ def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
         parameters, probability = np.array([power, exponent, start, 4.0]), np.empty((len(level), k_max + 1))
         temper = min(1.0, max(bins.step_m, 1e-3) / _CORRELATION_M)
         score = _expectation_maximisation(
-            decades, level, steps, np.ones(len(level)), temper, 40, True, _ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M,
+            decades, level, steps, temper, 40, True, _ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M,
             parameters, probability,
         )  # fmt: skip
         score -= 0.5 * ((parameters[2] - _WALL_LOSS_PRIOR_DB[0]) / _WALL_LOSS_PRIOR_DB[1]) ** 2
@@ -152,9 +152,9 @@ def locate_router(bins: PathBins, router: int, margin_m: float = 1.0, step_m: fl
         for x in np.arange(low[0], high[0] + 1e-9, step_m):
             for y in np.arange(low[1], high[1] + 1e-9, step_m):
                 place = np.array([x, y])
-                rows, decades, level, weight = _heard(bins, router, np.linalg.norm(bins.position_m - place, axis=1))
+                rows, decades, level = _heard(bins, router, np.linalg.norm(bins.position_m - place, axis=1))
                 for start in _WALL_LOSS_STARTS_DB[1:3]:
-                    fit = _fit(decades, level, weight, bins, rows, 3, start, iterations=6)
+                    fit = _fit(decades, level, bins, rows, 3, start, iterations=6)
                     if fit.log_likelihood > best:
                         best, centre, result = fit.log_likelihood, place, (place, fit)
         low, high, step_m = centre - step_m, centre + step_m, step_m / 3
@@ -163,17 +163,17 @@ def locate_router(bins: PathBins, router: int, margin_m: float = 1.0, step_m: fl
     return centre, fit_signal(bins, router, centre)
 
 
-def _heard(bins: PathBins, router: int, distance_m: Array) -> tuple[Array, Array, Array, Array]:
-    """Rows of the bins that heard the router, their 10 log10 distance, their level, and readings behind each."""
+def _heard(bins: PathBins, router: int, distance_m: Array) -> tuple[Array, Array, Array]:
+    """Rows of the bins that heard the router, their 10 log10 distance and their level."""
     rows = np.flatnonzero(np.isfinite(bins.rssi_dbm[:, router]))
     if len(rows) < 5:
         raise DataError(f"router {router} was heard in {len(rows)} places only; at least 5 are needed")
     decades = 10.0 * np.log10(np.maximum(distance_m[rows], DISTANCE_MIN_M))
-    return rows, decades, bins.rssi_dbm[rows, router], bins.count[rows, router]
+    return rows, decades, bins.rssi_dbm[rows, router]
 
 
 def _fit(
-    decades: Array, level: Array, count: Array, bins: PathBins, rows: Array, k_max: int, start_db: float,
+    decades: Array, level: Array, bins: PathBins, rows: Array, k_max: int, start_db: float,
     iterations: int = 25,
 ) -> SignalFit:  # fmt: skip
     states = k_max + 1
@@ -184,7 +184,7 @@ def _fit(
     parameters = np.array([power, _EXPONENT_PRIOR[0], start_db if k_max else 0.0, 4.0])
     probability = np.empty((len(rows), states))
     log_likelihood = _expectation_maximisation(
-        decades, level, steps, np.ones(len(rows)), temper, iterations, k_max > 0, _EXPONENT_PRIOR, _STAY_M,
+        decades, level, steps, temper, iterations, k_max > 0, _EXPONENT_PRIOR, _STAY_M,
         parameters, probability,
     )  # fmt: skip
     everywhere = probability[np.clip(np.searchsorted(rows, np.arange(len(bins.position_m))), 0, len(rows) - 1)]
@@ -196,7 +196,7 @@ def _fit(
 
 @kernel
 def _expectation_maximisation(
-    decades, level, steps, weight, temper, iterations, has_walls, exponent_prior, stay, parameters, probability
+    decades, level, steps, temper, iterations, has_walls, exponent_prior, stay, parameters, probability
 ):
     """Baum-Welch with a regression as its M step; parameters (4,) power, exponent, wall loss, noise, in and out."""
     count, states = probability.shape
@@ -216,7 +216,7 @@ def _expectation_maximisation(
         for i in range(count):
             for k in range(states):
                 e = (level[i] - power + exponent * decades[i] + loss * k) / noise
-                w = probability[i, k] * weight[i] * 5.0 / (4.0 + e * e) * temper / (noise * noise)
+                w = probability[i, k] * 5.0 / (4.0 + e * e) * temper / (noise * noise)
                 x0, x1, x2 = 1.0, -decades[i], -1.0 * k
                 a[0, 0] += w * x0 * x0
                 a[0, 1] += w * x0 * x1

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.geometry import wrap_angle
 from twc_env.kernels import kernel
 
 Array = NDArray
@@ -53,8 +54,7 @@ def compare_many(targets: Array, source: Array) -> tuple[Array, Array]:
     counts = np.maximum((targets.max(axis=-2) > 0).sum(axis=-1), filled)
     best = np.argmax(shifts, axis=-1)
     similarity = np.clip(shifts[np.arange(len(best)), best] / counts, 0.0, 1.0)
-    turn = (best * (2 * np.pi / SECTORS) + np.pi) % (2 * np.pi) - np.pi
-    return similarity, turn
+    return similarity, wrap_angle(best * (2 * np.pi / SECTORS))
 
 
 def scan_agreement(

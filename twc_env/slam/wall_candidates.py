@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.geometry import wrap_angle
 from twc_env.kernels import kernel
 
 Array = NDArray
@@ -133,7 +134,7 @@ def _runs(tangent: Array, has_tip: Array) -> list[tuple[slice, float | None]]:
     runs: list[tuple[slice, float | None]] = []
     for direction in _main_directions(heading):
         for along in (direction, direction - np.pi):
-            off = np.abs(_wrapped(heading - along))
+            off = np.abs(wrap_angle(heading - along))
             is_along = (off < _DIRECTION_RAD) | ((off < _TIP_RAD) & has_tip)
             for run in _where(is_along):
                 if (run.stop - run.start) * SPACING_M >= _RUN_MIN_M:
@@ -152,18 +153,14 @@ def _main_directions(heading: Array) -> list[float]:
     while len(rest) >= _DIRECTION_SHARE * len(heading):
         doubled = np.exp(2j * rest)
         angles = np.deg2rad(np.arange(0.0, 180.0, 3.0))
-        near = np.abs(_wrapped(2 * (rest[:, None] - angles))) < _DIRECTION_RAD
+        near = np.abs(wrap_angle(2 * (rest[:, None] - angles))) < _DIRECTION_RAD
         best = int(np.argmax(near.sum(axis=0)))
         if near[:, best].sum() < _DIRECTION_SHARE * len(heading):
             break
         mean = 0.5 * np.angle(doubled[near[:, best]].mean()) % np.pi
         found.append(float(mean))
-        rest = rest[np.abs(_wrapped(2 * (rest - mean))) > 2 * _DIRECTION_RAD]
+        rest = rest[np.abs(wrap_angle(2 * (rest - mean))) > 2 * _DIRECTION_RAD]
     return found
-
-
-def _wrapped(angle_rad: Array) -> Array:
-    return (angle_rad + np.pi) % (2 * np.pi) - np.pi
 
 
 def _where(flags: Array) -> list[slice]:
@@ -187,7 +184,7 @@ def _line(
         return _Line(corners, side, offset, bool(has_track), np.zeros(len(corners) - 1, bool))
     ahead = np.array([np.cos(direction), np.sin(direction)])
     if len(vertices) * SPACING_M >= 3 * _BEND_MIN_M:  # long enough to tell its own direction
-        straight = vertices[np.abs(_wrapped(np.arctan2(tangent[:, 1], tangent[:, 0]) - direction)) < _STRAIGHT_RAD]
+        straight = vertices[np.abs(wrap_angle(np.arctan2(tangent[:, 1], tangent[:, 0]) - direction)) < _STRAIGHT_RAD]
         if len(straight) >= 2:
             own = np.linalg.svd(straight - straight.mean(axis=0), full_matrices=False)[2][0]
             ahead = own * np.sign(own @ ahead)
@@ -222,7 +219,7 @@ def _ends_turned_around(vertices: Array, tangent: Array, standoff_m: float) -> l
         normal = sign * np.column_stack([-tangent[arc, 1], tangent[arc, 0]])
         centre = (vertices[arc] + standoff_m * normal).mean(axis=0)
         behind = float(np.arctan2(*(centre - vertices[middle])[::-1]))
-        off = _wrapped(2 * (directions - behind)) / 2
+        off = wrap_angle(2 * (directions - behind)) / 2
         nearest = int(np.argmin(np.abs(off)))
         if abs(off[nearest]) > 2 * _DIRECTION_RAD:
             continue
