@@ -81,7 +81,7 @@ def draw_map(result: EpisodeResult, path: Path) -> None:
     axes.set(xlim=(x_min - 1, x_max + 1), ylim=(y_min - 1, y_max + 1), xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_facecolor("#dbdee3")
     axes.tick_params(labelsize=7)
-    axes.set_title(_title(result), fontsize=9, loc="left")
+    axes.set_title(_title(result), fontsize=9, loc="left", parse_math=False)
     figure.legend(*_unique_legend(axes), loc="outside lower center", ncols=5, fontsize=7.5, frameon=False)
     figure.savefig(path, dpi=110)
     plt.close(figure)

@@ -1,11 +1,15 @@
+import dataclasses
+import itertools
 import json
 import math
 
 import pytest
 
+from agents.__main__ import main as explore
 from twc_env.__main__ import main
-from twc_env.map_picture import name_sign
+from twc_env.map_picture import name_rooms, name_sign
 from twc_env.maps import load_map, map_names
+from twc_env.world.floorplan_file import write_floorplan
 
 
 def run(*arguments) -> int:
@@ -68,6 +72,36 @@ def test_texts_of_signs_lie_before_their_faces_and_not_on_each_other():
         assert text.get_window_extent().y0 >= 300
         assert text.get_rotation() == 35.0
     assert exit_text.get_window_extent().x1 <= 400 and exit_text.get_rotation() == 0.0
+
+
+def test_names_of_rooms_do_not_lie_on_each_other():
+    pytest.importorskip("matplotlib")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rooms, points_per_m = load_map("radio-ntu").rooms, 7.6
+    figure = Figure(figsize=(90 * points_per_m / 72, 64 * points_per_m / 72), dpi=72)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(-2, 88), ylim=(-2, 62))
+    name_rooms(axes, rooms, points_per_m)
+    canvas.draw()
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert len(boxes) == len(rooms)
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+
+
+def test_dollars_in_names_are_no_formulas(tmp_path):
+    pytest.importorskip("matplotlib")
+    plan = load_map("sfw-e1")
+    signs = [dataclasses.replace(sign, text="$A_$") for sign in plan.signs]
+    rooms = [dataclasses.replace(room, name="ALL FOR $5_$") for room in plan.rooms]
+    write_floorplan(dataclasses.replace(plan, name="$^$", signs=signs, rooms=rooms), tmp_path / "shop.json")
+    assert plan.signs and plan.rooms
+    assert run("show", tmp_path / "shop.json", "--out", tmp_path / "shop.png") == 0
+    assert (
+        explore(["explore", "--map", str(tmp_path / "shop.json"), "--steps", "3", "--out", str(tmp_path / "run")]) == 0
+    )
+    assert (tmp_path / "run" / "map.png").is_file()
 
 
 def test_generate_writes_the_building_of_that_name(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,19 @@ from numpy.typing import NDArray
 
 from twc_env.config import RadioConfig
 from twc_env.errors import MapError
-from twc_env.world.floorplan import Floorplan
+from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
 
 Array = NDArray
 
 LABELS_MAX = 60
 """With more rooms or signs than this, names are left out: they would lie on top of each other."""
+
+WIDTH_INCHES = 12.0
+POINTS_MAX = 0.75 * 72 * WIDTH_INCHES
+"""About what is left for the building's width beside scales and the colour bar."""
+_ROOM_POINTS, _CHARACTER_WIDTH = 6.0, 0.62
+"""Height of the letters in rooms, and how wide one is on average in heights."""
 
 
 def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = None, with_signal: bool = True) -> Path:
@@ -28,7 +35,7 @@ def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = No
         raise MapError("drawing a map needs matplotlib; run `pip install twc_env[viz]`") from error
     path = Path(path) if Path(path).suffix else Path(f"{path}.png")
     x0, y0, x1, y1 = plan.bounds_m
-    width = 12.0
+    width = WIDTH_INCHES
     # The height follows the building; a legend and a colour bar need a few centimetres more.
     figure = Figure(
         figsize=(width, float(np.clip(0.82 * width * (y1 - y0) / (x1 - x0), 3.0, 24.0)) + 1.0),
@@ -45,9 +52,7 @@ def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = No
     losses = np.asarray(plan.wall_loss_db)
     axes.add_collection(LineCollection(list(plan.walls_m), colors="black", linewidths=0.5 + 0.15 * losses.clip(0, 12)))
     if len(plan.rooms) <= LABELS_MAX:
-        for room in plan.rooms:
-            x, y = np.asarray(room.polygon_m).mean(axis=0)
-            axes.text(x, y, room.name, fontsize=6, color="darkgreen", ha="center", va="center", clip_on=True)
+        name_rooms(axes, plan.rooms, POINTS_MAX / (x1 - x0))
     _draw_signs(axes, plan)
     if plan.access_points:
         places = np.array([a.position_m for a in plan.access_points])
@@ -56,7 +61,8 @@ def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = No
     axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin), aspect="equal")
     axes.set(xlabel="x [m]", ylabel="y [m]")
     axes.set_title(
-        f"{plan.name}: {plan.floor_area_m2:,.0f} m2 of floor, {len(plan.rooms)} rooms, {len(plan.signs)} signs"
+        f"{plan.name}: {plan.floor_area_m2:,.0f} m2 of floor, {len(plan.rooms)} rooms, {len(plan.signs)} signs",
+        parse_math=False,
     )
     figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     try:
@@ -95,6 +101,18 @@ def _draw_signs(axes, plan: Floorplan) -> None:
             name_sign(axes, sign.text, place, angle, fontsize=4.5, color="0.2", clip_on=True)
 
 
+def name_rooms(axes, rooms: Sequence[Room], points_per_m: float) -> None:
+    """Write the rooms' names into them; a name that is wider than its room has a line for each word."""
+    for room in rooms:
+        corners = np.asarray(room.polygon_m)
+        width_points = points_per_m * float(np.ptp(corners[:, 0]))
+        is_too_wide = len(room.name) * _CHARACTER_WIDTH * _ROOM_POINTS > width_points
+        axes.text(
+            *corners.mean(axis=0), "\n".join(room.name.split()) if is_too_wide else room.name, fontsize=_ROOM_POINTS,
+            color="darkgreen", ha="center", va="center", clip_on=True, parse_math=False,
+        )  # fmt: skip
+
+
 def name_sign(axes, text: str, place_m: Array, facing_rad: float, points: float = 9.0, **style) -> None:
     """Write a sign's text before its face; above and below walls at a slant, as texts of neighbours would overlap."""
     u, v = np.cos(facing_rad), np.sin(facing_rad)
@@ -102,7 +120,7 @@ def name_sign(axes, text: str, place_m: Array, facing_rad: float, points: float 
     axes.annotate(
         text, place_m, (points * u, points * v), textcoords="offset points",
         rotation=0.0 if is_beside else 35.0, rotation_mode="anchor",
-        ha="left" if (u if is_beside else v) > 0 else "right", va="center", **style,
+        ha="left" if (u if is_beside else v) > 0 else "right", va="center", parse_math=False, **style,
     )  # fmt: skip
 
 
