@@ -79,9 +79,9 @@ class SignTable:
         """Where the fingerprint of each row ends; it begins where the one before does. And room for what is found."""
         self._macs, self._rssi_dbm = np.zeros(_ROOM, np.int64), np.zeros(_ROOM)
         """Of all fingerprints, one after the other."""
-        self._count = self._end = 0
-        self._robots: set[int] = set()
-        """Whose places they are."""
+        self._count = self._end = self._robots = 0
+        self._first_m: dict[int, dict[int, float]] = {}
+        """Of each text the path length at which each robot first read it."""
         self._run: Callable[..., int] | None = None
         """`_choose` with all of this."""
 
@@ -97,7 +97,9 @@ class SignTable:
         self._places[row, 0], self._places[row, 1] = keyframe.robot, text
         self._travels_m[row], self._ends[row] = keyframe.travel_m, end
         self._count, self._end = row + 1, end
-        self._robots.add(keyframe.robot)
+        self._robots = max(self._robots, keyframe.robot + 1)
+        first_m = self._first_m.setdefault(text, {})
+        first_m[keyframe.robot] = min(first_m.get(keyframe.robot, math.inf), keyframe.travel_m)
 
     def _make_room(self, rows: int, heard: int) -> None:
         while heard > len(self._macs):
@@ -106,13 +108,9 @@ class SignTable:
             self._places, self._travels_m = doubled(self._places), doubled(self._travels_m)
             self._ends, self._found, self._run = doubled(self._ends), doubled(self._found), None
 
-    def has_others(self, robots: Sequence[int]) -> bool:
-        """Whether there are places of any but these robots."""
-        return not self._robots.issubset(robots)
-
     def like(
         self,
-        likeness: Array,
+        alike: Sequence[tuple[int, float]],
         keyframe: Keyframe,
         skipped_robots: Sequence[int],
         apart_m: float,
@@ -120,20 +118,35 @@ class SignTable:
     ) -> list[list[float]]:
         """The rows whose texts and radio are like those of a keyframe, ascending.
 
-        likeness (texts,): similarity of each text, or `UNLIKE`. Left out are rows of the skipped robots, and of the
+        alike: numbers and similarities of the texts that are. Left out are rows of the skipped robots, and of the
         keyframe's own those less than apart_m before it along the path. Each comes as its number, the similarity of
         texts, `mac_similarity`, `rssi_similarity`, and distance [dB] and count of `rssi_distance_db`.
         """
-        is_skipped = np.zeros(max(self._robots, default=-1) + 1, bool)
-        for robot in self._robots.intersection(skipped_robots):
-            is_skipped[robot] = True
+        latest_m = keyframe.travel_m - apart_m
+        if not self._has_any(alike, keyframe.robot, latest_m, skipped_robots):
+            return []
+        is_skipped, likeness = np.zeros(self._robots, bool), np.full(len(self._first_m), UNLIKE)
+        for robot in skipped_robots:
+            if robot < self._robots:
+                is_skipped[robot] = True
+        for text, similarity in alike:
+            likeness[text] = similarity
         heard = keyframe.fingerprint
         now = (
-            self._count, likeness, is_skipped, keyframe.robot, keyframe.travel_m - apart_m, heard.macs, heard.rssi_dbm,
-            *radio,
+            self._count, likeness, is_skipped, keyframe.robot, latest_m, heard.macs, heard.rssi_dbm, *radio
         )  # fmt: skip
         if self._run is None:
             held = self._places, self._travels_m, self._ends, self._macs, self._rssi_dbm, self._found
             self._run = bound(_choose, Lent(pack(held)), *now)
         rows: list[list[float]] = self._found[: self._run(*now)].tolist()
         return rows
+
+    def _has_any(
+        self, alike: Sequence[tuple[int, float]], own: int, latest_m: float, skipped_robots: Sequence[int]
+    ) -> bool:
+        """Whether a robot that is not skipped has read one of these texts; the keyframe's own not after latest_m."""
+        for text, _ in alike:
+            for robot, first_m in self._first_m[text].items():
+                if robot not in skipped_robots and (robot != own or first_m <= latest_m):
+                    return True
+        return False

@@ -31,9 +31,6 @@ class AlikeTexts:
         self._compared: tuple[str, int, list[tuple[int, float]]] = ("", 0, [])
         """The text compared last, with how many others, and what was found."""
 
-    def __len__(self) -> int:
-        return len(self._texts)
-
     def number_of(self, text: str) -> int:
         """The text's number; a new text gets the next one."""
         held = self._number_of.get(text)

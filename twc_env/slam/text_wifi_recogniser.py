@@ -13,7 +13,7 @@ from twc_env.config import PlaceRecognitionConfig
 from twc_env.geometry import compose, inverse
 from twc_env.messages import Fingerprint, Keyframe, LoopCandidate, SignObservation
 from twc_env.slam.place_cues import rssi_cue, similarities
-from twc_env.slam.sign_table import UNLIKE, RadioRule, SignTable
+from twc_env.slam.sign_table import RadioRule, SignTable
 from twc_env.slam.text_similarity import AlikeTexts, normalise
 
 Array = NDArray
@@ -57,8 +57,7 @@ class TextWifiRecogniser:
             return []
         best: dict[tuple[int, int], tuple[float, int, SignObservation, float, float]] = {}
         readings = [(self._key(sign.text), sign) for sign in keyframe.signs]
-        compared = readings if self._table.has_others(skipped_robots) else []
-        for text, sign in compared:
+        for text, sign in readings:
             if math.isnan(sign.facing_rad):
                 continue
             for k, similarity, macs, rssi in self._like_places(text, keyframe, skipped_robots):
@@ -103,17 +102,9 @@ class TextWifiRecogniser:
 
         With the similarities of texts, transmitters and strengths.
         """
-        alike = self._texts.alike(text)
-        if not alike:
-            return []
-        likeness = np.full(len(self._texts), UNLIKE)
-        for number, similarity in alike:
-            likeness[number] = similarity
-        rule = self._config
-        return self._passing(
-            self._table.like(likeness, keyframe, skipped_robots, rule.revisit_travel_m, self._radio),
-            keyframe.fingerprint,
-        )
+        alike, apart_m = self._texts.alike(text), self._config.revisit_travel_m
+        rows = self._table.like(alike, keyframe, skipped_robots, apart_m, self._radio)
+        return self._passing(rows, keyframe.fingerprint)
 
     def _passing(self, rows: list[list[float]], heard: Fingerprint) -> list[tuple[int, float, float, float]]:
         """Those of the rows of the table whose strengths are like what was heard."""
