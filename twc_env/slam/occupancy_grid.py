@@ -37,10 +37,10 @@ BLOCK_CELLS = 32
 
 @borrowing_kernel
 def _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corners, cells):
-    """Where the free space ends in each direction, in rows and columns as reals, and the cell of each end point.
+    """Where the free space ends in each direction, in rows and columns as reals, and the cell that each beam met.
 
     Apart from what follows, for many beams at once: corners (2, beams + 1), of which the last comes first too; cells
-    (2, beams): column and row.
+    (2, beams): column and row, which is -1 where the beam met nothing.
     """
     beams = ranges.shape[0]
     for i in range(beams):
@@ -50,8 +50,9 @@ def _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corne
     corners[0, 0], corners[1, 0] = corners[0, beams], corners[1, beams]
     for i in range(beams):
         dx, dy = ranges[i] * directions[i, 0], ranges[i] * directions[i, 1]
+        is_met = (ranges[i] >= 0.0) & (ranges[i] < range_max)
         cells[0, i] = np.int32(np.floor(gx + 0.5 + c * dx - s * dy))
-        cells[1, i] = np.int32(np.floor(gy + 0.5 + s * dx + c * dy))
+        cells[1, i] = np.int32(np.floor(gy + 0.5 + s * dx + c * dy)) if is_met else np.int32(-1)
 
 
 @borrowing_kernel
@@ -118,10 +119,11 @@ def _integrate_scan(
 ):  # fmt: skip
     """Lower what the scan saw through and raise what it met.
 
-    Gives the first and last row that it can touch; spans (rows, 2) gets the first and last column touched in each.
+    Gives the first and last row that it can touch; spans (rows, 2) gets the first and last column touched in each,
+    where it has rows.
     """
     height, width = log_odds.shape
-    beams = ranges.shape[0]
+    beams, has_spans = ranges.shape[0], spans.shape[0] > 0
     c, s = math.cos(pose[2]) * inverse_m, math.sin(pose[2]) * inverse_m
     gx, gy = (pose[0] - origin_x) * inverse_m - 0.5, (pose[1] - origin_y) * inverse_m - 0.5
     margin = FREE_MARGIN_CELLS / inverse_m
@@ -138,23 +140,24 @@ def _integrate_scan(
     _fill_crossings(edges, rows, float(width), crossings, counts)
     for row in range(row_low, row_high + 1):
         ends = counts[row - row_low] // 2 * 2
-        spans[row - row_low, 0] = crossings[0, row - row_low] if ends else width
-        spans[row - row_low, 1] = crossings[ends - 1, row - row_low] - 1 if ends else -1
+        if has_spans:
+            spans[row - row_low, 0] = crossings[0, row - row_low] if ends else width
+            spans[row - row_low, 1] = crossings[ends - 1, row - row_low] - 1 if ends else -1
         for p in range(ends // 2):
             first, last = crossings[2 * p, row - row_low], crossings[2 * p + 1, row - row_low]
             if first < last:
                 _lower(log_odds[row], first, last)
     last_row = last_column = -1
     for i in range(beams):
-        if ranges[i] >= range_max or ranges[i] < 0.0:
-            continue
         column, row = cells[0, i], cells[1, i]
-        if row < 0 or column < 0 or row >= height or column >= width or (row == last_row and column == last_column):
+        if row < 0 or column < 0 or row >= height or column >= width:
             continue
+        raised = LOG_ODDS_HIT if (row != last_row) | (column != last_column) else 0  # hard to foresee: no branch
         last_row, last_column = row, column
-        log_odds[row, column] = min(log_odds[row, column] + LOG_ODDS_HIT, LOG_ODDS_MAX)
-        at = min(max(row - row_low, 0), row_high - row_low)
-        spans[at, 0], spans[at, 1] = min(spans[at, 0], column), max(spans[at, 1], column)
+        log_odds[row, column] = min(log_odds[row, column] + raised, LOG_ODDS_MAX)
+        if has_spans:
+            at = min(max(row - row_low, 0), row_high - row_low)
+            spans[at, 0], spans[at, 1] = min(spans[at, 0], column), max(spans[at, 1], column)
     return row_low, row_high
 
 
@@ -182,10 +185,11 @@ def _integrate_inside(
 ):
     """Fold in scans that touch no more than the box `reached`, in a grid with these bounds."""
     crossings, counts, spans, corners, edges, rows, cells = room
+    noted = spans[: spans.shape[0] if poses.shape[0] == 1 else 0]
     for k in range(poses.shape[0]):
         row_low, row_high = _integrate_scan(
             log_odds, bounds[0], bounds[1], inverse_m, poses[k], directions, scans[k], range_max, crossings, counts,
-            spans, corners, edges, rows, cells,
+            noted, corners, edges, rows, cells,
         )  # fmt: skip
         if poses.shape[0] == 1:
             _note_spans(log_odds, row_low, row_high, spans, kinds)
