@@ -18,10 +18,10 @@ _MARGIN = 1e-6
 def gather_near(walls, origin, bucket, rows, columns, first, members, x, y, far, spare, stamps, scratch, near):
     """Walls that a scanner of range `far` may see from some place less than `spare` from (x, y) -> how many.
 
-    Rows of near: begin x, y and extent x, y; stamps (walls,) and scratch (4 or more, walls) are overwritten.
+    Rows of near: begin x, y and extent x, y; stamps (walls,) and scratch (8 or more, walls) are overwritten.
     """
     count = _reached(walls, origin, bucket, rows, columns, first, members, x, y, far + spare, stamps, near)
-    return _drop_hidden(near, count, x, y, spare, scratch)
+    return _drop_hidden(near, count, x, y, spare, stamps, scratch)
 
 
 @borrowing_kernel
@@ -52,25 +52,27 @@ def _reached(walls, origin, bucket, rows, columns, first, members, x, y, reach, 
 
 
 @borrowing_kernel
-def _drop_hidden(near, count, x, y, spare, hiders):
+def _drop_hidden(near, count, x, y, spare, is_hidden, scratch):
     """Keep the walls that no single other one hides from all places less than `spare` from (x, y) -> how many.
 
     A wall is hidden where both its ends are: what lies between them is behind the same wall.
     """
-    hider_count = _find_hiders(near, count, x, y, spare, hiders)
+    hiders, begin_x, begin_y, end_x, end_y = scratch[:4], scratch[4], scratch[5], scratch[6], scratch[7]
+    for w in range(count):
+        begin_x[w], begin_y[w] = near[0, w] - x, near[1, w] - y
+        end_x[w], end_y[w] = begin_x[w] + near[2, w], begin_y[w] + near[3, w]
+        is_hidden[w] = False
+    for h in range(_find_hiders(near, count, x, y, spare, hiders)):
+        ax, ay, bx, by = hiders[0, h], hiders[1, h], hiders[2, h], hiders[3, h]
+        # Without a branch, for which walls are hidden cannot be foretold: several are tested side by side.
+        for w in range(count):
+            is_begin_hidden = _hides(ax, ay, bx, by, begin_x[w], begin_y[w], spare)
+            is_hidden[w] |= is_begin_hidden & _hides(ax, ay, bx, by, end_x[w], end_y[w], spare)
     kept = 0
     for w in range(count):
-        ax, ay = near[0, w] - x, near[1, w] - y
-        bx, by = ax + near[2, w], ay + near[3, w]
-        is_hidden = False
-        for h in range(hider_count):
-            if _hides(hiders, h, ax, ay, spare) and _hides(hiders, h, bx, by, spare):
-                is_hidden = True
-                break
-        if not is_hidden:
-            for k in range(4):
-                near[k, kept] = near[k, w]
-            kept += 1
+        for k in range(4):
+            near[k, kept] = near[k, w]
+        kept += int(not is_hidden[w])
     return kept
 
 
@@ -97,19 +99,18 @@ def _find_hiders(near, count, x, y, spare, hiders):
 
 
 @borrowing_kernel
-def _hides(hiders, h, px, py, spare):
-    """Whether from all places less than `spare` from the origin the line to a point crosses a hider.
+def _hides(ax, ay, bx, by, px, py, spare):
+    """Whether from all places less than `spare` from the origin the line to a point p crosses the hider from a to b.
 
     On which side of the point an end of the hider is seen is told by a cross product. It is linear in the place, so
     that over the disc it changes by no more than `spare` times the distance between end and point.
     """
-    ax, ay, bx, by = hiders[0, h], hiders[1, h], hiders[2, h], hiders[3, h]
     to_ax, to_ay, to_bx, to_by = px - ax, py - ay, bx - px, by - py
     left, right = ax * py - ay * px, px * by - py * bx
     return (
-        left > _MARGIN
-        and right > _MARGIN
-        and left * left > spare * spare * (to_ax * to_ax + to_ay * to_ay) + _MARGIN * _MARGIN
-        and right * right > spare * spare * (to_bx * to_bx + to_by * to_by) + _MARGIN * _MARGIN
-        and (bx - ax) * to_ay - (by - ay) * to_ax < -_MARGIN
+        (left > _MARGIN)
+        & (right > _MARGIN)
+        & (left * left > spare * spare * (to_ax * to_ax + to_ay * to_ay) + _MARGIN * _MARGIN)
+        & (right * right > spare * spare * (to_bx * to_bx + to_by * to_by) + _MARGIN * _MARGIN)
+        & ((bx - ax) * to_ay - (by - ay) * to_ax < -_MARGIN)
     )
