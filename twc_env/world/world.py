@@ -94,6 +94,8 @@ class World:
         """For each step of a WiFi period, the robots that hear in the one call of the step."""
         self._rooms: list[Iterator[tuple]] = [iter(()) for _ in self._hearing]
         """For each step of a WiFi period, what the next such steps fill: poses, odometry, turn rates, ranges, scans."""
+        laser = (robots, config.lidar.beam_count) if self._lidar.is_plain else (0, 0)
+        self._shapes = [_shapes_of_room(robots, laser, len(own), len(self._radio.macs)) for own in self._listeners]
         self._cameras = SignCameras(config, self._home, seed, self._camera_period)
         self._held_crossings = None
         self._sensed_poses = self._dynamics.poses.copy()
@@ -187,11 +189,8 @@ class World:
 
     def _make_room(self, turn: int) -> tuple:
         """New arrays for some steps of which all are of that turn; the first step's."""
-        robots, beams, listeners = self.config.robots, self.config.lidar.beam_count, self._listeners[turn]
-        laser, radio = ((robots, beams) if self._lidar.is_plain else (0, 0)), (len(listeners), len(self._radio.macs))
-        shapes = (robots, 3), (robots, 3), (robots,), laser, radio, radio, (len(listeners),)
-        *team, macs, readings, counts = map(np.empty, [(_STEPS_AT_ONCE, *shape) for shape in shapes], _TYPES)
-        scans = map(_scans_of, zip(repeat(listeners), macs, readings, counts, strict=False))
+        *team, macs, readings, counts = map(np.empty, self._shapes[turn], _TYPES)
+        scans = map(_scans_of, zip(repeat(self._listeners[turn]), macs, readings, counts, strict=False))
         self._rooms[turn] = zip(*team, scans, strict=True)
         return next(self._rooms[turn])
 
@@ -286,6 +285,13 @@ def _period_steps(period_s: float, config: EnvConfig) -> int:
 def _turns(period: int, robots: int) -> list[range]:
     """The robots whose sensor of that period reads in a step, for each step of a period; they take turns."""
     return [range(-step % period, robots, period) for step in range(period)]
+
+
+def _shapes_of_room(robots: int, laser: tuple[int, int], listeners: int, transmitters: int) -> list[tuple[int, ...]]:
+    """Of the arrays that steps with so many listeners fill, in the order of `_TYPES`."""
+    heard = listeners, transmitters
+    shapes = (robots, 3), (robots, 3), (robots,), laser, heard, heard, (listeners,)
+    return [(_STEPS_AT_ONCE, *shape) for shape in shapes]
 
 
 @lru_cache(maxsize=8)
