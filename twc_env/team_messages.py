@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,7 +242,8 @@ class TeamBeliefs(_Team[Belief]):
     def of(cls, beliefs: Sequence[Belief]) -> TeamBeliefs:
         """Beliefs of robots 0, 1, ... after one step, stacked."""
         if hasattr(beliefs, "is_stacked"):
-            return cast("TeamBeliefs", beliefs)
+            stacked: Any = beliefs
+            return stacked
         rows = [pose for b in beliefs for pose in (b.pose_map_robot, b.pose_std, b.pose_odom)]
         mates, mate_poses, contact_steps = nobody(len(beliefs))
         for k, belief in enumerate(beliefs):

@@ -151,6 +151,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self.action_spaces = dict.fromkeys(self.possible_agents, shared_action)
         self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (6 * count,), np.float32)
         self._weights = rewards.weights_of(self.config.reward)
+        self._weighed: tuple[Sequence[dict[str, float]] | None, dict[str, float]] = None, {}
+        """The terms that were weighed last, and what they earned; steps in which nothing happens share theirs."""
         self._begun: Episode | None = None
         self._seed: int | None = None
 
@@ -200,8 +202,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             for info in infos.values():
                 info.update(figures)
             self.agents, truncated = [], self._all_true
-        earned = self._by_agent(rewards.weigh(values, self._weights))
-        return observations, earned, self._all_false.copy(), truncated.copy(), infos
+        if values is not self._weighed[0]:
+            self._weighed = values, self._by_agent(rewards.weigh(values, self._weights))
+        return observations, self._weighed[1].copy(), self._all_false.copy(), truncated.copy(), infos
 
     @property
     def episode(self) -> Episode:

@@ -171,7 +171,7 @@ class Episode:
                 self._frames = [frame for frame in frames if is_alive[frame.robot]]
                 self._shown = silenced(frames, is_alive)
         self.frames_of_step.append(self._frames)
-        if len(self._frames):
+        if self._frames is frames or self._frames:
             engine.track(self._frames)
         engine.absorb(self.steps, self._contacts)
         self.record.append(world.poses, engine.poses_odom, frames.odometry, world.contacts)
