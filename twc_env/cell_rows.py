@@ -40,6 +40,39 @@ def number_row(width, row, column, row_step, column_step, count, numbers):
 
 
 @borrowing_kernel
+def number_square(width, firsts, row_step, column_step, room, numbers):
+    """`number_row` for each row of a square of samples: numbers (size * size,); room: scratch, (6, size) uint32.
+
+    firsts (2, size): row and column of the first sample of each row. In every row the cells from the first sample on
+    are the same, or one more where the parts of a cell that were over make up a whole one with those of the first. So
+    they are worked out once, and 32 bits are enough for all the others.
+    """
+    bits, size, across, one = FIXED_BITS, firsts.shape[1], np.uint32(width), np.uint32(1)
+    steps, row_parts, column_parts, starts, row_gaps, column_gaps = room[0], room[1], room[2], room[3], room[4], room[5]
+    for j in range(size):
+        r, k = j * row_step, j * column_step
+        steps[j], row_parts[j], column_parts[j] = (
+            np.uint32((r >> bits) * width + (k >> bits)),
+            np.uint32(r),
+            np.uint32(k),
+        )
+    for i in range(size):
+        r, k = firsts[0, i], firsts[1, i]
+        starts[i], row_gaps[i], column_gaps[i] = (
+            np.uint32((r >> bits) * width + (k >> bits)),
+            np.uint32(~r),
+            np.uint32(~k),
+        )
+    for i in range(size):
+        start, row_gap, column_gap = starts[i], row_gaps[i], column_gaps[i]
+        out = numbers[i * size : (i + 1) * size]
+        for j in range(size):
+            number = np.uint32(start + steps[j])
+            number = np.uint32(number + across) if row_parts[j] > row_gap else number
+            out[j] = np.uint32(number + one) if column_parts[j] > column_gap else number
+
+
+@borrowing_kernel
 def look_up(cells, numbers, count, levels):
     """Write to levels the first `count` cells of these numbers; cells: a grid as one row."""
     for j in range(count):  # unsigned numbers index without a check for negative ones

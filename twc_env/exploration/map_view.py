@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up, look_up_row, number_row, span_inside
+from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up, look_up_row, number_square, span_inside
 from twc_env.kernels import bound, kernel
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import FREE as FREE_CELL
@@ -36,8 +36,7 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
     """
     out = np.zeros((CHANNELS, cells, cells), np.uint8)
     x, y = (pose_map_robot[:2] - grid.origin_m).tolist()
-    numbers, levels = np.empty(cells * cells, np.uint32), np.empty(cells * cells, np.uint8)
-    _crop(_kinds(grid), x, y, float(pose_map_robot[2]), 1.0 / grid.resolution_m, cell_m, numbers, levels, out)
+    _crop(_kinds(grid), x, y, float(pose_map_robot[2]), 1.0 / grid.resolution_m, cell_m, _make_room(cells), out)
     return out
 
 
@@ -152,11 +151,17 @@ def _shrink(log_odds, out):
 
 
 @kernel
-def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, numbers, levels):
-    """The kinds of cells around a place, robot in the middle and looking along +column: to levels (size * size,).
+def _make_room(size):
+    """What `_look_around` works in: kinds (size * size,), which it fills, and scratch."""
+    count = size * size
+    scratch = np.empty((2, size), np.int64), np.empty((6, size), np.uint32), np.empty(count, np.uint32)
+    return np.empty(count, np.uint8), *scratch
 
-    numbers: scratch, as large.
-    """
+
+@kernel
+def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, room):
+    """The kinds of cells around a place, robot in the middle and looking along +column."""
+    levels, firsts, scratch, numbers = room
     height, width = kinds.shape
     step = cell_m * inverse_m
     c, s = math.cos(heading) * step, math.sin(heading) * step
@@ -165,29 +170,30 @@ def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, numbers, levels)
     cells = kinds.reshape(-1)
     dx, dy = int(c * FIXED_POINT), int(s * FIXED_POINT)
     rows, columns = height << FIXED_BITS, width << FIXED_BITS
+    for i in range(size):
+        firsts[0, i] = int(math.floor((y0 + c * i) * FIXED_POINT))
+        firsts[1, i] = int(math.floor((x0 - s * i) * FIXED_POINT))
     is_inside = True
     for i in (0, size - 1):
-        k, r = int(math.floor((x0 - s * i) * FIXED_POINT)), int(math.floor((y0 + c * i) * FIXED_POINT))
         for j in (0, size - 1):
-            is_inside &= 0 <= k + j * dx < columns and 0 <= r + j * dy < rows
+            is_inside &= 0 <= firsts[1, i] + j * dx < columns and 0 <= firsts[0, i] + j * dy < rows
+    if is_inside:
+        number_square(width, firsts, dy, dx, scratch, numbers)
+        look_up(cells, numbers, size * size, levels)
+        return
+    levels[:] = UNKNOWN_CELL
     for i in range(size):
-        k, r = int(math.floor((x0 - s * i) * FIXED_POINT)), int(math.floor((y0 + c * i) * FIXED_POINT))
-        if is_inside:
-            number_row(width, r, k, dy, dx, size, numbers[i * size : (i + 1) * size])
-            continue
-        out = levels[i * size : (i + 1) * size]
-        out[:] = UNKNOWN_CELL
+        r, k = firsts[0, i], firsts[1, i]
         first_k, end_k = span_inside(k, dx, columns, size)
         first_r, end_r = span_inside(r, dy, rows, size)
         begin, end = max(first_k, first_r), min(end_k, end_r)
         if begin < end:
-            look_up_row(cells, width, r + begin * dy, k + begin * dx, dy, dx, end - begin, numbers, out[begin:])
-    if is_inside:
-        look_up(cells, numbers, size * size, levels)
+            out = levels[i * size + begin : i * size + end]
+            look_up_row(cells, width, r + begin * dy, k + begin * dx, dy, dx, end - begin, numbers, out)
 
 
 @kernel
-def _crop(kinds, x, y, heading, inverse_m, cell_m, numbers, levels, out):
+def _crop(kinds, x, y, heading, inverse_m, cell_m, room, out):
     """Egocentric view: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0).
 
     Looking up stands apart from comparing, because only the latter gains from being done for many cells at once.
@@ -199,7 +205,8 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, numbers, levels, out):
         flat[2 * count : 3 * count] = 255
         flat[3 * count : 4 * count] = 0
         return
-    _look_around(kinds, x, y, heading, inverse_m, cell_m, size, numbers, levels)
+    _look_around(kinds, x, y, heading, inverse_m, cell_m, size, room)
+    levels = room[0]
     free, wall, unknown = flat[:count], flat[count : 2 * count], flat[2 * count : 3 * count]
     for j in range(count):
         free[j] = np.uint8(255) if levels[j] == FREE_CELL else np.uint8(0)
@@ -218,11 +225,10 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, numbers, levels, out):
 @kernel
 def _crop_and_mark(paths, path_counts, mates, cell_m, kinds, places, signs, poses, out):
     """All channels of all robots: what lies around each, its path, mates and signs."""
-    inverse_m, count = 1.0 / cell_m, out.shape[2] * out.shape[3]
-    numbers, levels = np.empty(count, np.uint32), np.empty(count, np.uint8)
+    inverse_m, room = 1.0 / cell_m, _make_room(out.shape[2])
     for i in range(len(kinds)):
         here, odom, place = poses[i, 0], poses[i, 2], places[i]
-        _crop(kinds[i], here[0] - place[0], here[1] - place[1], here[2], place[2], cell_m, numbers, levels, out[i])
+        _crop(kinds[i], here[0] - place[0], here[1] - place[1], here[2], place[2], cell_m, room, out[i])
         out[i, 4:] = 0
         cells = np.empty(max(paths.shape[2], mates.shape[2], signs[i].shape[1]), np.int32)
         _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m, cells)
