@@ -130,3 +130,9 @@ def test_the_robot_that_is_stuck_longest_counts():
 
 def test_an_episode_shorter_than_the_window_is_not_judged_stuck():
     assert trajectory.stuck_share(np.zeros((10, 1, 3)), window=20, radius_m=0.3) == 0.0
+
+
+@pytest.mark.parametrize("shape", [(3, 2), (6, 1)])
+def test_a_map_is_laid_by_poses_and_not_by_places_alone(shape):
+    with pytest.raises(DataError, match=r"\(\.\.\., 3\)"):
+        trajectory.lay_map(np.zeros(shape), np.zeros(shape))

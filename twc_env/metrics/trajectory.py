@@ -32,10 +32,12 @@ def lay_map(estimated: ArrayLike, true: ArrayLike) -> Array:
     """The pose (3,) that lays a map on the building, from estimated and true poses (..., 3) of the robots that drew it.
 
     As `align_team`, but headings count too, like points a metre ahead: a robot that has hardly moved says by its
-    heading, not by its few centimetres of way, how its map lies. After some metres both give the same.
+    heading, not by its few centimetres of way, how its map lies. After some metres both agree. Raises alike.
     """
     estimated, true, pose = np.asarray(estimated, float), np.asarray(true, float), np.empty(3)
     _check_pairs(estimated, true)
+    if estimated.shape[-1:] != (3,) or true.shape[-1:] != (3,):
+        raise DataError(f"a map is laid by poses (..., 3); got {estimated.shape} and {true.shape}")
     align(estimated.reshape(-1, 3), true.reshape(-1, 3), HEADING_LEVER_M, pose)
     return pose
 

@@ -53,7 +53,8 @@ class BuildingAxes:
 
     def slopes(self, places: Array) -> tuple[Array, Array]:
         """Of minus the cost: its slopes (p, 2) by the places [1/m], and the information (p, 2, p, 2) that axes, not
-        known beforehand, hold of them [1/m2]."""
+        known beforehand, hold of them [1/m2]. By how ways turn alone: no way shall grow so that it keeps to axes
+        more surely, as ways shorter than `LENGTH_M` would."""
         off, along, std = self._along(places)
         weight = along / std**2
         information = np.diag(weight) - np.outer(weight, weight) / max(weight.sum(), 1e-12)
