@@ -118,6 +118,27 @@ def test_a_level_is_joined_by_its_doors_and_closed_elsewhere(tmp_path):
     assert sorted(sign.text for sign in plan.signs) == ["001", "002"]
 
 
+@pytest.mark.parametrize(
+    "above",
+    [
+        [(0, 4), (4, 4), (8, 4), (8, 7), (0, 7)],
+        [(0, 4.2), (4, 4.2), (8, 4.2), (8, 7.2), (0, 7.2)],
+        [(4, 4.2), (4, 4.2), (8, 4.2), (8, 7.2), (0, 7.2), (0, 4.2)],
+    ],
+)
+def test_a_door_may_be_a_corner_of_both_rooms_and_drawn_twice(tmp_path, above):
+    path, building = tmp_path / "building.geojson", level()
+    building["features"][1]["geometry"]["coordinates"] = polygon(above)["geometry"]["coordinates"]
+    path.write_text(json.dumps(building))
+    plan = load_map(path)
+    assert sorted(room.name for room in plan.rooms) == ["001", "002"]
+    assert sorted(sign.text for sign in plan.signs) == ["001", "002"]
+    low, high = (
+        np.mean(room.polygon_m, axis=0) * [0, 1] + [plan.rooms[0].polygon_m[:, 0].mean(), 0] for room in plan.rooms
+    )
+    assert plan.wall_index.crossing(low, high[None])[0].tolist() == [0]
+
+
 def test_another_level_is_asked_for_by_its_number(tmp_path):
     path = tmp_path / "building.geojson"
     path.write_text(json.dumps(level()))

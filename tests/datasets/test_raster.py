@@ -167,6 +167,21 @@ def test_png_pictures_of_each_mode_are_read(tmp_path, mode):
     assert np.array_equal(read_grey(tmp_path / "m.png")[::-1] > 250, rooms())
 
 
+def test_greys_of_16_bits_are_scaled_and_not_cut_off(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    grey = np.array([[0, 255, 30_000, 65_535]], np.uint16)
+    image.fromarray(grey).save(tmp_path / "a.png")
+    assert read_grey(tmp_path / "a.png").tolist() == [[0, 1, 117, 255]]
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+def test_a_colour_that_stands_for_transparency_is_not_free(tmp_path, mode):
+    image = pytest.importorskip("PIL.Image")
+    white = 255 if mode == "L" else (255, 255, 255)
+    image.new(mode, (2, 1), white).save(tmp_path / "a.png", transparency=white)
+    assert read_grey(tmp_path / "a.png").tolist() == [[0, 0]]
+
+
 def test_transparent_pixels_are_not_free(tmp_path):
     image = pytest.importorskip("PIL.Image", reason="Pillow is an optional dependency")
     pixels = np.full((4, 4, 4), 255, np.uint8)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.datasets.outline import simplified_ring
+from twc_env.datasets.outline import simplified_ring, without_repeats
 from twc_env.errors import MapError
 
 Array = NDArray
@@ -101,7 +101,7 @@ def rings_of(feature: dict, where: str) -> list[Array]:
             raise ValueError
     except (KeyError, TypeError, ValueError, OverflowError):
         raise MapError(f"{where}: a {kind} must hold closed rings of [longitude, latitude]; export it again") from None
-    rings = [ring[:-1, :2] for ring in rings]
+    rings = [without_repeats(ring[:-1, :2]) for ring in rings]
     for ring in rings:
         _check_degrees(ring, where)
     return [ring if signed_area_m2(ring) > 0 else ring[::-1] for ring in rings]

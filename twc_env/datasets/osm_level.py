@@ -90,15 +90,18 @@ def _open_door(
         return []
     side, _ = _nearest(sides_of(areas[behind].ring_m), place)
     begin, end = sides_of(areas[behind].ring_m)[side]
-    length_m = float(np.linalg.norm(end - begin))
-    along = (end - begin) / length_m
+    along = (end - begin) / np.linalg.norm(end - begin)
     at = float((place - begin) @ along)
-    low, high = _straight_stretch(sides_of(areas[room].ring_m), place, begin, along)
-    first = max(at - width_m / 2, _FRAME_M, low + _FRAME_M)
-    last = min(at + width_m / 2, length_m - _FRAME_M, high - _FRAME_M)
+    across = (place - begin) - at * along
+    # Either outline may have further corners on the straight stretch around the door, the door itself above all.
+    ends = [
+        _straight_stretch(sides_of(areas[number].ring_m), at_wall, begin, along)
+        for number, at_wall in ((room, place), (behind, place - across))
+    ]
+    first = max(at - width_m / 2, max(low for low, _ in ends) + _FRAME_M)
+    last = min(at + width_m / 2, min(high for _, high in ends) - _FRAME_M)
     if last - first < _DOOR_WIDTH_MIN_M:
         return []
-    across = (place - begin) - at * along
     for number in (room, behind):
         walls[number] = _cut(walls[number], begin, along, first, last)
     into_behind = np.array([-along[1], along[0]])  # outlines run counter-clockwise

@@ -23,10 +23,15 @@ def outer_ring(mask: Array) -> Array:
     return ring[:count].astype(float) - 1.0
 
 
+def without_repeats(ring: Array) -> Array:
+    """Corners of a closed ring (k, 2) that differ from those before them; one where all are the same."""
+    is_repeated = np.all(ring == np.roll(ring, 1, axis=0), axis=1)
+    return ring[:1] if is_repeated.all() else ring[~is_repeated]
+
+
 def simplified_ring(ring: Array, tolerance_m: float) -> Array:
     """Fewer corners of a closed ring (k, 2), none of the dropped ones farther than the tolerance (Douglas-Peucker)."""
-    is_repeated = np.all(ring == np.roll(ring, 1, axis=0), axis=1)
-    ring = ring[~is_repeated] if not is_repeated.all() else ring[:1]
+    ring = without_repeats(ring)
     if len(ring) < 4:
         return ring
     far = int(np.argmax(np.linalg.norm(ring - ring[0], axis=1)))

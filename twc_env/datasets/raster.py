@@ -99,7 +99,9 @@ def _decode_with_pillow(raw: bytes, path: Path) -> Array:
             warnings.simplefilter("error")
             if picture.width * picture.height > CELLS_MAX:
                 raise ValueError(f"{picture.width} x {picture.height} pixels are too many")
-            if picture.mode in ("L", "RGB", "1"):
+            if picture.mode.startswith("I"):  # greys of 16 bits
+                return np.round(np.asarray(picture, float) * (255 / 65535)).astype(np.uint8)
+            if picture.mode in ("L", "RGB", "1") and "transparency" not in picture.info:
                 return np.asarray(picture.convert("L"))
             pixels = np.asarray(picture.convert("RGBA"), dtype=float)
     except Exception as error:  # a broken picture surfaces as almost any exception
