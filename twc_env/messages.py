@@ -7,6 +7,7 @@ the robot in the map frame, as (x [m], y [m], heading [rad]).
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import TypeVar, dataclass_transform
 
@@ -163,6 +164,11 @@ class LoopClosure:
     """Why it is not accepted."""
     number: int = -1
     """Its place among the closures of the mapper that verified it."""
+
+    def joins(self, a: Collection[int], b: Collection[int]) -> bool:
+        """Whether one end is a keyframe of robots `a` and the other of robots `b`."""
+        first, second = self.candidate.target[0], self.candidate.source[0]
+        return (first in a and second in b) or (first in b and second in a)
 
 
 BLOCK_SHAPE = (16, 64)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from twc_env.config import MergingConfig
 from twc_env.geometry import between, compose, inverse
 from twc_env.messages import Fingerprint
-from twc_env.slam.map_merging import largest_agreement, wall_contradiction, wifi_agrees
+from twc_env.slam.map_merging import count_places, largest_agreement, wall_contradiction, wifi_agrees
 from twc_env.slam.occupancy_grid import OccupancyGrid
 
 TRUE_A_B = np.array([12.0, -7.0, 2.2])
@@ -53,6 +53,25 @@ def test_the_larger_of_two_agreeing_parties_wins():
     parts = closures(2, 3, pose_a_b=lie, noise_m=0.01), closures(3, 5, noise_m=0.01)
     proposal = largest_agreement(*joined(*parts), MergingConfig())
     assert proposal.support.tolist() == [False] * 3 + [True] * 5
+
+
+def test_three_signs_outvote_two_however_often_these_were_seen():
+    lie = np.array([-3.0, 4.0, 0.5])
+    targets, sources, measured, signs = closures(2, 6, pose_a_b=lie, noise_m=0.01)
+    seen_again = targets, sources, measured, np.tile([[0.0, 0.0], [4.0, 0.0]], (3, 1))
+    proposal = largest_agreement(*joined(seen_again, closures(3, 3, noise_m=0.01)), MergingConfig())
+    assert proposal.support.tolist() == [False] * 6 + [True] * 3
+    assert proposal.places == 3
+    other = largest_agreement(
+        *joined((targets, sources, measured, signs), closures(3, 3, noise_m=0.01)), MergingConfig()
+    )
+    assert other.support.tolist() == [True] * 6 + [False] * 3
+
+
+@pytest.mark.parametrize(("apart_m", "count"), [(0.0, 4), (0.5, 3), (1.5, 2), (9.0, 1)])
+def test_signs_nearer_than_the_spread_count_once(apart_m, count):
+    assert count_places(np.array([[0.0, 0.0], [0.1, 0.0], [1.0, 0.0], [3.0, 0.0]]), apart_m) == count
+    assert count_places(np.zeros((0, 2)), apart_m) == 0
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])

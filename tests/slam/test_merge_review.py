@@ -19,14 +19,19 @@ ROOM_M = (8.0, 0.0, 0.0)
 BLIND = {"slam.merging.contradiction_max": 1.0, "slam.merging.wifi_check": False}
 
 
-def closures(team, true_poses, shift=(0.0, 0.0, 0.0), count=5) -> list[LoopClosure]:
-    """Closures of robots 0 and 1 that agree on where robot 1 is: off by `shift` in the building."""
+def closures(team, true_poses, shift=(0.0, 0.0, 0.0), count=5, signs_m=None) -> list[LoopClosure]:
+    """Closures of robots 0 and 1 that agree on where robot 1 is: off by `shift` in the building.
+
+    They stem from as many signs, or by turns from those at `signs_m` in the building.
+    """
     first, second = (true_poses[team.keyframe_steps(robot), robot] for robot in (0, 1))
     said = compose(np.array(shift), second)
     made = []
     for k in np.linspace(0, min(len(first), len(second)) - 1, count).astype(int).tolist():
         pose = between(first[k], said[k])
-        candidate = LoopCandidate((0, k), (1, k), pose, "twc", sign_m=np.zeros(2))
+        at = (3.0 * len(made), 0.0) if signs_m is None else signs_m[len(made) % len(signs_m)]
+        sign_m = between(first[k], np.array([*at, 0.0]))[:2]
+        candidate = LoopCandidate((0, k), (1, k), pose, "twc", sign_m=sign_m)
         made.append(LoopClosure(candidate, pose, np.diag([0.01, 0.01, 0.002]), 0.9, "pending"))
     return made
 
@@ -123,6 +128,22 @@ def test_more_closures_on_another_place_outvote_a_standing_merge(recorded):
             assert wrong_pairs(team, true_poses) == [(0, 1)], "four against five are not enough"
     assert team.group_index(0) == team.group_index(1), "and those who outvoted it merge at once"
     assert wrong_pairs(team, true_poses) == []
+
+
+@pytest.mark.parametrize("count", [7, 12])
+def test_many_sightings_of_two_signs_do_not_outvote_a_merge_by_more_signs(recorded, count):
+    engine, _, _ = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1, **BLIND)
+    team, true_poses = engine.team, recorded[2]
+    spot = true_poses[PLANTED_STEP, 0, :2]
+    for closure in closures(team, true_poses, ROOM_M, count, signs_m=[spot, spot + 3.0]):
+        team._graph.add_closure(closure)
+        team._judge_inside_map(closure)
+    team._optimise(team.group_index(0), is_thorough=True)
+    for step in range(PLANTED_STEP + 1, PLANTED_STEP + 4):
+        team.update(step, [])
+    assert wrong_pairs(team, true_poses) == []
+    assert [c.status for c in team.closures[-count:]] == ["rejected"] * count
+    assert team.merges_undone == 0
 
 
 def test_the_same_wrong_merge_needs_twice_as_many_closures_the_next_time(undone):

@@ -262,6 +262,23 @@ def test_refused_closures_that_are_true_come_back_when_all_are_weighed_anew():
     assert worst_m(thorough.poses, true) < 0.5 * worst_m(quick.poses, true)
 
 
+def test_an_answer_that_believes_more_is_not_taken_against_a_veto():
+    _, start, graph = loops(laps=2)
+    chain = ~graph[3]
+    few = [np.concatenate([part[chain], part[~chain][[2, 5]]]) for part in graph]
+    is_used, asked = np.arange(len(few[0])) < chain.sum(), []
+
+    def never(before, after):
+        asked.append((before.sum(), after.sum()))
+        return False
+
+    result = robust_backend.revise(
+        start, pose_graph.Graph(*few), is_used, PoseGraphConfig(robust="ours"), 0, True, never
+    )
+    assert np.array_equal(result.accepted, is_used)
+    assert asked == [(chain.sum(), chain.sum() + 2)]
+
+
 @pytest.mark.parametrize("is_thorough", [False, True])
 def test_a_revision_holds_the_pose_that_it_is_told_to(is_thorough):
     _, start, graph = loops(laps=2)

@@ -48,16 +48,18 @@ class MergeProposal:
     """(3,)."""
     support: Array
     """(closures,) bool: which of the closures agree."""
+    places: int
+    """How many signs, `spread_min_m` apart, they stem from."""
 
 
 def largest_agreement(
     targets: Array, sources: Array, measured: Array, signs_m: Array, config: MergingConfig
 ) -> MergeProposal | None:
-    """The pose of b in a on which most closures agree; None while too few do or all stem from one sign.
+    """The pose of b in a on which closures of most signs agree; None while too few do or all stem from one sign.
 
     targets (k, 3) keyframes in map a, sources (k, 3) in map b, measured (k, 3) source in the target's frame, signs_m
-    (k, 2) the sign behind each closure, in its own map: a single sign may have a twin elsewhere, so at least two that
-    lie apart must agree.
+    (k, 2) the sign behind each closure, in its own map. A sign has one voice however often it was seen, since it may
+    have a twin elsewhere, and at least two that lie apart must agree; between equals the number of closures decides.
     """
     if len(targets) < config.closures_min:
         return None
@@ -71,13 +73,27 @@ def largest_agreement(
     between_signs = np.linalg.norm(signs_m[:, None] - signs_m[None, :], axis=2)
     spread = np.array([between_signs[np.ix_(row, row)].max() for row in agrees])
     votes = np.where(spread >= config.spread_min_m, agrees.sum(axis=1), 0)
-    seed = int(np.argmax(votes))
-    if votes[seed] < config.closures_min:
+    votes[votes < config.closures_min] = 0
+    if not votes.any():
         return None
+    places = np.array(
+        [count_places(signs_m[row], config.spread_min_m) if v else 0 for row, v in zip(agrees, votes, strict=True)]
+    )
+    seed = int(np.lexsort((-np.arange(len(votes)), votes, places))[-1])
     support = agrees[seed]
     cost = np.where(support[None, :], np.linalg.norm(error[..., :2], axis=2), 0.0).sum(axis=1)
     best = int(np.flatnonzero(support)[np.argmin(cost[support])])
-    return MergeProposal(poses_a_b[best], support)
+    return MergeProposal(poses_a_b[best], support, int(places[seed]))
+
+
+def count_places(signs_m: Array, apart_m: float) -> int:
+    """How many of some signs (k, 2) lie `apart_m` from each other, those counted before first."""
+    count = 0
+    while len(signs_m):
+        count += 1
+        away = np.hypot(*(signs_m[1:] - signs_m[0]).T)
+        signs_m = signs_m[1:][away >= apart_m]
+    return count
 
 
 def wall_contradiction(grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> float:

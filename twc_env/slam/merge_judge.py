@@ -29,6 +29,12 @@ class MergeJudge:
             return None
         return map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
 
+    def places(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> int:
+        """From how many signs that lie apart some closures stem, seen from the robots `a`."""
+        if not closures:
+            return 0
+        return map_merging.count_places(self._as_a_to_b(closures, a)[3], self._rule.spread_min_m)
+
     def _as_a_to_b(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> tuple[Array, Array, Array, Array]:
         """Keyframe poses in a, in b, the measured pose of the latter in the former (k, 3), and the signs in a (k, 2).
 

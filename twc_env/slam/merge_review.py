@@ -1,9 +1,9 @@
 """Second thoughts about merges: what has come to light since two groups were put into one map.
 
 A merge is looked at again after some time, then after twice that time and so on, and whenever closures that contradict
-it have become more. It is wrong when nothing holds it together any more, when more closures agree on another place than
-speak for this one, or agree on one that radio and walls confirm while they do not confirm this one, or when walls or
-radio, now that more has been seen, speak against it.
+it have become more. It is wrong when nothing holds it together any more, when closures of more signs agree on another
+place than speak for this one, or agree on one that radio and walls confirm while they do not confirm this one, or when
+walls or radio, now that more has been seen, speak against it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import MergingConfig
 from twc_env.geometry import between, compose, inverse
-from twc_env.messages import GridMap
+from twc_env.messages import GridMap, LoopClosure
 from twc_env.slam.group_maps import GroupMaps
 from twc_env.slam.map_merging import MergeProposal, wall_contradiction
 from twc_env.slam.merge_judge import MergeJudge
@@ -131,17 +131,28 @@ class MergeReview:
         if not supporters:
             return "no closure is left that speaks for it"
         rival = self._judge.proposal(self._graph.closures_between(a, b, "rejected"), a) if is_news else None
-        if rival is not None and self._is_better(rival, a, b, len(supporters)):
+        if rival is not None and self._is_better(rival, a, b, supporters):
             return f"{rival.support.sum()} closures agree on another place, {len(supporters)} on this one"
         return self._speaks_against(a, b) if is_due else ""
 
-    def _is_better(self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: int) -> bool:
-        """Whether walls and radio allow another place, and more closures, or radio and walls, prefer it to this one."""
+    def is_kept(self, before: Sequence[LoopClosure], after: Sequence[LoopClosure]) -> bool:
+        """Whether no merge loses signs that speak for it where `after` is believed instead of `before`."""
+        for merge in self.merges:
+            a, b = self.sides(merge)
+            held, left = ([c for c in closures if c.joins(a, b)] for closures in (before, after))
+            if self._judge.places(left, a) < self._judge.places(held, a):
+                return False
+        return True
+
+    def _is_better(
+        self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: Sequence[LoopClosure]
+    ) -> bool:
+        """Whether walls and radio allow another place, and more signs, or radio and walls, prefer it to this one."""
         grids, there = self._grids(a, b), rival.pose_a_b
         heard = self._judge.radio_agrees(a, b, there) if self._rule.wifi_check else None
         if heard is False or self._judge.walls_disagree(*grids, there):
             return False
-        if rival.support.sum() > supporters:
+        if (rival.places, rival.support.sum()) > (self._judge.places(supporters, a), len(supporters)):
             return True
         return heard is True and (
             self._judge.walls_disagree(*grids, IN_PLACE) or not self._judge.radio_agrees(a, b, IN_PLACE)

@@ -8,6 +8,7 @@ map from the surest closures outwards (`closure_growth`).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,15 +67,26 @@ def optimise(poses, edges, measured, information, is_closure, config: PoseGraphC
     return solve(poses, edges, measured, information, is_closure, config, fixed).poses
 
 
+def _always(before: Array, after: Array) -> bool:
+    return True
+
+
 def revise(
-    poses: Array, graph: Graph, is_used: Array, config: PoseGraphConfig, fixed: int = 0, is_thorough: bool = False
+    poses: Array,
+    graph: Graph,
+    is_used: Array,
+    config: PoseGraphConfig,
+    fixed: int = 0,
+    is_thorough: bool = False,
+    may_replace: Callable[[Array, Array], bool] = _always,
 ) -> BackendResult:
     """Optimise inside an episode: warm, from the closures used so far (e,), with second thoughts about each of them.
 
     `ours` fits what is used with dynamic covariance scaling, takes back what the fit contradicts and takes in again
     what has come to agree with it. When `is_thorough`, all closures are also weighed from the start, which replaces the
-    running answer if it believes more of them. Where few are refused, an answer that believes more must believe nearly
-    all: then the fit begins once more where every one is believed. The other modes judge all closures anew each time.
+    running answer if it believes more of them and `may_replace`, asked with what each of the two believes (e,), agrees.
+    Where few are refused, an answer that believes more must believe nearly all: then the fit begins once more where
+    every one is believed. The other modes judge all closures anew each time.
     """
     if config.robust != "ours":
         return solve(poses, *graph.parts, config, fixed)
@@ -84,7 +96,7 @@ def revise(
             afresh = _all_together(result, graph, config, fixed)
         else:
             afresh = solve(result.poses, *graph.parts, config, fixed, EPISODE_KEYS_MAX)
-        if afresh.accepted.sum() > result.accepted.sum():
+        if afresh.accepted.sum() > result.accepted.sum() and may_replace(result.accepted, afresh.accepted):
             return afresh
     return result
 

@@ -229,8 +229,7 @@ class TeamGraph:
         for closure in self.closures:
             if closure.status != status or (status == "rejected" and closure.number not in self._sound):
                 continue
-            first, second = closure.candidate.target[0], closure.candidate.source[0]
-            if (first in a and second in b) or (first in b and second in a):
+            if closure.joins(a, b):
                 out.append(closure)
         return out
 
@@ -262,6 +261,11 @@ class TeamGraph:
             for robot in robots
             for index, place in enumerate(np.searchsorted(nodes, self._arrays.nodes_of(robot)).tolist())
         }
+
+    def closures_of(self, edges: Array) -> list[LoopClosure]:
+        """The closures among some edges (e,)."""
+        numbers = self._arrays.closure_of_edge[edges]
+        return [self.closures[number] for number in numbers[numbers != ODOMETRY].tolist()]
 
     def mark(self, edges: Array, is_used: Array, reasons: dict[int, str]) -> None:
         """Note which edges (e,) are used now; `reasons` by position in `edges` say why closures are not."""
