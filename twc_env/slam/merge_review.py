@@ -135,14 +135,22 @@ class MergeReview:
             return f"{rival.support.sum()} closures agree on another place, {len(supporters)} on this one"
         return self._speaks_against(a, b) if is_due else ""
 
-    def is_kept(self, before: Sequence[LoopClosure], after: Sequence[LoopClosure]) -> bool:
-        """Whether no merge loses signs that speak for it where `after` is believed instead of `before`."""
+    def may_replace(self, before: Sequence[LoopClosure], after: Sequence[LoopClosure]) -> bool:
+        """Whether `after` may be believed instead of `before`: it overturns no merge for which more signs speak.
+
+        A merge is overturned that loses most of the closures that speak for it.
+        """
         for merge in self.merges:
             a, b = self.sides(merge)
-            held, left = ([c for c in closures if c.joins(a, b)] for closures in (before, after))
-            if self._judge.places(left, a) < self._judge.places(held, a):
+            held, now = ([c for c in closures if c.joins(a, b)] for closures in (before, after))
+            kept = {c.number for c in held} & {c.number for c in now}
+            if 2 * len(kept) < len(held) and self._weight(now, a) <= self._weight(held, a):
                 return False
         return True
+
+    def _weight(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> tuple[int, int]:
+        """By how many signs, then by how many closures, a place of a merge is spoken for."""
+        return self._judge.places(closures, a), len(closures)
 
     def _is_better(
         self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: Sequence[LoopClosure]
@@ -152,7 +160,7 @@ class MergeReview:
         heard = self._judge.radio_agrees(a, b, there) if self._rule.wifi_check else None
         if heard is False or self._judge.walls_disagree(*grids, there):
             return False
-        if (rival.places, rival.support.sum()) > (self._judge.places(supporters, a), len(supporters)):
+        if (rival.places, rival.support.sum()) > self._weight(supporters, a):
             return True
         return heard is True and (
             self._judge.walls_disagree(*grids, IN_PLACE) or not self._judge.radio_agrees(a, b, IN_PLACE)
