@@ -49,14 +49,15 @@ def plan_between(kind, start, goal, discs=(), radius_m=0.2):
     return terrain, finder.cheapest(terrain, start, goal_labels(terrain, goal), np.zeros(2), discs)
 
 
-def test_open_cells_are_those_with_enough_exact_clearance():
+@pytest.mark.parametrize(("radius_m", "clear_cells", "easy_cells"), [(0.2, 2.3, 6), (0.5, 5.3, 7), (1.0, 10.3, 12)])
+def test_open_cells_are_those_with_enough_exact_clearance(radius_m, clear_cells, easy_cells):
     rng = np.random.default_rng(0)
-    kind = np.where(rng.random((70, 90)) < 0.01, 2, 1)
-    terrain = Terrain(grid_of(kind), 0.2)
+    kind = np.where(rng.random((70, 90)) < 0.01 * (0.2 / radius_m) ** 2, 2, 1)
+    terrain = Terrain(grid_of(kind), radius_m)
     distance = ndimage.distance_transform_edt(terrain.kind != 2)
-    expected = (distance >= 2.3) & (terrain.kind == 1)
-    assert np.array_equal(terrain.cost > 0, expected)
-    assert np.all(terrain.cost[expected & (distance >= 6)] == OPEN_COST)
+    expected = (distance >= clear_cells) & (terrain.kind == 1)
+    assert expected.any() and np.array_equal(terrain.cost > 0, expected)
+    assert np.all(terrain.cost[expected & (distance >= easy_cells)] == OPEN_COST)
 
 
 def test_a_straight_way_in_the_open_is_straight_and_as_long_as_it_is():

@@ -111,6 +111,17 @@ def test_robots_start_on_open_floor_clear_of_walls_and_of_each_other():
         assert np.array_equal(w.poses, w.start_poses)
 
 
+@pytest.mark.parametrize("radius_m", [0.5, 1.0])
+def test_large_robots_do_not_start_in_walls_or_in_each_other(radius_m):
+    plan = load_map("sfw-e6")
+    for seed in range(20):
+        w = world(plan, seed=seed, robots=2, dynamics={"robot_radius_m": radius_m})
+        assert plan.wall_index.distance_m(w.start_poses[:, :2], 2.0).min() > radius_m
+        assert np.hypot(*(w.start_poses[0] - w.start_poses[1])[:2]) > 2 * radius_m
+    with pytest.raises(MapError, match=r"no place 1\.02 m clear of walls"):
+        world(TINY, robots=1, dynamics={"robot_radius_m": 1.0})
+
+
 def test_different_seeds_start_in_different_places():
     assert not np.array_equal(world(seed=0).start_poses, world(seed=1).start_poses)
 

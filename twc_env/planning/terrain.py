@@ -196,6 +196,8 @@ class Terrain:
     """Added to the radius: nearer to a wall than this no path is planned."""
     COMFORT_M = 0.6
     """Beyond this clearance open floor costs no more."""
+    EASE_M = 0.2
+    """Nor does it so far beyond the radius of a large robot."""
     WALL_PRICE = 20
     """Cost factor right at the nearest allowed clearance."""
 
@@ -210,7 +212,7 @@ class Terrain:
         if robots_m is not None and len(robots_m):
             discs = np.column_stack([self.to_cells(robots_m), np.full(len(robots_m), 1.2 * robot_radius_m / cell)])
             _free_discs(self.kind, discs)
-        reach = math.ceil(self.COMFORT_M / cell)
+        reach = math.ceil(max(self.COMFORT_M, robot_radius_m + self.EASE_M) / cell)
         squared = np.empty(shape, np.float32)
         _squared_clearance(self.kind, reach, np.empty(shape, np.float32), squared)
         self.cost = np.empty(shape, np.int16)

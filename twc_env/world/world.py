@@ -35,6 +35,8 @@ START_CLEARANCE_M = 0.4
 START_SPACING_M = 1.5
 """Distance between drawn starts."""
 START_SPACING_MIN_M = 0.6
+START_MARGIN_M = 0.02
+"""Large robots keep further away: so much is left between what would touch."""
 _PLACES_MAX = 2000
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _TYPES = _FLOAT, _FLOAT, _FLOAT, _FLOAT, _INT, _FLOAT, _INT
@@ -233,7 +235,7 @@ class World:
                 raise ConfigError(f"starts[{i}] at {at} is no open floor of map {home.name!r}; move it inside")
             return compose(inverse(self.plan.pose_building_home), poses)
         if starts == "random":
-            return draw_starts(home, robots, random_stream(seed, "starts"))
+            return draw_starts(home, robots, self.config.dynamics.robot_radius_m, random_stream(seed, "starts"))
         if starts == "map":
             if len(home.starts) < robots:
                 raise MapError(
@@ -244,15 +246,17 @@ class World:
         raise ConfigError(f"starts must be 'random', 'map' or poses; got {starts!r}")
 
 
-def draw_starts(home: Floorplan, robots: int, random: np.random.Generator) -> Array:
-    """(robots, 3) free poses clear of walls and apart from each other.
+def draw_starts(home: Floorplan, robots: int, radius_m: float, random: np.random.Generator) -> Array:
+    """(robots, 3) free poses of robots of that radius, clear of walls and apart from each other.
 
     Where the building is too small, the distance between robots shrinks step by step, down to 0.6 m.
     """
-    places = start_places(home)
+    clearance_m = max(START_CLEARANCE_M, radius_m + START_MARGIN_M)
+    apart_m = 2 * radius_m + START_MARGIN_M
+    places = start_places(home, clearance_m)
     if len(places) == 0:
-        raise MapError(f"map {home.name!r} has no place {START_CLEARANCE_M} m clear of walls to start from")
-    for spacing_m in np.linspace(START_SPACING_M, START_SPACING_MIN_M, _START_TRIES):
+        raise MapError(f"map {home.name!r} has no place {clearance_m:g} m clear of walls to start from")
+    for spacing_m in np.linspace(max(START_SPACING_M, apart_m), max(START_SPACING_MIN_M, apart_m), _START_TRIES):
         chosen = _spaced(places[random.permutation(len(places))[:_PLACES_MAX]], robots, spacing_m)
         if len(chosen) == robots:
             return np.column_stack([chosen, random.uniform(-math.pi, math.pi, robots)])
@@ -260,12 +264,12 @@ def draw_starts(home: Floorplan, robots: int, random: np.random.Generator) -> Ar
 
 
 @lru_cache(maxsize=8)
-def start_places(home: Floorplan) -> Array:
-    """(k, 2) centres of the free cells that keep the start clearance; computed once per plan."""
+def start_places(home: Floorplan, clearance_m: float = START_CLEARANCE_M) -> Array:
+    """(k, 2) centres of the free cells that lie so far from walls; computed once per plan."""
     cells = home.cells()
     rows, columns = np.nonzero(cells.free)
     centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
-    return centres[home.wall_index.distance_m(centres, START_CLEARANCE_M) >= START_CLEARANCE_M]
+    return centres[home.wall_index.distance_m(centres, clearance_m) >= clearance_m]
 
 
 def _spaced(places: Array, count: int, spacing_m: float) -> Array:
