@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import kernel
+from twc_env.kernels import bound, kernel
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import Growing
 from twc_env.team_messages import KnownSigns
@@ -20,7 +20,7 @@ SAME_SIGN_M = 1.0
 
 
 @kernel
-def _places_of_signs(poses, readings, local, robots, text_count, same_m, texts, places):
+def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, places):
     """Text and place (in the map) of each known sign, robot by robot; all of one text stand together.
 
     readings (n, 3): robot, node, text; local (n, 2): place in the frame of the node. Gives how many there are.
@@ -75,6 +75,11 @@ class SignReadings:
         """... and these texts in order."""
         self._readings, self._places = Growing(3, dtype=np.int64), Growing(2)
         """Robot, node and text of each reading; where it is in the frame of its keyframe."""
+        self._run: Callable[..., int] | None = None
+        """`_places_of_signs` of readings that are one sign where they are less than SAME_SIGN_M apart."""
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_run": None}
 
     def add(self, keyframe: Keyframe, node: int) -> None:
         """Take in what was read at a keyframe, which is a node of the pose graph."""
@@ -89,9 +94,10 @@ class SignReadings:
     def known(self, poses: Array, robots: Sequence[int]) -> KnownSigns:
         """The texts read by some robots of one group, each once per place; poses (nodes, 3) of all nodes."""
         texts, places = np.empty(self._readings.count, np.int64), np.empty((self._readings.count, 2))
-        count = _places_of_signs(
-            poses, self._readings.rows, self._places.rows, np.array(robots, np.int64), len(self._numbers), SAME_SIGN_M,
-            texts, places,
+        now = (
+            poses, self._readings.rows, self._places.rows, np.array(robots, np.int64), len(self._numbers), texts, places
         )  # fmt: skip
-        names = self._texts
+        if self._run is None:
+            self._run = bound(_places_of_signs, SAME_SIGN_M, *now)
+        count, names = self._run(*now), self._texts
         return KnownSigns([names[k] for k in texts[:count].tolist()], places[:count])
