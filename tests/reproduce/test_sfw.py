@@ -12,6 +12,7 @@ from twc_env.reproduce.sfw_registration import register
 from twc_env.reproduce.sfw_scoring import Mapped, at_coverage
 from twc_env.reproduce.sfw_slam import slam_walk
 from twc_env.reproduce.sfw_walks import STANDOFF_M, length_m, wall_following_route
+from twc_env.world.floor_cells import Cells
 
 
 @pytest.mark.parametrize("name", ["sfw-e1", "sfw-e4"])
@@ -117,3 +118,18 @@ def test_pictures_asked_for_in_another_folder_are_drawn_again(table, flats, tmp_
             table.rows(options, runner)
         labels.append(runner.seen)
     assert labels[0][0] != labels[1][0]
+
+
+def test_walls_that_a_reading_stands_in_are_none_whichever_way_the_map_is_turned():
+    wall = np.zeros((30, 30), bool)
+    wall[10:13, 10:13] = wall[14:16, 20:23] = wall[:, 26] = True
+    positions = np.array([[1.15, 1.15], [2.05, 1.45], [2.85, 1.45]])  # in the middle of a wall, at another's edge
+    router = np.array([0.25, 1.15])
+    found = []
+    for turns in range(4):
+        walls = np.rot90(wall, turns)
+        c, s = np.round(np.cos(turns * np.pi / 2)), np.round(np.sin(turns * np.pi / 2))
+        turned = (np.vstack([router, positions]) - 1.5) @ np.array([[c, -s], [s, c]]) + 1.5
+        cells = Cells(~walls, walls, np.zeros(2), 0.1)
+        found.append(sfw_authors._walls_between(cells, turned[0], turned[1:]).tolist())
+    assert found == [[0, 0, 1]] * 4

@@ -158,13 +158,10 @@ def _placed(walk: AuthorsWalk, fit: Registration, cells: Cells, height_px: int, 
 def _walls_between(cells: Cells, router_m: Array, position_m: Array) -> Array:
     """Runs of cells that are not free; what a router or reading itself stands in by a misfit of the map is none."""
     blocked = ~cells.free
-    for place in (router_m[None], position_m):
-        at = np.floor((place - cells.origin_m) / cells.resolution_m).astype(int)
-        for dr in (-1, 0, 1):
-            for dc in (-1, 0, 1):
-                r = np.clip(at[:, 1] + dr, 0, blocked.shape[0] - 1)
-                c = np.clip(at[:, 0] + dc, 0, blocked.shape[1] - 1)
-                blocked[r[blocked[at[:, 1], at[:, 0]]], c[blocked[at[:, 1], at[:, 0]]]] = False
+    at = np.floor((np.vstack([router_m, position_m]) - cells.origin_m) / cells.resolution_m).astype(int)
+    standing = np.zeros(blocked.shape, bool)
+    standing[at[:, 1], at[:, 0]] = blocked[at[:, 1], at[:, 0]]
+    blocked &= ~binary_dilation(standing, np.ones((3, 3)))
     start = ((router_m - cells.origin_m) / cells.resolution_m)[::-1]
     return walls_crossed_in_raster(
         blocked, start, ((position_m - cells.origin_m) / cells.resolution_m)[:, ::-1], _GAP_CELLS
