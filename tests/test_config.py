@@ -4,11 +4,12 @@ import json
 import math
 import pickle
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twc_env.config import EnvConfig, LidarConfig, digest, from_dict, load, override, to_dict
+from twc_env.config import EnvConfig, LidarConfig, digest, from_dict, load, override, radio_preset, to_dict
 from twc_env.errors import ConfigError
 
 # The digest of the default settings of explore_v0. Another digest means other results: register a new version of the
@@ -131,6 +132,24 @@ def test_a_wrong_setting_in_a_file_is_named_with_the_file(tmp_path):
     (tmp_path / "mine.toml").write_text("robotz = 3", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"mine\.toml: there is no setting robotz; did you mean 'robots'\?"):
         load(tmp_path / "mine.toml")
+
+
+def test_numbers_of_numpy_and_paths_are_taken_as_pythons(tmp_path):
+    values = {"robots": np.int64(2), "map": tmp_path / "a.json", "lidar": {"range_max_m": np.float32(5.0)}}
+    read, changed = from_dict(values), override(EnvConfig(), {**values, "lidar": to_dict(EnvConfig())["lidar"]})
+    direct = EnvConfig(robots=np.int64(2), map=tmp_path / "a.json")
+    for config in (read, changed, direct):
+        assert type(config.robots) is int and config.map == str(tmp_path / "a.json")
+        assert json.loads(json.dumps(to_dict(config)))["robots"] == 2
+    assert type(read.lidar.range_max_m) is float
+    with pytest.raises(ConfigError, match=r"robots must be a whole number; got 2\.5"):
+        from_dict({"robots": np.float64(2.5)})
+
+
+def test_a_preset_of_the_radio_comes_before_what_changes_it():
+    for order in (1, -1):
+        settings = dict(list({"radio.preset": "twc", "radio.noise_std_db": "0.5"}.items())[::order])
+        assert override(EnvConfig(), settings).radio == dataclasses.replace(radio_preset("twc"), noise_std_db=0.5)
 
 
 def test_override_leaves_the_original_alone():

@@ -225,3 +225,8 @@ def test_every_render_mode_that_is_announced_works(monkeypatch):
         picture = env.render()
         assert (picture is None) if mode == "human" else (picture.shape[2] == 3)
         env.close()
+
+
+def test_what_is_no_floorplan_is_refused_with_the_remedy():
+    with pytest.raises(twc_env.ConfigError, match="must be a Floorplan; got 'twin-01': name a map or a file as `map`"):
+        twc_env.parallel_env(floorplan="twin-01")

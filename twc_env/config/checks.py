@@ -5,9 +5,12 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import os
 import typing
 from collections.abc import Iterator
 from dataclasses import field
+
+import numpy as np
 
 from twc_env.errors import ConfigError
 
@@ -15,6 +18,13 @@ from twc_env.errors import ConfigError
 def number(default, minimum: float = -math.inf, maximum: float = math.inf):
     """A number with its allowed range (both ends included)."""
     return field(default=default, metadata={"minimum": minimum, "maximum": maximum})
+
+
+def plain_value(value):
+    """numpy's numbers as Python's, paths as text."""
+    if isinstance(value, np.generic):
+        return value.item()
+    return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
 def choice(default: str, *others: str):
@@ -29,7 +39,9 @@ class Checked:
 
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):  # type: ignore[arg-type]
-            value = getattr(self, f.name)
+            value = plain_value(given := getattr(self, f.name))
+            if value is not given:
+                object.__setattr__(self, f.name, value)
             if (choices := f.metadata.get("choices")) and value not in choices:
                 near = difflib.get_close_matches(str(value), choices, n=1)
                 hint = f"; did you mean {near[0]!r}?" if near else ""

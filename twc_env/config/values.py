@@ -11,6 +11,7 @@ import typing
 from functools import lru_cache
 from pathlib import Path
 
+from twc_env.config.checks import plain_value
 from twc_env.config.environment import EnvConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.world import RadioConfig
@@ -82,13 +83,13 @@ def load(path: str | Path) -> EnvConfig:
 def override(config: EnvConfig, assignments: dict[str, object]) -> EnvConfig:
     """A copy with dotted keys replaced: `override(config, {"lidar.beam_count": 360})`.
 
-    Values given as text are read as the type of the field, so they can come straight from a command line.
+    Values given as text are read as the type of the field, so they can come straight from a command line. A
+    `radio.preset` comes first, wherever it stands: the others change it.
     """
-    values = to_dict(config)
+    values, assignments = to_dict(config), dict(assignments)
+    if "radio.preset" in assignments:
+        values["radio"] = dataclasses.asdict(radio_preset(str(assignments.pop("radio.preset"))))
     for dotted, value in assignments.items():
-        if dotted == "radio.preset":
-            values["radio"] = dataclasses.asdict(radio_preset(str(value)))
-            continue
         node, parts = values, dotted.split(".")
         for depth, part in enumerate(parts):
             if not isinstance(node, dict) or part not in node:
@@ -104,6 +105,7 @@ def override(config: EnvConfig, assignments: dict[str, object]) -> EnvConfig:
 def _value(kind: type, value, where: str):
     if dataclasses.is_dataclass(kind):
         return value if isinstance(value, kind) else from_dict(value, kind, where)
+    value = plain_value(value)
     if kind is float and type(value) is int:
         return float(value)
     if type(value) is not kind:

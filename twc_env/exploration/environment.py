@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from os import PathLike
+from types import NoneType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -118,7 +120,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     def __init__(
         self,
-        map: str | None = None,
+        map: str | PathLike[str] | None = None,
         robots: int | None = None,
         max_cycles: int | None = None,
         config: EnvConfig | Mapping[str, Any] | None = None,
@@ -127,6 +129,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         task: str | None = None,
         render_signal: bool = False,
     ):
+        if not isinstance(floorplan, (Floorplan, NoneType)):
+            raise ConfigError(f"floorplan must be a Floorplan; got {floorplan!r}: name a map or a file as `map`")
         announce_compilation()
         self.config = resolve(config, task, {"map": map, "robots": robots, "max_cycles": max_cycles})
         # Copies are made from the resolved values: a dict may be changed by its owner later.

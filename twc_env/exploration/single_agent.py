@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from os import PathLike
 from typing import Any
 
 import gymnasium
@@ -19,7 +20,7 @@ class SingleRobotEnv(gymnasium.Env):
 
     def __init__(
         self,
-        map: str | None = None,
+        map: str | PathLike[str] | None = None,
         max_cycles: int | None = None,
         config: EnvConfig | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
