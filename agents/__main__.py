@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -101,17 +104,26 @@ def _folder_name(map_name: str) -> str:
     return path.stem if path.suffix else map_name.replace("/", "-").replace(":", "-")
 
 
+def _folder_names(maps: Sequence[str]) -> dict[str, str]:
+    """A folder for each map; files of one name are told apart by where they lie."""
+    shared = Counter(_folder_name(name) for name in dict.fromkeys(maps))
+    return {
+        name: _folder_name(name) if shared[_folder_name(name)] == 1 else re.sub(r"[^\w.-]+", "-", name).strip("-")
+        for name in maps
+    }
+
+
 def _benchmark(options: argparse.Namespace) -> int:
     if not options.no_pictures:
         picture.require_libraries(gif=False)
     check_folder(options.out)
     seeds = parse_seeds(options.seeds)
-    jobs, names = [], {}
-    for name in options.maps:
+    jobs, names, folders = [], {}, _folder_names(options.maps)
+    for name in folders:
         config = _config(options, name, options.steps)
         load_map(name)  # a misspelt map fails now, not after an hour
         for seed in seeds:
-            folder = options.out / _folder_name(name) / f"seed-{seed}"
+            folder = options.out / folders[name] / f"seed-{seed}"
             jobs.append(benchmark.Job(config, options.agent, seed, folder, not options.no_pictures))
             names[folder] = name
     make_policy(options.agent)

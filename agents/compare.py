@@ -97,8 +97,8 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
         beliefs = {name: env.belief(name) for name in env.agents}
         if policy.finished(beliefs):
             break
-        rewards = env.step(policy.act(beliefs))[1]
-        covered.append(covered[-1] + next(iter(rewards.values())))
+        infos = env.step(policy.act(beliefs))[-1]
+        covered.append(covered[-1] + infos["robot_0"]["reward_terms"]["coverage"])
     figures = env.result().figures
     env.close()
     curve = np.array(covered[1:] + covered[-1:] * (config.max_cycles - len(covered) + 1))

@@ -15,7 +15,7 @@ from numba.core.event import TimingListener, register, unregister
 import twc_env
 from agents import picture
 from agents.policy import make_policy
-from twc_env import ConfigError, DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
+from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
 from twc_env.config import to_dict
 from twc_env.datasets.frame_log import write_frame_log
 from twc_env.datasets.g2o import write_g2o
@@ -58,8 +58,6 @@ def explore(
 
     `watch` is called with the number of steps taken. Raises TwcError for an unknown agent or map.
     """
-    if config.action.kind != "velocity":
-        raise ConfigError(f"scripted teams steer by velocity; got action.kind = {config.action.kind!r}: leave it out")
     policy = make_policy(agent, config)
     env = twc_env.parallel_env(config=config, render_mode="rgb_array" if film else None)
     env.reset(seed=seed)

@@ -52,10 +52,13 @@ def policy_names() -> tuple[str, ...]:
 def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     """Build a policy for robots that move as `config.dynamics` says.
 
-    Raises ConfigError for an unknown name.
+    Raises ConfigError for an unknown name, and where robots do not take velocities.
     """
     if name not in _POLICIES:
         near = difflib.get_close_matches(str(name), _POLICIES, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ConfigError(f"unknown agent {name!r}; choose one of {', '.join(policy_names())}{hint}")
-    return _POLICIES[name](config or EnvConfig())  # type: ignore[call-arg]
+    config = config or EnvConfig()
+    if config.action.kind != "velocity":
+        raise ConfigError(f"scripted teams steer by velocity; got action.kind = {config.action.kind!r}: leave it out")
+    return _POLICIES[name](config)  # type: ignore[call-arg]

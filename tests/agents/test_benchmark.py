@@ -1,6 +1,7 @@
 """Benchmarks resume where they stopped, and their tables say what was measured."""
 
 import json
+import shutil
 
 import pytest
 
@@ -95,6 +96,19 @@ def test_a_finished_run_is_not_run_again_but_one_with_other_settings_is(tmp_path
     summary = json.loads((tmp_path / "all.json").read_text())
     assert [r["steps"] for r in summary["twin-01"]["reports"]] == [31, 31]
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
+
+
+def test_files_of_one_name_in_two_folders_have_a_run_each(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for folder, name in (("a", "sfw-e1"), ("b", "sfw-e2")):
+        (tmp_path / folder).mkdir()
+        shutil.copy(bundled_folder() / f"{name}.json", tmp_path / folder / "map.json")
+    maps = ["a/map.json", "b/map.json", "sfw-e3", "sfw-e3"]
+    assert main(["benchmark", "--maps", *maps, "--seeds", "0", "--steps", "2", "--no-pictures", "--out", "out"]) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert {name: [report["map"] for report in of["reports"]] for name, of in summary.items()} == {
+        name: [name] for name in maps
+    }
 
 
 def test_a_run_of_other_code_or_another_plan_is_run_again_and_that_is_said(tmp_path, monkeypatch, capsys):

@@ -53,6 +53,19 @@ def test_an_episode_is_covered_on_the_way_by_what_its_rewards_sum_up_to():
     assert found.goal_s == pytest.approx(6.0)
 
 
+def test_teams_that_would_not_take_velocities_are_refused_before_the_first_episode(tmp_path, capsys):
+    assert main(["compare", "--set", "action.kind=frontier", "--buildings", "1", "--out", str(tmp_path / "out")]) == 2
+    assert "steer by velocity; got action.kind = 'frontier'" in capsys.readouterr().err
+    assert not list(tmp_path.glob("out/**/*.json"))
+
+
+def test_what_is_covered_does_not_depend_on_what_is_paid_for():
+    plain = compare.explore(SMALL, "random", 0)
+    assert plain.coverage_mean > 0
+    paid = override(SMALL, {"reward.coverage": 3.0, "reward.time": -5.0})
+    assert compare.explore(paid, "random", 0) == plain
+
+
 def test_the_command_prints_and_writes_every_episode(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(compare, "explore", lambda config, agent, seed: outcome(50.0))
     json_file = tmp_path / "out.json"
