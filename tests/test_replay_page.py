@@ -97,6 +97,30 @@ def test_a_missing_or_broken_file_of_the_run_is_named(run, tmp_path, name):
         write_page(tmp_path, tmp_path / "page.html")
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"moments": np.array("[")},
+        {"moments": np.array("[]")},
+        {"moments": np.array("3")},
+        {"map_ends": np.zeros(1, np.int64)},
+        {"walls_m": np.zeros(3)},
+        {"sign_texts": np.array("{")},
+        {"config": np.array("{")},
+        {"true_poses": np.full((3, 2, 3), np.nan)},
+        {"signal_dbm": np.array("loud")},
+    ],
+    ids=lambda change: "-".join(change),
+)
+def test_a_trace_that_contradicts_itself_is_named_in_one_line(run, tmp_path, change):
+    with np.load(run / "trace.npz") as data:
+        np.savez(tmp_path / "trace.npz", **{**data, **change})
+    shutil.copy(run / "report.json", tmp_path)
+    with pytest.raises(DataError, match=r"trace\.npz") as error:
+        write_page(tmp_path, tmp_path / "page.html")
+    assert "\n" not in str(error.value) and not (tmp_path / "page.html").exists()
+
+
 @pytest.fixture(scope="module")
 def browser():
     webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium (extra 'dev')")

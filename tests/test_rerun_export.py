@@ -68,5 +68,9 @@ def test_a_broken_run_or_an_unwritable_place_is_named(run, tmp_path):
     shutil.copy(run / "report.json", tmp_path)
     with pytest.raises(DataError, match=r"trace\.npz"):
         write_rerun(tmp_path, tmp_path / "x.rrd")
+    with np.load(run / "trace.npz") as data:
+        np.savez(tmp_path / "trace.npz", **{**data, "map_ends": np.zeros(1, np.int64)})
+    with pytest.raises(DataError, match="contradicts itself"):
+        write_rerun(tmp_path, tmp_path / "x.rrd")
     with pytest.raises(DataError, match="--rerun"):
         write_rerun(run, tmp_path / "none" / "x.rrd")

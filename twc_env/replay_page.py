@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import json
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig, from_dict
 from twc_env.datasets.arrays_file import read_arrays
-from twc_env.errors import DataError
+from twc_env.errors import DataError, TwcError
 from twc_env.exploration.rendering import COLOURS
 from twc_env.exploration.trace import FORMAT, TRACE_KEYS
 from twc_env.world.signal_map import SIGNAL_SPAN_DBM
@@ -32,10 +34,11 @@ def write_page(run: Path, path: Path) -> Path:
     Raises DataError when one of them is missing or broken, or the page cannot be written.
     """
     trace, report = read_trace(run / "trace.npz"), read_report(run / "report.json")
-    data = page_data(trace, report)
+    with contradictions(run):
+        data = page_data(trace, report)
+        content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
     template = files("twc_env").joinpath("replay_page.html").read_text(encoding="utf-8")
     title = escape(f"{report.get('agent', 'team')} on {report['map']}, seed {report['seed']}")
-    content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
     try:
         path.write_text(template.replace("__TITLE__", title).replace("__DATA__", content), encoding="utf-8")
     except OSError as error:
@@ -95,6 +98,18 @@ def _rounded(values: Array) -> list:
 
 def _base64(content: bytes) -> str:
     return base64.b64encode(content).decode("ascii")
+
+
+@contextmanager
+def contradictions(run: Path) -> Iterator[None]:
+    """Turn what goes wrong where a run folder's arrays do not fit together into a DataError."""
+    try:
+        yield
+    except TwcError:
+        raise
+    except (LookupError, TypeError, ValueError, zlib.error) as error:
+        what = f"{run / 'trace.npz'} contradicts itself or report.json"
+        raise DataError(f"{what}: {error}; run the episode again".replace("\n", " ")) from error
 
 
 def read_trace(path: Path) -> dict[str, Array]:

@@ -17,7 +17,7 @@ from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.rendering import ACCEPTED, COLOURS, REJECTED
 from twc_env.exploration.trace import UNKNOWN, WALL
 from twc_env.geometry import transform_points
-from twc_env.replay_page import read_report, read_trace
+from twc_env.replay_page import contradictions, read_report, read_trace
 
 Array = NDArray
 
@@ -39,18 +39,20 @@ def write_rerun(run: Path, path: Path, report: Callable[[int, int], None] = lamb
     import rerun
 
     trace, figures = read_trace(run / "trace.npz"), read_report(run / "report.json")
-    config: EnvConfig = from_dict(json.loads(str(trace["config"])))
+    with contradictions(run):
+        config: EnvConfig = from_dict(json.loads(str(trace["config"])))
+        moments = json.loads(str(trace["moments"]))
+        cells = _cells_of(trace, moments)
+        corners_m = trace["walls_m"].reshape(-1, 2)
     name = f"{figures.get('agent', 'team')} on {figures['map']}, seed {figures['seed']}"
     recording = rerun.RecordingStream("twc_env", recording_id=name)
     try:
-        recording.save(path, default_blueprint=_blueprint(trace["walls_m"].reshape(-1, 2)))
+        recording.save(path, default_blueprint=_blueprint(corners_m))
     except (OSError, RuntimeError) as error:
         raise DataError(f"cannot write {path}: {error}; choose another place with --rerun FILE") from error
     with recording:
         _log_building(rerun, trace)
         recording.log("report", rerun.TextDocument(json.dumps(figures, indent=2)), static=True)
-        moments = json.loads(str(trace["moments"]))
-        cells = _cells_of(trace, moments)
         for count, moment in enumerate(moments):
             _set_time(recording, moment["step"], config)
             _log_moment(rerun, moment, cells[count])
@@ -108,11 +110,11 @@ def _cells_of(trace: dict[str, Array], moments: list[dict]) -> list[list[Array]]
     """Per moment and layer (rows, columns) uint8."""
     packed, first = trace["maps"].tobytes(), 0
     cells: list[list[Array]] = []
-    ends = iter(trace["map_ends"].tolist())
+    ends = trace["map_ends"].tolist()[::-1]
     for moment in moments:
         cells.append([])
         for layer in moment["layers"]:
-            end = next(ends)
+            end = ends.pop()
             kinds = np.frombuffer(zlib.decompress(packed[first:end]), np.uint8)
             cells[-1].append(kinds.reshape(layer["shape"]))
             first = end
