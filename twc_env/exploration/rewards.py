@@ -21,7 +21,6 @@ instead of the team's.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from numpy.typing import NDArray
@@ -37,8 +36,7 @@ ERROR_MAX_M = 1.0
 BYTES_MAX = 10_000.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Standing:
+class Standing(NamedTuple):
     """The potentials of a team as last judged."""
 
     team: list[float]

@@ -55,7 +55,7 @@ class SmallBlocks:
         """`_fill_small` with what is kept."""
         self._rooms: Iterator[tuple[Array, ...]] = iter(())
         """For each of the next steps, the blocks of all robots."""
-        self._unseen = self._make_room()
+        self._unseen = tuple([np.empty(shape, _FLOAT) for shape in self._shapes])
         self._frames: TeamFrames | None = None
         """What was noticed last; taken in once it is shown, or once there is more."""
         self._is_taken_in = True

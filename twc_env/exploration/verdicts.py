@@ -124,7 +124,7 @@ def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerd
 def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool = False) -> Standing:
     """The potentials that rewards look at, judged now; the last time by every cell of the floor, as the report does."""
     true_poses, maps = record.true_poses, []
-    whole_m2, true = floor_m2(cells), true_poses[-1].tolist()
+    true, believed = true_poses[-1].tolist(), engine.beliefs().poses[:, 0].tolist()
     nodes: dict[TeamMapper, tuple[Array, Array, Array]] = {}
     errors_m = [0.0] * len(true)
     for view in engine.views():
@@ -132,9 +132,9 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool 
         viewers, robots, mapper = view.viewers, view.robots, view.mapper
         if mapper not in nodes:  # mappers have several maps
             nodes[mapper] = mapper.nodes
-        place = _lay(robots, nodes[mapper], true_poses)
-        if place is not None:
-            pose, wrong = place
+        laid = _lay(robots, nodes[mapper], true_poses)
+        if laid is not None:
+            pose, wrong = laid
             record.wrong_pairs.update(wrong)
             x, y, turn = pose.tolist()
             c, s = math.cos(turn), math.sin(turn)
@@ -143,11 +143,11 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool 
                 area_m2 = judge_view(view, record, cells).correct_area_m2
             else:
                 area_m2 = record.floor_masks.correct_area_m2(viewers[0], grid, pose, cells)
-            maps.append(JudgedMap(viewers, len(robots), not wrong, area_m2 / whole_m2))
+            maps.append(JudgedMap(viewers, len(robots), not wrong, area_m2 / floor_m2(cells)))
         for robot in viewers:
-            ahead, left, _ = engine.pose_map_robot(robot).tolist()
-            believed = x + c * ahead - s * left, y + s * ahead + c * left
-            errors_m[robot] = math.dist(believed, true[robot][:2])
+            ahead, left, _ = believed[robot]
+            place = x + c * ahead - s * left, y + s * ahead + c * left
+            errors_m[robot] = math.dist(place, true[robot][:2])
     return standing_of(maps, errors_m)
 
 
