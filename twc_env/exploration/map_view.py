@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up, look_up_row, number_square, span_inside
-from twc_env.kernels import bound, kernel
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import FREE as FREE_CELL
 from twc_env.slam.cell_kinds import UNKNOWN as UNKNOWN_CELL
@@ -24,6 +23,8 @@ Array = NDArray
 FREE, WALL, UNKNOWN, FRONTIER, PATH, MATES, SIGNS = range(7)
 CHANNELS = 7
 _BYTE = np.dtype(np.uint8)
+OUTSIDE = np.uint32(2**32 - 1)
+"""In place of the number of a cell."""
 OVERVIEW_CHANNELS = 4
 """Free, wall, this robot, mates."""
 
@@ -65,9 +66,9 @@ class MapViews:
         each robot sees them, NaN for none. All three are looked at whenever a picture is drawn.
         """
         self._shape = len(paths_odom), CHANNELS, cells, cells
-        self._kept = paths_odom, path_counts, mates, cell_m
+        self._kept = paths_odom, path_counts, mates, float(cell_m)
         self._run: Callable[..., None] | None = None
-        """`_crop_and_mark` with these."""
+        """`_crop_and_mark` with these, and with room to work in."""
 
     def draw(self, maps: BelievedMaps, poses: Array) -> Array:
         """`crop_around` of each robot with its last three channels filled too: (robots, 7, cells, cells) uint8.
@@ -76,12 +77,20 @@ class MapViews:
         """
         out = np.empty(self._shape, _BYTE)
         if self._run is None:
-            self._run = partial(bound(_crop_and_mark, *self._kept, *maps, poses, out), *self._kept[1:])
+            kept = Lent(pack(self._kept + _make_room(self._shape[-1])))
+            self._run = bound(_crop_and_mark, kept, *maps, poses, out)
         self._run(*maps, poses, out)
         return out
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}
+
+
+def _make_room(size: int) -> tuple[Array, ...]:
+    """What `_look_around` and `_mark` work in."""
+    count = size * size
+    shapes = (count, np.uint8), ((2, size), np.int64), ((6, size), np.uint32), (count, np.uint32)
+    return tuple([np.empty(shape, kind) for shape, kind in shapes])
 
 
 def _kinds(grid: GridMap) -> Array:
@@ -99,26 +108,29 @@ def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
     return out, corner_m, factor * grid.resolution_m
 
 
-@kernel
-def _mark(channel, points, count, x, y, heading, inverse_m, cells):
+@borrowing_kernel
+def _mark(channel, points, count, x, y, heading, inverse_m, numbers):
     """Set the cells of channel (cells, cells) under the first points of (2, k), seen from a pose in their frame.
 
-    Which cells these are is worked out for several points at once, and only then are they set.
+    Which cells these are is worked out for several points at once, as many as there are numbers, and only then are
+    they set.
     """
-    size, flat, xs, ys = channel.shape[0], channel.reshape(-1), points[0], points[1]
+    size, flat = channel.shape[0], channel.reshape(-1)
     c, s = math.cos(heading) * inverse_m, math.sin(heading) * inverse_m
     middle, end = float(size // 2), float(size)
     ahead0, left0 = middle - c * x - s * y, middle - c * y + s * x
-    count = min(count, points.shape[1])
-    for k in range(count):
-        column, row = ahead0 + c * xs[k] + s * ys[k], left0 + c * ys[k] - s * xs[k]
-        is_inside = (column >= 0.0) & (row >= 0.0) & (column < end) & (row < end)
-        column, row = (column if is_inside else 0.0), (row if is_inside else 0.0)
-        cell = np.int32(row) * np.int32(size) + np.int32(column)
-        cells[k] = cell if is_inside else np.int32(-1)
-    for k in range(count):
-        if cells[k] >= 0:
-            flat[np.uint64(cells[k])] = 255
+    for first in range(0, min(count, points.shape[1]), numbers.shape[0]):
+        last = min(first + numbers.shape[0], count, points.shape[1])
+        xs, ys = points[0, first:last], points[1, first:last]
+        for k in range(xs.shape[0]):
+            column, row = ahead0 + c * xs[k] + s * ys[k], left0 + c * ys[k] - s * xs[k]
+            is_inside = (column >= 0.0) & (row >= 0.0) & (column < end) & (row < end)
+            column, row = (column if is_inside else 0.0), (row if is_inside else 0.0)
+            number = np.uint32(np.int32(row) * np.int32(size) + np.int32(column))
+            numbers[k] = number if is_inside else OUTSIDE
+        for k in range(xs.shape[0]):
+            if numbers[k] != OUTSIDE:
+                flat[np.uint64(numbers[k])] = 255
 
 
 @kernel
@@ -150,15 +162,7 @@ def _shrink(log_odds, out):
     return low_r, low_c, factor
 
 
-@kernel
-def _make_room(size):
-    """What `_look_around` works in: kinds (size * size,), which it fills, and scratch."""
-    count = size * size
-    scratch = np.empty((2, size), np.int64), np.empty((6, size), np.uint32), np.empty(count, np.uint32)
-    return np.empty(count, np.uint8), *scratch
-
-
-@kernel
+@borrowing_kernel
 def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, room):
     """The kinds of cells around a place, robot in the middle and looking along +column."""
     levels, firsts, scratch, numbers = room
@@ -192,7 +196,7 @@ def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, room):
             look_up_row(cells, width, r + begin * dy, k + begin * dx, dy, dx, end - begin, numbers, out)
 
 
-@kernel
+@borrowing_kernel
 def _crop(kinds, x, y, heading, inverse_m, cell_m, room, out):
     """Egocentric view: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0).
 
@@ -222,15 +226,15 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, room, out):
         out[FRONTIER, i, 0] = out[FRONTIER, i, size - 1] = 0
 
 
-@kernel
-def _crop_and_mark(paths, path_counts, mates, cell_m, kinds, places, signs, poses, out):
+@borrowing_kernel
+def _crop_and_mark(kept, kinds, places, signs, poses, out):
     """All channels of all robots: what lies around each, its path, mates and signs."""
-    inverse_m, room = 1.0 / cell_m, _make_room(out.shape[2])
+    paths, path_counts, mates, cell_m, levels, firsts, scratch, numbers = parts_of(kept)
+    inverse_m, room = 1.0 / cell_m, (levels, firsts, scratch, numbers)
     for i in range(len(kinds)):
         here, odom, place = poses[i, 0], poses[i, 2], places[i]
         _crop(kinds[i], here[0] - place[0], here[1] - place[1], here[2], place[2], cell_m, room, out[i])
         out[i, 4:] = 0
-        cells = np.empty(max(paths.shape[2], mates.shape[2], signs[i].shape[1]), np.int32)
-        _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m, cells)
-        _mark(out[i, 5], mates[i], mates.shape[2], 0.0, 0.0, 0.0, inverse_m, cells)
-        _mark(out[i, 6], signs[i], signs[i].shape[1], here[0], here[1], here[2], inverse_m, cells)
+        _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m, numbers)
+        _mark(out[i, 5], mates[i], mates.shape[2], 0.0, 0.0, 0.0, inverse_m, numbers)
+        _mark(out[i, 6], signs[i], signs[i].shape[1], here[0], here[1], here[2], inverse_m, numbers)

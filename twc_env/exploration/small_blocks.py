@@ -15,7 +15,7 @@ from twc_env.config import EnvConfig
 from twc_env.exploration.observation_blocks import POSE_LIMITS
 from twc_env.exploration.recent_signs import RecentSigns
 from twc_env.exploration.wifi_slots import slots_for, take_scans
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of
 from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames
 
 Array = NDArray
@@ -93,7 +93,7 @@ class SmallBlocks:
         return self.__dict__ | {"_run": None, "_rooms": iter(())}
 
 
-@kernel
+@borrowing_kernel
 def _extend_paths(poses, counts, paths):
     """Note where each robot has come to, in rings (robots, 2, k); poses (robots, 3, 3): the last is that in odom."""
     for i in range(poses.shape[0]):
@@ -105,7 +105,7 @@ def _extend_paths(poses, counts, paths):
             counts[i] += 1
 
 
-@kernel
+@borrowing_kernel
 def _fill_pose(pose, std, since_m, out):
     out[0], out[1] = pose[0], pose[1]
     out[2], out[3] = math.cos(pose[2]), math.sin(pose[2])
@@ -114,7 +114,7 @@ def _fill_pose(pose, std, since_m, out):
         out[k] = min(max(out[k], -POSE_LIMITS[k]), POSE_LIMITS[k])
 
 
-@kernel
+@borrowing_kernel
 def _fill_signs(readings, now_s, memory_s, pose, rows):
     """The block `signs`: readings (slots, 4), newest first, that are not older than the memory."""
     for k in range(rows.shape[0]):
@@ -133,7 +133,7 @@ def _fill_signs(readings, now_s, memory_s, pose, rows):
         rows[k, 4] = elsewhere / (elsewhere + HALF_COUNT)
 
 
-@kernel
+@borrowing_kernel
 def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, places, rows):
     """The block `team`: the step in which each mate was last heard of, and where those of the same map are.
 
