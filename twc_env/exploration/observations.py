@@ -87,8 +87,11 @@ class ObservationBuilder:
 
     def _maps(self) -> Array:
         beliefs, places = self._beliefs, self._signs.places
-        if self._seen_of[0] != beliefs.grids or self._seen_of[1] is not places:
-            self._seen_of, self._seen = (beliefs.grids, places), map_view.BelievedMaps.of(beliefs.grids, places)
+        if self._seen_of[0] != beliefs.grids:
+            self._seen = map_view.BelievedMaps.of(beliefs.grids, places)
+        elif self._seen_of[1] is not places:
+            self._seen = self._seen._replace(signs=tuple(places))
+        self._seen_of = beliefs.grids, places
         return self._views.draw(self._seen, beliefs.poses)
 
     def _radio_maps(self) -> list[Array]:

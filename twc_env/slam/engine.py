@@ -108,6 +108,9 @@ class CooperativeSlam:
         """The state of each mapper, by its count of changes, that these were taken from."""
         self._regroupings = [-1] * len(self.mappers)
         self._map_changes = [(-1, -1)] * len(self.mappers)
+        self._views: list[View] = []
+        self._views_of: list[int] = []
+        """Which maps robots believe in, as of these counts of regroupings."""
         self._rooms: Iterator[tuple[Array, Array]] = iter(())
         """New arrays for the poses of the next steps."""
         self._run: Callable[..., None] | None = None
@@ -150,9 +153,14 @@ class CooperativeSlam:
 
     def views(self) -> list[View]:
         """Every map that some robot believes in."""
-        if self._is_central:
-            return [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
-        return [View(mapper, mapper.group_index(r), (r,)) for r, mapper in enumerate(self.mappers)]
+        regroupings = [mapper.regroupings for mapper in self.mappers]
+        if self._views_of != regroupings:
+            self._views_of = regroupings
+            if self._is_central:
+                self._views = [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
+            else:
+                self._views = [View(mapper, mapper.group_index(r), (r,)) for r, mapper in enumerate(self.mappers)]
+        return self._views
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Run the front end of each frame's robot; the keyframes that came of it, in order, ready to be sent.
