@@ -11,6 +11,7 @@ from twc_env.datasets.frame_log import (
     PER_READING,
     read_contacts,
     read_frame_log,
+    read_truth_log,
     write_frame_log,
     write_truth_log,
 )
@@ -85,6 +86,14 @@ def test_the_engine_finds_on_a_log_what_it_found_in_the_world(recorded, tmp_path
         belief = env.belief(agent)
         assert np.array_equal(engine.pose_map_robot(robot), belief.pose_map_robot)
         assert np.array_equal(engine.belief(robot).grid.log_odds, belief.grid.log_odds)
+
+
+def test_logs_are_written_under_the_name_that_was_asked_for(recorded, tmp_path):
+    env, steps = recorded
+    write_frame_log(tmp_path / "frames", env.config, steps)
+    assert len(read_frame_log(tmp_path / "frames")[1]) == len(steps)
+    write_truth_log(tmp_path / "truth", 4, "twin-01", env.result().true_poses)
+    assert read_truth_log(tmp_path / "truth")[:2] == (4, "twin-01")
 
 
 def test_an_empty_log_is_refused(tmp_path):

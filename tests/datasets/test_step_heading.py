@@ -73,6 +73,7 @@ def test_a_walker_who_takes_no_step_stays_where_it_is(tmp_path):
         {"ACCELEROMETER": "{t}\tTYPE_ACCELEROMETER\t0.0\tup\t9.81"},
         {"ACCELEROMETER": "1000\tTYPE_ACCELEROMETER\t0.0\t0.0\t9.81"},
         {"WIFI": "{t}\tTYPE_WIFI\tname\t02:00:00:00:00:01\t-50"},
+        {"WIFI": "{t}\tTYPE_WIFI\tname\t02:00:00:00:00:01:02:03:04\t-50\t2412\t{t}"},
     ],
 )
 def test_a_trace_that_is_cut_off_in_its_lines_is_a_data_error(tmp_path, changes):

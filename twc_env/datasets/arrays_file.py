@@ -1,10 +1,11 @@
-"""Reading .npz files of our own: which are missing, cut off, of another kind or incomplete is said in one line."""
+"""Files of arrays (.npz) of our own: which are missing, cut off, of another kind or incomplete is said in one line."""
 
 from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,12 @@ from numpy.typing import NDArray
 from twc_env.errors import DataError
 
 Array = NDArray
+
+
+def write_arrays(path: str | Path, **arrays: Any) -> None:
+    """Write a compressed file of this very name; numpy alone would put .npz behind other names."""
+    with Path(path).open("wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], remedy: str) -> dict[str, Array]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig, from_dict, to_dict
-from twc_env.datasets.arrays_file import read_arrays
+from twc_env.datasets.arrays_file import read_arrays, write_arrays
 from twc_env.errors import DataError, TwcError
 from twc_env.messages import Contacts, SensorFrame, SignReading, WifiScan
 
@@ -41,7 +41,7 @@ def write_frame_log(
     heard = [frame.wifi for frame in frames]
     signs = [(k, sign) for k, frame in enumerate(frames) for sign in frame.signs]
     scans = [wifi for wifi in heard if wifi is not None]
-    np.savez_compressed(
+    write_arrays(
         path,
         format=np.array(FORMAT),
         config=np.array(json.dumps(to_dict(config), sort_keys=True)),
@@ -99,7 +99,7 @@ def read_contacts(path: str | Path) -> list[Contacts]:
 
 def write_truth_log(path: str | Path, seed: int, map_name: str, true_poses: Array) -> None:
     """Write where the robots truly were, (steps + 1, robots, 3) in the building frame, beside a frame log."""
-    np.savez_compressed(
+    write_arrays(
         path, format=np.array(TRUTH_FORMAT), seed=np.array(seed), map=np.array(map_name), true_poses=true_poses
     )
 

@@ -116,7 +116,7 @@ def _read_walk(path: Path, age_max_s: float) -> WalkerTrace | None:
             for kind, size in (("WAYPOINT", 2), ("ACCELEROMETER", 3), ("ROTATION_VECTOR", 3))
         )
         at_s, prints = _scans(rows["TYPE_WIFI"], age_max_s)
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, OverflowError) as error:
         raise DataError(f"{path.name}: {error}; fetch the trace again") from error
     if len(waypoints) < 2 or len(acceleration) < 10 or len(rotation) < 2:
         return None
