@@ -75,7 +75,7 @@ def test_a_straight_drive_ends_where_odometry_says(kind):
     ekf = kind(CONFIG)
     for _ in range(50):
         ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
-    assert ekf.state == pytest.approx(np.array([5.0, 0.0, 0.0, 0.0]), abs=1e-12)
+    assert ekf.state == pytest.approx(np.array([5.0, 0.0, 0.0, 0.0, 0.0]), abs=1e-12)
 
 
 @BOTH
@@ -121,6 +121,33 @@ def test_the_bias_of_the_gyro_is_learned_from_measured_poses_too(kind):
         ekf.update(true, SHARP)
     assert ekf.state[3] == pytest.approx(bias, abs=0.004)
     assert np.hypot(*(ekf.state[:2] - true[:2])) < 0.02
+
+
+@BOTH
+@pytest.mark.parametrize("too_long", [0.04, -0.03, 0.0])
+def test_the_scale_of_the_odometry_is_learned_in_rooms_and_carries_through_corridors(kind, too_long):
+    random, ekf, true = np.random.default_rng(4), kind(CONFIG), np.zeros(3)
+    for step in range(600):
+        motion = np.array([0.05, 0.0, 0.03 if step < 400 else 0.0])
+        true = compose(true, motion)
+        read = motion * (1.0 + too_long, 1.0, 1.0) + random.normal(0, 1, 3) * (0.002, 0.001, 0.005)
+        ekf.predict(read, motion[2] / DT_S, DT_S)
+        if step < 400:
+            ekf.update(true + random.normal(0, 1, 3) * (0.01, 0.01, 0.003), SHARP)
+    assert ekf.state[4] == pytest.approx(1.0 - 1.0 / (1.0 + too_long), abs=3 * np.sqrt(ekf.covariance[4, 4]))
+    assert np.sqrt(ekf.covariance[4, 4]) == pytest.approx(CONFIG.position_std_per_m / np.sqrt(20.0), rel=0.05), (
+        "in 20 m"
+    )
+    assert np.hypot(*(ekf.state[:2] - true[:2])) < 0.12, "10 m without a match"
+
+
+def test_an_odometry_that_is_believed_teaches_no_scale():
+    ekf, true = Single(CompiledFilters, OdometryFilterConfig(odometry_scale_std=0.0)), np.zeros(3)
+    for _ in range(100):
+        true = compose(true, [0.05, 0.0, 0.02])
+        ekf.predict(np.array([0.06, 0.0, 0.02]), 0.02 / DT_S, DT_S)
+        ekf.update(true, SHARP)
+    assert ekf.state[4] == 0.0
 
 
 @BOTH

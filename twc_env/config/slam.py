@@ -21,6 +21,8 @@ class OdometryFilterConfig(Checked):
     """Gyro heading noise per step."""
     odometry_turn_std_rad: float = number(0.02, 1e-6, 1.0)
     """Odometry heading noise per step."""
+    odometry_scale_std: float = number(0.03, 0.0, 0.5)
+    """By what share odometry may read distances too long or too short (0: it is believed)."""
     gyro_bias_std_rad_s: float = number(0.02, 0.0, 1.0)
     """How far off the gyro may be at the start."""
     gyro_bias_walk_rad_s: float = number(1e-4, 0.0, 1.0)

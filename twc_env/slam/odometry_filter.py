@@ -1,4 +1,7 @@
-"""Fuse odometry, gyro and scan matching: an extended Kalman filter over (x, y, heading, gyro bias).
+"""Fuse odometry, gyro and scan matching: an extended Kalman filter over (x, y, heading, gyro bias, odometry's scale).
+
+The scale is what odometry reads too long, as a share. It is learned where scans fix all directions, and carries a robot
+through corridors where they do not.
 
 The same equations stand here twice: `CompiledFilters`, used in the hot path, and `FilterpyFilters` on filterpy's
 ExtendedKalmanFilter, which is the oracle it is tested against and an option of the log tools.
@@ -32,26 +35,27 @@ def _motion_noise(dx, dy, config):
 def predict_state(x, p, odometry, turn_rate, dt, config):
     """Move by odometry with the gyro's heading; then learn the gyro's bias from the odometry's turn.
 
-    x (4,) and p (4, 4) are changed in place. config: position_std_per_m, position_std_m, turn_std_rad,
+    x (5,) and p (5, 5) are changed in place. config: position_std_per_m, position_std_m, turn_std_rad,
     odometry_turn_std_rad, gyro_bias_walk_rad_s.
     """
     turn = (turn_rate - x[3]) * dt
     c, s = math.cos(x[2]), math.sin(x[2])  # odometry is given in the robot frame of the last frame
     dx, dy = odometry[0], odometry[1]
-    mx, my = c * dx - s * dy, s * dx + c * dy
+    read_x, read_y = c * dx - s * dy, s * dx + c * dy
+    mx, my = (1.0 - x[4]) * read_x, (1.0 - x[4]) * read_y
     x[0] += mx
     x[1] += my
     x[2] += turn
     moved_variance, turn_variance = _motion_noise(dx, dy, config)
-    # P <- F P F^T with F = I + rows 0-2: d/d heading and d/d bias
+    # P <- F P F^T with F = I + rows 0-2: d/d heading, d/d scale and d/d bias
     f02, f12, f23 = -my, mx, -dt
-    for j in range(4):
-        p[0, j] += f02 * p[2, j]
-        p[1, j] += f12 * p[2, j]
+    for j in range(5):
+        p[0, j] += f02 * p[2, j] - read_x * p[4, j]
+        p[1, j] += f12 * p[2, j] - read_y * p[4, j]
         p[2, j] += f23 * p[3, j]
-    for i in range(4):
-        p[i, 0] += f02 * p[i, 2]
-        p[i, 1] += f12 * p[i, 2]
+    for i in range(5):
+        p[i, 0] += f02 * p[i, 2] - read_x * p[i, 4]
+        p[i, 1] += f12 * p[i, 2] - read_y * p[i, 4]
         p[i, 2] += f23 * p[i, 3]
     p[0, 0] += moved_variance
     p[1, 1] += moved_variance
@@ -60,14 +64,15 @@ def predict_state(x, p, odometry, turn_rate, dt, config):
     # z = odometry turn - gyro turn = -bias dt + noise
     residual = odometry[2] - turn_rate * dt + x[3] * dt
     variance = p[3, 3] * dt * dt + config[3] ** 2 + config[2] ** 2
-    bias_x, bias_y, bias_heading, bias = p[3, 0], p[3, 1], p[3, 2], p[3, 3]
-    for i in range(4):
+    bias_x, bias_y, bias_heading, bias, bias_scale = p[3, 0], p[3, 1], p[3, 2], p[3, 3], p[3, 4]
+    for i in range(5):
         gain = -p[i, 3] * dt / variance
         x[i] += gain * residual
         p[i, 0] += gain * dt * bias_x
         p[i, 1] += gain * dt * bias_y
         p[i, 2] += gain * dt * bias_heading
         p[i, 3] += gain * dt * bias
+        p[i, 4] += gain * dt * bias_scale
 
 
 @borrowing_kernel
@@ -83,11 +88,11 @@ def invert3(m, out):
 
 @kernel
 def update_state(x, p, pose, information):
-    """Linear update of x (4,) and p (4, 4) with a measured pose (3,) and its information (3, 3)."""
-    work = np.empty((5, 4, 4))
+    """Linear update of x (5,) and p (5, 5) with a measured pose (3,) and its information (3, 3)."""
+    work = np.empty((5, 5, 5))
     r, s, inverse, gain, old = work[0], work[1], work[2], work[3], work[4]
-    for i in range(4):
-        for j in range(4):
+    for i in range(5):
+        for j in range(5):
             old[i, j] = p[i, j]
     for i in range(3):
         for j in range(3):
@@ -100,12 +105,12 @@ def update_state(x, p, pose, information):
     invert3(s, inverse)
     ahead, left = pose[0] - x[0], pose[1] - x[1]
     turned = (pose[2] - x[2] + math.pi) % (2 * math.pi) - math.pi
-    for i in range(4):
+    for i in range(5):
         for j in range(3):
             gain[i, j] = old[i, 0] * inverse[0, j] + old[i, 1] * inverse[1, j] + old[i, 2] * inverse[2, j]
-    for i in range(4):
+    for i in range(5):
         x[i] += gain[i, 0] * ahead + gain[i, 1] * left + gain[i, 2] * turned
-        for j in range(i, 4):
+        for j in range(i, 5):
             p[i, j] = old[i, j] - gain[i, 0] * old[0, j] - gain[i, 1] * old[1, j] - gain[i, 2] * old[2, j]
             p[j, i] = p[i, j]
 
@@ -180,6 +185,10 @@ def _update_all(states, covariances, robots, poses, information, is_matched):
             update_state(states[k], covariances[k], poses[k], information[k])
 
 
+def _first_covariance(config: OdometryFilterConfig) -> Array:
+    return np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2, config.odometry_scale_std**2])
+
+
 class CompiledFilters:
     """One filter per robot, all in one compiled call: those of the hot path."""
 
@@ -187,10 +196,11 @@ class CompiledFilters:
 
     def __init__(self, config: OdometryFilterConfig, count: int):
         self.noise = _process_values(config)
-        self.states = np.zeros((count, 4))
-        """(n, 4) x [m], y [m], heading [rad], gyro bias [rad/s] in its odom frame; the heading is not wrapped."""
-        self.covariances = np.tile(np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2]), (count, 1, 1))
-        """(n, 4, 4)."""
+        self.states = np.zeros((count, 5))
+        """(n, 5) x [m], y [m], heading [rad], gyro bias [rad/s] in its odom frame, and by what share odometry reads too
+        long; the heading is not wrapped."""
+        self.covariances = np.tile(_first_covariance(config), (count, 1, 1))
+        """(n, 5, 5)."""
 
     def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
         """Move these robots (k,) by one frame: odometry (k, 3), gyro (k,) and time since the last one (k,).
@@ -215,10 +225,10 @@ class FilterpyFilters:
 
         self._config = config
         self._values = _process_values(config)
-        self._filters = [ExtendedKalmanFilter(dim_x=4, dim_z=3) for _ in range(count)]
+        self._filters = [ExtendedKalmanFilter(dim_x=5, dim_z=3) for _ in range(count)]
         for ekf in self._filters:
-            ekf.x = np.zeros(4)
-            ekf.P = np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2])
+            ekf.x = np.zeros(5)
+            ekf.P = _first_covariance(config)
 
     @property
     def states(self) -> Array:
@@ -227,7 +237,7 @@ class FilterpyFilters:
 
     @property
     def covariances(self) -> Array:
-        """(n, 4, 4)."""
+        """(n, 5, 5)."""
         return np.array([ekf.P for ekf in self._filters])
 
     def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
@@ -242,7 +252,7 @@ class FilterpyFilters:
             if is_matched[k]:
                 self._filters[k].update(
                     poses[k].copy(),
-                    HJacobian=lambda _x: np.eye(3, 4),
+                    HJacobian=lambda _x: np.eye(3, 5),
                     Hx=lambda x: x[:3],
                     R=np.linalg.inv(information[k] + INFORMATION_MIN * np.eye(3)),
                     residual=_pose_difference,
@@ -252,17 +262,19 @@ class FilterpyFilters:
         dx, dy, turn_odometry = odometry
         turn = (turn_rate_rad_s - ekf.x[3]) * dt_s
         c, s = math.cos(ekf.x[2]), math.sin(ekf.x[2])
-        mx, my = c * dx - s * dy, s * dx + c * dy
+        read_x, read_y = c * dx - s * dy, s * dx + c * dy
+        mx, my = (1.0 - ekf.x[4]) * read_x, (1.0 - ekf.x[4]) * read_y
         moved_variance, turn_variance = _motion_noise(dx, dy, self._values)
-        ekf.F = np.eye(4)
-        ekf.F[:3, 2:] += np.array([[-my, 0.0], [mx, 0.0], [0.0, -dt_s]])
-        ekf.Q = np.diag([moved_variance, moved_variance, turn_variance, self._config.gyro_bias_walk_rad_s**2 * dt_s])
-        moved = ekf.x + np.array([mx, my, turn, 0.0])
+        ekf.F = np.eye(5)
+        ekf.F[:3, 2:] += np.array([[-my, 0.0, -read_x], [mx, 0.0, -read_y], [0.0, -dt_s, 0.0]])
+        bias_variance = self._config.gyro_bias_walk_rad_s**2 * dt_s
+        ekf.Q = np.diag([moved_variance, moved_variance, turn_variance, bias_variance, 0.0])
+        moved = ekf.x + np.array([mx, my, turn, 0.0, 0.0])
         ekf.predict()
         ekf.x = moved  # filterpy's predict is linear; the motion is not
         ekf.update(
             np.array([turn_odometry - turn_rate_rad_s * dt_s]),
-            HJacobian=lambda _x: np.array([[0.0, 0.0, 0.0, -dt_s]]),
+            HJacobian=lambda _x: np.array([[0.0, 0.0, 0.0, -dt_s, 0.0]]),
             Hx=lambda x: np.array([-x[3] * dt_s]),
             R=np.array([[self._config.odometry_turn_std_rad**2 + self._config.turn_std_rad**2]]),
         )
