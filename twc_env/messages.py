@@ -146,6 +146,11 @@ class LoopCandidate:
     log_odds: float = float("nan")
     """Of `fused`: how sure it is that this is one place."""
 
+    @property
+    def is_read_alike(self) -> bool:
+        """Whether nothing sets the two texts apart: they agree to the letter, or likeness of texts was not asked."""
+        return not self.text_similarity < 1.0
+
 
 @dataclass(slots=True, eq=False)
 class LoopClosure:

@@ -205,7 +205,7 @@ def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore, settings
     merged_at = []
 
     def agree(targets, *_):
-        return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), 9)
+        return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), (9, 9, 9))
 
     def wrong(review, step):
         if review.merges and not merged_at:

@@ -171,7 +171,7 @@ def wrong_merges(monkeypatch):
     """The first closure between two robots is believed at once, and laid down at a wrong place."""
 
     def agree(targets, *_):
-        return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), 9)
+        return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), (9, 9, 9))
 
     monkeypatch.setattr(map_merging, "largest_agreement", agree)
     monkeypatch.setattr(map_merging, "wall_contradiction", lambda *_: 0.0)

@@ -19,7 +19,7 @@ def closures(seed: int, count: int, noise_m: float = 0.05, pose_a_b=TRUE_A_B, sp
     targets = compose(compose(pose_a_b, sources), random.normal(0, 0.5, (count, 3)))
     measured = compose(between(targets, compose(pose_a_b, sources)), random.normal(0, 1, (count, 3)) * noise_m)
     signs_m = compose(pose_a_b, sources)[:, :2]
-    return targets, sources, measured, signs_m
+    return targets, sources, measured, signs_m, np.ones(count, bool)
 
 
 def joined(*parts):
@@ -57,15 +57,28 @@ def test_the_larger_of_two_agreeing_parties_wins():
 
 def test_three_signs_outvote_two_however_often_these_were_seen():
     lie = np.array([-3.0, 4.0, 0.5])
-    targets, sources, measured, signs = closures(2, 6, pose_a_b=lie, noise_m=0.01)
-    seen_again = targets, sources, measured, np.tile([[0.0, 0.0], [4.0, 0.0]], (3, 1))
+    targets, sources, measured, signs, alike = closures(2, 6, pose_a_b=lie, noise_m=0.01)
+    seen_again = targets, sources, measured, np.tile([[0.0, 0.0], [4.0, 0.0]], (3, 1)), alike
     proposal = largest_agreement(*joined(seen_again, closures(3, 3, noise_m=0.01)), MergingConfig())
     assert proposal.support.tolist() == [False] * 6 + [True] * 3
-    assert proposal.places == 3
+    assert proposal.weight == (3, 3, 3)
     other = largest_agreement(
-        *joined((targets, sources, measured, signs), closures(3, 3, noise_m=0.01)), MergingConfig()
+        *joined((targets, sources, measured, signs, alike), closures(3, 3, noise_m=0.01)), MergingConfig()
     )
     assert other.support.tolist() == [True] * 6 + [False] * 3
+
+
+def test_a_sign_read_alike_by_both_outvotes_rows_of_names_that_follow_one_another():
+    lie = np.array([-3.0, 4.0, 0.5])
+    *shifted, _ = closures(2, 6, pose_a_b=lie, noise_m=0.01)
+    next_door = *shifted, np.zeros(6, bool)
+    true = *closures(3, 3, noise_m=0.01)[:4], np.array([True, False, False])
+    proposal = largest_agreement(*joined(next_door, true), MergingConfig())
+    assert proposal.support.tolist() == [False] * 6 + [True] * 3
+    assert proposal.weight == (1, 3, 3)
+    assert largest_agreement(*next_door, MergingConfig()) is None
+    assert largest_agreement(*next_door, MergingConfig(signs_read_alike_min=0)).weight == (0, 6, 6)
+    assert largest_agreement(*true, MergingConfig(signs_read_alike_min=2)) is None
 
 
 @pytest.mark.parametrize(("apart_m", "count"), [(0.0, 4), (0.5, 3), (1.5, 2), (9.0, 1)])
@@ -92,11 +105,11 @@ def test_closures_from_signs_at_one_spot_prove_nothing():
 
 
 def test_closures_from_many_places_that_share_one_sign_prove_nothing():
-    targets, sources, measured, _ = closures(6, 6, noise_m=0.0)
+    targets, sources, measured, _, alike = closures(6, 6, noise_m=0.0)
     one_sign = np.tile([3.0, 4.0], (6, 1))
-    assert largest_agreement(targets, sources, measured, one_sign, MergingConfig()) is None
+    assert largest_agreement(targets, sources, measured, one_sign, alike, MergingConfig()) is None
     one_sign[0] = [3.0, 9.0]
-    assert largest_agreement(targets, sources, measured, one_sign, MergingConfig()) is not None
+    assert largest_agreement(targets, sources, measured, one_sign, alike, MergingConfig()) is not None
 
 
 def test_two_spots_of_the_same_wrong_copy_are_still_outvoted():

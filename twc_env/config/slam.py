@@ -142,6 +142,8 @@ class MergingConfig(Checked):
     """Mutually consistent closures needed."""
     spread_min_m: float = number(1.5, 0.0, 100.0)
     """The closures must stem from signs at least this far apart (0: one sign is enough)."""
+    signs_read_alike_min: int = number(1, 0, 100)
+    """Of these signs so many must be read alike to the letter by both (0: however unlike, as recognition allows)."""
     consistency_m: float = number(0.6, 0.01, 10.0)
     consistency_rad: float = number(0.15, 0.01, math.pi)
     contradiction_max: float = number(0.10, 0.0, 1.0)

@@ -40,6 +40,12 @@ PAIRS_MIN, PLACES_MAX = 4, 150
 REFERENCE_SLACK = 1.1
 
 
+Weight = tuple[int, int, int]
+"""How much speaks for a place of a merge, the most telling first: signs that both sides read alike to the letter, signs
+at all, closures. Signs count that lie `spread_min_m` apart, and each once however often it was seen: where names follow
+one another, those of a room and of the next are nearly alike, and so are all that follow."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeProposal:
     """Where group b lies in the map of group a, and the closures that say so."""
@@ -48,18 +54,17 @@ class MergeProposal:
     """(3,)."""
     support: Array
     """(closures,) bool: which of the closures agree."""
-    places: int
-    """How many signs, `spread_min_m` apart, they stem from."""
+    weight: Weight
 
 
 def largest_agreement(
-    targets: Array, sources: Array, measured: Array, signs_m: Array, config: MergingConfig
+    targets: Array, sources: Array, measured: Array, signs_m: Array, is_read_alike: Array, config: MergingConfig
 ) -> MergeProposal | None:
-    """The pose of b in a on which closures of most signs agree; None while too few do or all stem from one sign.
+    """The pose of b in a for which most speaks; None while too few closures do or all stem from one sign.
 
     targets (k, 3) keyframes in map a, sources (k, 3) in map b, measured (k, 3) source in the target's frame, signs_m
-    (k, 2) the sign behind each closure, in its own map. A sign has one voice however often it was seen, since it may
-    have a twin elsewhere, and at least two that lie apart must agree; between equals the number of closures decides.
+    (k, 2) the sign behind each closure, in its own map, is_read_alike (k,) whether both read the same there. At least
+    two signs that lie apart must agree, since one may have a twin elsewhere.
     """
     if len(targets) < config.closures_min:
         return None
@@ -76,14 +81,20 @@ def largest_agreement(
     votes[votes < config.closures_min] = 0
     if not votes.any():
         return None
-    places = np.array(
-        [count_places(signs_m[row], config.spread_min_m) if v else 0 for row, v in zip(agrees, votes, strict=True)]
-    )
-    seed = int(np.lexsort((-np.arange(len(votes)), votes, places))[-1])
+    weights = {int(k): weight_of(signs_m[agrees[k]], is_read_alike[agrees[k]], config) for k in np.flatnonzero(votes)}
+    seed = max(weights, key=lambda k: (weights[k], -k))
+    if weights[seed][0] < config.signs_read_alike_min:
+        return None
     support = agrees[seed]
     cost = np.where(support[None, :], np.linalg.norm(error[..., :2], axis=2), 0.0).sum(axis=1)
     best = int(np.flatnonzero(support)[np.argmin(cost[support])])
-    return MergeProposal(poses_a_b[best], support, int(places[seed]))
+    return MergeProposal(poses_a_b[best], support, weights[seed])
+
+
+def weight_of(signs_m: Array, is_read_alike: Array, config: MergingConfig) -> Weight:
+    """What some closures weigh that stem from these signs (k, 2), read alike on both sides or not (k,)."""
+    apart_m = config.spread_min_m
+    return count_places(signs_m[is_read_alike], apart_m), count_places(signs_m, apart_m), len(signs_m)
 
 
 def count_places(signs_m: Array, apart_m: float) -> int:

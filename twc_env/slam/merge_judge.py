@@ -11,7 +11,7 @@ from twc_env.config import MergingConfig
 from twc_env.geometry import compose, inverse
 from twc_env.messages import GridMap, LoopClosure
 from twc_env.slam import map_merging
-from twc_env.slam.map_merging import MergeProposal
+from twc_env.slam.map_merging import MergeProposal, Weight
 from twc_env.slam.team_graph import TeamGraph
 
 Array = NDArray
@@ -29,16 +29,17 @@ class MergeJudge:
             return None
         return map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
 
-    def places(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> int:
-        """From how many signs that lie apart some closures stem, seen from the robots `a`."""
+    def weight(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> Weight:
+        """How much some closures between the robots `a` and others say for the place that they give these."""
         if not closures:
-            return 0
-        return map_merging.count_places(self._as_a_to_b(closures, a)[3], self._rule.spread_min_m)
+            return 0, 0, 0
+        return map_merging.weight_of(*self._as_a_to_b(closures, a)[3:], self._rule)
 
-    def _as_a_to_b(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> tuple[Array, Array, Array, Array]:
-        """Keyframe poses in a, in b, the measured pose of the latter in the former (k, 3), and the signs in a (k, 2).
+    def _as_a_to_b(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> tuple[Array, Array, Array, Array, Array]:
+        """Keyframe poses in a, in b, the measured pose of the latter in the former (k, 3), the signs in a (k, 2).
 
-        A sign is placed by the keyframe of a, so that signs are compared in one frame.
+        And whether both sides read these alike (k,). A sign is placed by the keyframe of a, so that signs are compared
+        in one frame.
         """
         poses, node = self._graph.poses, self._graph.node
         in_a, in_b, measured, signs = [], [], [], []
@@ -52,7 +53,8 @@ class MergeJudge:
             in_a.append(poses[node(target)])
             in_b.append(poses[node(source)])
             measured.append(z)
-        return np.array(in_a), np.array(in_b), np.array(measured), np.array(signs)
+        alike = np.array([closure.candidate.is_read_alike for closure in closures])
+        return np.array(in_a), np.array(in_b), np.array(measured), np.array(signs), alike
 
     def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
         """Whether places that the merge brings together sound alike; None while too few can be compared."""

@@ -1,8 +1,8 @@
 """Second thoughts about merges: what has come to light since two groups were put into one map.
 
 A merge is looked at again after some time, then after twice that time and so on, and whenever closures that contradict
-it have become more. It is wrong when nothing holds it together any more, when closures of more signs agree on another
-place than speak for this one, or agree on one that radio and walls confirm while they do not confirm this one, or when
+it have become more. It is wrong when nothing holds it together any more, when more speaks for another
+place than for this one, or closures agree on one that radio and walls confirm while they do not confirm this one, or when
 walls or radio, now that more has been seen, speak against it.
 """
 
@@ -136,7 +136,7 @@ class MergeReview:
         return self._speaks_against(a, b) if is_due else ""
 
     def may_replace(self, before: Sequence[LoopClosure], after: Sequence[LoopClosure]) -> bool:
-        """Whether `after` may be believed instead of `before`: it overturns no merge for which more signs speak.
+        """Whether `after` may be believed instead of `before`: it overturns no merge for which more speaks.
 
         A merge is overturned that loses most of the closures that speak for it.
         """
@@ -144,23 +144,19 @@ class MergeReview:
             a, b = self.sides(merge)
             held, now = ([c for c in closures if c.joins(a, b)] for closures in (before, after))
             kept = {c.number for c in held} & {c.number for c in now}
-            if 2 * len(kept) < len(held) and self._weight(now, a) <= self._weight(held, a):
+            if 2 * len(kept) < len(held) and self._judge.weight(now, a) <= self._judge.weight(held, a):
                 return False
         return True
-
-    def _weight(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> tuple[int, int]:
-        """By how many signs, then by how many closures, a place of a merge is spoken for."""
-        return self._judge.places(closures, a), len(closures)
 
     def _is_better(
         self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: Sequence[LoopClosure]
     ) -> bool:
-        """Whether walls and radio allow another place, and more signs, or radio and walls, prefer it to this one."""
+        """Whether walls and radio allow another place, and signs, or radio and walls, prefer it to this one."""
         grids, there = self._grids(a, b), rival.pose_a_b
         heard = self._judge.radio_agrees(a, b, there) if self._rule.wifi_check else None
         if heard is False or self._judge.walls_disagree(*grids, there):
             return False
-        if (rival.places, rival.support.sum()) > self._weight(supporters, a):
+        if rival.weight > self._judge.weight(supporters, a):
             return True
         return heard is True and (
             self._judge.walls_disagree(*grids, IN_PLACE) or not self._judge.radio_agrees(a, b, IN_PLACE)
