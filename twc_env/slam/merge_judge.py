@@ -29,8 +29,17 @@ class MergeJudge:
             return None
         return map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
 
+    def may_replace(self, robots: Sequence[int], before: Sequence[LoopClosure], after: Sequence[LoopClosure]) -> bool:
+        """Whether `after` may be believed instead of `before` in the map of some robots: what is won outweighs the loss.
+
+        Counting closures is not enough where few signs were seen often, or rows of names are taken for the next ones.
+        """
+        held, now = {c.number for c in before}, {c.number for c in after}
+        lost = self.weight([c for c in before if c.number not in now], robots)
+        return self.weight([c for c in after if c.number not in held], robots) >= lost
+
     def weight(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> Weight:
-        """How much some closures between the robots `a` and others say for the place that they give these."""
+        """How much some closures say for the place that they give other robots in the map of robots `a`."""
         if not closures:
             return 0, 0, 0
         return map_merging.weight_of(*self._as_a_to_b(closures, a)[3:], self._rule)

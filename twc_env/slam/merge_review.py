@@ -1,9 +1,9 @@
 """Second thoughts about merges: what has come to light since two groups were put into one map.
 
 A merge is looked at again after some time, then after twice that time and so on, and whenever closures that contradict
-it have become more. It is wrong when nothing holds it together any more, when more speaks for another
-place than for this one, or closures agree on one that radio and walls confirm while they do not confirm this one, or when
-walls or radio, now that more has been seen, speak against it.
+it have become more. It is wrong when nothing holds it together any more, when more speaks for another place than for
+this one, or closures agree on one that radio and walls confirm while they do not confirm this one, or when walls or
+radio, now that more has been seen, speak against it.
 """
 
 from __future__ import annotations
@@ -134,19 +134,6 @@ class MergeReview:
         if rival is not None and self._is_better(rival, a, b, supporters):
             return f"{rival.support.sum()} closures agree on another place, {len(supporters)} on this one"
         return self._speaks_against(a, b) if is_due else ""
-
-    def may_replace(self, before: Sequence[LoopClosure], after: Sequence[LoopClosure]) -> bool:
-        """Whether `after` may be believed instead of `before`: it overturns no merge for which more speaks.
-
-        A merge is overturned that loses most of the closures that speak for it.
-        """
-        for merge in self.merges:
-            a, b = self.sides(merge)
-            held, now = ([c for c in closures if c.joins(a, b)] for closures in (before, after))
-            kept = {c.number for c in held} & {c.number for c in now}
-            if 2 * len(kept) < len(held) and self._judge.weight(now, a) <= self._judge.weight(held, a):
-                return False
-        return True
 
     def _is_better(
         self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: Sequence[LoopClosure]

@@ -314,7 +314,7 @@ class TeamMapper:
         is_thorough |= refused >= max(REFUSED_MIN, 1.5 * self._refused_heard.get(robots, 0))
         result = robust_backend.revise(
             self._graph.poses[nodes], graph, is_used, self._config.pose_graph, fixed, is_thorough and refused > 0,
-            lambda *sides: self._review.may_replace(*[self._graph.closures_of(edges[used]) for used in sides]),
+            lambda *sides: self._judge.may_replace(robots, *[self._graph.closures_of(edges[used]) for used in sides]),
         )  # fmt: skip
         if is_thorough:
             self._refused_heard[robots] = refused
