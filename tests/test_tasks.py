@@ -7,16 +7,16 @@ from twc_env.config import digest, override
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "0ae33bc751fc",
-    "twc/ExploreTwin01-v0": "0ae33bc751fc",
-    "twc/ExploreTwin02-v0": "a6a368a2d6aa",
-    "twc/ExploreOffice-v0": "008ec4a830a3",
-    "twc/ExploreFrontier-v0": "7dbd87ebeae5",
-    "twc/ExploreFrontierAsync-v0": "090336263135",
-    "twc/ExploreHard-v0": "12b82b644dc6",
-    "twc/ExploreKnownStarts-v0": "b59cfc804fe7",
-    "twc/ExploreTruePoses-v0": "845c2af64802",
-    "twc/ExploreNoMerging-v0": "6c5b04377918",
+    "twc/Explore-v0": "039e578efcbe",
+    "twc/ExploreTwin01-v0": "039e578efcbe",
+    "twc/ExploreTwin02-v0": "6967c4ee5419",
+    "twc/ExploreOffice-v0": "6291886b9279",
+    "twc/ExploreFrontier-v0": "a09756ccf804",
+    "twc/ExploreFrontierAsync-v0": "5a66a9df946a",
+    "twc/ExploreHard-v0": "c4d1523db8f5",
+    "twc/ExploreKnownStarts-v0": "fd37e978aa56",
+    "twc/ExploreTruePoses-v0": "bdc14a64be99",
+    "twc/ExploreNoMerging-v0": "78e990e1f1a3",
 }
 
 

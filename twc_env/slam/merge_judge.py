@@ -30,7 +30,7 @@ class MergeJudge:
         return map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
 
     def may_replace(self, robots: Sequence[int], before: Sequence[LoopClosure], after: Sequence[LoopClosure]) -> bool:
-        """Whether `after` may be believed instead of `before` in the map of some robots: what is won outweighs the loss.
+        """Whether `after` may be believed instead of `before` in the map of robots: what is won outweighs the loss.
 
         Counting closures is not enough where few signs were seen often, or rows of names are taken for the next ones.
         """
