@@ -7,16 +7,16 @@ from twc_env.config import digest, override
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "039e578efcbe",
-    "twc/ExploreTwin01-v0": "039e578efcbe",
-    "twc/ExploreTwin02-v0": "6967c4ee5419",
-    "twc/ExploreOffice-v0": "6291886b9279",
-    "twc/ExploreFrontier-v0": "a09756ccf804",
-    "twc/ExploreFrontierAsync-v0": "5a66a9df946a",
-    "twc/ExploreHard-v0": "c4d1523db8f5",
-    "twc/ExploreKnownStarts-v0": "fd37e978aa56",
-    "twc/ExploreTruePoses-v0": "bdc14a64be99",
-    "twc/ExploreNoMerging-v0": "78e990e1f1a3",
+    "twc/Explore-v0": "f04f0f38a45b",
+    "twc/ExploreTwin01-v0": "f04f0f38a45b",
+    "twc/ExploreTwin02-v0": "1ee601f3e9ab",
+    "twc/ExploreOffice-v0": "a9ca88668c86",
+    "twc/ExploreFrontier-v0": "286eafdbcdb6",
+    "twc/ExploreFrontierAsync-v0": "ba4f068e697f",
+    "twc/ExploreHard-v0": "fbdc615f36b7",
+    "twc/ExploreKnownStarts-v0": "c1cdf3118ae2",
+    "twc/ExploreTruePoses-v0": "4fd5aa225864",
+    "twc/ExploreNoMerging-v0": "c60e0e5d4bb4",
 }
 
 

@@ -31,10 +31,10 @@ class Single:
     def predict(self, odometry, turn_rate_rad_s, dt_s) -> None:
         self._filters.predict(self._robots, odometry[None], np.array([turn_rate_rad_s]), np.array([dt_s]))
 
-    def update(self, pose, information) -> None:
-        self._filters.update(
-            self._robots, np.stack([pose, pose]), np.stack([information, information]), np.ones(2, bool)
-        )
+    def update(self, pose, information) -> bool:
+        is_matched = np.ones(2, bool)
+        self._filters.update(self._robots, np.stack([pose, pose]), np.stack([information, information]), is_matched)
+        return bool(is_matched[1])
 
 
 BOTH = pytest.mark.parametrize("kind", [partial(Single, CompiledFilters), partial(Single, FilterpyFilters)])
@@ -148,6 +148,20 @@ def test_an_odometry_that_is_believed_teaches_no_scale():
         ekf.predict(np.array([0.06, 0.0, 0.02]), 0.02 / DT_S, DT_S)
         ekf.update(true, SHARP)
     assert ekf.state[4] == 0.0
+
+
+@BOTH
+def test_a_match_that_contradicts_the_prediction_is_left_out(kind):
+    ekf = kind(CONFIG)
+    for _ in range(60):
+        ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
+    before, spread = ekf.state.copy(), ekf.covariance.copy()
+    total = spread[:3, :3] + np.linalg.inv(SHARP)
+    reach_m = np.sqrt(CONFIG.match_gate / np.linalg.inv(total)[0, 0])
+    assert not ekf.update(before[:3] + [1.01 * reach_m, 0.0, 0.0], SHARP)
+    assert np.array_equal(ekf.state, before) and np.array_equal(ekf.covariance, spread)
+    assert ekf.update(before[:3] + [0.99 * reach_m, 0.0, 0.0], SHARP)
+    assert ekf.state[0] - before[0] > 0.8 * reach_m
 
 
 @BOTH

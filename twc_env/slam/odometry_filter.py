@@ -36,7 +36,7 @@ def predict_state(x, p, odometry, turn_rate, dt, config):
     """Move by odometry with the gyro's heading; then learn the gyro's bias from the odometry's turn.
 
     x (5,) and p (5, 5) are changed in place. config: position_std_per_m, position_std_m, turn_std_rad,
-    odometry_turn_std_rad, gyro_bias_walk_rad_s.
+    odometry_turn_std_rad, gyro_bias_walk_rad_s, match_gate.
     """
     turn = (turn_rate - x[3]) * dt
     c, s = math.cos(x[2]), math.sin(x[2])  # odometry is given in the robot frame of the last frame
@@ -87,8 +87,12 @@ def invert3(m, out):
 
 
 @kernel
-def update_state(x, p, pose, information):
-    """Linear update of x (5,) and p (5, 5) with a measured pose (3,) and its information (3, 3)."""
+def update_state(x, p, pose, information, gate):
+    """Linear update of x (5,) and p (5, 5) with a measured pose (3,) and its information (3, 3).
+
+    Gives whether it was done: a pose that is further from the prediction than `gate` (squared, by the covariance of
+    their difference) changes nothing.
+    """
     work = np.empty((5, 5, 5))
     r, s, inverse, gain, old = work[0], work[1], work[2], work[3], work[4]
     for i in range(5):
@@ -105,6 +109,10 @@ def update_state(x, p, pose, information):
     invert3(s, inverse)
     ahead, left = pose[0] - x[0], pose[1] - x[1]
     turned = (pose[2] - x[2] + math.pi) % (2 * math.pi) - math.pi
+    squared = ahead * (inverse[0, 0] * ahead + 2 * (inverse[0, 1] * left + inverse[0, 2] * turned))
+    squared += left * (inverse[1, 1] * left + 2 * inverse[1, 2] * turned) + inverse[2, 2] * turned * turned
+    if squared > gate:
+        return False
     for i in range(5):
         for j in range(3):
             gain[i, j] = old[i, 0] * inverse[0, j] + old[i, 1] * inverse[1, j] + old[i, 2] * inverse[2, j]
@@ -113,6 +121,7 @@ def update_state(x, p, pose, information):
         for j in range(i, 5):
             p[i, j] = old[i, j] - gain[i, 0] * old[0, j] - gain[i, 1] * old[1, j] - gain[i, 2] * old[2, j]
             p[j, i] = p[i, j]
+    return True
 
 
 def _process_values(config: OdometryFilterConfig) -> Array:
@@ -123,6 +132,7 @@ def _process_values(config: OdometryFilterConfig) -> Array:
             config.turn_std_rad,
             config.odometry_turn_std_rad,
             config.gyro_bias_walk_rad_s,
+            config.match_gate,
         ]
     )
 
@@ -178,11 +188,11 @@ def _predict_all(states, covariances, robots, odometry, turn_rates, dts, config)
 
 
 @kernel
-def _update_all(states, covariances, robots, poses, information, is_matched):
+def _update_all(states, covariances, robots, poses, information, is_matched, gate):
     for a in range(robots.shape[0]):
         k = robots[a]
         if is_matched[k]:
-            update_state(states[k], covariances[k], poses[k], information[k])
+            is_matched[k] = update_state(states[k], covariances[k], poses[k], information[k], gate)
 
 
 def _first_covariance(config: OdometryFilterConfig) -> Array:
@@ -212,9 +222,10 @@ class CompiledFilters:
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
         """Correct these robots (k,) where they were matched (n,).
 
-        poses (n, 3) measured by scan matching, their information (n, 3, 3) may be singular.
+        poses (n, 3) measured by scan matching, their information (n, 3, 3) may be singular. Who was not corrected,
+        since the match contradicts the prediction, is marked as not matched.
         """
-        _update_all(self.states, self.covariances, robots, poses, information, is_matched)
+        _update_all(self.states, self.covariances, robots, poses, information, is_matched, self.noise[5])
 
 
 class FilterpyFilters:
@@ -249,12 +260,17 @@ class FilterpyFilters:
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
         """See `CompiledFilters`."""
         for k in robots:
+            if not is_matched[k]:
+                continue
+            ekf, noise = self._filters[k], np.linalg.inv(information[k] + INFORMATION_MIN * np.eye(3))
+            away = _pose_difference(poses[k], ekf.x[:3])
+            is_matched[k] = away @ np.linalg.inv(ekf.P[:3, :3] + noise) @ away <= self._config.match_gate
             if is_matched[k]:
-                self._filters[k].update(
+                ekf.update(
                     poses[k].copy(),
                     HJacobian=lambda _x: np.eye(3, 5),
                     Hx=lambda x: x[:3],
-                    R=np.linalg.inv(information[k] + INFORMATION_MIN * np.eye(3)),
+                    R=noise,
                     residual=_pose_difference,
                 )
 

@@ -84,7 +84,9 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses):
     for a in range(robots.shape[0]):
         k = robots[a]
         if is_matched[k] and believes_scans:
-            update_state(states[k], covariances[k], matched[k], information[k])
+            is_matched[k] = update_state(states[k], covariances[k], matched[k], information[k], noise[5])
+            if not is_matched[k]:
+                information[k, :, :] = 0.0
     return _arrive(
         robots, odometry, dts, states, explained, keyframe_rule, keyframe_poses, poses, travels, steps, is_new
     )
@@ -164,6 +166,7 @@ class Tracker:
             self.information, is_matched, explained,
         )  # fmt: skip
         self._filters.update(robots, matched, self.information, is_matched)
+        self.information[robots[~is_matched[robots]]] = 0.0
         self.has_arrived = _arrive(
             robots, frames.odometry, dts_s, self._filters.states, explained, self._keyframe_rule,
             self.keyframe_poses, self.poses_odom, self.travels_m, self.steps, self.is_new,
