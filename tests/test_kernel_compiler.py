@@ -1,7 +1,6 @@
 """Kernels stand on disk whole, once, and only where Python calls them."""
 
 import contextlib
-import math
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +18,7 @@ from numba.core.typing.context import BaseContext
 from twc_env import kernel_compiler
 from twc_env.file_lock import FileLock
 from twc_env.kernel_compiler import Part
-from twc_env.kernels import kernel, rare_kernel
+from twc_env.kernels import kernel
 
 ROOT = Path(__file__).parents[1]
 KERNELS = """from twc_env.kernels import kernel
@@ -130,14 +129,6 @@ def test_numba_is_as_before_once_a_kernel_is_compiled_or_not():
         assert BaseContext.resolve_value_type.__module__.startswith("numba.")
         assert "errmsg" not in vars(errors.termcolor())
     assert numba.njit(lambda x: np.zeros(3)[x] + max(x, 1) + whole(x))(2) == 4.0
-
-
-def test_a_rare_kernel_does_what_a_kernel_does():
-    rare = rare_kernel(lambda values: (values[0].copy(), [number / 0 for number in values[1]]))
-    rare._cache.disable()
-    copied, infinite = rare((np.arange(3.0), np.array([1.0, -2.0])))
-    assert copied.tolist() == [0.0, 1.0, 2.0]
-    assert infinite == [math.inf, -math.inf]
 
 
 def test_errors_of_parts_reach_python(folder):

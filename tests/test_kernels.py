@@ -1,5 +1,7 @@
 """A compiled kernel on disk is out of date as soon as anything that it is made of changes."""
 
+import copy
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +13,7 @@ from numba.core.errors import NumbaError
 from twc_env import geometry
 from twc_env.bench import wander
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of, rebound
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of, rebound
 
 ROOT = Path(__file__).parents[1]
 UPPER = """from lower import FACTOR, scaled
@@ -120,17 +122,50 @@ def scaled_sum(held, shift, out):
 def test_a_bound_kernel_borrows_what_is_packed_and_leaves_no_trace_of_it():
     numbers, out = np.arange(4.0), np.zeros(1)
     holders = sys.getrefcount(numbers)
-    call = bound(borrowing_kernel(scaled_sum), Lent(pack((numbers, 2.0))), 1, out)
+    call = bound(borrowing_kernel(scaled_sum), Lent((numbers, 2.0)), 1, out)
     for shift in (1, 5):
         call(shift, out)
         assert out[0] == 12.0 + shift
     numbers[0] = 10.0
     call(0, out)
     assert out[0] == 32.0
-    call = rebound(call, Lent(pack((np.ones(100), 3.0))))
+    call = rebound(call, Lent((np.ones(100), 3.0)))
     call(0, out)
     assert out[0] == 300.0
     assert sys.getrefcount(numbers) == holders
+
+
+def seen_by_kernel(held, out):
+    is_first, (is_second, whole, (broken, few)), matrix, empty, frozen, small, columns = parts_of(held)
+    out[0], out[1], out[2], out[3] = is_first, is_second, whole, broken
+    out[4] = few[0] + 10 * few[1] + 100 * few.shape[0]
+    out[5] = matrix[1, 2] + 100 * matrix.shape[0] + 1000 * matrix.shape[1]
+    out[6] = empty.shape[0] + 10 * empty.shape[1]
+    out[7], out[8], out[9] = frozen[1], small, columns[1, 2]
+
+
+def test_parts_of_all_kinds_are_found_where_they_are():
+    frozen, matrix, out = np.arange(3.0), np.arange(6, dtype=np.int32).reshape(2, 3), np.zeros(10)
+    frozen.flags.writeable = False
+    held = Lent(
+        (
+            True,
+            (False, -7, (2.5, np.array([3, 4], np.uint8))),
+            matrix,
+            np.empty((0, 4)),
+            frozen,
+            np.float32(0.5),
+            np.asfortranarray(matrix),
+        )
+    )
+    borrowing_kernel(seen_by_kernel)(held, out)
+    assert out.tolist() == [1.0, 0.0, -7.0, 2.5, 243.0, 3205.0, 40.0, 1.0, 0.5, 5.0]
+
+
+def test_what_is_lent_cannot_be_copied():
+    for copied in (copy.deepcopy, pickle.dumps):
+        with pytest.raises(TypeError, match="make it anew"):
+            copied(Lent((np.zeros(3),)))
 
 
 def total_of(numbers, factor):

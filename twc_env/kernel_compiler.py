@@ -39,7 +39,7 @@ from numba.core.target_extension import (
 
 from twc_env.file_lock import FileLock
 from twc_env.kernel_context import KernelContext, nothing_twice
-from twc_env.kernel_library import KernelLibrary, PartLibrary, PlainLibrary
+from twc_env.kernel_library import KernelLibrary, PartLibrary
 
 _CONSTANTS = (bool, int, float, str, bytes, tuple, np.generic)
 _WAIT_MAX_S, _LOOK_AGAIN_S = 120.0, 0.02
@@ -82,8 +82,7 @@ class KernelCompiler(Compiler):
             flags.no_compile = True
             self.state.library = PartLibrary(codegen, func.__qualname__)
         else:
-            library = PlainLibrary if flags.dbg_optnone else KernelLibrary
-            self.state.library = library(codegen, func.__qualname__)
+            self.state.library = KernelLibrary(codegen, func.__qualname__)
             self.state.library.enable_object_caching()
         return super().compile_extra(func)
 

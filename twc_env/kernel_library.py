@@ -16,16 +16,6 @@ class KernelLibrary(JITCodeLibrary):
                 passes.run(function, builder)
 
 
-class PlainLibrary(KernelLibrary):
-    """The code of a kernel that is called so rarely that making it quicker takes longer than it ever saves."""
-
-    def _optimize_functions(self, ll_module) -> None:
-        ll_module.data_layout = self._codegen._data_layout
-
-    def _optimize_final_module(self) -> None:
-        """Nothing."""
-
-
 class PartLibrary(KernelLibrary):
     """The code of a part. It goes into that of its callers, is optimised there, and becomes machine code there only."""
 

@@ -192,17 +192,12 @@ def compiled_function(module: str):
 
 COVERAGE = """
 import json, sys, numpy as np
-from numba import njit
 from numba.core.dispatcher import Dispatcher
 import twc_env
-from twc_env.exploration import compilation, map_view, small_blocks
+from twc_env.exploration import compilation
 from twc_env.slam import warm_up
-from twc_env.world import misreading, world
 
 compilation.core_count = lambda: 1  # nobody helps: what is counted is what the first step needs
-
-for module in (misreading, world, map_view, small_blocks):  # what they pack is not the engine's
-    module.pack = njit(module.pack.py_func)
 
 def signatures():
     return {

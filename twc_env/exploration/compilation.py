@@ -23,8 +23,8 @@ from typing import Any
 
 from numba.core import event
 
+from twc_env.cell_rows import look_up
 from twc_env.file_lock import FileLock
-from twc_env.kernels import pack
 from twc_env.threads import THREADS
 
 _LOG = logging.getLogger("twc_env")
@@ -88,7 +88,7 @@ FIRST_START = FirstStart()
 
 def helpers_lock() -> FileLock | None:
     """What a helper holds as long as it is at work; None where kernels stand in no folder."""
-    folder = pack._cache.cache_path
+    folder = look_up._cache.cache_path
     return None if folder is None else FileLock(Path(folder, "helper.lock"))
 
 

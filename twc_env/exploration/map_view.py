@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up, look_up_row, number_square, span_inside
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import FREE as FREE_CELL
 from twc_env.slam.cell_kinds import UNKNOWN as UNKNOWN_CELL
@@ -77,7 +77,7 @@ class MapViews:
         """
         out = np.empty(self._shape, _BYTE)
         if self._run is None:
-            kept = Lent(pack(self._kept + _make_room(self._shape[-1])))
+            kept = Lent(self._kept + _make_room(self._shape[-1]))
             self._run = bound(_crop_and_mark, kept, *maps, poses, out)
         self._run(*maps, poses, out)
         return out

@@ -15,7 +15,7 @@ from twc_env.config import EnvConfig
 from twc_env.exploration.observation_blocks import POSE_LIMITS
 from twc_env.exploration.recent_signs import RecentSigns
 from twc_env.exploration.wifi_slots import slots_for, take_scans
-from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames
 
 Array = NDArray
@@ -85,7 +85,7 @@ class SmallBlocks:
             beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, *blocks,
         )  # fmt: skip
         if self._run is None:
-            self._run = bound(_fill_small, Lent(pack(self._kept)), *now)
+            self._run = bound(_fill_small, Lent(self._kept), *now)
         self._run(*now)
         self._is_taken_in = True
 

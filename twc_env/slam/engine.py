@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import CuesConfig, EnvConfig
-from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
@@ -208,7 +208,7 @@ class CooperativeSlam:
         now = self._front_ends.poses_odom, self._mates, self._poses, self._mate_poses
         if self._run is None:
             held = self._poses_map_odom, self._std, self._is_central, self._heard_poses
-            self._run = bound(_believed_poses, Lent(pack(held)), *now)
+            self._run = bound(_believed_poses, Lent(held), *now)
         self._run(*now)
 
     def _make_room(self) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of, rebound
+from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import doubled
 from twc_env.slam.odometry_filter import invert3
@@ -154,7 +154,7 @@ class GraphArrays:
         self._nearest = rebound(self._nearest, held)
 
     def _all(self) -> Lent:
-        return Lent(pack((*self._nodes, *self._edges, self._rows, self._counts, self.tied, self._latest_odom)))
+        return Lent((*self._nodes, *self._edges, self._rows, self._counts, self.tied, self._latest_odom))
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_follow": None, "_locate": None, "_nearest": None}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe, SignObservation
 from twc_env.slam.mate_detection import StillDiscs, unmark
 from twc_env.slam.odometry_filter import motion_covariance
@@ -121,7 +121,7 @@ class KeyframeTaker:
             fields.drawn, self.centres_m, self._reach_m, fields.inverse_m, fields.range_max_m,
             beam_directions(beams), np.empty((beams + 1, 2)),
         )  # fmt: skip
-        return Lent(pack(parts))
+        return Lent(parts)
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of, rebound
+from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.messages import BLOCK_SHAPE, GridMap
 from twc_env.slam.cell_kinds import note_kinds
 
@@ -295,7 +295,7 @@ class OccupancyGrid:
             self.log_odds, self._kinds, self._touched, self._numbers, self._boxes_m, 1.0 / self.resolution_m,
             self._directions, self.range_max_m, self._reached_m, self._room,
         )  # fmt: skip
-        return Lent(pack(parts))
+        return Lent(parts)
 
     def snapshot(self) -> GridMap:
         """A read-only view of the cells as they are now; valid until the next `integrate`."""

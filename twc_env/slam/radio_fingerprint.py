@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Fingerprint, WifiScan
 from twc_env.team_messages import WifiScans
 
@@ -40,7 +40,7 @@ class ScanWindows:
         """All of it, for `fingerprint_of`."""
         if self._pack is None:
             kept = self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added
-            self._pack = Lent(pack((*kept, *self._found, *self._room)))
+            self._pack = Lent((*kept, *self._found, *self._room))
         return self._pack
 
     def __getstate__(self) -> dict:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, pack, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import doubled
 from twc_env.slam.radio_fingerprint import rssi_similarity
@@ -137,7 +137,7 @@ class SignTable:
         )  # fmt: skip
         if self._run is None:
             held = self._places, self._travels_m, self._ends, self._macs, self._rssi_dbm, self._found
-            self._run = bound(_choose, Lent(pack(held)), *now)
+            self._run = bound(_choose, Lent(held), *now)
         rows: list[list[float]] = self._found[: self._run(*now)].tolist()
         return rows
 

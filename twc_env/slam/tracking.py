@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.slam.line_equations import line_scratch
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
 from twc_env.slam.odometry_filter import CompiledFilters, make_filters, predict_state, update_state
@@ -149,7 +149,7 @@ class Tracker:
             *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
             self.travels_m, self.steps, self.is_new, *room,
         )  # fmt: skip
-        return Lent(pack(parts))
+        return Lent(parts)
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import SignsConfig
-from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.world.ocr_table import GARBLED_RATE, MISS_LENGTH, OcrTable
 
 Array = NDArray
@@ -50,7 +50,7 @@ class TableReader:
         letters = (
             t.characters, t.proneness, t.confusion_code, t.confusion_cdf, t.added_code, t.added_cdf,
         )  # fmt: skip
-        self.table = Lent(pack((grid, lines, letters)))
+        self.table = Lent((grid, lines, letters))
         """For `misread_signs`."""
         self._levels = np.empty(len(t.level_rate))
         self._run: Callable[..., None] | None = None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.messages import SignReading
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.misreading import CODES, LINE_DRAWS, misread_signs
@@ -82,7 +82,7 @@ class _TableReading:
     def read(self, first: int) -> list[tuple[int, int, SignReading]]:
         """Robot, sign and reading of all that is read in a step in which robot `first` looks first."""
         if self._run is None:
-            team = Lent(pack(self._kept))
+            team = Lent(self._kept)
             self._run = partial(bound(_read_in_turn, shipped_table(), team, first), team)
         count = self._run(first)
         while count < 0:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig, RadioConfig
 from twc_env.errors import ConfigError, MapError
 from twc_env.geometry import compose, inverse
-from twc_env.kernels import Lent, borrowing_kernel, bound, pack, parts_of, rebound
+from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.messages import WifiScan
 from twc_env.random_streams import random_stream
 from twc_env.team_messages import TeamFrames, WifiScans
@@ -169,7 +169,8 @@ class World:
                 arguments = poses, *arguments[1:]
             else:
                 self._radio.crossings.prepare(*poses[_UNSEEN - sighted, :2].tolist())
-                run = self._bind(arguments)
+                if self._held_crossings is not self._radio.crossings.arrays:
+                    run = self._bind(arguments)
             sighted = run(_NO_COMMANDS, *arguments)
         if not self._lidar.is_plain:
             ranges = self._lidar.scan(poses)
@@ -209,7 +210,7 @@ class World:
             *self._walls, *self._dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
             *self._wifi.arguments, *self._cameras.arguments, self._sensed_poses, self._wifi_period,
         )  # fmt: skip
-        held = Lent(pack(apparatus))
+        held = Lent(apparatus)
         run = rebound(self._run, held) or bound(_move_and_sense, held, _NO_COMMANDS, *arguments)
         self._run = run
         return run
