@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from numba.core.codegen import JITCodeLibrary
 
+_TIDYING = 1
+"""LLVM's level for each function by itself; a whole kernel goes through all passes once more with what it calls."""
+
 
 class KernelLibrary(JITCodeLibrary):
     """The code of a kernel that Python calls."""
 
     def _optimize_functions(self, ll_module) -> None:
         ll_module.data_layout = self._codegen._data_layout
-        passes, builder = self._codegen._function_pass_manager()
+        passes, builder = self._codegen._function_pass_manager(opt=_TIDYING)
         for function in ll_module.functions:
             if not function.is_declaration:
                 passes.run(function, builder)
