@@ -9,6 +9,7 @@ from twc_env import metrics
 from twc_env.config import override
 from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate, LoopClosure
+from twc_env.slam import robust_backend
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import Merge, MergeReview
@@ -19,10 +20,10 @@ ROOM_M = (8.0, 0.0, 0.0)
 BLIND = {"slam.merging.contradiction_max": 1.0, "slam.merging.wifi_check": False}
 
 
-def closures(team, true_poses, shift=(0.0, 0.0, 0.0), count=5, signs_m=None) -> list[LoopClosure]:
+def closures(team, true_poses, shift=(0.0, 0.0, 0.0), count=5, signs_m=None, text=1.0) -> list[LoopClosure]:
     """Closures of robots 0 and 1 that agree on where robot 1 is: off by `shift` in the building.
 
-    They stem from as many signs, or by turns from those at `signs_m` in the building.
+    They stem from as many signs, or by turns from those at `signs_m` in the building, which both read alike by `text`.
     """
     first, second = (true_poses[team.keyframe_steps(robot), robot] for robot in (0, 1))
     said = compose(np.array(shift), second)
@@ -31,7 +32,7 @@ def closures(team, true_poses, shift=(0.0, 0.0, 0.0), count=5, signs_m=None) -> 
         pose = between(first[k], said[k])
         at = (3.0 * len(made), 0.0) if signs_m is None else signs_m[len(made) % len(signs_m)]
         sign_m = between(first[k], np.array([*at, 0.0]))[:2]
-        candidate = LoopCandidate((0, k), (1, k), pose, "twc", sign_m=sign_m)
+        candidate = LoopCandidate((0, k), (1, k), pose, "twc", sign_m, text_similarity=text)
         made.append(LoopClosure(candidate, pose, np.diag([0.01, 0.01, 0.002]), 0.9, "pending"))
     return made
 
@@ -144,6 +145,39 @@ def test_many_sightings_of_two_signs_do_not_outvote_a_merge_by_more_signs(record
     assert wrong_pairs(team, true_poses) == []
     assert [c.status for c in team.closures[-count:]] == ["rejected"] * count
     assert team.merges_undone == 0
+
+
+def test_signs_that_were_nearly_read_alike_merge_nothing_until_one_was(recorded):
+    config, frames, true_poses = recorded
+    engine = CooperativeSlam(override(config, BLIND), 3)
+    for now in frames[: PLANTED_STEP + 1]:
+        engine.update(now)
+    team = engine.team
+    for closure in closures(team, true_poses, text=0.9):
+        team._graph.add_closure(closure)
+    sides = sorted(team.group_index(robot) for robot in (0, 1))
+    assert not team._try_merge(*sides)
+    team.closures[-1].candidate.text_similarity = 1.0
+    assert team._try_merge(*sides)
+
+
+def test_the_back_end_is_told_that_fewer_signs_may_not_replace_more(recorded, monkeypatch):
+    engine, _, _ = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1, **BLIND)
+    team, true_poses = engine.team, recorded[2]
+    spot, asked = true_poses[PLANTED_STEP, 0, :2], []
+    for closure in closures(team, true_poses, ROOM_M, 12, signs_m=[spot, spot + 3.0]):
+        team._graph.add_closure(closure)
+        team._judge_inside_map(closure)
+    real = robust_backend.revise
+
+    def revise(poses, graph, is_used, config, fixed, is_thorough, may_replace):
+        rivals = ~graph.is_closure | ~is_used
+        asked.append((may_replace(is_used, rivals), may_replace(rivals, is_used)))
+        return real(poses, graph, is_used, config, fixed, is_thorough, may_replace)
+
+    monkeypatch.setattr(robust_backend, "revise", revise)
+    team._optimise(team.group_index(0))
+    assert asked == [(False, True)]
 
 
 def test_the_same_wrong_merge_needs_twice_as_many_closures_the_next_time(undone):

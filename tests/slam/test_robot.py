@@ -48,6 +48,20 @@ def test_a_robot_that_turns_on_the_spot_remembers_few_places(scan, walls):
     assert 6 <= len(found) <= 8, "one every radian"
 
 
+@pytest.mark.parametrize("backend", ["compiled", "filterpy"])
+def test_a_match_that_contradicts_the_odometry_tells_neither_pose_nor_graph_anything(scan, walls, backend):
+    poses, slip_m = straight(-2.0, 0.0), 0.3
+    ends = FrontEnds(override(EnvConfig(), {"robots": 1, "slam.odometry_filter.backend": backend}), 1)
+    room, tracker = walls(*ROOM), ends._tracker
+    for step in range(len(poses) + 1):
+        moved_m = slip_m if step == len(poses) else STEP_M * (step > 0)
+        seen = scan(room, poses[min(step, len(poses) - 1)])
+        before = ends.poses_odom[0].copy()
+        ends.update([SensorFrame(0, step, 0.1 * step, np.array([moved_m, 0.0, 0.0]), 0.0, seen, None, ())])
+        assert tracker.information[0].any() == (0 < step < len(poses))
+    assert ends.poses_odom[0, 0] - before[0] == pytest.approx(slip_m, abs=0.02)
+
+
 def test_robots_whose_clocks_differ_are_tracked_as_each_alone(scan, walls):
     """Recordings of several robots may begin at any time, and one may take a step longer than another."""
     poses, room = straight(-2.0, 1.0), walls(*ROOM)
