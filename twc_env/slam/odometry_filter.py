@@ -92,8 +92,7 @@ def update_state(x, p, pose, information, gate):
 
     Gives whether it was done: a pose that is further from the prediction than `gate` (squared, by the covariance of
     their difference) changes nothing.
-    A robot that truly jumps in one step, by more than what odometry noise explains, is then lost to its local map until
-    a closure brings it back; `gate` says how far that is.
+    A robot that truly jumps in one step by more than noise explains keeps that error: raise `gate` where robots do.
     """
     work = np.empty((5, 5, 5))
     r, s, inverse, gain, old = work[0], work[1], work[2], work[3], work[4]
