@@ -1,3 +1,5 @@
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -100,6 +102,32 @@ def test_a_dead_worker_is_reported():
     with pytest.raises(TwcError, match="died"):
         teams.step(np.zeros((1, 2, 2)))
     teams.close()
+
+
+@pytest.mark.parametrize("count", [0, -1, 2.5, "2", True, None])
+def test_what_is_no_number_of_environments_is_refused(count):
+    with pytest.raises(ConfigError, match=f"count must be a whole number from 1 on; got {count!r}"):
+        VectorTeams(count, SMALL)
+
+
+@pytest.mark.parametrize("workers", [-1, 0.5, "1", True, None])
+def test_what_is_no_number_of_workers_is_refused(workers):
+    with pytest.raises(ConfigError, match=f"workers must be a whole number from 0 on; got {workers!r}"):
+        VectorTeams(2, SMALL, workers)
+
+
+def test_numbers_of_numpy_count_environments_and_workers():
+    with contextlib.closing(VectorTeams(np.int64(2), SMALL, workers=np.int32(0))) as teams:
+        assert teams.reset(np.uint8(0))["lidar"].shape[:2] == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("buildings", "error"),
+    [(None, ConfigError), (5, ConfigError), (["twin-01", 5], ConfigError), (["twin-01", "nowhere"], MapError)],
+)
+def test_buildings_that_do_not_exist_are_refused_before_the_first_episode(buildings, error):
+    with pytest.raises(error, match=r"building|nowhere"):
+        VectorTeams(1, SMALL, buildings=buildings)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "3", True])

@@ -17,6 +17,7 @@ import math
 import multiprocessing
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,12 @@ from numpy.typing import NDArray
 
 from twc_env import errors
 from twc_env.config import EnvConfig, to_dict
+from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.maps import load_map
 from twc_env.threads import single_threaded
-from twc_env.world.splits import SPLITS, split_names
+from twc_env.world.splits import SPLITS, is_of_split, split_names
 
 Array = NDArray
 
@@ -49,16 +52,17 @@ class VectorTeams:
         """`workers` 0 runs all in this process. `buildings`: a split ("train") or names of maps; each new episode
         plays in one of them, drawn by its seed. Without any, all play on the config's own map.
 
-        Raises ConfigError for a count or number of workers that makes no sense, TwcError for a bad configuration.
+        Raises ConfigError for a count or number of workers that makes no sense, MapError for a building that does not
+        exist, TwcError for a bad configuration.
         """
-        if count < 1 or not 0 <= workers <= count:
+        count, workers = whole_number("count", count, 1), whole_number("workers", workers, 0)
+        if workers > count:
             raise ConfigError(f"{count} environments cannot be shared among {workers} workers: 0 to {count} workers")
         model = ExplorationEnv(config=config)
         self.config, self.count, self.robots = model.config, count, model.config.robots
         self.agents = tuple(model.possible_agents)
         self.observation_space, self.action_space = model.observation_space("robot_0"), model.action_space("robot_0")
-        names = split_names(buildings) if isinstance(buildings, str) and buildings in SPLITS else buildings
-        names = (names,) if isinstance(names, str) else tuple(names)
+        names = _building_names(buildings)
         self._boards = _Boards(count, self.robots, self.observation_space, self.action_space)
         self._context = multiprocessing.get_context("spawn")
         parts = [list(range(count))[k :: max(workers, 1)] for k in range(max(workers, 1))]
@@ -71,9 +75,7 @@ class VectorTeams:
 
     def reset(self, seed: int = 0) -> dict[str, Array]:
         """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on."""
-        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-            raise ConfigError(f"seed must be a whole number from 0 on; got {seed!r}")
-        self._order("reset", int(seed))
+        self._order("reset", whole_number("seed", seed, 0))
         return self._boards.observations()
 
     def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, list[list[dict[str, Any]]]]:
@@ -137,6 +139,21 @@ class VectorTeams:
             if isinstance(answer, Exception):
                 raise answer
         return answers
+
+
+def _building_names(buildings: str | Sequence[str]) -> tuple[str, ...]:
+    """Names of maps that can be loaded, none or more; the name of a split stands for all of it."""
+    if isinstance(buildings, str):
+        if buildings in SPLITS:
+            return split_names(buildings)
+        buildings = (buildings,)
+    if not isinstance(buildings, Sequence) or not all(isinstance(name, (str, PathLike)) for name in buildings):
+        raise ConfigError(f"buildings must be a split ({', '.join(SPLITS)}) or names of maps; got {buildings!r}")
+    names = tuple(str(name) for name in buildings)
+    for name in names:
+        if not is_of_split(name):  # these need not be drawn to be there
+            load_map(name)
+    return names
 
 
 class _Boards:

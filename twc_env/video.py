@@ -14,6 +14,7 @@ from typing import Any
 
 from pettingzoo.utils import BaseParallelWrapper
 
+from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.environment import ExplorationEnv
 
@@ -35,9 +36,7 @@ class RecordEpisodes(BaseParallelWrapper):
             raise ConfigError(f"films need render_mode='rgb_array'; the environment has {env.render_mode!r}")
         if importlib.util.find_spec("PIL") is None:
             raise ConfigError("films need Pillow: run `pip install 'twc_env[viz]'`")
-        if every < 1:
-            raise ConfigError(f"every must be a whole number from 1 on; got {every!r}")
-        self._team, self._folder, self._every = env, Path(folder), every
+        self._team, self._folder, self._every = env, Path(folder), whole_number("every", every, 1)
         self._frames: list[Any] = []
         self._steps = self._episodes = 0
 

@@ -27,6 +27,13 @@ def plain_value(value):
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
+def whole_number(name: str, value, least: int) -> int:
+    """An argument that counts, as Python's int; raises ConfigError for what is no whole number from `least` on."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ConfigError(f"{name} must be a whole number from {least} on; got {value!r}")
+    return int(value)
+
+
 def choice(default: str, *others: str):
     """A name out of a fixed list."""
     return field(default=default, metadata={"choices": (default, *others)})

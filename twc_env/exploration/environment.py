@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from twc_env.config import EnvConfig, override
+from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards
@@ -23,7 +24,7 @@ from twc_env.exploration.episode import Episode
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observation_blocks import observation_space
 from twc_env.exploration.pilot import frontier_space, waypoint_space
-from twc_env.exploration.reset_options import ResetOptions, checked_seed
+from twc_env.exploration.reset_options import ResetOptions
 from twc_env.exploration.settings import resolve
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
@@ -175,7 +176,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         failed no episode is under way.
         """
         self.agents, self._begun = [], None
-        seed = self._next_seed() if seed is None else checked_seed(seed)
+        seed = self._next_seed() if seed is None else whole_number("seed", seed, 0)
         chosen = ResetOptions.of(options, seed)
         config = self._move_into(chosen.building)
         self._seed = seed

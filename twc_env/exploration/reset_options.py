@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from types import NoneType
 from typing import Any
 
-import numpy as np
-
 from twc_env.errors import ConfigError
 from twc_env.random_streams import random_stream
 from twc_env.world.splits import split_names
@@ -39,10 +37,3 @@ class ResetOptions:
             names = split_names(options["split"])
             building = names[int(random_stream(seed, "building").integers(len(names)))]
         return cls(options.get("starts", "random"), building)
-
-
-def checked_seed(seed: int) -> int:
-    """The seed as a plain number; raises ConfigError for what is none."""
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise ConfigError(f"seed must be a whole number from 0 on; got {seed!r}")
-    return int(seed)

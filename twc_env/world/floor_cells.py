@@ -30,9 +30,9 @@ class Cells:
 
     def is_free(self, points_m: Array) -> Array:
         """(..., 2) points -> (...) bool; False outside the raster."""
-        at = np.floor((np.asarray(points_m, float) - self.origin_m) / self.resolution_m).astype(np.int64)
+        at = np.floor((np.asarray(points_m, float) - self.origin_m) / self.resolution_m)
         inside = np.all((at >= 0) & (at < self.free.shape[::-1]), axis=-1)
-        column, row = (np.where(inside, at[..., axis], 0) for axis in (0, 1))
+        column, row = (np.where(inside, at[..., axis], 0).astype(np.int64) for axis in (0, 1))
         return inside & self.free[row, column]
 
 

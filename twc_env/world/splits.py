@@ -31,7 +31,7 @@ def generate_by_name(name: str, check: bool = True) -> Floorplan | None:
     if head == "gen":
         return _cached(*_parts(name, rest), name, check)
     split, _, number = name.partition("/")
-    if split not in SPLITS or not number.isdigit() or len(number) != 4:
+    if split not in SPLITS or not number.isdecimal() or len(number) != 4:
         return None
     if int(number) >= SPLITS[split]:
         raise MapError(f"no building {name!r}: {split} holds {SPLITS[split]}, {split}/0000 to {_last(split)}")
@@ -43,6 +43,12 @@ def split_names(split: str) -> tuple[str, ...]:
     if not isinstance(split, str) or split not in SPLITS:
         raise MapError(f"no split {split!r}; splits are {', '.join(SPLITS)}")
     return tuple(f"{split}/{number:04d}" for number in range(SPLITS[split]))
+
+
+def is_of_split(name: str) -> bool:
+    """Whether this is the name of a building of a fixed split, such as `train/0007`."""
+    split, _, number = name.partition("/")
+    return split in SPLITS and number.isdecimal() and len(number) == 4 and int(number) < SPLITS[split]
 
 
 def split_recipe(split: str, number: int) -> tuple[str, float, int]:

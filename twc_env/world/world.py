@@ -229,11 +229,7 @@ class World:
                 poses = np.array(starts, float)
             except (TypeError, ValueError):
                 raise ConfigError(f"starts must be 'random', 'map' or {robots} poses; got {starts!r}") from None
-            if poses.shape != (robots, 3) or not np.isfinite(poses).all():
-                raise ConfigError(f"starts must be {robots} finite poses (x, y, heading); got shape {poses.shape}")
-            for i in np.flatnonzero(~self.plan.cells().is_free(poses[:, :2])):
-                at = f"({poses[i, 0]:.2f}, {poses[i, 1]:.2f})"
-                raise ConfigError(f"starts[{i}] at {at} is no open floor of map {home.name!r}; move it inside")
+            self._check_starts(poses)
             return compose(inverse(self.plan.pose_building_home), poses)
         if starts == "random":
             return draw_starts(home, robots, self.config.dynamics.robot_radius_m, random_stream(seed, "starts"))
@@ -245,6 +241,22 @@ class World:
                 )
             return np.array(home.starts[:robots])
         raise ConfigError(f"starts must be 'random', 'map' or poses; got {starts!r}")
+
+    def _check_starts(self, poses: Array) -> None:
+        """Raises ConfigError for starts in the building that are no poses, in walls or in each other."""
+        wanted = f"starts must be {self.config.robots} finite poses (x, y, heading)"
+        if poses.shape != (self.config.robots, 3):
+            raise ConfigError(f"{wanted}; got shape {poses.shape}")
+        is_free, apart_m = self.plan.cells().is_free(poses[:, :2]), 2 * self.config.dynamics.robot_radius_m
+        for i, pose in enumerate(poses):
+            at = f"starts[{i}] at ({pose[0]:g}, {pose[1]:g})"
+            if not np.isfinite(pose).all():
+                raise ConfigError(f"{wanted}; got starts[{i}] = {pose.tolist()}")
+            if not is_free[i]:
+                raise ConfigError(f"{at} is no open floor of map {self._home.name!r}; move it inside")
+            is_in = np.hypot(*(poses[:i, :2] - pose[:2]).T) < apart_m
+            if is_in.any():
+                raise ConfigError(f"{at} is in robot {np.argmax(is_in)}; keep robots {apart_m:g} m apart")
 
 
 def draw_starts(home: Floorplan, robots: int, radius_m: float, random: np.random.Generator) -> Array:
