@@ -14,10 +14,10 @@ from agents import benchmark, compare, picture, radio_survey
 from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from agents.seeds import parse_seeds
-from twc_env import EnvConfig, TwcError, load_map, map_names
-from twc_env.command_line import Paragraphs, assignments, count, natural
+from twc_env import EnvConfig, load_map, map_names
+from twc_env.command_line import Paragraphs, assignments, count, exit_status, natural
 from twc_env.config import load, override
-from twc_env.json_values import check_folder, check_writable, write_json
+from twc_env.json_values import check_folder, check_writable, json_text, write_json
 
 _EXPLORE_HELP = """\
 Let a scripted team explore one building and write a run folder:
@@ -63,16 +63,13 @@ _TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 2 wrong input, 130 interrupted."""
     options = _parser().parse_args(arguments)
-    try:
+
+    def command() -> int:
         figures = getattr(options, "json", None)
         check_writable(None if str(figures) == "-" else figures)
         return options.run(options)
-    except TwcError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+
+    return exit_status(command)
 
 
 def _explore(options: argparse.Namespace) -> int:
@@ -203,8 +200,9 @@ def _write_report(place: Path | None, values: dict[str, Any]) -> None:
     if place is None:
         return
     if str(place) == "-":
-        place = Path("/dev/stdout")
-    write_json(place, values)
+        print(json_text(values))
+    else:
+        write_json(place, values)
 
 
 def _parser() -> argparse.ArgumentParser:

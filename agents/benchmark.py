@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import multiprocessing
 import statistics
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ import twc_env
 from agents.explore import explore, origin_of, write_run
 from twc_env import EnvConfig
 from twc_env.config import digest
+from twc_env.worker_processes import in_processes
 
 COLUMNS = (
     ("merged_robots", "merged", "d"),
@@ -66,14 +65,8 @@ def run_jobs(jobs: Iterable[Job], processes: int = 1) -> Iterator[tuple[Job, dic
         for job in waiting:
             yield job, run_job(job), False
         return
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-        running = {pool.submit(run_job, job): job for job in waiting}
-        try:
-            for done in as_completed(running):
-                yield running[done], done.result(), False
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    for k, report in in_processes(run_job, waiting, processes):
+        yield waiting[k], report, False
 
 
 def run_job(job: Job) -> dict[str, Any]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -17,6 +15,7 @@ from agents.policy import make_policy
 from twc_env import load_map
 from twc_env.config import EnvConfig, override, to_dict
 from twc_env.finished_parts import FinishedParts
+from twc_env.worker_processes import in_processes
 
 Array = NDArray
 
@@ -72,17 +71,10 @@ def compare(
     if finished.remark:
         tell(finished.remark)
     run = partial(_once, config, finished)
-    if processes <= 1:
-        done = ((part, run(*part)) for part in parts)
-        for part, outcome in done:
-            found[part] = outcome
-            tell(_line(len(found), len(parts), part, outcome))
-    else:
-        with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-            running = {pool.submit(run, *part): part for part in parts}
-            for future in as_completed(running):
-                found[running[future]] = future.result()
-                tell(_line(len(found), len(parts), running[future], future.result()))
+    done = enumerate(map(run, parts)) if processes <= 1 else in_processes(run, parts, processes)
+    for k, outcome in done:
+        found[parts[k]] = outcome
+        tell(_line(len(found), len(parts), parts[k], outcome))
     outcomes = {agent: tuple(found[name, agent, seed] for seed, name in enumerate(maps)) for agent in agents}
     return [_standing(agent, outcomes[agent], outcomes[agents[0]]) for agent in agents]
 
@@ -165,7 +157,8 @@ def _line(count: int, total: int, part: tuple[str, str, int], outcome: Outcome) 
     return f"[{count}/{total}] {name} {agent}: {GOAL:.0%} {reached}, at the end {outcome.coverage:.3f}"
 
 
-def _once(config: EnvConfig, finished: FinishedParts, name: str, agent: str, seed: int) -> Outcome:
+def _once(config: EnvConfig, finished: FinishedParts, part: tuple[str, str, int]) -> Outcome:
+    name, agent, seed = part
     config = override(config, {"map": name})
     key = f"{name} {load_map(name).digest} {agent} {seed}"
     return Outcome(**finished.once(key, lambda: asdict(explore(config, agent, seed))))

@@ -27,6 +27,11 @@ from twc_env.messages import Contacts, SensorFrame
 
 WARM_UP_STEPS = 10
 """Steps at the start that the speed figures leave out."""
+_WRITTEN = (
+    "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "trajectories/robot_*_*.tum", "map.yaml", "map.pgm",
+    "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "episode.gif", "replay.html", "replay.rrd",
+)  # fmt: skip
+"""Of a run folder, beside the report."""
 COMPILER_EVENT = "numba:compiler_lock"
 """Kernels are compiled when first used, once per installation; that time is no speed of the environment."""
 
@@ -119,9 +124,13 @@ def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
 
 
 def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
-    """Write the run folder: config, frames, pictures, trajectories, pose graph, maps, and last the report."""
+    """Write the run folder: config, frames, pictures, trajectories, pose graph, maps, and last the report.
+
+    What an earlier run left there goes, so that nothing stands beside figures that are not of it.
+    """
     result = run.result
     try:
+        _clear(folder)
         (folder / "trajectories").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"cannot make the run folder {folder}: {error.strerror}; choose another with --out") from error
@@ -142,6 +151,16 @@ def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
         if run.film is not None:
             run.film.write(folder / "episode.gif")
     write_json(folder / "report.json", run.report)
+
+
+def _clear(folder: Path) -> None:
+    """Take away what a run wrote, where a report says that there was one; first the report."""
+    if not (folder / "report.json").is_file():
+        return
+    (folder / "report.json").unlink()
+    for pattern in _WRITTEN:
+        for path in folder.glob(pattern):
+            path.unlink()
 
 
 class Progress:

@@ -69,6 +69,7 @@ PUBLIC_MODULES = {
     "twc_env.finished_parts",
     "twc_env.json_values",
     "twc_env.map_picture",
+    "twc_env.worker_processes",
 }
 
 

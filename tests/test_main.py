@@ -1,4 +1,5 @@
 import json
+import os
 import subprocess
 import sys
 
@@ -152,6 +153,21 @@ def test_a_reader_that_leaves_early_is_no_error():
     command = f"{sys.executable} -m twc_env maps list | head -n 1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
     assert done.stdout.startswith("map ") and done.stderr == ""
+
+
+@pytest.mark.parametrize("buffering", ["", "1"], ids=["buffered", "unbuffered"])
+def test_every_command_ends_quietly_when_its_reader_leaves(buffering):
+    program = "import sys; from twc_env.command_line import exit_status; "
+    program += "sys.exit(exit_status(lambda: print(chr(10).join(map(str, range(int(sys.argv[1]))))) or 0))"
+    for lines in ("9", "99999"):
+        command = [sys.executable, "-c", program, lines]
+        reader, writer = os.pipe()
+        os.close(reader)
+        done = subprocess.run(
+            command, stdout=writer, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": buffering}
+        )
+        os.close(writer)
+        assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_an_interrupted_table_says_that_it_can_go_on(monkeypatch, tmp_path, capsys):

@@ -150,6 +150,19 @@ def test_after_an_interruption_no_stale_answer_is_taken(monkeypatch):
         teams.step(teams.sample())
 
 
+@pytest.mark.parametrize("shape", [(3, 2), (4, 1), (2, 2, 2), (2,)])
+def test_actions_of_another_number_of_rows_are_refused(shape):
+    pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+    from twc_env.sb3 import TeamVecEnv
+
+    rows = TeamVecEnv(2, SMALL)
+    rows.reset()
+    with pytest.raises(ActionError, match=r"shape \(4, 2\), one row per robot; got"):
+        rows.step(np.zeros(shape))
+    with pytest.raises(ConfigError, match="seed must be a whole number from 0 on; got '1'"):
+        TeamVecEnv(2, SMALL, seed="1")
+
+
 def test_stable_baselines_trains_on_rows_of_robots():
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
     from stable_baselines3 import PPO

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from agents.seeds import parse_seeds
-from twc_env.command_line import Paragraphs, assignments, natural
-from twc_env.errors import DataError, TwcError
+from twc_env.command_line import Paragraphs, assignments, exit_status, natural
+from twc_env.errors import DataError
 from twc_env.json_values import check_folder, check_writable, write_json
 
 SEEDS = 2**31
@@ -19,12 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 2 wrong input, 130 interrupted."""
     options = _parser().parse_args(arguments)
     try:
-        return options.run(options)
-    except TwcError as error:
-        print(f"error: {error}", file=sys.stderr)
-    except KeyboardInterrupt:
-        print("interrupted; ppo --resume goes on from the last model that was saved", file=sys.stderr)
-        return 130
+        return exit_status(lambda: options.run(options), options.when_interrupted)
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("torch", "stable_baselines3", "tqdm"):
             raise
@@ -65,7 +60,9 @@ def _parser() -> argparse.ArgumentParser:
     ppo.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the environment")
     ppo.add_argument("--out", type=Path, default=Path("runs/ppo"), help="run folder (default %(default)s)")
     ppo.add_argument("--resume", action="store_true", help="go on from the model in the run folder")
-    ppo.set_defaults(run=_train_ppo)
+    ppo.set_defaults(
+        run=_train_ppo, when_interrupted="interrupted; --resume goes on from the last model that was saved, if any"
+    )
 
     evaluate = commands.add_parser(
         "evaluate",
@@ -85,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument(
         "--seeds", default="0-19", help="held-out buildings, as in 0-4 or 1,5,7 (default %(default)s)"
     )
-    evaluate.set_defaults(run=_evaluate)
+    evaluate.set_defaults(run=_evaluate, when_interrupted="interrupted")
     return parser
 
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 
 from twc_env.bench_cli import add_bench_parser
-from twc_env.command_line import Paragraphs
-from twc_env.errors import TwcError
+from twc_env.command_line import Paragraphs, exit_status
 from twc_env.json_values import check_writable
 from twc_env.log_cli import add_log_parsers
 from twc_env.maps_cli import add_maps_parser
@@ -22,18 +20,12 @@ from twc_env.soak_cli import add_soak_parser
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit status is 0 when done, 2 after bad input (one line on stderr), 130 when interrupted."""
     options = _parser().parse_args(arguments)
-    try:
+
+    def command() -> None:
         check_writable(getattr(options, "json", None))
         options.run(options)
-    except TwcError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:  # who read the output has seen enough, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
-    return 0
+
+    return exit_status(command)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,14 +1,36 @@
-"""What the commands share: settings given as KEY=VALUE, numbers that count or measure, and folders to write to."""
+"""What the commands share: how they end, and what their arguments may be."""
 
 from __future__ import annotations
 
 import argparse
 import math
+import os
+import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from twc_env.errors import ConfigError, DataError
+from twc_env.errors import ConfigError, DataError, TwcError
+
+
+def exit_status(command: Callable[[], int | None], remark: str = "interrupted") -> int:
+    """Run a command: 0 or what it gives when done, 2 after bad input (one line on stderr), 130 when interrupted.
+
+    Who reads the output, as `head` does, may leave early. `remark` is what an interruption is answered with.
+    """
+    try:
+        status = command()
+        sys.stdout.flush()
+        return status or 0
+    except TwcError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 2
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        sys.stderr.write(f"{remark}\n")
+        return 130
 
 
 class Paragraphs(argparse.HelpFormatter):

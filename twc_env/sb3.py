@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from twc_env.config import EnvConfig
+from twc_env.config.checks import whole_number
+from twc_env.errors import ActionError
 from twc_env.vector import FLAT, VectorTeams
 
 Array = NDArray
@@ -38,7 +40,7 @@ class TeamVecEnv(VecEnv):
     ):
         self.teams = VectorTeams(count, config, workers, buildings)
         self.robots = self.teams.robots
-        self._next_seed = seed
+        self._next_seed = whole_number("seed", seed, 0)
         self.render_mode = None
         super().__init__(count * self.robots, self.teams.observation_space, self.teams.action_space)
         self._actions = np.zeros(0)
@@ -55,8 +57,11 @@ class TeamVecEnv(VecEnv):
         return self._rows(self.teams.reset(first))
 
     def step_async(self, actions: Array) -> None:
-        """Keep the actions for `step_wait`."""
+        """Keep the actions for `step_wait`. Raises ActionError for another number of them."""
         actions = np.asarray(actions)
+        wanted = (self.num_envs, *(self.action_space.shape or ()))
+        if actions.shape != wanted:
+            raise ActionError(f"actions must have shape {wanted}, one row per robot; got {actions.shape}")
         self._actions = actions.reshape(self.teams.count, self.robots, *actions.shape[1:])
 
     def step_wait(self):

@@ -1,6 +1,7 @@
 """The command line drives an episode, leaves a complete run folder, and explains itself when it cannot."""
 
 import json
+import subprocess
 import sys
 
 import numpy as np
@@ -111,6 +112,36 @@ def test_a_run_folder_is_enough_to_have_the_same_episode_again(tmp_path):
     assert main(["explore", "--config", str(first), "--seed", "3", "--no-pictures", "--out", str(again)]) == 0
     for name in ("config.json", "frames.npz", "pose_graph.g2o", "map.pgm", "trajectories/robot_1_estimated.tum"):
         assert (first / name).read_bytes() == (again / name).read_bytes(), name
+
+
+def test_a_run_takes_away_what_an_earlier_one_left_in_its_folder(tmp_path):
+    arguments = ["explore", "--no-gif", "--out", str(tmp_path)]
+    assert main([*arguments, "--steps", "12", "--robots", "4"]) == 0
+    assert (tmp_path / "map_4.yaml").exists() and (tmp_path / "trajectories/robot_3_true.tum").exists()
+    for name in ("notes.txt", "replay.html", "trajectories/mine.tum"):
+        (tmp_path / name).write_text("")
+    assert main([*arguments, "--steps", "5", "--robots", "1", "--no-pictures"]) == 0
+    left = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
+    assert left == {
+        "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "map.yaml", "map.pgm", "report.json", "notes.txt",
+        *(f"trajectories/{name}.tum" for name in ("robot_0_true", "robot_0_estimated", "robot_0_odometry", "mine")),
+    }  # fmt: skip
+
+
+def test_a_folder_without_a_report_is_no_run_and_keeps_its_files(tmp_path):
+    (tmp_path / "map_2.yaml").write_text("mine")
+    assert main(["explore", "--steps", "3", "--robots", "1", "--no-pictures", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "map_2.yaml").read_text() == "mine"
+
+
+def test_figures_for_the_terminal_are_added_to_what_stands_in_a_file(tmp_path):
+    figures = tmp_path / "all.txt"
+    figures.write_text("before\n")
+    command = [sys.executable, "-m", "agents", "explore", "--steps", "2", "--robots", "1", "--no-pictures"]
+    with figures.open("a") as file:
+        subprocess.run([*command, "--json", "-", "--out", str(tmp_path / "run")], stdout=file, check=True)
+    first, _, rest = figures.read_text().partition("\n")
+    assert first == "before" and json.loads(rest)["steps"] == 2
 
 
 @pytest.mark.parametrize("command", ["explore", "benchmark"])

@@ -7,17 +7,15 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
 from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
 
 from twc_env.command_line import Paragraphs
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
 from twc_env.json_values import check_folder, plain, write_json
-from twc_env.threads import single_threaded
+from twc_env.worker_processes import in_processes
 
 TABLES: dict[str, str] = {
     "matching": "matching",
@@ -85,14 +83,15 @@ class Runner:
         return results
 
     def _each_aside(self, parts: Sequence, work: Callable[..., object], label: Callable[..., str], count: int) -> list:
-        """`each` in several processes; they start afresh, so that none inherits a lock or a pool of threads."""
-        with single_threaded(), ProcessPoolExecutor(count, get_context("spawn")) as pool:
-            waiting = [pool.submit(self._parts.once, label(part), partial(work, part)) for part in parts]
-            for done, _ in enumerate(as_completed(waiting)):
-                self._say(f"{done}/{len(parts)}")
-            results = [future.result() for future in waiting]
+        """`each` in several processes."""
+        results = {}
+        self._say(f"0/{len(parts)}")
+        labelled = [(label(part), partial(work, part)) for part in parts]
+        for k, result in in_processes(partial(_once, self._parts), labelled, count):
+            results[k] = result
+            self._say(f"{len(results)}/{len(parts)}")
         self._say(f"{len(parts)}/{len(parts)}", end="\n")
-        return results
+        return [results[k] for k in range(len(parts))]
 
     def _say(self, text: str, end: str = "") -> None:
         self._is_in_line = not end
@@ -104,6 +103,10 @@ class Runner:
         if self._is_in_line:
             print(file=sys.stderr)
             self._is_in_line = False
+
+
+def _once(finished: FinishedParts, labelled: tuple[str, Callable[[], object]]) -> object:
+    return finished.once(*labelled)
 
 
 def print_rows(rows: Iterable[dict]) -> None:

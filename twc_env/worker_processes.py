@@ -1,0 +1,51 @@
+"""Many parts worked on by several processes at once; an interruption ends them all, without a word of theirs."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+from twc_env.errors import DataError
+from twc_env.threads import single_threaded
+
+
+def in_processes(work: Callable[[Any], Any], parts: Sequence, count: int) -> Iterator[tuple[int, Any]]:
+    """(k, work(parts[k])) as each is done, by `count` processes that start afresh and compute with one thread each.
+
+    `work` and the parts must be picklable. Who leaves the loop, by Ctrl-C or an error, ends the processes. Raises
+    DataError where one of them died.
+    """
+    before = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
+    try:
+        with single_threaded(), _deaf_to_interrupts():
+            waiting = {pool.submit(work, part): k for k, part in enumerate(parts)}
+        for done in as_completed(waiting):
+            yield waiting[done], done.result()
+        pool.shutdown()
+    except BaseException as error:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(multiprocessing.active_children()) - before:
+            process.terminate()
+        if isinstance(error, BrokenProcessPool):
+            raise DataError("a worker process has died (out of memory or killed): run the same again") from None
+        raise
+
+
+@contextlib.contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes started in this block leave Ctrl-C, which reaches all of a terminal's, to the one that started them."""
+    if threading.current_thread() is not threading.main_thread():  # only that one can set what signals do
+        yield
+        return
+    held = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, held)
