@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,8 @@ class SmallBlocks:
 
     def _make_room(self) -> tuple[Array, ...]:
         """New blocks for some steps; those of the first."""
-        self._rooms = zip(*[np.empty((_STEPS_AT_ONCE, *shape), _FLOAT) for shape in self._shapes], strict=True)
+        blocks = [np.empty((_STEPS_AT_ONCE, *shape), _FLOAT) for shape in self._shapes]
+        self._rooms = islice(zip(*blocks, strict=True), _STEPS_AT_ONCE)  # an array's end costs more than ten rows
         return next(self._rooms)
 
     def _fill(self, blocks: tuple[Array, ...], is_shown: bool) -> None:

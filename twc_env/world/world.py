@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache, partial
-from itertools import repeat
+from itertools import islice, repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,7 +194,8 @@ class World:
         """New arrays for some steps of which all are of that turn; the first step's."""
         *team, macs, readings, counts = map(np.empty, self._shapes[turn], _TYPES)
         scans = map(_scans_of, zip(repeat(self._listeners[turn]), macs, readings, counts, strict=False))
-        self._rooms[turn] = zip(*team, scans, strict=True)
+        # Asked for a row beyond its last one, an array takes as long as for ten rows.
+        self._rooms[turn] = islice(zip(*team, scans, strict=True), _STEPS_AT_ONCE)
         return next(self._rooms[turn])
 
     def _hear_one_by_one(self, time_s: float) -> list[WifiScan | None]:
