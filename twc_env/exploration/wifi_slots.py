@@ -32,19 +32,6 @@ def take_scans(now, robots, macs, rssi_dbm, counts, kept, levels):
 
 
 @kernel
-def _find(ascending, number):
-    """Where a number stands among ascending ones (k,); -1: nowhere."""
-    low, high = 0, ascending.shape[0]
-    while low < high:
-        middle = (low + high) // 2
-        if ascending[middle] < number:
-            low = middle + 1
-        else:
-            high = middle
-    return low if low < ascending.shape[0] and ascending[low] == number else -1
-
-
-@kernel
 def _place(now, macs, rssi_dbm, slot_macs, last_scan, levels):
     """The strongest transmitters take, or keep, the slots. Those longest out of the strongest give way."""
     slots, heard = slot_macs.shape[0], rssi_dbm.shape[0]
@@ -62,8 +49,13 @@ def _place(now, macs, rssi_dbm, slot_macs, last_scan, levels):
         strongest[at] = k
     for i in range(count):
         is_waiting[strongest[i]] = True
+    at_slot[:] = -1
+    for k in range(heard):
+        mac = macs[k]
+        for slot in range(np.uint64(slots)):  # side by side, which searching for each of them would not be
+            at_slot[slot] += (k + 1) * int(slot_macs[slot] == mac)
     for slot in range(slots):
-        k = at_slot[slot] = _find(macs, slot_macs[slot])
+        k = at_slot[slot]
         if k >= 0 and is_waiting[k]:
             is_waiting[k] = False
             last_scan[slot] = now
