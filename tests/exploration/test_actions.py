@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 import twc_env
 from twc_env.config import DynamicsConfig
 from twc_env.errors import ActionError
-from twc_env.exploration.actions import check_agents, decode_velocity, velocity_space
+from twc_env.exploration.actions import Velocities, check_agents, velocity_space
 
 AGENTS = ["robot_0", "robot_1"]
 LIMITS = DynamicsConfig(speed_max_m_s=1.2, turn_rate_max_rad_s=2.0)
@@ -30,12 +30,12 @@ BAD = {
 
 @given(st.floats(-1, 1), st.floats(-1, 1))
 def test_an_action_is_a_share_of_the_maxima(forward, turn):
-    commands = decode_velocity({"robot_0": (forward, turn), "robot_1": FINE}, AGENTS, LIMITS)
+    commands = Velocities(LIMITS, 2).decode({"robot_0": (forward, turn), "robot_1": FINE}, AGENTS)
     assert commands == pytest.approx(np.array([[1.2 * forward, 2.0 * turn], [0.6, -1.0]]))
 
 
 def test_rounding_beyond_one_is_forgiven_and_cut():
-    commands = decode_velocity({"robot_0": (1 + 5e-7, -1 - 5e-7)}, ["robot_0"], LIMITS)
+    commands = Velocities(LIMITS, 1).decode({"robot_0": (1 + 5e-7, -1 - 5e-7)}, ["robot_0"])
     assert commands.tolist() == [[1.2, -2.0]]
 
 
@@ -43,13 +43,13 @@ def test_every_action_of_the_space_is_accepted():
     space = velocity_space()
     space.seed(0)
     for action in [space.low, space.high, *(space.sample() for _ in range(20))]:
-        assert np.isfinite(decode_velocity({"robot_0": action}, ["robot_0"], LIMITS)).all()
+        assert np.isfinite(Velocities(LIMITS, 1).decode({"robot_0": action}, ["robot_0"])).all()
 
 
 @pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
 def test_a_bad_action_is_refused_in_one_line_that_names_agent_value_and_remedy(bad):
     with pytest.raises(ActionError) as caught:
-        decode_velocity({"robot_0": FINE, "robot_1": bad}, AGENTS, LIMITS)
+        Velocities(LIMITS, 2).decode({"robot_0": FINE, "robot_1": bad}, AGENTS)
     text = str(caught.value)
     assert "\n" not in text
     assert "'robot_1'" in text
@@ -60,7 +60,7 @@ def test_a_bad_action_is_refused_in_one_line_that_names_agent_value_and_remedy(b
 
 def test_the_first_bad_action_of_several_is_named():
     with pytest.raises(ActionError, match="'robot_0'"):
-        decode_velocity({"robot_0": np.array([3.0, 0.0]), "robot_1": np.array([np.nan, 0.0])}, AGENTS, LIMITS)
+        Velocities(LIMITS, 2).decode({"robot_0": np.array([3.0, 0.0]), "robot_1": np.array([np.nan, 0.0])}, AGENTS)
 
 
 def test_a_missing_agent_is_named_with_all_that_are_needed():

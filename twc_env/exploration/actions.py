@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
+from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -48,25 +50,38 @@ def action_array(action: Any) -> Array:
         return np.zeros(0)
 
 
-def decode_velocity(actions: Mapping[str, Array], agents: Sequence[str], config: DynamicsConfig) -> Array:
-    """Commands (robots, 2) [m/s, rad/s] from one action per agent.
+class Velocities:
+    """Turns actions into commands; these stand in one array, which every step writes anew."""
 
-    Raises ActionError when an agent has no action, or an action is not two finite numbers in [-1, 1].
-    """
-    speed_max_m_s, turn_rate_max_rad_s = config.speed_max_m_s, config.turn_rate_max_rad_s
-    commands: list[float] = []
-    try:
-        for agent in agents:
-            action = actions[agent]
-            if action.dtype.kind not in "fiu":
-                raise TypeError
-            ahead, left = action.tolist()  # of another shape: not two, or no numbers
-            if not (-1.0 <= ahead <= 1.0 and -1.0 <= left <= 1.0):
-                raise ValueError
-            commands += ahead * speed_max_m_s, left * turn_rate_max_rad_s
-    except Exception:  # an object of the user's may raise anything; what does not fit is named below
-        return _one_by_one(actions, agents) * (speed_max_m_s, turn_rate_max_rad_s)
-    return np.array(commands, np.float64).reshape(-1, 2)
+    def __init__(self, config: DynamicsConfig, robots: int):
+        self._arguments = config, robots
+        self._maxima = config.speed_max_m_s, config.turn_rate_max_rad_s
+        self._commands = np.empty((robots, 2))
+        self._write = partial(Struct(f"{2 * robots}d").pack_into, self._commands.data.cast("B"), 0)
+
+    def __reduce__(self):
+        return type(self), self._arguments
+
+    def decode(self, actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
+        """Commands (robots, 2) [m/s, rad/s] from one action per agent.
+
+        Raises ActionError when an agent has no action, or an action is not two finite numbers in [-1, 1].
+        """
+        speed_max_m_s, turn_rate_max_rad_s = self._maxima
+        commands: list[float] = []
+        try:
+            for agent in agents:
+                action = actions[agent]
+                if action.dtype.kind not in "fiu":
+                    raise TypeError
+                ahead, left = action.tolist()  # of another shape: not two, or no numbers
+                if not ahead * ahead <= 1.0 >= left * left:  # so it is for NaN
+                    raise ValueError
+                commands += ahead * speed_max_m_s, left * turn_rate_max_rad_s
+            self._write(*commands)
+        except Exception:  # an object of the user's may raise anything; what does not fit is named below
+            self._commands[:] = _one_by_one(actions, agents) * self._maxima
+        return self._commands
 
 
 def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:

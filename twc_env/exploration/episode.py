@@ -39,6 +39,8 @@ class Episode:
         self.config, self.seed, count = config, seed, config.robots
         self.steps = 0
         """Time steps so far."""
+        self.is_over = False
+        """Whether the last time step has been played."""
         self._world = world
         world.reset(seed, starts)
         self.engine: Engine = make_engine(config, count)
@@ -49,9 +51,11 @@ class Episode:
         self._failures = Failures(config.failure, count)
         self._link = Link(config.link, count, world.plan.home.wall_index, random_stream(seed, "link"))
         self._builder = ObservationBuilder(config)
+        self._velocities = action_blocks.Velocities(config.dynamics, count)
         self.pilot = None if config.action.kind == "velocity" else Pilot(config)
         """Carries out actions that last; None where each time step has its own."""
-        self._scout = Scout(config) if config.observation.frontiers else None
+        self._looker = self.pilot or (Scout(config) if config.observation.frontiers else None)
+        """Who looks for frontiers."""
         self.record = EpisodeRecord(count)
         """What truly happened, for judging; no agent may read it."""
         self._standing = rewards.Standing.nothing(count)
@@ -90,11 +94,6 @@ class Episode:
         return self._contacts
 
     @property
-    def is_over(self) -> bool:
-        """Whether the last time step has been played."""
-        return self.steps >= self.config.max_cycles
-
-    @property
     def bytes_sent(self) -> int:
         """Bytes put on the air so far, by all robots."""
         return sum(self.engine.bytes_sent.values())
@@ -108,7 +107,7 @@ class Episode:
         """
         pilot = self.pilot
         if pilot is None:
-            commands = action_blocks.decode_velocity(actions, agents, self.config.dynamics)
+            commands = self._velocities.decode(actions, agents)
             self.frames_of_step = []
             values = self._tick(commands)
             if watch is not None:
@@ -127,7 +126,7 @@ class Episode:
 
     def observe(self) -> list[Any]:
         """Each robot's observation; where one chooses among frontiers, they are worked out here."""
-        pilot, looker, masks = self.pilot, self.pilot or self._scout, None
+        pilot, looker, masks = self.pilot, self._looker, None
         if looker is None:
             return self._builder.build()
         looker.look(self._beliefs)
@@ -153,17 +152,17 @@ class Episode:
             commands = commands * is_alive[:, None]
         self.steps += 1
         self._think(self._world.tick(commands))
-        is_last = self.is_over
-        if is_last:
+        if self.steps == self.config.max_cycles:
+            self.is_over = True
             self.engine.finish()
         self._notice()
-        return self._judge(is_last)
+        return self._judge()
 
     def _think(self, frames: TeamFrames) -> None:
         """Front ends, link and mappers take in one set of frames."""
         world, engine, failures = self._world, self.engine, self._failures
         self._frames, self._shown = frames, frames
-        self._contacts = self._link.contacts(world.poses_home)
+        self._contacts = self._link.constant or self._link.contacts(world.poses_home)
         if not failures.is_nothing:
             self._contacts = failures.contacts(self.steps, self._contacts)
             is_alive = failures.is_alive(self.steps)
@@ -181,11 +180,11 @@ class Episode:
         self._beliefs = self.engine.beliefs()
         self._builder.notice(self._shown, self._beliefs)
 
-    def _judge(self, is_last: bool) -> list[dict[str, float]]:
+    def _judge(self) -> list[dict[str, float]]:
         config, before, sent_before, contacts = self.config, self._standing, self._bytes_judged, self._world.contacts
         self._bytes_judged = self.bytes_sent
-        if is_last or self.steps % config.reward.period_steps == 0:
-            self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), is_last)
+        if self.is_over or self.steps % config.reward.period_steps == 0:
+            self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), self.is_over)
         elif self._bytes_judged == sent_before and True not in contacts.tolist():
             return self._uneventful
         sent = (self._bytes_judged - sent_before) / config.robots

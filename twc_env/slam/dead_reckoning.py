@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.kernels import borrowing_kernel
+from twc_env.kernels import borrowing_kernel, bound
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
@@ -40,6 +40,8 @@ class DeadReckoning:
         """What all beliefs have in common."""
         self._views = [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
         self._alone: _Alone | None = None
+        self._run: Callable[..., None] | None = None
+        """`_chain` for everyone."""
 
     def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
         """Nothing is made of transmitters here."""
@@ -49,19 +51,27 @@ class DeadReckoning:
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Sum up the odometry of each frame's robot; there are never keyframes to send."""
-        team = TeamFrames.of(frames)
-        robots = self._everyone
-        if len(team) == len(robots):
+        team, robots, before = TeamFrames.of(frames), self._everyone, self._poses
+        if len(team.signs) == len(robots):
             self._ranges_m, self._steps = team.ranges_m, team.step
         else:
             robots = np.array([frame.robot for frame in frames])
             self._ranges_m, self._steps = list(self._ranges_m), self._steps_of_all()
             for robot, ranges_m in zip(robots.tolist(), team.ranges_m, strict=True):
                 self._ranges_m[robot], self._steps[robot] = ranges_m, team.step
-        self._poses = self._poses.copy()
-        _chain(robots, team.odometry, self._poses)
+        self._poses = np.empty(before.shape)
+        moves = team.odometry, before, self._poses
+        if robots is not self._everyone:
+            _chain(robots, *moves)
+        else:
+            if self._run is None:
+                self._run = bound(_chain, robots, *moves)
+            self._run(*moves)
         self._alone = None
         return []
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_run": None}
 
     @property
     def bytes_sent(self) -> dict[str, int]:
@@ -138,8 +148,11 @@ class _Alone(TeamBeliefs):
 
 
 @borrowing_kernel
-def _chain(robots, motions, poses):
+def _chain(robots, motions, before, poses):
     """Move the poses of robots (k,) in odom and map, which are one here, by motions (k, 3) seen from them."""
+    old, new = before.reshape(-1), poses.reshape(-1)
+    for k in range(new.shape[0]):
+        new[k] = old[k]
     for k in range(robots.shape[0]):
         pose = poses[robots[k], 2]
         c, s = math.cos(pose[2]), math.sin(pose[2])

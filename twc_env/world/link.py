@@ -21,13 +21,15 @@ class Link:
         self._always = np.ones((listeners, robots), bool)
         if config.topology == "peer":
             np.fill_diagonal(self._always, False)
-        self._all_in_touch = Contacts(self._always, self._always)
+        is_sure = config.topology != "peer" and config.loss_probability == 0.0
+        self.constant = Contacts(self._always, self._always) if is_sure else None
+        """The contacts of every step, where they hang on nothing."""
 
     def contacts(self, poses: Array) -> Contacts:
         """The contacts of one step at true poses (robots, 2 or 3) in the frame of the walls."""
         config = self._config
-        if config.topology != "peer" and config.loss_probability == 0.0:
-            return self._all_in_touch
+        if self.constant is not None:
+            return self.constant
         tried = self._in_range(poses[:, :2]) if config.topology == "peer" else self._always
         if config.loss_probability == 0.0:
             return Contacts(tried, tried)
