@@ -6,7 +6,7 @@ import pytest
 import twc_env
 from twc_env import metrics
 from twc_env.config import RewardConfig
-from twc_env.exploration.floor_masks import FloorMasks
+from twc_env.exploration.map_judge import MapJudges
 from twc_env.exploration.rewards import (
     POTENTIALS,
     JudgedMap,
@@ -86,8 +86,8 @@ def test_blocks_of_a_map_that_were_counted_before_make_no_difference(wander):
         if env.episode.steps % 50 == 0:
             for verdict in verdicts_of(env.engine, env.record, cells):
                 where = verdict.view.viewers[0], verdict.grid, verdict.pose_building_map, cells
-                area_m2 = env.record.floor_masks.correct_area_m2(*where)
-                assert area_m2 == FloorMasks().correct_area_m2(*where)
+                area_m2 = env.record.map_judges.correct_area_m2(*where)
+                assert area_m2 == MapJudges().correct_area_m2(*where)
                 judged += area_m2 > 0
     assert judged > 8
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.exploration.floor_masks import FloorMasks
+from twc_env.exploration.map_judge import MapJudges
 from twc_env.kernels import borrowing_kernel, bound, kernel, rebound
 
 Array = NDArray
@@ -27,7 +27,7 @@ class EpisodeRecord:
         self._run: Callable[..., None] | None = None
         """`_note` with these."""
         self.wrong_pairs: set[tuple[int, int]] = set()
-        self.floor_masks = FloorMasks()
+        self.map_judges = MapJudges()
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from twc_env import metrics
 from twc_env.exploration.episode_record import EpisodeRecord
+from twc_env.exploration.map_judge import lay
 from twc_env.exploration.rewards import JudgedMap, Standing, standing_of
-from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import GridMap
-from twc_env.metrics.merging import WRONG_M, WRONG_RAD, find_frames, find_wrong
-from twc_env.metrics.trajectory import HEADING_LEVER_M, align
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
 from twc_env.slam.team import TeamMapper
@@ -40,7 +38,7 @@ class GroupVerdict:
 
 def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     """Lay a group's map on the building and measure it."""
-    place = _lay(view.robots, view.mapper.nodes, record.true_poses)
+    place = lay(view.robots, view.mapper.nodes, record.true_poses)
     grid, area_m2, (pose, wrong) = view.mapper.grid_of(view.group), 0.0, place or (np.zeros(3), ())
     if place is not None:
         area_m2 = metrics.correct_area_m2(
@@ -48,63 +46,6 @@ def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
             box=view.mapper.known_box_of(view.group),
         )  # fmt: skip
     return GroupVerdict(view, view.robots, grid, pose, wrong, area_m2)
-
-
-def _lay(
-    robots: tuple[int, ...], nodes: tuple[Array, Array, Array], true_poses: Array
-) -> tuple[Array, tuple[tuple[int, int], ...]] | None:
-    """The pose (3,) that lays a group's map on the building, and its wrongly merged pairs; None without keyframes.
-
-    nodes: as `TeamMapper.nodes` of the mapper that has the map.
-    """
-    if not len(nodes[0]):
-        return None
-    pose, is_wrong = np.empty(3), np.zeros((len(robots), len(robots)), bool)
-    count = _lay_paths(_numbers(robots), *nodes, true_poses, pose, is_wrong)
-    if count < 0:
-        return None
-    return pose, tuple((robots[i], robots[j]) for i, j in np.argwhere(is_wrong).tolist()) if count else ()
-
-
-@lru_cache(maxsize=64)
-def _numbers(robots: tuple[int, ...]) -> Array:
-    return np.array(robots)
-
-
-@kernel
-def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, pose, is_wrong):
-    """See `_lay`; gives how many pairs are wrong, or -1 without keyframes."""
-    estimated, true = np.empty_like(poses), np.empty_like(poses)
-    owner = np.empty(poses.shape[0], np.int64)
-    count, x, y = _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true, owner)
-    if count == 0:
-        return -1
-    align(estimated[:count], true[:count], HEADING_LEVER_M, pose)
-    if robots.shape[0] == 1:
-        return 0
-    frames = np.empty((robots.shape[0], 3))
-    find_frames(estimated[:count], true[:count], owner[:count], frames)
-    return find_wrong(frames, x, y, WRONG_M, WRONG_RAD, is_wrong)
-
-
-@borrowing_kernel
-def _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true, owner):
-    """Estimated and true poses of some robots' keyframes, robot by robot, and whose they are; count and mean place.
-
-    truth (steps, robots, 3); poses, estimated, true (nodes, 3); owner (nodes,): the robot's number among `robots`.
-    """
-    count, x, y = 0, 0.0, 0.0
-    for a in range(robots.shape[0]):
-        for k in range(poses.shape[0]):
-            if robot_of_node[k] == robots[a] and count < poses.shape[0]:
-                step = step_of_node[k]
-                for axis in range(3):
-                    estimated[count, axis], true[count, axis] = poses[k, axis], truth[step, robots[a], axis]
-                owner[count] = a
-                x += poses[k, 0]
-                y += poses[k, 1]
-                count += 1
-    return count, x / max(count, 1), y / max(count, 1)
 
 
 def verdicts_of(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:
@@ -132,17 +73,15 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool 
         viewers, robots, mapper = view.viewers, view.robots, view.mapper
         if mapper not in nodes:  # mappers have several maps
             nodes[mapper] = mapper.nodes
-        laid = _lay(robots, nodes[mapper], true_poses)
-        if laid is not None:
-            pose, wrong = laid
+        judged = record.map_judges.judge(
+            viewers[0], robots, nodes[mapper], true_poses, mapper.grid_of(view.group), cells
+        )  # fmt: skip
+        if judged is not None:
+            (x, y, turn), wrong, area_m2 = judged
             record.wrong_pairs.update(wrong)
-            x, y, turn = pose.tolist()
             c, s = math.cos(turn), math.sin(turn)
-            grid = mapper.grid_of(view.group)
             if is_last:
                 area_m2 = judge_view(view, record, cells).correct_area_m2
-            else:
-                area_m2 = record.floor_masks.correct_area_m2(viewers[0], grid, pose, cells)
             maps.append(JudgedMap(viewers, len(robots), not wrong, area_m2 / floor_m2(cells)))
         for robot in viewers:
             ahead, left, _ = believed[robot]

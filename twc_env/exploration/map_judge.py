@@ -1,0 +1,199 @@
+"""Judge maps time and again: where each lies in the building, whom it merges wrongly, how much of the floor it shows.
+
+Which cells of a map lie on the building's floor is kept while the map lies where it lay. With that mask, measuring a
+map is a comparison of two grids, cell by cell, instead of looking up every cell of the floor; and only of those blocks
+of cells that scans touched since the last time. One compiled call does all of it for a map that has not moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env import metrics
+from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
+from twc_env.messages import GridMap
+from twc_env.metrics.mapping import recount_free
+from twc_env.metrics.merging import WRONG_M, WRONG_RAD, find_frames, find_wrong
+from twc_env.metrics.trajectory import HEADING_LEVER_M, align
+from twc_env.world.floor_cells import Cells
+
+Array = NDArray
+
+PLACE_M, TURN_RAD = 0.02, 0.001
+"""A map's place in the building is rounded to these, so that its mask holds for long."""
+NOT_KNOWN = -1.0
+"""In place of a number: of wrong pairs, where there are no keyframes; of cells, where a map lies elsewhere."""
+
+Nodes = tuple[Array, Array, Array]
+"""As `TeamMapper.nodes`."""
+
+
+class Judgement(NamedTuple):
+    """A map against the truth."""
+
+    pose_building_map: list[float]
+    """x, y, heading: the one rigid alignment that lays the map on the building."""
+    wrong_pairs: tuple[tuple[int, int], ...]
+    """Of its robots, whose relative frame is off by more than 1 m or 10 degrees."""
+    correct_area_m2: float
+
+
+def lay(robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> tuple[Array, tuple[tuple[int, int], ...]] | None:
+    """The pose (3,) that lays a group's map on the building, and its wrongly merged pairs; None without keyframes.
+
+    nodes: of the mapper that has the map; true_poses (steps + 1, robots, 3).
+    """
+    pose, room = np.empty(3), _room_for(len(nodes[0]), len(robots))
+    if _lay_paths(_numbers(robots), *nodes, true_poses, room, pose) == NOT_KNOWN:
+        return None
+    return pose, tuple((robots[i], robots[j]) for i, j in np.argwhere(room[-1]).tolist())
+
+
+@lru_cache(maxsize=64)
+def _numbers(robots: tuple[int, ...]) -> Array:
+    return np.array(robots)
+
+
+def _room_for(nodes: int, robots: int) -> tuple[Array, ...]:
+    """What `_lay_paths` works in: estimated and true poses, whose they are, frames, and which pairs are wrong."""
+    return (
+        np.empty((nodes, 3)), np.empty((nodes, 3)), np.empty(nodes, np.int64),
+        np.empty((robots, 3)), np.zeros((robots, robots), bool),
+    )  # fmt: skip
+
+
+@borrowing_kernel
+def _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true, owner):
+    """Estimated and true poses of some robots' keyframes, robot by robot, and whose they are; count and mean place.
+
+    truth (steps, robots, 3); poses, estimated, true (nodes, 3); owner (nodes,): the robot's number among `robots`.
+    """
+    count, x, y = 0, 0.0, 0.0
+    for a in range(robots.shape[0]):
+        for k in range(poses.shape[0]):
+            if robot_of_node[k] == robots[a] and count < poses.shape[0]:
+                step = step_of_node[k]
+                for axis in range(3):
+                    estimated[count, axis], true[count, axis] = poses[k, axis], truth[step, robots[a], axis]
+                owner[count] = a
+                x += poses[k, 0]
+                y += poses[k, 1]
+                count += 1
+    return count, x / max(count, 1), y / max(count, 1)
+
+
+@borrowing_kernel
+def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, room, pose):
+    """See `lay`; marks wrong pairs in the last array of the room, gives how many there are."""
+    estimated, true, owner, frames, is_wrong = room
+    count, x, y = _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true, owner)
+    if count == 0:
+        return NOT_KNOWN
+    align(estimated[:count], true[:count], HEADING_LEVER_M, pose)
+    if robots.shape[0] == 1:
+        return 0.0
+    own = frames[: robots.shape[0]]
+    find_frames(estimated[:count], true[:count], owner[:count], own)
+    return float(find_wrong(own, x, y, WRONG_M, WRONG_RAD, is_wrong))
+
+
+@borrowing_kernel
+def _judge(kept, robots, poses, robot_of_node, step_of_node, truth, log_odds, touched):
+    """Write to `result` (5,) how the map lies, how many pairs are wrong, and how many free cells lie on the floor.
+
+    The last is `NOT_KNOWN` where the map does not lie at the place (3,) that the mask belongs to.
+    """
+    estimated, true, owner, frames, is_wrong, place, mask, known, counts, result = parts_of(kept)
+    room = (estimated, true, owner, frames, is_wrong)
+    result[3] = _lay_paths(robots, poses, robot_of_node, step_of_node, truth, room, result[:3])
+    result[4] = NOT_KNOWN
+    x, y, turn = np.rint(result[0] / PLACE_M), np.rint(result[1] / PLACE_M), np.rint(result[2] / TURN_RAD)
+    if result[3] >= 0.0 and x == place[0] and y == place[1] and turn == place[2]:
+        result[4] = recount_free(log_odds, mask, touched, known, counts)
+
+
+class _Held:
+    """What is kept of a map while it lies at one place. A grid that has grown is another one."""
+
+    def __init__(self, grid: GridMap, place: tuple[int, int, int], cells: Cells):
+        """place: where it lies, in steps of `PLACE_M` and `TURN_RAD`."""
+        assert grid.touched is not None
+        self.grid, self.place = grid, place
+        rounded = np.array([place[0] * PLACE_M, place[1] * PLACE_M, place[2] * TURN_RAD])
+        self.mask = metrics.floor_mask(
+            grid.log_odds.shape, grid.origin_m, grid.resolution_m, rounded, cells.free, cells.origin_m,
+            cells.resolution_m,
+        )  # fmt: skip
+        """(rows, columns) bool: its cells that lie on the floor there."""
+        self.known, self.counts = np.full(grid.touched.shape, -1), np.zeros(grid.touched.shape, np.int64)
+        """(blocks, blocks) `GridMap.touched` when blocks were counted last, -1 for never; free cells on the floor."""
+        self.result = np.empty(5)
+        self.run: Callable[..., None] | None = None
+        """`_judge` with all of this."""
+
+    def count(self) -> int:
+        """Free cells of the floor."""
+        count: int = metrics.recount_free(self.grid.log_odds, self.mask, self.grid.touched, self.known, self.counts)
+        return count
+
+
+class MapJudges:
+    """What is kept of each map that is judged again; it follows from the maps, so copies may begin without any."""
+
+    def __init__(self) -> None:
+        self._held: dict[int, tuple[_Held, ...]] = {}
+        """Of each map the latest two: often it goes back and forth between two places."""
+        self._room: tuple[Array, ...] = ()
+
+    def __reduce__(self):
+        return MapJudges, ()
+
+    def judge(
+        self, owner: int, robots: tuple[int, ...], nodes: Nodes, true_poses: Array, grid: GridMap, cells: Cells
+    ) -> Judgement | None:
+        """Lay a map of these robots on the building and measure it as `correct_area_m2`; None without keyframes.
+
+        owner: whose map it is, of those of which something is kept; nodes, true_poses: as in `lay`.
+        """
+        if not self._room or len(nodes[0]) > len(self._room[0]):
+            self._make_room(len(nodes[0]), true_poses.shape[1])
+        now = _numbers(robots), *nodes, true_poses, grid.log_odds, grid.touched
+        for held in self._held.get(owner, ()):
+            if held.grid is grid:
+                if held.run is None:
+                    place = np.array(held.place, float)
+                    kept = *self._room, place, held.mask, held.known, held.counts, held.result
+                    held.run = bound(_judge, Lent(kept), *now)
+                held.run(*now)
+                *pose, wrong, count = held.result.tolist()
+                if count != NOT_KNOWN and not wrong:
+                    return Judgement(pose, (), count * grid.resolution_m**2)
+        laid = lay(robots, nodes, true_poses)
+        if laid is None:
+            return None
+        return Judgement(laid[0].tolist(), laid[1], self.correct_area_m2(owner, grid, laid[0], cells))
+
+    def correct_area_m2(self, owner: int, grid: GridMap, pose_building_map: Array, cells: Cells) -> float:
+        """`metrics.correct_area_m2` with a rounded pose, counting cells of the map instead of the floor."""
+        x, y, turn = pose_building_map.tolist()
+        place = round(x / PLACE_M), round(y / PLACE_M), round(turn / TURN_RAD)
+        kept = self._held.get(owner, ())
+        for held in kept:
+            if held.place == place and held.grid is grid:
+                break
+        else:
+            held = _Held(grid, place, cells)
+            self._held[owner] = (held, *kept[:1])
+        return held.count() * grid.resolution_m**2
+
+    def _make_room(self, nodes: int, robots: int) -> None:
+        """Room for more nodes than there are."""
+        self._room = _room_for(2 * nodes, robots)
+        for kept in self._held.values():
+            for held in kept:
+                held.run = None
