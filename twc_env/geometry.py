@@ -16,7 +16,8 @@ def wrap_angle(angle_rad: ArrayLike):
     return (np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi
 
 
-def _wrap(angle_rad: float) -> float:
+def wrap_one(angle_rad: float) -> float:
+    """`wrap_angle` of a plain number, thirty times as quick."""
     return (angle_rad + math.pi) % (2 * math.pi) - math.pi
 
 
@@ -26,7 +27,7 @@ def compose(pose_a_b: ArrayLike, pose_b_c: ArrayLike) -> Array:
     if a.ndim == 1 and b.ndim == 1:  # one pose: ten times faster without array functions
         (ax, ay, at), (bx, by, bt) = a.tolist(), b.tolist()
         c, s = math.cos(at), math.sin(at)
-        return np.array([ax + c * bx - s * by, ay + s * bx + c * by, _wrap(at + bt)])
+        return np.array([ax + c * bx - s * by, ay + s * bx + c * by, wrap_one(at + bt)])
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
     y = a[..., 1] + s * b[..., 0] + c * b[..., 1]
@@ -48,7 +49,7 @@ def inverse(pose_a_b: ArrayLike) -> Array:
     if p.ndim == 1:
         x, y, t = p.tolist()
         c, s = math.cos(t), math.sin(t)
-        return np.array([-c * x - s * y, s * x - c * y, _wrap(-t)])
+        return np.array([-c * x - s * y, s * x - c * y, wrap_one(-t)])
     c, s = np.cos(p[..., 2]), np.sin(p[..., 2])
     return np.stack([-c * p[..., 0] - s * p[..., 1], s * p[..., 0] - c * p[..., 1], wrap_angle(-p[..., 2])], axis=-1)
 
@@ -59,9 +60,9 @@ def between(pose_m_a: ArrayLike, pose_m_b: ArrayLike) -> Array:
     if a.ndim == 1 and b.ndim == 1:  # `inverse` and `compose` of one pose at once
         (ax, ay, at), (bx, by, bt) = a.tolist(), b.tolist()
         c, s = math.cos(at), math.sin(at)
-        x, y, t = -c * ax - s * ay, s * ax - c * ay, _wrap(-at)
+        x, y, t = -c * ax - s * ay, s * ax - c * ay, wrap_one(-at)
         c, s = math.cos(t), math.sin(t)
-        return np.array([x + c * bx - s * by, y + s * bx + c * by, _wrap(t + bt)])
+        return np.array([x + c * bx - s * by, y + s * bx + c * by, wrap_one(t + bt)])
     return compose(inverse(pose_m_a), pose_m_b)
 
 

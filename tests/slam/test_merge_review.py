@@ -13,6 +13,7 @@ from twc_env.slam import robust_backend
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import Merge, MergeReview
+from twc_env.slam.team import TeamMapper
 
 PLANTED_STEP = 60
 ROOM_M = (8.0, 0.0, 0.0)
@@ -108,6 +109,23 @@ def test_undoing_is_the_same_every_time(recorded, undone):
         for e in (undone[0], run(recorded)[0])
     ]
     assert digests[0] == digests[1]
+
+
+def test_steps_without_news_in_which_nothing_is_due_are_left_out_and_no_others(recorded, monkeypatch):
+    looked = []
+    monkeypatch.setattr(MergeReview, "wrong", lambda review, step: looked.append(("merges", step)))
+    monkeypatch.setattr(TeamMapper, "_retry_merges", lambda team: looked.append(("pending", team._step)))
+    found = []
+    for is_always_asked in (False, True):
+        looked.clear()
+        team = run(recorded, steps=PLANTED_STEP + 1)[0].team
+        for step in range(PLANTED_STEP + 1, PLANTED_STEP + 200):
+            if is_always_asked:
+                team._settled = -1
+            team.update(step, [])
+        found.append(looked.copy())
+    assert found[0] == found[1]
+    assert {what for what, _ in found[0]} == {"merges", "pending"}
 
 
 def test_without_second_thoughts_the_wrong_merge_stays(recorded):

@@ -193,16 +193,16 @@ class CooperativeSlam:
         contacts = contacts or self._all_in_touch
         self._listening.note(step, contacts.heard)
         deliveries = self._exchange.deliver(contacts, [mapper.wanted for mapper in self.mappers])
-        for mapper, delivery in zip(self.mappers, deliveries, strict=True):
-            mapper.update(step, delivery.keyframes, delivery.scans)
+        for number, mapper in enumerate(self.mappers):
+            delivery = deliveries[number]
+            if mapper.update(step, delivery.keyframes, delivery.scans):
+                self._relocate(number, mapper)
             if delivery.scans:
                 self._maps = None
         self._locate()
 
     def _locate(self) -> None:
-        for number, mapper in enumerate(self.mappers):
-            if mapper.changes != self._located[number] or mapper.regroupings != self._regroupings[number]:
-                self._relocate(number, mapper)
+        """Where the robots are in the maps, by what their front ends say now."""
         self._poses, self._mate_poses = next(self._rooms, None) or self._make_room()
         self._beliefs = None
         now = self._front_ends.poses_odom, self._mates, self._poses, self._mate_poses
@@ -218,7 +218,9 @@ class CooperativeSlam:
         return next(self._rooms)
 
     def _relocate(self, number: int, mapper: TeamMapper) -> None:
-        """What a mapper says of robots has changed; beliefs hold what it said before."""
+        """Take over what a mapper says of robots, where that has changed; beliefs hold what it said before."""
+        if mapper.changes == self._located[number] and mapper.regroupings == self._regroupings[number]:
+            return
         since_m, heard = self._since_closure_m.copy(), self._contact_steps.copy()
         robots = self._everyone if self._is_central else self._everyone[number : number + 1]
         mapper.locate(robots, self._others, (self._poses_map_odom, self._std, since_m, heard))
@@ -242,9 +244,10 @@ class CooperativeSlam:
 
     def finish(self) -> None:
         """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""
-        for mapper in self.mappers:
+        for number, mapper in enumerate(self.mappers):
             mapper.finish()
             mapper.update(self._last_step, [])
+            self._relocate(number, mapper)
         self._locate()
 
     def update(self, frames: Sequence[SensorFrame], contacts: Contacts | None = None) -> None:

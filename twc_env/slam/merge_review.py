@@ -8,6 +8,7 @@ radio, now that more has been seen, speak against it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -76,11 +77,12 @@ class MergeReview:
                 again += bool(np.hypot(*(now - before)[:2]) < SAME_PLACE_M)
         return self._rule.closures_min * 2**again
 
-    def is_due(self, step: int) -> bool:
-        """Whether `wrong` may find anything at this step."""
+    @property
+    def due_step(self) -> float:
+        """The first step at which `wrong` may find anything, as far as is known now."""
         if not self.merges or not self._rule.undo:
-            return False
-        return step >= self._next_step or self._graph.refusals != self._refusals_seen
+            return math.inf
+        return self._next_step if self._graph.refusals == self._refusals_seen else 0
 
     def wrong(self, step: int) -> tuple[Merge, str] | None:
         """The first merge that turns out to be wrong, and why; None while all stand."""

@@ -56,10 +56,19 @@ class TeamMapper:
         self._seeks_closures = config.slam.oracle != "poses"
         self._given_starts: Array | None = None
         self._step = self._last_optimised_step = self._last_retried_step = 0
+        self._due_step: float = 0
+        self._settled = -1
+        """Before this step, and while the graph has changed so often, there is nothing to do if nothing arrives."""
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], KnownSigns]] = {}
 
-    def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> None:
-        """Take in keyframes and wanted scans; verify, merge and optimise as far as this step's budget goes."""
+    def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> bool:
+        """Take in keyframes and wanted scans; verify, merge and optimise as far as this step's budget goes.
+
+        Whether there was anything to do.
+        """
+        if step < self._due_step and self._graph.changes == self._settled and not keyframes and not scans:
+            self._step = step
+            return False
         if scans:
             self._maps.receive(scans)
             self._search.wake()
@@ -76,17 +85,21 @@ class TeamMapper:
             for _ in range(self._config.verification.backlog_per_step):
                 if not self._verify_one():
                     break
-        if self._review.is_due(step) and self._given_starts is None:
+        if step >= self._review.due_step and self._given_starts is None:
             self._undo_wrong_merge()
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
         if self._dirty:
             self._optimise_in_time()
+        is_at_work = self._dirty or self._search.has_waiting or self._given_starts is not None
+        due_step = min(self._review.due_step, self._last_retried_step + RETRY_STEPS)
+        self._due_step, self._settled = step + 1 if is_at_work else due_step, self._graph.changes
+        return True
 
     def give_starts(self, poses: Array) -> None:
         """Tell the mapper where all robots started (robots, 3), in any one frame: an oracle, for comparison only."""
-        self._given_starts = poses
+        self._given_starts, self._settled = poses, -1
 
     def finish(self) -> None:
         """Work off everything that still waits (end of an episode or log)."""
@@ -96,6 +109,7 @@ class TeamMapper:
         for group in range(len(self.groups)):
             self._optimise(group, is_thorough=True)
         self._dirty.clear()
+        self._settled = -1
 
     @property
     def groups(self) -> list[Group]:

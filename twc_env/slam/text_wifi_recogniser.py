@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import PlaceRecognitionConfig
-from twc_env.geometry import compose, inverse
+from twc_env.geometry import wrap_one
 from twc_env.messages import Fingerprint, Keyframe, LoopCandidate, SignObservation
 from twc_env.slam.place_cues import rssi_cue, similarities
 from twc_env.slam.sign_table import RadioRule, SignTable
@@ -156,6 +156,9 @@ class TextRecogniser(TextWifiRecogniser):
 
 def meet_at_sign(target: SignObservation, source: SignObservation) -> Array:
     """(3,) pose of the source in the target's frame if both see one sign: lay the two sign frames on each other."""
-    target_sign = np.array((*target.position_m.tolist(), target.facing_rad))
-    source_sign = np.array((*source.position_m.tolist(), source.facing_rad))
-    return compose(target_sign, inverse(source_sign))
+    (x, y), heading = source.position_m.tolist(), source.facing_rad
+    c, s = math.cos(heading), math.sin(heading)
+    x, y, turn = -c * x - s * y, s * x - c * y, wrap_one(-heading)  # the source in the frame of the sign
+    (ahead, left), heading = target.position_m.tolist(), target.facing_rad
+    c, s = math.cos(heading), math.sin(heading)
+    return np.array([ahead + c * x - s * y, left + s * x + c * y, wrap_one(heading + turn)])
