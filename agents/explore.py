@@ -19,7 +19,7 @@ from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
 from twc_env.config import to_dict
 from twc_env.datasets.frame_log import write_frame_log
 from twc_env.datasets.g2o import write_g2o
-from twc_env.datasets.ros_map import write_ros_map
+from twc_env.datasets.ros_map import write_ros_maps
 from twc_env.datasets.tum import write_tum
 from twc_env.finished_parts import code_digest
 from twc_env.json_values import plain, write_json
@@ -143,9 +143,7 @@ def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
     write_frame_log(folder / "frames.npz", result.config, run.frames, run.contacts)
     run.trace.write(folder / "trace.npz")
     write_g2o(folder / "pose_graph.g2o", result.graph)
-    for k, grid in enumerate(result.grids):
-        if grid.log_odds.size:
-            write_ros_map(grid, folder, "map" if k == 0 else f"map_{k + 1}")
+    write_ros_maps(result.grids, folder)
     if pictures:
         picture.draw_map(result, folder / "map.png")
         if run.film is not None:

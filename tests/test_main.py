@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import twc_env
+from agents.__main__ import main as agents
 from twc_env.__main__ import main
 from twc_env.datasets.frame_log import read_truth_log, write_frame_log
 
@@ -117,6 +118,32 @@ def test_the_frame_log_holds_no_true_pose(tmp_path):
         for name in log.files:
             if log[name].dtype.kind == "f" and log[name].ndim == 2 and len(log[name]) == 21:
                 assert not np.isclose(log[name][5:], true_poses[5:, 0, :1]).all(axis=0).any()
+
+
+def test_a_replay_says_that_a_log_does_not_hold_what_an_oracle_told(tmp_path, capsys):
+    record = ["record", "--robots", "2", "--steps", "3", "--out", str(tmp_path)]
+    for oracle, said in (("starts", "slam.oracle = 'starts'"), ("none", "")):
+        assert main([*record, "--set", f"slam.oracle={oracle}"]) == 0
+        capsys.readouterr()
+        assert main(["replay", str(tmp_path)]) == 0
+        remark = capsys.readouterr().err
+        assert said in remark and bool(remark) == bool(said)
+
+
+def test_maps_of_a_replay_are_named_as_those_of_the_episode_the_largest_group_first(tmp_path):
+    run, again = tmp_path / "run", tmp_path / "again"
+    assert agents(["explore", "--steps", "200", "--no-pictures", "--out", str(run)]) == 0
+    assert main(["replay", str(run), "--out", str(again)]) == 0
+    names = {"map.pgm", "map.yaml", "map_2.pgm", "map_2.yaml"}  # two robots have met
+    assert {path.name for path in run.glob("map*")} == {path.name for path in again.glob("map*")} == names
+    assert all((run / name).read_bytes() == (again / name).read_bytes() for name in names)
+
+
+def test_a_robot_that_was_never_heard_of_has_no_map(tmp_path):
+    never = ["--set", "failure.robots=1", "--set", "failure.robots_step=0"]
+    assert main(["record", "--robots", "2", "--steps", "3", *never, "--out", str(tmp_path)]) == 0
+    assert main(["replay", str(tmp_path), "--out", str(tmp_path / "maps")]) == 0
+    assert {path.name for path in (tmp_path / "maps").iterdir()} == {"map.pgm", "map.yaml", "pose_graph.g2o"}
 
 
 def test_truth_of_another_run_is_refused(tmp_path, capsys):

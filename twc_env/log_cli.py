@@ -125,6 +125,8 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
     config = override(config, {**assignments(options.set), **chosen})
     contacts, odom_poses = read_contacts(log), []
+    if config.slam.oracle != "none":
+        print(f"slam.oracle = {config.slam.oracle!r}: what it tells is in no log, so nothing is told", file=sys.stderr)
     seen = 1 + max(frame.robot for frames in steps for frame in frames)
     engine = CooperativeSlam(config, contacts[0].heard.shape[1] if contacts else seen)
     for k, frames in enumerate(steps):
@@ -166,9 +168,9 @@ def _error_of_log(engine: CooperativeSlam, odom_poses: np.ndarray, true_poses: n
 
 def _write_maps(folder: Path, team: TeamMapper) -> None:
     from twc_env.datasets.g2o import write_g2o
-    from twc_env.datasets.ros_map import write_ros_map
+    from twc_env.datasets.ros_map import write_ros_maps
 
     make_folder(folder)
-    for index in range(len(team.groups)):
-        write_ros_map(team.grid_of(index), folder, "map" if index == 0 else f"map_{index}")
+    largest_first = sorted(range(len(team.groups)), key=lambda group: -len(team.groups[group].robots))
+    write_ros_maps(map(team.grid_of, largest_first), folder)
     write_g2o(folder / "pose_graph.g2o", team.graph())

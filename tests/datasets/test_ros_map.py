@@ -74,9 +74,43 @@ def test_comments_quotes_and_further_keys_are_read(tmp_path):
     assert read_ros_cells(path).free.sum() == (grid().log_odds < 0).sum()
 
 
+def test_raw_pictures_hold_percents_and_what_is_above_is_unknown(tmp_path):
+    path = write_ros_map(grid(), tmp_path, "mine")
+    percents = np.select([grid().log_odds < 0, grid().log_odds > 0], [0, 100], 255).astype(np.uint8)
+    (tmp_path / "mine.pgm").write_bytes(b"P5\n60 40\n255\n" + percents[::-1].tobytes())
+    path.write_text(path.read_text().replace("negate: 0", "negate: 1") + "mode: raw\n")  # which knows no negation
+    ros_map = read_ros_cells(path)
+    assert np.array_equal(ros_map.free, grid().log_odds < 0)
+    assert np.array_equal(ros_map.occupied, grid().log_odds > 0)
+
+
+@pytest.mark.parametrize("negate", [0, 1])
+def test_what_is_transparent_is_never_free(tmp_path, negate):
+    image_module = pytest.importorskip("PIL.Image", reason="png needs the viz extra")
+    path = write_ros_map(grid(), tmp_path, "mine")
+    is_free = (grid().log_odds < 0)[::-1]
+    free, wall = (0, 255) if negate else (254, 0)
+    pixels = np.dstack([np.where(is_free, free, wall), np.where(grid().log_odds[::-1] == 0, 0, 255)]).astype(np.uint8)
+    image_module.fromarray(pixels, "LA").save(tmp_path / "mine.png")
+    path.write_text(path.read_text().replace("mine.pgm", "mine.png").replace("negate: 0", f"negate: {negate}"))
+    assert np.array_equal(read_ros_cells(path).free, is_free[::-1])
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["\n- -3.0\n- 1.5\n- 0.0", "\n  - -3.0\n  - 1.5  # y\n  - 0.0", "[-3.0,\n 1.5, 0.0]", "[-3.0\n , 1.5\n , 0.0]"],
+)
+def test_lists_of_several_lines_and_a_byte_order_mark_are_read(tmp_path, origin):
+    path = write_ros_map(grid(), tmp_path, "mine")
+    text = "---\n" + path.read_text().replace("[-3.0, 1.5, 0.0]", origin)
+    path.write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
+    assert read_ros_cells(path).origin.tolist() == [-3.0, 1.5, 0.0]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
+        ("negate: 0", "negate: 0\nmode: tri", "mode must be trinary, scale or raw; got 'tri'"),
         ("resolution: 0.1\n", "", "lacks the key 'resolution'"),
         ("resolution: 0.1", "resolution: fine", "resolution must be a number; got 'fine'"),
         ("resolution: 0.1", "resolution: -0.1", "resolution must be metres per pixel, 0.005 to 10; got -0.1"),

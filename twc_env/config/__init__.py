@@ -21,6 +21,7 @@ from twc_env.config.slam import (
 )
 from twc_env.config.values import digest, from_dict, load, override, radio_preset, to_dict
 from twc_env.config.world import (
+    ROBOTS_MAX,
     BuildingConfig,
     CellConfig,
     DynamicsConfig,
@@ -35,6 +36,7 @@ from twc_env.config.world import (
 
 __all__ = [
     "RADIO_PRESETS",
+    "ROBOTS_MAX",
     "ActionConfig",
     "BuildingConfig",
     "CellConfig",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from twc_env.config.checks import Checked, choice, number
 from twc_env.config.slam import SlamConfig
 from twc_env.config.world import (
+    ROBOTS_MAX,
     BuildingConfig,
     DynamicsConfig,
     FailureConfig,
@@ -87,7 +88,7 @@ class EnvConfig(Checked):
     map: str = "twin-01"
     """A bundled map ("twin-01"), a generated building ("gen:office:800:7", "train/0007") or a file: twc_env or
     HouseExpo JSON, ROS map_server yaml, png, pgm or GeoJSON."""
-    robots: int = number(3, 1, 64)
+    robots: int = number(3, 1, ROBOTS_MAX)
     max_cycles: int = number(2000, 1, 10_000_000)
     building: BuildingConfig = field(default_factory=BuildingConfig)
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 from twc_env.config.checks import Checked, choice, number
 
+ROBOTS_MAX = 64
+"""Of one team."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildingConfig(Checked):
@@ -203,7 +206,7 @@ class LinkConfig(Checked):
 class FailureConfig(Checked):
     """What breaks. By default nothing does."""
 
-    robots: int = number(0, 0, 64)
+    robots: int = number(0, 0, ROBOTS_MAX)
     """So many robots, the last of the team, stop for good: they stand still, sense nothing and say nothing more."""
     robots_step: int = number(500, 0, 10_000_000)
     """From this step on."""

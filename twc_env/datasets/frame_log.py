@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.config import EnvConfig, from_dict, to_dict
+from twc_env.config import ROBOTS_MAX, EnvConfig, from_dict, to_dict
 from twc_env.datasets.arrays_file import read_arrays, write_arrays
 from twc_env.errors import DataError, TwcError
 from twc_env.messages import Contacts, SensorFrame, SignReading, WifiScan
@@ -130,7 +130,9 @@ def _read(path: str | Path) -> dict[str, Array]:
 
 def _fault(log: dict[str, Array]) -> str | None:
     """What does not fit together in columns of right length."""
-    frames, readings, counts = len(log["robot"]), len(log["wifi_macs"]), log["wifi_count"]
+    frames, readings, counts, robots = len(log["robot"]), len(log["wifi_macs"]), log["wifi_count"], log["robot"]
+    if robots.dtype.kind not in "iu" or robots.min() < 0 or robots.max() >= ROBOTS_MAX:
+        return f"frames of robots {robots.min()} to {robots.max()}, 0 to {ROBOTS_MAX - 1} are possible"
     if log["odometry"].shape != (frames, 3) or log["ranges_m"].ndim != 2:
         return f"odometry of shape {log['odometry'].shape} and ranges_m of {log['ranges_m'].shape}"
     if (counts < -1).any() or np.maximum(counts, 0).sum() != readings:

@@ -78,18 +78,18 @@ def deepest_cell(free: Array) -> tuple[int, int]:
     return int(row), int(column)
 
 
-def read_grey(path: Path) -> Array:
-    """(rows, columns) uint8, row 0 the top. PGM is read here, other formats by Pillow; alpha lies on black.
+def read_grey(path: Path, behind: int = 0) -> Array:
+    """(rows, columns) uint8, row 0 the top. PGM is read here, other formats by Pillow; alpha lies on the grey `behind`.
 
     Raises MapError when the file cannot be read or is too large.
     """
     raw = load_bytes(path, "picture")
     if ".pgm" in [suffix.lower() for suffix in path.suffixes][-2:]:
         return _decode_pgm(raw, path.name)
-    return _decode_with_pillow(raw, path)
+    return _decode_with_pillow(raw, path, behind)
 
 
-def _decode_with_pillow(raw: bytes, path: Path) -> Array:
+def _decode_with_pillow(raw: bytes, path: Path, behind: int) -> Array:
     try:
         from PIL import Image, UnidentifiedImageError
     except ImportError as error:
@@ -107,7 +107,8 @@ def _decode_with_pillow(raw: bytes, path: Path) -> Array:
     except Exception as error:  # a broken picture surfaces as almost any exception
         reason = "it holds no picture" if isinstance(error, UnidentifiedImageError) else error
         raise MapError(f"cannot read the picture {path}: {reason}; save it again as png or pgm") from error
-    return (pixels[..., :3].mean(axis=-1) * pixels[..., 3] / 255).astype(np.uint8)
+    cover = pixels[..., 3] / 255
+    return (pixels[..., :3].mean(axis=-1) * cover + behind * (1.0 - cover)).astype(np.uint8)
 
 
 def _decode_pgm(raw: bytes, where: str) -> Array:

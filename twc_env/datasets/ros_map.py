@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from twc_env.world.floorplan_file import load_bytes
 Array = NDArray
 
 _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+_MODES, _RAW_MAX = ("trinary", "scale", "raw"), 100
+"""How pixels are meant; raw ones are per cent of occupancy."""
 RESOLUTION_MIN_M = 0.005
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0
 _OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
@@ -55,8 +58,7 @@ def read_ros_cells(path: str | Path) -> RosMap:
     picture = _picture(path.parent / values["image"])
     if picture is None:
         raise MapError(f"{path.name} names the picture {values['image']!r}, which is not beside it; put it there")
-    shade = read_grey(picture)[::-1] / 255.0
-    occupancy = shade if _number(values, "negate", path) else 1.0 - shade
+    occupancy = _occupancy(picture, values, path)
     resolution_m = _number(values, "resolution", path)
     if not RESOLUTION_MIN_M <= resolution_m < 10:
         raise MapError(f"{path.name}: resolution must be metres per pixel, 0.005 to 10; got {resolution_m:g}")
@@ -66,6 +68,17 @@ def read_ros_cells(path: str | Path) -> RosMap:
         resolution_m=resolution_m,
         origin=_origin(values["origin"], path),
     )
+
+
+def _occupancy(picture: Path, values: dict[str, str], path: Path) -> Array:
+    """(rows, columns) from 0 (free) to 1, the lowest row first; NaN where a raw picture says "unknown"."""
+    mode, is_negated = values.get("mode", "trinary"), _number(values, "negate", path) != 0
+    if mode not in _MODES:
+        raise MapError(f"{path.name}: mode must be trinary, scale or raw; got {mode!r}")
+    grey = read_grey(picture, 255 if is_negated else 0)[::-1].astype(float)
+    if mode == "raw":
+        return np.where(grey <= _RAW_MAX, grey / _RAW_MAX, np.nan)
+    return grey / 255.0 if is_negated else 1.0 - grey / 255.0
 
 
 def write_ros_map(grid: GridMap, folder: str | Path, stem: str) -> Path:
@@ -86,6 +99,13 @@ def write_ros_map(grid: GridMap, folder: str | Path, stem: str) -> Path:
     return path
 
 
+def write_ros_maps(grids: Iterable[GridMap], folder: Path) -> None:
+    """The maps of groups, largest first, as `map`, `map_2` and so on; nothing for a group that has seen nothing."""
+    for k, grid in enumerate(grids, 1):
+        if grid.log_odds.size:
+            write_ros_map(grid, folder, "map" if k == 1 else f"map_{k}")
+
+
 def _picture(path: Path) -> Path | None:
     """The picture, or its compressed twin; None when there is neither, or no file can have that name."""
     try:
@@ -95,16 +115,19 @@ def _picture(path: Path) -> Path | None:
 
 
 def _read_yaml(path: Path) -> dict[str, str]:
-    """The flat `key: value` lines of a map_server file; other keys (such as `mode`) are left alone."""
+    """The `key: value` lines of a map_server file, lists as one text "a, b" however they are laid out."""
     try:
-        text = load_bytes(path).decode("utf-8")
+        text = load_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise MapError(f"{path.name} is no text: {error}; export the map again") from error
-    values = {}
+    values, key = {}, ""
     for line in text.splitlines():
-        key, separator, value = line.partition("#")[0].partition(":")
+        name, separator, value = line.partition("#")[0].partition(":")
         if separator:
-            values[key.strip()] = value.strip().strip("\"'")
+            key = name.strip()
+            values[key] = value.strip().strip("\"'")
+        elif key and (item := name.strip().removeprefix("- ").strip()):  # the line before goes on
+            values[key] = ", ".join(part.strip(", ") for part in (values[key], item) if part.strip(", "))
     for key in _KEYS:
         if key not in values:
             raise MapError(f"{path.name} lacks the key {key!r}; a map_server file has {', '.join(_KEYS)}")
@@ -123,7 +146,7 @@ def _number(values: dict[str, str], key: str, path: Path) -> float:
 
 def _origin(text: str, path: Path) -> Array:
     try:
-        origin = np.array([float(value) for value in text.strip("[]").split(",")])
+        origin = np.array([float(value) for value in text.strip("[], ").split(",")])
     except ValueError:
         origin = np.zeros(0)
     if origin.shape != (3,) or not np.isfinite(origin).all():
