@@ -32,7 +32,7 @@ class Outcome:
     """Simulated time until `GOAL` was reached; the whole episode's where it never was."""
     is_reached: bool
     coverage: float
-    """Rightly mapped at the end, by the largest group without a wrong merge."""
+    """Rightly mapped at the end, by the largest group."""
     coverage_mean: float
     """The same, averaged over the longest that an episode may last."""
     path_m: float
@@ -81,6 +81,7 @@ def compare(
 
 def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
     """One episode, until the agent is finished or time is over."""
+    config = override(config, {"reward.sharing": "team"})  # what the team has covered is read from its terms
     env, policy = twc_env.parallel_env(config=config), make_policy(agent, config)
     env.reset(seed=seed)
     policy.reset(seed, env.possible_agents)

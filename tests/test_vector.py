@@ -130,6 +130,15 @@ def test_buildings_that_do_not_exist_are_refused_before_the_first_episode(buildi
         VectorTeams(1, SMALL, buildings=buildings)
 
 
+def test_of_buildings_that_are_drawn_only_one_of_a_kind_is_drawn_beforehand(monkeypatch):
+    drawn = []
+    monkeypatch.setattr("twc_env.vector.load_map", lambda name: drawn.append(name))
+    kinds = ("office", "ring")
+    names = [f"gen:{kinds[k % 2]}:100:{k}" for k in range(40)] + ["train/0003", "train/0004", "a:1.yaml", "b:2.yaml"]
+    VectorTeams(1, SMALL, buildings=names)
+    assert sorted(drawn) == ["a:1.yaml", "b:2.yaml", "gen:office:100:0", "gen:ring:100:1", "train/0003"]
+
+
 @pytest.mark.parametrize("seed", [-1, 1.5, "3", True])
 def test_seeds_that_are_none_are_refused(seed):
     with pytest.raises(ConfigError, match="seed must be a whole number"):

@@ -21,6 +21,8 @@ from twc_env.config import override
 
 Choose = Callable[[dict, int], dict]
 """Observations and time steps gone by -> actions."""
+_JUDGED: dict[str, object] = {"reward.sharing": "team"}
+"""What the team has covered is read from its terms, however robots were paid when they learnt."""
 POLICIES = ("trained", "random", "nearest", "nearest-frontier")
 
 
@@ -29,9 +31,9 @@ class Episode:
     """What one policy reached in one building."""
 
     coverage: float
-    """Share of the floor mapped rightly by the largest rightly merged group at the end."""
+    """Share of the floor that the largest group's map shows rightly at the end."""
     mean_coverage: float
-    """The same averaged over the episode's time steps: early is better."""
+    """That of the rightly merged group that maps most, averaged over the episode's time steps: early is better."""
     merged_robots: int
     wrong_merges: int
 
@@ -124,7 +126,7 @@ def _nearest(seen: dict, _: int) -> dict:
 
 
 def _choosing(task: Task, seed: int, choose: Choose) -> Episode:
-    env = twc_env.parallel_env(config=task.config)
+    env = twc_env.parallel_env(config=override(task.config, _JUDGED))
     observations, _ = env.reset(seed, {"map": task.held_out_maps(seed + 1)[-1]})
     reached, total, elapsed = 0.0, 0.0, 0
     while env.agents:
@@ -138,7 +140,7 @@ def _choosing(task: Task, seed: int, choose: Choose) -> Episode:
 
 def _scripted(task: Task, seed: int) -> Episode:
     """The scripted team of `agents`, which steers by itself: its advantage is that it decides at every time step."""
-    config = override(task.config, {"action.kind": "velocity"})
+    config = override(task.config, {"action.kind": "velocity", **_JUDGED})
     env = twc_env.parallel_env(config=config)
     env.reset(seed, {"map": task.held_out_maps(seed + 1)[-1]})
     policy = make_policy("nearest-frontier", config)

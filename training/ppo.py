@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from operator import mul
 from pathlib import Path
@@ -192,9 +192,9 @@ def train(
 ) -> Path:
     """Train until `steps` decisions have been taken in all; returns the path of the saved model.
 
-    `resume` goes on from the model in `folder`; its task and settings must be the same. Episodes are drawn anew from
-    the seed and the step count, so a resumed run is reproducible but not equal to an uninterrupted one.
-    Raises DataError when there is nothing to resume, or when the folder holds a run and `resume` is not asked for.
+    `resume` goes on from the model in `folder`; its task and settings must be the same, but for the workers. Episodes
+    are drawn anew from the seed and the step count, so a resumed run is reproducible but not equal to an uninterrupted
+    one. Raises DataError when there is nothing to resume, or when the folder holds a run and `resume` is not asked for.
     """
     torch.set_num_threads(1)
     if (task.config.action.kind, task.config.observation.kind) != ("frontier", "dict"):
@@ -244,6 +244,8 @@ def _check_same_run(folder: Path, task: Task, settings: Settings) -> None:
     record = read_settings(folder)
     if not (folder / "model.zip").exists():
         raise DataError(f"{folder} has no model.zip to resume from; start without --resume")
+    # However many processes there are, the numbers are the same.
+    settings = replace(settings, workers=record["settings"].get("workers", settings.workers))
     asked = {"task": {**asdict(task), "kinds": list(task.kinds)}, "settings": asdict(settings)}
     changed = [part for part, values in asked.items() if record[part] != values]
     if changed:

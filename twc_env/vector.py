@@ -150,10 +150,16 @@ def _building_names(buildings: str | Sequence[str]) -> tuple[str, ...]:
     if not isinstance(buildings, Sequence) or not all(isinstance(name, (str, PathLike)) for name in buildings):
         raise ConfigError(f"buildings must be a split ({', '.join(SPLITS)}) or names of maps; got {buildings!r}")
     names = tuple(str(name) for name in buildings)
-    for name in names:
-        if not is_of_split(name):  # these need not be drawn to be there
-            load_map(name)
+    unlike = {_recipe(name): name for name in reversed(names)}
+    for name in unlike.values():
+        load_map(name)
     return names
+
+
+def _recipe(name: str) -> str:
+    """Names that differ in nothing but a number that a building is drawn from have one: none of them can be missing."""
+    recipe, _, number = name.rpartition(":")
+    return name.partition("/")[0] if is_of_split(name) else recipe if number.isdecimal() else name
 
 
 class _Boards:

@@ -62,7 +62,7 @@ def test_teams_that_would_not_take_velocities_are_refused_before_the_first_episo
 def test_what_is_covered_does_not_depend_on_what_is_paid_for():
     plain = compare.explore(SMALL, "random", 0)
     assert plain.coverage_mean > 0
-    paid = override(SMALL, {"reward.coverage": 3.0, "reward.time": -5.0})
+    paid = override(SMALL, {"reward.coverage": 3.0, "reward.time": -5.0, "reward.sharing": "individual"})
     assert compare.explore(paid, "random", 0) == plain
 
 

@@ -79,6 +79,25 @@ def test_a_trained_model_is_evaluated_against_random_actions(run, tmp_path, caps
 
 
 @needs_torch
+def test_what_a_team_covers_does_not_depend_on_how_it_is_paid():
+    from training.evaluate import _choosing, _nearest, _scripted
+
+    team = replace(small_task(), robots=3, max_cycles=60)
+    alone = replace(team, overrides={**team.overrides, "reward.sharing": "individual"})
+    for play in (lambda task: _choosing(task, 1, _nearest), lambda task: _scripted(task, 1)):
+        assert play(alone) == play(team)
+
+
+@needs_torch
+def test_going_on_with_another_number_of_processes_is_going_on(tmp_path):
+    from training.ppo import train
+
+    train(small_task(), small_settings(), 32, tmp_path, show_progress=False)
+    train(small_task(), replace(small_settings(), workers=1), 64, tmp_path, resume=True, show_progress=False)
+    assert int(metrics_of(tmp_path)[-1]["steps"]) == 64
+
+
+@needs_torch
 def test_the_same_seed_learns_the_same_weights(run, tmp_path):
     import torch
     from stable_baselines3 import PPO

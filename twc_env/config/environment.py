@@ -37,7 +37,7 @@ class ObservationConfig(Checked):
     map_cells: int = number(64, 8, 512)
     map_cell_m: float = number(0.25, 0.05, 5.0)
     overview_cells: int = number(32, 8, 512)
-    """Rows and columns of the whole merged map, shrunk to fit."""
+    """Rows and columns of the whole merged map, shrunk to fit; stable-baselines3's own network needs 36."""
     path_m: float = number(100.0, 0.0, 10_000.0)
     """Length of the robot's own path that `map` shows."""
     wifi_slots: int = number(16, 1, 512)
