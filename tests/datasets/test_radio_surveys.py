@@ -101,7 +101,7 @@ def test_broken_files_are_data_errors(tmp_path, name, content, read):
     ("name", "header", "read"),
     [
         ("calibration_df.csv.gz", "ts,x,y," + ",".join(f"rssi_{k}" for k in range(1, 7)), read_ble_run),
-        ("Training_CETC331.csv.gz", "ECoord,NCoord,FloorID,SampleTimes,aa", read_sod),
+        ("Training_CETC331.csv.gz", "ECoord,NCoord,FloorID,SceneID,PhoneID,SampleTimes,aa", read_sod),
     ],
 )
 def test_a_table_of_a_header_alone_is_a_data_error(tmp_path, name, header, read):

@@ -10,6 +10,7 @@ from twc_env.config import RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio_model import STUDIES
+from twc_env.reproduce.radio_rooms import surveyed_rooms
 from twc_env.reproduce.radio_study import hearing, spread_over
 
 needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="real surveys: set TWC_DATA to the data folder")
@@ -35,6 +36,24 @@ def test_an_office_has_rooms_on_both_sides_of_its_corridor():
         assert plan.bounds_m.tolist() == [0, 0, *bounds[2:]]
         middle, room = plan.bounds_m[2:] / 2, np.array([3.0, 3.0])
         assert plan.wall_index.crossing(middle, room[None])[0][0] >= 1
+
+
+def test_a_surveyed_corridor_is_open_and_what_lies_beside_it_is_walled_off():
+    across = np.stack(np.meshgrid(np.arange(2.0, 38.0), [9.0, 10.0]), axis=-1).reshape(-1, 2)
+    around = np.stack(np.meshgrid(np.arange(4.0, 12.0), [2.0, 6.0]), axis=-1).reshape(-1, 2)
+    at_m, kinds = np.concatenate([across, around]), np.repeat([1, 3], [len(across), len(around)])
+    zeros = np.zeros(len(at_m), int)
+    survey = RadioSurvey(
+        "hall", at_m, zeros, zeros, zeros, ("a",), np.zeros((len(at_m), 1)), room_kind=kinds,
+        transmitter_m=np.array([[20.0, 11.5]]), transmitter_floor=np.array([0]), is_high_band=np.array([False]),
+    )  # fmt: skip
+    plan = surveyed_rooms(survey, 0, np.array([0.0, 0.0, 42.0, 14.0]))
+    assert plan.wall_index.crossing(np.array([3.0, 9.1]), survey.transmitters[0])[0][0] == 0
+    corridor_end, room, middle_of_room = np.array([[37.0, 10.0], [5.0, 2.5], [8.0, 4.0]])
+    assert plan.wall_index.crossing(np.array([3.0, 9.1]), corridor_end[None])[0][0] == 0
+    assert plan.wall_index.crossing(np.array([5.0, 9.1]), room[None])[0][0] == 1
+    assert plan.wall_index.crossing(room, middle_of_room[None])[0][0] == 0
+    assert plan.bounds_m.tolist() == [0, 0, 42.0, 14.0]
 
 
 def test_known_transmitters_keep_their_columns_and_storeys():

@@ -42,6 +42,8 @@ class RadioSurvey:
     """(t,) bool: 5 GHz."""
     age_s: Array | None = None
     """(s, t) float32, how long before its scan each reading was really heard; NaN where not heard."""
+    room_kind: Array | None = None
+    """(s,) int, what kind of room each scan was taken in, where the set tells it."""
 
     def fresh(self, age_max_s: float) -> RadioSurvey:
         """Without the readings that a scan repeats from longer ago; all of a set that tells no ages."""
@@ -53,8 +55,9 @@ class RadioSurvey:
 
     def at_scans(self, chosen: Array) -> RadioSurvey:
         """Only some of the scans (numbers or a mask)."""
-        columns = ("position_m", "floor", "time_s", "walk", "rssi_dbm") + (() if self.age_s is None else ("age_s",))
-        return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in columns})
+        columns = ("position_m", "floor", "time_s", "walk", "rssi_dbm", "age_s", "room_kind")
+        told = {name: values for name in columns if (values := getattr(self, name)) is not None}
+        return dataclasses.replace(self, **{name: values[chosen] for name, values in told.items()})
 
     def of_transmitters(self, chosen: Array) -> RadioSurvey:
         """Only some of the transmitters (numbers or a mask)."""
@@ -65,6 +68,20 @@ class RadioSurvey:
         }
         addresses = np.array(self.addresses, object)[chosen].tolist()
         return dataclasses.replace(self, addresses=tuple(addresses), **parts, **tables)
+
+    @property
+    def room_kinds(self) -> Array:
+        """(s,) kinds of rooms of a set that tells them; DataError for others."""
+        if self.room_kind is None:
+            raise DataError(f"survey {self.name} does not tell its kinds of rooms; use one that does")
+        return self.room_kind
+
+    @property
+    def high_bands(self) -> Array:
+        """(t,) 5 GHz flags of a set that tells them; DataError for others."""
+        if self.is_high_band is None:
+            raise DataError(f"survey {self.name} does not tell its bands; use one that does")
+        return self.is_high_band
 
     @property
     def transmitters(self) -> tuple[Array, Array, Array]:

@@ -10,14 +10,16 @@ from twc_env.datasets.fingerprints import RadioSurvey, heard_only, numbers, read
 from twc_env.errors import DataError
 
 _TRAINING = {"CETC331": "Training_CETC331.csv.gz", "SYL": "Training_SYL_AP_30.csv.gz"}
-_PLACE = ("ECoord", "NCoord", "FloorID", "SampleTimes")
+_PLACE = ("ECoord", "NCoord", "FloorID", "SceneID", "PhoneID", "SampleTimes")
 _ACCESS_POINT = ("ECoord", "NCoord", "FloorID", "Attribute_2.4", "Attribute_5")
 
 
 def read_sod(folder: str | Path, building: str) -> RadioSurvey:
     """One building, "CETC331" or "SYL": the first sample of every point and all access points of known place.
 
-    The other samples of a point are mostly repeated scans. Raises DataError for unknown names and broken files.
+    The other samples of a point are mostly repeated scans. Scans of one phone count as one walk.
+
+    Raises DataError for unknown names and broken files.
     """
     if building not in _TRAINING:
         raise DataError(f"SODIndoorLoc has no building {building!r} here; known are {', '.join(_TRAINING)}")
@@ -42,10 +44,11 @@ def read_sod(folder: str | Path, building: str) -> RadioSurvey:
         position_m=table[:, [at["ECoord"], at["NCoord"]]],
         floor=table[:, at["FloorID"]].astype(int),
         time_s=np.zeros(len(table)),
-        walk=np.arange(len(table)),
+        walk=table[:, at["PhoneID"]].astype(int),
         addresses=tuple(mac for mac, _, _ in sent),
         rssi_dbm=heard_only(table[:, [at[mac] for mac, _, _ in sent]]),
         transmitter_m=places[:, :2],
         transmitter_floor=places[:, 2].astype(int),
         is_high_band=np.array([is_high for _, _, is_high in sent]),
+        room_kind=table[:, at["SceneID"]].astype(int),
     )

@@ -51,7 +51,13 @@ STUDIES: tuple[Study, ...] = tuple(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--seeds", type=count, default=6, metavar="N", help="simulated runs (default: %(default)s)")
+    parser.add_argument(
+        "--seeds",
+        type=count,
+        default=6,
+        metavar="N",
+        help="simulated runs, of small sets four each (default: %(default)s)",
+    )
     parser.add_argument(
         "--only", default="", metavar="TEXT", help="only sets whose name holds this text (default: all)"
     )
@@ -64,7 +70,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     if not chosen:
         raise ConfigError(f"no set is named {options.only!r}; known are {', '.join(s.name for s in STUDIES)}")
     folder = data_folder()
-    parts = [(study, seed) for study in chosen for seed in range(_SPREAD, options.seeds)]
+    parts = [(study, seed) for study in chosen for seed in range(_SPREAD, options.seeds * study.runs)]
     found = runner.each(parts, lambda part: _measure(part, folder, options.quick), _label)
     table = []
     for study in chosen:

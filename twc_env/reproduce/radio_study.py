@@ -44,6 +44,8 @@ class Study:
     """Why figures whose name begins with the key are missed."""
     spread: Callable[[Path, bool], Spread] | None = None
     """How far apart the real figures are of other access points, walks or routers of the same kind of place."""
+    runs: int = 1
+    """Simulated buildings per seed: small sets take more, as one building's shadowing and powers are much of chance."""
 
     @property
     def config(self) -> RadioConfig:

@@ -1,0 +1,96 @@
+"""The rooms that a survey itself tells: its points say what kind of room each lies in.
+
+A corridor whose points were surveyed is open from end to end, a meeting room has walls around it. Where nobody
+surveyed, square rooms are drawn.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_fill_holes, distance_transform_edt, maximum_filter, median_filter, minimum_filter
+
+from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.datasets.raster import free_edges, parts
+from twc_env.world.floorplan import Floorplan
+
+Array = NDArray
+
+CELL_M = 0.2
+REACH_M = 1.7
+"""A room goes on this far beyond its outermost points: access points hang on walls 1.6 to 2 m away from them."""
+BRIDGED_M = 5.0
+"""Furniture up to this wide keeps surveyors out of the middle of a room."""
+ROOM_MIN_M2 = 10.0
+CORRIDOR = 1
+"""Kind of room in which the points fill the floor."""
+
+
+def surveyed_rooms(
+    survey: RadioSurvey,
+    floor: int,
+    bounds_m: Array,
+    module_m: float = 7.0,
+    wall_db: float = 4.0,
+    outer_db: float = 10.0,
+) -> Floorplan:
+    """The storey of a survey that tells its kinds of rooms, within bounds (4,); drawn rooms are `module_m` wide."""
+    origin = np.asarray(bounds_m[:2], float)
+    columns, rows = np.ceil((np.asarray(bounds_m[2:]) - origin) / CELL_M).astype(int).tolist()
+    here = survey.floor == floor
+    cells = np.floor((survey.position_m[here] - origin) / CELL_M).astype(int)
+    labels = _known(cells, survey.room_kinds[here], (rows, columns))
+    drawn = labels.max() + 1 + _drawn((rows, columns), module_m / CELL_M)
+    walls = free_edges(_without_slivers(np.where(labels > 0, labels, drawn)))
+    is_outer = (walls == 0).all(axis=1).any(axis=1) | (walls == [columns, rows]).all(axis=1).any(axis=1)
+    column, row = cells[0]
+    return Floorplan(
+        f"{survey.name} floor {floor}",
+        walls * CELL_M + origin,
+        np.where(is_outer, outer_db, wall_db),
+        interior_m=origin + (np.array([[column, row]]) + 0.5) * CELL_M,
+    )
+
+
+def _known(cells: Array, kinds: Array, shape: tuple[int, int]) -> Array:
+    """(rows, columns) number of the surveyed room of each cell, 0 for none; where two meet, the nearest point tells."""
+    rooms, away = [], []
+    for kind in np.unique(kinds):
+        points = np.zeros(shape, bool)
+        points[cells[kinds == kind, 1], cells[kinds == kind, 0]] = True
+        bridged_m = 2 * REACH_M if kind == CORRIDOR else BRIDGED_M
+        wide = maximum_filter(points, _width(bridged_m), mode="constant")
+        room = minimum_filter(wide, _width(bridged_m - 2 * REACH_M), mode="constant", cval=1)
+        rooms.append(binary_fill_holes(room))
+        away.append(distance_transform_edt(~points))
+    # Which of two points is nearer changes from cell to cell along a wall: what most cells say makes it straight.
+    nearest = median_filter(np.argmin(away, axis=0), _width(2 * REACH_M))
+    labels = np.zeros(shape, int)
+    for number, room in enumerate(rooms):
+        part, _ = parts(room & (nearest == number))
+        labels[part > 0] = labels.max() + part[part > 0]
+    return labels
+
+
+def _width(length_m: float) -> int:
+    """Of a square window, an odd number of cells."""
+    return 2 * round(length_m / CELL_M / 2) + 1
+
+
+def _drawn(shape: tuple[int, int], module: float) -> Array:
+    """(rows, columns) number from 0 of the drawn room of each cell: squares of `module` cells."""
+    row, column = np.indices(shape)
+    return (row // module * shape[1] + column // module).astype(int)
+
+
+def _without_slivers(labels: Array) -> Array:
+    """What is too small for a room belongs to the nearest one that is not."""
+    is_room = np.zeros(labels.shape, bool)
+    numbers = np.zeros_like(labels)
+    for label in np.unique(labels):
+        number, sizes = parts(labels == label)
+        large = np.append(False, sizes * CELL_M**2 >= ROOM_MIN_M2)[number]
+        numbers[large] = numbers.max() + number[large]
+        is_room |= large
+    row, column = distance_transform_edt(~is_room, return_distances=False, return_indices=True)
+    return numbers[row, column]
