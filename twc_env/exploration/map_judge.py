@@ -7,7 +7,7 @@ of cells that scans touched since the last time. One compiled call does all of i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -31,6 +31,7 @@ NOT_KNOWN = -1.0
 
 Nodes = tuple[Array, Array, Array]
 """As `TeamMapper.nodes`."""
+Pairs = tuple[tuple[int, int], ...]
 
 
 class Judgement(NamedTuple):
@@ -38,12 +39,12 @@ class Judgement(NamedTuple):
 
     pose_building_map: list[float]
     """x, y, heading: the one rigid alignment that lays the map on the building."""
-    wrong_pairs: tuple[tuple[int, int], ...]
+    wrong_pairs: Pairs
     """Of its robots, whose relative frame is off by more than 1 m or 10 degrees."""
     correct_area_m2: float
 
 
-def lay(robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> tuple[Array, tuple[tuple[int, int], ...]] | None:
+def lay(robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> tuple[Array, Pairs] | None:
     """The pose (3,) that lays a group's map on the building, and its wrongly merged pairs; None without keyframes.
 
     nodes: of the mapper that has the map; true_poses (steps + 1, robots, 3).
@@ -160,27 +161,35 @@ class MapJudges:
 
         owner: whose map it is, of those of which something is kept; nodes, true_poses: as in `lay`.
         """
-        if not self._room or len(nodes[0]) > len(self._room[0]):
-            self._make_room(len(nodes[0]), true_poses.shape[1])
-        now = _numbers(robots), *nodes, true_poses, grid.log_odds, grid.touched
-        for held in self._held.get(owner, ()):
-            if held.grid is grid:
-                if held.run is None:
-                    place = np.array(held.place, float)
-                    kept = *self._room, place, held.mask, held.known, held.counts, held.result
-                    held.run = bound(_judge, Lent(kept), *now)
-                held.run(*now)
-                *pose, wrong, count = held.result.tolist()
-                if count != NOT_KNOWN and not wrong:
-                    return Judgement(pose, (), count * grid.resolution_m**2)
-        laid = lay(robots, nodes, true_poses)
-        if laid is None:
-            return None
-        return Judgement(laid[0].tolist(), laid[1], self.correct_area_m2(owner, grid, laid[0], cells))
+        kept = self._held.get(owner)
+        said = self._judge_again(kept[0], robots, nodes, true_poses) if kept and kept[0].grid is grid else None
+        if said is None or said[3]:  # who is merged wrongly, which is rare, is not told by numbers alone
+            laid = lay(robots, nodes, true_poses)
+            if laid is None:
+                return None
+            pose, wrong_pairs = laid[0].tolist(), laid[1]
+            return Judgement(pose, wrong_pairs, self.correct_area_m2(owner, grid, pose, cells))
+        *pose, _, count = said
+        area_m2 = self.correct_area_m2(owner, grid, pose, cells) if count == NOT_KNOWN else count * grid.resolution_m**2
+        return Judgement(pose, (), area_m2)
 
-    def correct_area_m2(self, owner: int, grid: GridMap, pose_building_map: Array, cells: Cells) -> float:
+    def _judge_again(self, held: _Held, robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> list[float]:
+        """What `_judge` says of a map that is kept."""
+        if not self._room or len(nodes[0]) > len(self._room[0]):
+            self._make_room(2 * len(nodes[0]), true_poses.shape[1])
+        now = _numbers(robots), *nodes, true_poses, held.grid.log_odds, held.grid.touched
+        if held.run is None:
+            kept = *self._room, np.array(held.place, float), held.mask, held.known, held.counts, held.result
+            held.run = bound(_judge, Lent(kept), *now)
+        held.run(*now)
+        said: list[float] = held.result.tolist()
+        return said
+
+    def correct_area_m2(
+        self, owner: int, grid: GridMap, pose_building_map: Sequence[float] | Array, cells: Cells
+    ) -> float:
         """`metrics.correct_area_m2` with a rounded pose, counting cells of the map instead of the floor."""
-        x, y, turn = pose_building_map.tolist()
+        x, y, turn = pose_building_map
         place = round(x / PLACE_M), round(y / PLACE_M), round(turn / TURN_RAD)
         kept = self._held.get(owner, ())
         for held in kept:
@@ -188,12 +197,12 @@ class MapJudges:
                 break
         else:
             held = _Held(grid, place, cells)
-            self._held[owner] = (held, *kept[:1])
+        if not kept or held is not kept[0]:  # the latest first
+            self._held[owner] = (held, *[other for other in kept[:2] if other is not held][:1])
         return held.count() * grid.resolution_m**2
 
     def _make_room(self, nodes: int, robots: int) -> None:
-        """Room for more nodes than there are."""
-        self._room = _room_for(2 * nodes, robots)
+        self._room = _room_for(nodes, robots)
         for kept in self._held.values():
             for held in kept:
                 held.run = None
