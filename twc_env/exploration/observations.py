@@ -63,9 +63,8 @@ class ObservationBuilder:
         """The observation of each robot after the step that was noticed last; `masks`: its choices that count."""
         beliefs, names = self._beliefs, self._names
         self._signs.know(beliefs.signs)
-        blocks, small = self._blank.copy(), self._small.build()  # a copy is quicker to fill than an empty one
-        for number, name in self._small_blocks:
-            blocks[name] = small[number]
+        blocks = {}
+        first, small = self._small.build()
         for name, make in self._makers:  # not before: the map shows where the mates are
             blocks[name] = make()
         if "frontiers" in names:
@@ -79,9 +78,11 @@ class ObservationBuilder:
             )
         seen = []
         for robot in self._robots:
-            own = blocks.copy()
-            for name in names:
-                own[name] = own[name][robot]
+            own = self._blank.copy()  # quicker to fill than an empty one
+            for number, name in self._small_blocks:
+                own[name] = small[number][first + robot]
+            for name, block in blocks.items():
+                own[name] = block[robot]
             seen.append(own)
         return [joined(own) for own in seen] if self._is_flat else seen
 

@@ -6,8 +6,7 @@ What is kept of a robot for them stands in a row of an array, so that one compil
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from itertools import islice
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,17 +45,17 @@ class SmallBlocks:
         self.mate_places = np.full((robots, 3, mates), math.nan)
         """Pose, in the robot's frame, of each mate of the group, then NaN; as of the last `build`."""
         self._shapes = (
-            (robots, config.lidar.beam_count), (robots, len(POSE_LIMITS)), (robots, shape.wifi_slots),
-            (robots, shape.sign_slots, 5), (robots, mates, 5),
+            (config.lidar.beam_count,), (len(POSE_LIMITS),), (shape.wifi_slots,), (shape.sign_slots, 5), (mates, 5),
         )  # fmt: skip
         rule = 1.0 / config.lidar.range_max_m, float(shape.sign_memory_s), float(config.dynamics.time_step_s)
         slots = slots_for(robots, shape.wifi_slots)
         self._kept = self.path_counts, self.paths_odom, *slots, signs.readings, self.mate_places, *rule
         self._run: Callable[..., None] | None = None
         """`_fill_small` with what is kept."""
-        self._rooms: Iterator[tuple[Array, ...]] = iter(())
-        """For each of the next steps, the blocks of all robots."""
-        self._unseen = tuple([np.empty(shape, _FLOAT) for shape in self._shapes])
+        self._robots = robots
+        self._room, self._unseen = self._blocks_of(0), self._blocks_of(1)
+        """Blocks of some steps, of which the rows before the next one are given away; and what nobody gets."""
+        self._next_row = 0
         self._frames: TeamFrames | None = None
         """What was noticed last; taken in once it is shown, or once there is more."""
         self._is_taken_in = True
@@ -64,27 +63,31 @@ class SmallBlocks:
     def notice(self, frames: TeamFrames, beliefs: TeamBeliefs) -> None:
         """Take in one step of all robots, whether or not it is ever shown: path and radio."""
         if not self._is_taken_in:
-            self._fill(self._unseen, False)
+            self._fill(0, self._unseen, False)
         self._frames, self._beliefs, self._is_taken_in = frames, beliefs, False
 
-    def build(self) -> tuple[Array, ...]:
-        """The blocks of all robots, in the order of `names`, after the step that was noticed last."""
-        blocks = next(self._rooms, None) or self._make_room()
-        self._fill(blocks, True)
-        return blocks
+    def build(self) -> tuple[int, tuple[Array, ...]]:
+        """The row of the first robot, which those of the others follow, in these blocks, which are in the order of
+        `names`; after the step that was noticed last.
+        """
+        first, blocks = self._next_row, self._room
+        if first == len(blocks[0]):
+            first, blocks = 0, self._blocks_of(_STEPS_AT_ONCE)
+            self._room = blocks
+        self._next_row = first + self._robots
+        self._fill(first, blocks, True)
+        return first, blocks
 
-    def _make_room(self) -> tuple[Array, ...]:
-        """New blocks for some steps; those of the first."""
-        blocks = [np.empty((_STEPS_AT_ONCE, *shape), _FLOAT) for shape in self._shapes]
-        self._rooms = islice(zip(*blocks, strict=True), _STEPS_AT_ONCE)  # an array's end costs more than ten rows
-        return next(self._rooms)
+    def _blocks_of(self, steps: int) -> tuple[Array, ...]:
+        """New blocks with a row for each robot and step."""
+        return tuple([np.empty((steps * self._robots, *shape), _FLOAT) for shape in self._shapes])
 
-    def _fill(self, blocks: tuple[Array, ...], is_shown: bool) -> None:
+    def _fill(self, first: int, blocks: tuple[Array, ...], is_shown: bool) -> None:
         frames, beliefs = self._frames, self._beliefs
         assert frames is not None
         now = (
-            not self._is_taken_in, is_shown, frames.time_s, frames.step, *frames.scans, frames.ranges_m, beliefs.poses,
-            beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, *blocks,
+            not self._is_taken_in, is_shown, first, frames.time_s, frames.step, *frames.scans, frames.ranges_m,
+            beliefs.poses, beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, *blocks,
         )  # fmt: skip
         if self._run is None:
             self._run = bound(_fill_small, Lent(self._kept), *now)
@@ -92,7 +95,7 @@ class SmallBlocks:
         self._is_taken_in = True
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None, "_rooms": iter(())}
+        return self.__dict__ | {"_run": None, "_room": self._blocks_of(0), "_next_row": 0}
 
 
 @borrowing_kernel
@@ -166,10 +169,11 @@ def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, 
 
 @borrowing_kernel
 def _fill_small(
-    kept, is_new, is_shown, now_s, step, scan_robots, macs, rssi_dbm, heard_counts, ranges, poses, since_m,
+    kept, is_new, is_shown, first, now_s, step, scan_robots, macs, rssi_dbm, heard_counts, ranges, poses, since_m,
     contact_steps, mates, mate_poses, lidar, pose, wifi, signs, team,
 ):  # fmt: skip
-    """Take in a step that `is_new`; fill the blocks of all robots if it `is_shown`, and the places of mates.
+    """Take in a step that `is_new`; if it `is_shown` fill the rows of all robots, from the first on, in each block, and
+    the places of mates.
 
     poses (robots, 3, 3): in the map, its spread, in odom; contact_steps, mates, mate_poses as in `TeamBeliefs`.
     """
@@ -180,12 +184,13 @@ def _fill_small(
     if not is_shown:
         return
     for i in range(ranges.shape[0]):
+        row = first + i
         for b in range(ranges.shape[1]):
-            lidar[i, b] = min(max(ranges[i, b] * per_metre, 0.0), 1.0)
+            lidar[row, b] = min(max(ranges[i, b] * per_metre, 0.0), 1.0)
         for k in range(wifi.shape[1]):
-            wifi[i, k] = levels[i, k]
-        _fill_pose(poses[i, 0], poses[i, 1], since_m[i], pose[i])
-        _fill_signs(readings[i], now_s, memory_s, poses[i, 2], signs[i])
+            wifi[row, k] = levels[i, k]
+        _fill_pose(poses[i, 0], poses[i, 1], since_m[i], pose[row])
+        _fill_signs(readings[i], now_s, memory_s, poses[i, 2], signs[row])
         _fill_team(
-            i, step, time_step_s, contact_steps[i], mates[i], poses[i, 0], mate_poses[i], mate_places[i], team[i]
+            i, step, time_step_s, contact_steps[i], mates[i], poses[i, 0], mate_poses[i], mate_places[i], team[row]
         )
