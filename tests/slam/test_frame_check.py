@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig, override
-from twc_env.errors import DataError
+from twc_env.errors import ConfigError, DataError
 from twc_env.messages import UNSEEN_M, SensorFrame, SignReading, WifiScan
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.scan_matching import LineField
@@ -41,6 +41,12 @@ def scan(macs, rssi_dbm) -> WifiScan:
         ({"wifi": scan([1, 1], [-40.0, -50.0])}, "do not ascend"),
         ({"wifi": scan([1, 2, 3], [-40.0, -50.0])}, "strengths"),
         ({"wifi": scan([1, 2], [-40.0, np.nan])}, "what was not heard"),
+        ({"wifi": scan(["aa:01", "aa:02"], [-40.0, -50.0])}, "values of another kind"),
+        ({"wifi": scan([1, 2], ["loud", "low"])}, "values of another kind"),
+        ({"ranges_m": np.array(["far"] * 60)}, "values of another kind"),
+        ({"turn_rate_rad_s": "left"}, "values of another kind"),
+        ({"odometry": ("x", 0.0, 0.0)}, "values of another kind"),
+        ({"signs": None}, "values of another kind"),
     ],
 )
 def test_a_frame_that_cannot_be_meant_is_refused(changes, message):
@@ -49,6 +55,12 @@ def test_a_frame_that_cannot_be_meant_is_refused(changes, message):
         engine.update([replace(SOUND, **changes)])
     engine.update([SOUND, replace(SOUND, robot=1)])
     assert engine.belief(0).grid.log_odds.any(), "nothing is broken by it"
+
+
+@pytest.mark.parametrize("count", [0, -1, 2.5, "2", None])
+def test_a_team_of_no_number_of_robots_is_refused(count):
+    with pytest.raises(ConfigError, match=f"robot_count must be a whole number from 1 on; got {count!r}"):
+        CooperativeSlam(CONFIG, count)
 
 
 def test_no_frames_and_two_of_one_robot_are_refused():

@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pytest
 
+from twc_env.errors import DataError
 from twc_env.geometry import between, inverse, transform_points, wrap_angle
 from twc_env.slam.global_matching import (
     CELL_M,
@@ -41,6 +42,23 @@ def brute_force(target, source, reach, headings):
             if max(sums) > best[0]:
                 best = (max(sums), heading, int(np.argmax(sums)) - reach, row)
     return best
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"target_points": np.full((9, 2), np.nan)}, "points must be finite"),
+        ({"source_points": np.full((9, 2), np.inf)}, "points must be finite"),
+        ({"source_points": np.zeros((9, 3))}, r"points must be finite and of shape \(n, 2\)"),
+        ({"window_m": float("nan")}, "window_m must lie in"),
+        ({"window_m": -1.0}, "window_m must lie in"),
+        ({"window_m": 1e6}, "window_m must lie in"),
+    ],
+)
+def test_what_cannot_be_matched_is_refused(changes, message):
+    points = np.random.default_rng(0).uniform(-3.0, 3.0, (40, 2))
+    with pytest.raises(DataError, match=message):
+        match_globally(**{"target_points": points, "source_points": points, "window_m": 2.0, **changes})
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig, from_dict
-from twc_env.errors import ConfigError, MapError
+from twc_env.errors import ActionError, ConfigError, MapError
 from twc_env.geometry import between, compose
 from twc_env.maps import load_map
 from twc_env.world.floorplan import Floorplan
@@ -145,6 +145,14 @@ def test_the_plans_own_starts_are_used_when_asked_for():
 def test_impossible_starts_are_refused(starts, error, expected):
     with pytest.raises(error, match=expected):
         world(starts=starts)
+
+
+@pytest.mark.parametrize("wrong", [np.zeros((2, 2)), np.zeros((5, 2)), np.zeros(2), np.full((3, 2), np.nan), "stop"])
+def test_commands_that_do_not_fit_the_team_are_refused_and_nothing_happens(wrong):
+    here, untouched = world(seed=1), world(seed=1)
+    with pytest.raises(ActionError, match=r"commands must be finite and of shape \(3, 2\)"):
+        here.step(wrong)
+    assert as_bytes(episode(here, 5)) == as_bytes(episode(untouched, 5))
 
 
 def test_more_robots_than_starts_are_refused():

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import CuesConfig, EnvConfig
+from twc_env.config.checks import whole_number
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam import cues
@@ -72,6 +73,7 @@ class CooperativeSlam:
     """
 
     def __init__(self, config: EnvConfig, robot_count: int):
+        robot_count = whole_number("robot_count", robot_count, 1)
         self._cues, self._has_all_cues = config.slam.cues, config.slam.cues == CuesConfig()
         config = cues.needed(config)
         self._front_ends = FrontEnds(config, robot_count)

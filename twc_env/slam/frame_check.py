@@ -22,7 +22,11 @@ def check_frames(frames: Sequence[SensorFrame], robot_count: int, beam_count: in
     if len(set(robots)) < len(robots) or not set(robots) <= set(range(robot_count)):
         raise DataError(f"frames of one step are of different robots 0 to {robot_count - 1}; got robots {robots}")
     for frame in frames:
-        if fault := _fault(frame, beam_count):
+        try:
+            fault = _fault(frame, beam_count)
+        except (TypeError, ValueError) as error:
+            fault = f"holds values of another kind: {error}"
+        if fault:
             raise DataError(f"the frame of robot {frame.robot} in step {frame.step} {fault}")
 
 

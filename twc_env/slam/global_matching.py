@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.errors import DataError
 from twc_env.kernels import kernel
 
 Array = NDArray
@@ -26,6 +27,8 @@ LEVELS = 5
 """The largest box of shifts has 2^(LEVELS - 1) cells a side."""
 POINTS_MAX = 160
 """Of the source, so many points spread evenly are compared."""
+
+WINDOW_MAX_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +49,13 @@ def match_globally(
     """The pose of the source at which most of its points (n, 2) lie on the target's (m, 2), with no guess.
 
     Searched: every heading, and every shift of at most `window_m` along x and y. None when nothing scores `score_min`.
+    Raises DataError for points or a window that cannot be meant.
     """
+    for points in (target_points, source_points):
+        if np.ndim(points) != 2 or np.shape(points)[1] != 2 or not np.isfinite(points).all():
+            raise DataError(f"points must be finite and of shape (n, 2); got some of shape {np.shape(points)}")
+    if not 0.0 <= window_m <= WINDOW_MAX_M:
+        raise DataError(f"window_m must lie in [0, {WINDOW_MAX_M:g}]; got {window_m!r}")
     if len(target_points) == 0 or len(source_points) == 0:
         return None
     fields, origin_m = score_fields(np.ascontiguousarray(target_points, float))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig, RadioConfig
-from twc_env.errors import ConfigError, MapError
+from twc_env.errors import ActionError, ConfigError, MapError
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.messages import WifiScan
@@ -133,7 +133,14 @@ class World:
         self._dynamics.anchor(robots)
 
     def step(self, commands: Array) -> None:
-        """Move all robots for one time step; commands (n, 2) [m/s, rad/s]."""
+        """Move all robots for one time step; commands (n, 2) [m/s, rad/s]. Raises ActionError for others."""
+        try:
+            commands = np.asarray(commands, _FLOAT)
+            is_fit = commands.shape == (self.config.robots, 2) and math.isfinite(commands.sum())
+        except (TypeError, ValueError):
+            is_fit = False
+        if not is_fit:
+            raise ActionError(f"commands must be finite and of shape ({self.config.robots}, 2); got {commands!r}")
         self._dynamics.step(commands)
         self._step += 1
 
