@@ -31,9 +31,11 @@ class Single:
     def predict(self, odometry, turn_rate_rad_s, dt_s) -> None:
         self._filters.predict(self._robots, odometry[None], np.array([turn_rate_rad_s]), np.array([dt_s]))
 
-    def update(self, pose, information) -> bool:
-        is_matched = np.ones(2, bool)
-        self._filters.update(self._robots, np.stack([pose, pose]), np.stack([information, information]), is_matched)
+    def update(self, pose, information, is_clear=False) -> bool:
+        is_matched, poses = np.ones(2, bool), np.stack([pose, pose])
+        self._filters.update(
+            self._robots, poses, np.stack([information, information]), is_matched, np.array([True, is_clear])
+        )
         return bool(is_matched[1])
 
 
@@ -64,8 +66,8 @@ def test_the_compiled_filter_equals_filterpy_over_two_hundred_steps(seed):
             pose = compiled.state[:3] + random.normal(0, 0.05, 3)
             pose[2] = wrap_angle(pose[2])
             information = random_information(random)
-            compiled.update(pose, information)
-            oracle.update(pose, information)
+            is_clear = bool(random.random() < 0.5)
+            assert compiled.update(pose, information, is_clear) == oracle.update(pose, information, is_clear)
         assert compiled.state == pytest.approx(oracle.state, abs=1e-9)
         assert compiled.covariance == pytest.approx(oracle.covariance, abs=1e-9)
 
@@ -165,6 +167,22 @@ def test_a_match_that_contradicts_the_prediction_is_left_out(kind):
 
 
 @BOTH
+def test_a_match_that_contradicts_the_prediction_is_a_slip_where_it_is_clear_and_teaches_nothing_else(kind):
+    ekf = kind(CONFIG)
+    for _ in range(60):
+        ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
+        ekf.update(ekf.state[:3].copy(), SHARP)
+    before, learned = ekf.state.copy(), ekf.covariance[3:, 3:].copy()
+    slipped = before[:3] + [-0.4, 0.2, 0.3]
+    assert not ekf.update(slipped, SHARP)
+    assert ekf.update(slipped, SHARP, is_clear=True)
+    assert ekf.state[:3] == pytest.approx(slipped, abs=0.002)
+    assert ekf.state[3:] == pytest.approx(before[3:], abs=1e-4)
+    assert ekf.covariance[3:, 3:] == pytest.approx(learned, rel=0.2, abs=1e-6)
+    assert np.linalg.eigvalsh(ekf.covariance).min() > 0
+
+
+@BOTH
 def test_the_covariance_stays_symmetric_and_positive(kind):
     random, ekf = np.random.default_rng(2), kind(CONFIG)
     for step in range(500):
@@ -228,7 +246,7 @@ def test_measuring_leaves_the_measurement_alone(kind):
     filters, robots = kind(CONFIG, 1), np.zeros(1, np.int64)
     poses, information = np.array([[0.1, 0.0, 3.0]]), np.diag([100.0, 100.0, 100.0])[None]
     filters.predict(robots, np.array([[0.1, 0.0, 0.0]]), np.zeros(1), np.full(1, DT_S))
-    filters.update(robots, poses, information, np.ones(1, bool))
+    filters.update(robots, poses, information, np.ones(1, bool), np.zeros(1, bool))
     assert poses.tolist() == [[0.1, 0.0, 3.0]]
     assert np.array_equal(information[0], np.diag([100.0, 100.0, 100.0]))
 

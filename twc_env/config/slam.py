@@ -31,7 +31,8 @@ class OdometryFilterConfig(Checked):
     match_correlation: float = number(8.0, 1.0, 1000.0)
     """This many neighbouring beams count as one independent measurement."""
     match_gate: float = number(16.27, 1.0, 1e9)
-    """A match that contradicts the prediction by more is left out (squared, by covariance; 99.9 % of chi squared)."""
+    """A match that contradicts the prediction by more (squared, by covariance; 99.9 % of chi squared) is left out, but
+    where it explains clearly more of the scan than the prediction does: then the robot slipped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -92,7 +92,6 @@ def update_state(x, p, pose, information, gate):
 
     Gives whether it was done: a pose that is further from the prediction than `gate` (squared, by the covariance of
     their difference) changes nothing.
-    A robot that truly jumps in one step by more than noise explains keeps that error: raise `gate` where robots do.
     """
     work = np.empty((5, 5, 5))
     r, s, inverse, gain, old = work[0], work[1], work[2], work[3], work[4]
@@ -123,6 +122,24 @@ def update_state(x, p, pose, information, gate):
             p[i, j] = old[i, j] - gain[i, 0] * old[0, j] - gain[i, 1] * old[1, j] - gain[i, 2] * old[2, j]
             p[j, i] = p[i, j]
     return True
+
+
+@kernel
+def believe_match(x, p, pose, information, gate, is_clear):
+    """`update_state`; and a pose that contradicts the prediction is believed where it `is_clear`: the robot slipped.
+
+    What was slipped is then as unknown as it is long. Gives whether the pose is believed.
+    """
+    if update_state(x, p, pose, information, gate):
+        return True
+    if not is_clear:
+        return False
+    turned = (pose[2] - x[2] + math.pi) % (2 * math.pi) - math.pi
+    slipped = pose[0] - x[0], pose[1] - x[1], turned
+    for i in range(3):
+        for j in range(3):
+            p[i, j] += slipped[i] * slipped[j]
+    return update_state(x, p, pose, information, gate)
 
 
 def _process_values(config: OdometryFilterConfig) -> Array:
@@ -189,11 +206,11 @@ def _predict_all(states, covariances, robots, odometry, turn_rates, dts, config)
 
 
 @kernel
-def _update_all(states, covariances, robots, poses, information, is_matched, gate):
+def _update_all(states, covariances, robots, poses, information, is_matched, is_clear, gate):
     for a in range(robots.shape[0]):
         k = robots[a]
         if is_matched[k]:
-            is_matched[k] = update_state(states[k], covariances[k], poses[k], information[k], gate)
+            is_matched[k] = believe_match(states[k], covariances[k], poses[k], information[k], gate, is_clear[k])
 
 
 def _first_covariance(config: OdometryFilterConfig) -> Array:
@@ -220,13 +237,13 @@ class CompiledFilters:
         """
         _predict_all(self.states, self.covariances, robots, odometry, turn_rates_rad_s, dts_s, self.noise)
 
-    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
+    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
         """Correct these robots (k,) where they were matched (n,).
 
         poses (n, 3) measured by scan matching, their information (n, 3, 3) may be singular. Who was not corrected,
-        since the match contradicts the prediction, is marked as not matched.
+        since the match contradicts the prediction and is not a clear one (n,), is marked as not matched.
         """
-        _update_all(self.states, self.covariances, robots, poses, information, is_matched, self.noise[5])
+        _update_all(self.states, self.covariances, robots, poses, information, is_matched, is_clear, self.noise[5])
 
 
 class FilterpyFilters:
@@ -258,7 +275,7 @@ class FilterpyFilters:
             if dt_s > 0.0:
                 self._predict(self._filters[k], motion, float(turn_rate), float(dt_s))
 
-    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
+    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
         """See `CompiledFilters`."""
         for k in robots:
             if not is_matched[k]:
@@ -266,6 +283,9 @@ class FilterpyFilters:
             ekf, noise = self._filters[k], np.linalg.inv(information[k] + INFORMATION_MIN * np.eye(3))
             away = _pose_difference(poses[k], ekf.x[:3])
             is_matched[k] = away @ np.linalg.inv(ekf.P[:3, :3] + noise) @ away <= self._config.match_gate
+            if is_clear[k] and not is_matched[k]:
+                ekf.P[:3, :3] += np.outer(away, away)
+                is_matched[k] = True
             if is_matched[k]:
                 ekf.update(
                     poses[k].copy(),
@@ -308,7 +328,7 @@ class OdometryAlone(CompiledFilters):
 
     believes_scans = False
 
-    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array) -> None:
+    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
         """What scans say is left out."""
 
 

@@ -17,8 +17,17 @@ from twc_env.config import LocalMapConfig
 from twc_env.errors import DataError
 from twc_env.geometry import beam_directions
 from twc_env.kernels import borrowing_kernel
-from twc_env.slam.line_equations import line_scratch, normal_equations
-from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, distance_in, told_by
+from twc_env.slam.line_equations import line_scratch
+from twc_env.slam.line_matching import (
+    WEIGHT_MIN,
+    correlate,
+    fill_information,
+    points_of,
+    refine_pose,
+    share_near,
+    won_and_lost,
+)
+from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, told_by
 from twc_env.slam.wall_drawing import BLOCK_CELLS, draw_scans
 
 Array = NDArray
@@ -26,188 +35,80 @@ Array = NDArray
 NOTHING_DRAWN = np.array([2**31, 2**31, 0, 0, 0])
 SIGN_TO_WALL_M = 0.3
 """A sign hangs on the wall that is at most this far away."""
-WEIGHT_MIN = 5.0
-"""With less than this sum of weights nothing was matched."""
 STOP_M, STOP_RAD = 1e-3, 5e-4
 """A smaller step ends a match ..."""
 TRACKING_STOP_M, TRACKING_STOP_RAD = 2e-3, 1e-3
 """... or one smaller than this where the robot is only tracked: the next would be lost in the noise of the scan."""
 INNOVATION_MAX_M, INNOVATION_MAX_RAD = 0.4, 0.25
 """A match that jumps further than this from the prediction is not believed."""
+SLIP_MAX_M, SLIP_MAX_RAD = 0.7, 0.4
+"""So far it may jump where it explains clearly more of the scan than the prediction does: the robot slipped."""
+GAIN_MIN, LOSS_WEIGHT = 0.1, 5.0
+"""That much more, as a share of the beams; weights that beams lose count so often. After a slip hardly any beam fits
+less well; where new walls of a long corridor are taken for known ones, those near the robot do."""
 MATCHED_SHARE_MIN = 0.3
-"""Nor is one that explains fewer of the beams."""
+"""No match is believed that explains fewer of the beams."""
+FIT_MIN = 0.75
+"""A scan that fits less well (mean weight of a beam) is also laid on the map all around the prediction, ..."""
+SEARCH_M, SEARCH_RAD, SEARCH_STEP_M, SEARCH_STEP_RAD, SEARCH_BEAMS = 0.6, 0.36, 0.15, 0.06, 45
+"""... so far, in such steps, and with about so many beams. That is one step of a thousand."""
 
 
 @borrowing_kernel
-def _points_of(ranges, range_max, directions, points):
-    """End points of the beams that returned, in the robot frame; gives their number."""
-    n = 0
-    for i in range(ranges.shape[0]):
-        if 0.0 <= ranges[i] < range_max:
-            points[n, 0] = ranges[i] * directions[i, 0]
-            points[n, 1] = ranges[i] * directions[i, 1]
-            n += 1
-    return n
-
-
-@borrowing_kernel
-def _weakest_direction(h):
-    """Smallest eigenvalue of the translation part of h with the heading left free, and its direction."""
-    t = max(h[5], 1e-9)
-    a, b, d = h[0] - h[2] * h[2] / t, h[1] - h[2] * h[4] / t, h[3] - h[4] * h[4] / t
-    mean, half = 0.5 * (a + d), 0.5 * math.sqrt((a - d) ** 2 + 4 * b * b)
-    angle = 0.5 * math.atan2(2 * b, a - d) + 0.5 * math.pi
-    return max(mean - half, 0.0), math.cos(angle), math.sin(angle)
-
-
-@borrowing_kernel
-def _solve3(h, damping):
-    """The step that the normal equations h (9,) ask for."""
-    a00, a01, a02, a11, a12, a22 = h[0] + damping, h[1], h[2], h[3] + damping, h[4], h[5] + damping
-    g0, g1, g2 = h[6], h[7], h[8]
-    m0, m1, m2 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
-    det = a00 * m0 + a01 * m1 + a02 * m2
-    n1, n2 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12
-    n3 = a00 * a11 - a01 * a01
-    return (
-        -(m0 * g0 + m1 * g1 + m2 * g2) / det,
-        -(m1 * g0 + n1 * g1 + n2 * g2) / det,
-        -(m2 * g0 + n2 * g1 + n3 * g2) / det,
-    )
-
-
-@borrowing_kernel
-def _refine(
-    cells, lines, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad,
-    scratch, pose, h,
-):  # fmt: skip
-    """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
-
-    Writes the pose and the final h. Gives (sum of weights, points near walls, is_degenerate, direction x, direction y).
-    """
-    pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
-    total, near = 0.0, 0
-    vx = vy = 0.0
-    degenerate = False
-    for _ in range(iterations):
-        total, near = normal_equations(
-            cells, lines, origin, inverse_m, points, n, pose[0], pose[1], pose[2], distance_max, scratch, h
-        )  # fmt: skip
-        if total < WEIGHT_MIN:
-            break
-        weakest, vx, vy = _weakest_direction(h)
-        degenerate = weakest < degenerate_share * total
-        dx, dy, turn = _solve3(h, 1e-3 * total)
-        if degenerate:
-            along = dx * vx + dy * vy
-            dx -= along * vx
-            dy -= along * vy
-        pose[0] += dx
-        pose[1] += dy
-        pose[2] += turn
-        if abs(dx) < stop_m and abs(dy) < stop_m and abs(turn) < stop_rad:
-            break
-    return total, near, degenerate, vx, vy
-
-
-@borrowing_kernel
-def _score(cells, origin, inverse_m, points, n, stride, x, y, c, s):
-    height, width = cells.shape
-    total = 0.0
-    for i in range(0, n, stride):
-        qx = x + c * points[i, 0] - s * points[i, 1] - origin[0]
-        qy = y + s * points[i, 0] + c * points[i, 1] - origin[1]
-        if qx < 0.0 or qy < 0.0:
-            continue
-        column, row = int(qx * inverse_m), int(qy * inverse_m)
-        if row < height and column < width:
-            total += max(1.0 - distance_in(cells[row, column]) / 0.3, 0.0)
-    return total
-
-
-@borrowing_kernel
-def _correlate(cells, origin, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best):
-    """Brute force over a window around guess, nearest first; writes the best pose, gives its mean score in [0, 1]."""
-    best_score = -1.0
-    turns = int(window_rad / step_rad)
-    moves = int(window_m / step_m)
-    for k in range(-turns, turns + 1):
-        heading = guess[2] + k * step_rad
-        c, s = math.cos(heading), math.sin(heading)
-        for j in range(-moves, moves + 1):
-            for i in range(-moves, moves + 1):
-                score = _score(
-                    cells, origin, inverse_m, points, n, stride, guess[0] + i * step_m, guess[1] + j * step_m, c, s
-                )
-                if score > best_score:
-                    best_score = score
-                    best[0], best[1], best[2] = guess[0] + i * step_m, guess[1] + j * step_m, heading
-    return best_score / max((n + stride - 1) // stride, 1)
-
-
-@borrowing_kernel
-def _share_near(cells, origin, inverse_m, points, n, pose, near_m):
-    """Share of the points within near_m of a wall."""
-    height, width = cells.shape
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    count = 0
-    for i in range(n):
-        qx = pose[0] + c * points[i, 0] - s * points[i, 1] - origin[0]
-        qy = pose[1] + s * points[i, 0] + c * points[i, 1] - origin[1]
-        if qx < 0.0 or qy < 0.0:
-            continue
-        column, row = int(qx * inverse_m), int(qy * inverse_m)
-        if row < height and column < width and distance_in(cells[row, column]) <= near_m:
-            count += 1
-    return count / max(n, 1)
-
-
-@borrowing_kernel
-def _information(h, degenerate, vx, vy, scale, out):
-    """Fill out (3, 3) with h / scale, emptied along the direction (vx, vy) where that is degenerate."""
-    out[0, 0], out[0, 1], out[0, 2], out[1, 1], out[1, 2], out[2, 2] = h[0], h[1], h[2], h[3], h[4], h[5]
-    out[1, 0], out[2, 0], out[2, 1] = h[1], h[2], h[4]
-    for i in range(3):
-        for j in range(3):
-            out[i, j] /= scale
-    if degenerate:
-        kxx, kxy, kyy = 1.0 - vx * vx, -vx * vy, 1.0 - vy * vy
-        for j in range(3):
-            a, b = out[0, j], out[1, j]
-            out[0, j], out[1, j] = kxx * a + kxy * b, kxy * a + kyy * b
-        for i in range(3):
-            a, b = out[i, 0], out[i, 1]
-            out[i, 0], out[i, 1] = kxx * a + kxy * b, kxy * a + kyy * b
-
-
-@borrowing_kernel
-def match_scan(cells, lines, origin, scan, directions, rule, guess, points, h, scratch, pose, information):
+def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, information):
     """Lay a scan (beams,) on a field near a guess: writes the pose (3,) and its information (3, 3), zeros for none.
 
-    rule: as `LineFields` has it; points (beams, 2), h (9,) and scratch (`line_scratch`) are room to work in. Gives
-    whether the pose is to be believed (it is near the guess, and enough beams speak for it), and the share of the beams
-    that returned which end near walls.
+    rule: as `LineFields` has it; room: of `matching_room`. Gives whether the pose is to be believed (it is near the
+    guess, and enough beams speak for it), whether it explains clearly more of the scan than the guess does, and the
+    share of the beams that returned which end near walls.
     """
-    range_max, inverse_m, distance_max, degenerate_share, variance = rule[0], rule[1], rule[2], rule[3], rule[4]
-    n = _points_of(scan, range_max, directions, points)
-    total, near, degenerate, vx, vy = _refine(
-        cells, lines, origin, inverse_m, points, n, guess, distance_max, int(rule[5]), degenerate_share,
-        TRACKING_STOP_M, TRACKING_STOP_RAD, scratch, pose, h,
-    )  # fmt: skip
+    points, h, start, scratch = room
+    n = points_of(scan, rule[0], directions, points)
+    start[0], start[1], start[2] = guess[0], guess[1], guess[2]
+    begun = held = total = vx = vy = 0.0
+    near, degenerate = 0, False
+    for attempt in range(3):  # at the guess; where that fits badly elsewhere; where nothing fits better there again
+        total, near, degenerate, vx, vy, first = refine_pose(
+            cells, lines, origin, rule[1], points, n, start, rule[2], int(rule[5]), rule[3], TRACKING_STOP_M,
+            TRACKING_STOP_RAD, scratch, pose, h,
+        )  # fmt: skip
+        if attempt == 0:
+            begun = first
+            if total >= FIT_MIN * n or total < WEIGHT_MIN:
+                break
+            held = total
+            correlate(
+                cells, origin, rule[1], points, n, guess, SEARCH_M, SEARCH_RAD, SEARCH_STEP_M, SEARCH_STEP_RAD,
+                max(n // SEARCH_BEAMS, 1), start,
+            )  # fmt: skip
+        elif total > held:
+            break
+        else:
+            start[0], start[1], start[2] = guess[0], guess[1], guess[2]
+    is_clear = total - begun >= GAIN_MIN * n
+    if is_clear:
+        won, lost = won_and_lost(cells, lines, origin, rule[1], points, n, guess, pose, rule[2])
+        is_clear = won - LOSS_WEIGHT * lost >= GAIN_MIN * n
+    reach, reach_turned = (SLIP_MAX_M, SLIP_MAX_RAD) if is_clear else (INNOVATION_MAX_M, INNOVATION_MAX_RAD)
     jump_x, jump_y = pose[0] - guess[0], pose[1] - guess[1]
     is_matched = (
         total >= WEIGHT_MIN
         and total >= MATCHED_SHARE_MIN * n
-        and math.sqrt(jump_x * jump_x + jump_y * jump_y) <= INNOVATION_MAX_M
-        and abs(pose[2] - guess[2]) <= INNOVATION_MAX_RAD
+        and math.sqrt(jump_x * jump_x + jump_y * jump_y) <= reach
+        and abs(pose[2] - guess[2]) <= reach_turned
     )
     if is_matched:
-        _information(h, degenerate, vx, vy, variance, information)
+        fill_information(h, degenerate, vx, vy, rule[4], information)
     else:
         for i in range(3):
             for j in range(3):
                 information[i, j] = 0.0
-    return is_matched, near / max(n, 1)
+    return is_matched, is_clear, near / max(n, 1)
+
+
+def matching_room(beams: int) -> tuple:
+    """Room for `match_scan` to work in, for scans of so many beams."""
+    return np.empty((beams, 2)), np.empty(9), np.empty(3), line_scratch()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,7 +138,7 @@ class Match:
         """
         information = np.empty((3, 3))
         vx, vy = self.direction.tolist()
-        _information(self.sums, self.is_degenerate, vx, vy, beam_std_m**2 * correlation, information)
+        fill_information(self.sums, self.is_degenerate, vx, vy, beam_std_m**2 * correlation, information)
         return information
 
 
@@ -278,7 +179,7 @@ class LineField:
     def refine(self, points: Array, guess: Array, distance_max_m: float, iterations: int, degenerate_share: float):
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
         pose, h = np.empty(3), np.zeros(9)
-        weight, _, degenerate, vx, vy = _refine(
+        weight, _, degenerate, vx, vy, _ = refine_pose(
             self._cells, self._lines, self._origin_m, self._inverse_m, points, len(points), guess, distance_max_m,
             iterations, degenerate_share, STOP_M, STOP_RAD, self._scratch, pose, h,
         )  # fmt: skip
@@ -289,14 +190,14 @@ class LineField:
     ):
         """Search a window [m, rad] around guess in steps [m, rad] -> (best pose (3,), mean score in [0, 1])."""
         best = np.array(guess, float)
-        score = _correlate(
+        score = correlate(
             *self._field, points, len(points), np.asarray(guess, float), *window, *step, stride, best
         )  # fmt: skip
         return best, score
 
     def share_near(self, points: Array, pose: Array, near_m: float) -> float:
         """Share of points (n, 2), seen from pose, that lie within near_m of a wall."""
-        return _share_near(*self._field, points, len(points), pose, near_m)
+        return share_near(*self._field, points, len(points), pose, near_m)
 
     def facing_at(self, position: Sequence[float] | Array, seen_from: Sequence[float] | Array) -> float:
         """Outward normal [rad] of the wall at a position, on the side it is seen from; NaN where no wall is near."""
@@ -356,4 +257,4 @@ def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Arra
 def scan_points(ranges_m: Array, range_max_m: float) -> Array:
     """(n, 2) end points, in the robot frame, of the beams that returned from something that stands still."""
     points = np.empty((len(ranges_m), 2))
-    return points[: _points_of(ranges_m, range_max_m, beam_directions(len(ranges_m)), points)]
+    return points[: points_of(ranges_m, range_max_m, beam_directions(len(ranges_m)), points)]

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
-from twc_env.slam.line_equations import line_scratch
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
-from twc_env.slam.odometry_filter import CompiledFilters, make_filters, predict_state, update_state
-from twc_env.slam.scan_matching import LineFields, match_scan
+from twc_env.slam.odometry_filter import CompiledFilters, believe_match, make_filters, predict_state
+from twc_env.slam.scan_matching import LineFields, match_scan, matching_room
 from twc_env.team_messages import TeamFrames
 
 Array = NDArray
@@ -26,17 +25,17 @@ Array = NDArray
 @borrowing_kernel
 def _see(
     robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, cells, lines, origins, rule,
-    has_lidar, room, matched, information, is_matched, explained,
+    has_lidar, room, matched, information, is_matched, is_clear, explained,
 ):  # fmt: skip
     """Mark the mates in the scans and lay what is left on the fields, near the robots' states."""
-    is_jump, jumps, points, h, scratch = room
+    (is_jump, jumps), for_match = room
     for a in range(robots.shape[0]):
         k = robots[a]
         disc_counts[k] = mark_mates(ranges[a], rule[0], mate_radius, directions, is_jump, jumps, marked[k], discs[k])
         if has_lidar:
-            is_matched[k], explained[k] = match_scan(
-                cells[k], lines[k], origins[k], marked[k], directions, rule, states[k], points, h, scratch,
-                matched[k], information[k],
+            is_matched[k], is_clear[k], explained[k] = match_scan(
+                cells[k], lines[k], origins[k], marked[k], directions, rule, states[k], for_match, matched[k],
+                information[k],
             )  # fmt: skip
 
 
@@ -69,7 +68,7 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses):
     (
         states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, cells, lines,
         origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
-        dts, matched, is_matched, explained,
+        dts, matched, is_matched, is_clear, explained,
     ) = parts_of(apparatus)  # fmt: skip
     for a in range(robots.shape[0]):
         k = robots[a]
@@ -79,12 +78,14 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses):
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
     _see(
         robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, cells, lines, origins, match_rule,
-        has_lidar, room, matched, information, is_matched, explained,
+        has_lidar, room, matched, information, is_matched, is_clear, explained,
     )  # fmt: skip
     for a in range(robots.shape[0]):
         k = robots[a]
         if is_matched[k] and believes_scans:
-            is_matched[k] = update_state(states[k], covariances[k], matched[k], information[k], noise[5])
+            is_matched[k] = believe_match(
+                states[k], covariances[k], matched[k], information[k], noise[5], is_clear[k]
+            )  # fmt: skip
             if not is_matched[k]:
                 information[k, :, :] = 0.0
     return _arrive(
@@ -121,7 +122,7 @@ class Tracker:
         mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
         self._marking = (beam_directions(beams), mate_radius_m, self.marked_m, self.discs, self.disc_counts)
         for_mates = np.empty(beams, bool), np.empty(beams + 1, np.int64)
-        room = *for_mates, np.empty((beams, 2)), np.empty(9), line_scratch()
+        room = for_mates, matching_room(beams)
         self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, config.slam.cues.lidar, room)
         self._run: Callable[..., bool] | None = None
         """`_track` with all that it needs in every step."""
@@ -143,7 +144,8 @@ class Tracker:
     def _packed(self, filters: CompiledFilters) -> Lent:
         """What `_track` needs in every step."""
         count = len(self.poses_odom)
-        room = np.empty(count), np.empty((count, 3)), np.zeros(count, bool), np.zeros(count)
+        is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
+        room = np.empty(count), np.empty((count, 3)), is_matched, is_clear, np.zeros(count)
         parts = (
             filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
             *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
@@ -157,15 +159,16 @@ class Tracker:
     def _update_stepwise(self, robots: Array, frames: TeamFrames) -> None:
         """The same, with filters that are not compiled."""
         count = len(self.poses_odom)
-        matched, is_matched, explained = np.empty((count, 3)), np.zeros(count, bool), np.zeros(count)
+        matched, explained = np.empty((count, 3)), np.zeros(count)
+        is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
         dts_s = frames.time_s - self.times_s[robots]
         self.times_s[robots] = frames.time_s
         self._filters.predict(robots, frames.odometry, frames.turn_rates_rad_s, dts_s)
         _see(
             robots, frames.ranges_m, self._filters.states, *self._marking, *self._matching, matched,
-            self.information, is_matched, explained,
+            self.information, is_matched, is_clear, explained,
         )  # fmt: skip
-        self._filters.update(robots, matched, self.information, is_matched)
+        self._filters.update(robots, matched, self.information, is_matched, is_clear)
         self.information[robots[~is_matched[robots]]] = 0.0
         self.has_arrived = _arrive(
             robots, frames.odometry, dts_s, self._filters.states, explained, self._keyframe_rule,
