@@ -177,10 +177,12 @@ def _fill_small(
 
     poses (robots, 3, 3): in the map, its spread, in odom; contact_steps, mates, mate_poses as in `TeamBeliefs`.
     """
-    path_counts, paths, wifi_slots, levels, readings, mate_places, per_metre, memory_s, time_step_s = parts_of(kept)
+    (
+        path_counts, paths, wifi_slots, levels, room, readings, mate_places, per_metre, memory_s, time_step_s,
+    ) = parts_of(kept)  # fmt: skip
     if is_new:
         _extend_paths(poses, path_counts, paths)
-        take_scans(step + 1, scan_robots, macs, rssi_dbm, heard_counts, wifi_slots, levels)
+        take_scans(step + 1, scan_robots, macs, rssi_dbm, heard_counts, wifi_slots, levels, room)
     if not is_shown:
         return
     for i in range(ranges.shape[0]):

@@ -5,38 +5,39 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
 
 Array = NDArray
 
 RSSI_ZERO_DBM, RSSI_SPAN_DB = -100.0, 80.0
 
 
-def slots_for(robots: int, count: int) -> tuple[Array, Array]:
+def slots_for(robots: int, count: int) -> tuple[Array, Array, Array]:
     """What `take_scans` keeps. Each transmitter keeps its slot until a stronger one needs it; every robot has its own.
 
     Of each slot the transmitter, and when it was last among the strongest: (robots, 2, slots); and its level
-    (robots, slots) in the latest scan: 0 at -100 dBm or not heard, 1 at -20 dBm.
+    (robots, slots) in the latest scan: 0 at -100 dBm or not heard, 1 at -20 dBm. Also room to work in.
     """
     kept = np.zeros((robots, 2, count), np.int64)
     kept[:, 0] = -1
-    return kept, np.zeros((robots, count), np.float32)
+    return kept, np.zeros((robots, count), np.float32), np.empty((2, count), np.int64)
 
 
-@kernel
-def take_scans(now, robots, macs, rssi_dbm, counts, kept, levels):
+@borrowing_kernel
+def take_scans(now, robots, macs, rssi_dbm, counts, kept, levels, room):
     """Take in the scans of a step, given as the fields of `WifiScans`; now > 0 grows from step to step."""
     for k in range(robots.shape[0]):
-        count = min(counts[k], macs.shape[1])
-        _place(now, macs[k, :count], rssi_dbm[k, :count], kept[robots[k], 0], kept[robots[k], 1], levels[robots[k]])
+        count, own = min(counts[k], macs.shape[1]), kept[robots[k]]
+        _place(now, macs[k, :count], rssi_dbm[k, :count], own[0], own[1], levels[robots[k]], room[0], room[1])
 
 
-@kernel
-def _place(now, macs, rssi_dbm, slot_macs, last_scan, levels):
-    """The strongest transmitters take, or keep, the slots. Those longest out of the strongest give way."""
-    slots, heard = slot_macs.shape[0], rssi_dbm.shape[0]
-    strongest, is_waiting, at_slot = np.empty(slots, np.int64), np.zeros(heard, np.bool_), np.empty(slots, np.int64)
-    count = 0
+@borrowing_kernel
+def _place(now, macs, rssi_dbm, slot_macs, last_scan, levels, strongest, at_slot):
+    """The strongest transmitters take, or keep, the slots. Those longest out of the strongest give way.
+
+    Strongest and at_slot (slots,) are overwritten: the numbers of those transmitters, and of what each slot has.
+    """
+    slots, heard, count, held = slot_macs.shape[0], rssi_dbm.shape[0], 0, 0
     for k in range(heard):  # inserted in falling order; of equals, the first stays ahead
         level = rssi_dbm[k]
         if count == slots and rssi_dbm[strongest[slots - 1]] >= level:
@@ -47,8 +48,6 @@ def _place(now, macs, rssi_dbm, slot_macs, last_scan, levels):
             strongest[at] = strongest[at - 1]
             at -= 1
         strongest[at] = k
-    for i in range(count):
-        is_waiting[strongest[i]] = True
     at_slot[:] = -1
     for k in range(heard):
         mac = macs[k]
@@ -56,15 +55,18 @@ def _place(now, macs, rssi_dbm, slot_macs, last_scan, levels):
             at_slot[slot] += (k + 1) * int(slot_macs[slot] == mac)
     for slot in range(slots):
         k = at_slot[slot]
-        if k >= 0 and is_waiting[k]:
-            is_waiting[k] = False
-            last_scan[slot] = now
-    for i in range(count):
-        if is_waiting[strongest[i]]:
-            oldest = 0
-            for slot in range(1, slots):
-                if last_scan[slot] < last_scan[oldest]:
-                    oldest = slot
+        if k >= 0:
+            last = strongest[count - 1]
+            if rssi_dbm[k] > rssi_dbm[last] or (rssi_dbm[k] == rssi_dbm[last] and k <= last):
+                last_scan[slot] = now
+                held += 1
+    for i in range(count if held < count else 0):
+        is_waiting, oldest = True, 0
+        for slot in range(slots):
+            is_waiting &= at_slot[slot] != strongest[i]
+            if last_scan[slot] < last_scan[oldest]:
+                oldest = slot
+        if is_waiting:
             slot_macs[oldest], last_scan[oldest], at_slot[oldest] = macs[strongest[i]], now, strongest[i]
     for slot in range(slots):
         level = 0.0 if at_slot[slot] < 0 else (rssi_dbm[at_slot[slot]] - RSSI_ZERO_DBM) / RSSI_SPAN_DB

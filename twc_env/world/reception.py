@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 Array = NDArray
 
+_DOUBT = 1e-9
+"""Of numbers of about one, what rounding never adds up to."""
+
 
 class WifiReceiver:
     """One robot's radio device for one episode."""
@@ -184,6 +187,17 @@ def _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, di
 
 
 @borrowing_kernel
+def _is_heard(draw, lack, chance):
+    """Whether draw (1 + exp(lack)) < chance; only where a rough bound leaves a doubt the exponential is worked out."""
+    bound = 1.0 + abs(lack) + 0.5 * lack * lack  # exp(|lack|) is at least that
+    if draw * (1.0 + (bound if lack > 0.0 else 0.0)) >= chance + _DOUBT:
+        return False
+    if lack < 0.0 and draw * (1.0 + 1.0 / bound) < chance - _DOUBT:
+        return True
+    return draw * (1.0 + np.exp(lack)) < chance
+
+
+@borrowing_kernel
 def _receive(rssi, fading, constants, draws, detection, all_macs, heard, macs, readings):
     """Turn mean strengths into readings, in place; what is heard is also listed in macs and readings -> how many.
 
@@ -193,7 +207,7 @@ def _receive(rssi, fading, constants, draws, detection, all_macs, heard, macs, r
     transmitters, count = rssi.shape[0], 0
     for t in range(transmitters):
         level = rssi[t] + fading[t] + device_offset + noise_std * draws[t]
-        heard[t] = draws[transmitters + t] * (1.0 + np.exp((detection[0, t] - level) / detection[1, t])) < chance
+        heard[t] = _is_heard(draws[transmitters + t], (detection[0, t] - level) / detection[1, t], chance)
         rssi[t] = step * np.floor(level / step + 0.5)
         macs[count], readings[count] = all_macs[t], rssi[t]  # where it is not heard, the next one takes the place
         count += int(heard[t])
