@@ -49,6 +49,8 @@ def lay(robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> tuple[Array
 
     nodes: of the mapper that has the map; true_poses (steps + 1, robots, 3).
     """
+    if not len(nodes[0]):
+        return None
     pose, room = np.empty(3), _room_for(len(nodes[0]), len(robots))
     if _lay_paths(_numbers(robots), *nodes, true_poses, room, pose) == NOT_KNOWN:
         return None

@@ -39,6 +39,8 @@ class DeadReckoning:
         self._rest = np.zeros(robot_count), grids, [()] * robot_count, *nobody(robot_count)
         """What all beliefs have in common."""
         self._views = [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
+        self.bytes_sent: dict[str, int] = {}
+        """Nothing is sent."""
         self._alone: _Alone | None = None
         self._run: Callable[..., None] | None = None
         """`_chain` for everyone."""
@@ -72,11 +74,6 @@ class DeadReckoning:
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}
-
-    @property
-    def bytes_sent(self) -> dict[str, int]:
-        """Nothing is sent."""
-        return {}
 
     def mapper_of(self, robot: int) -> TeamMapper:
         """The mapper that maps nothing."""
