@@ -18,6 +18,7 @@ from twc_env import EnvConfig, load_map, map_names
 from twc_env.command_line import Paragraphs, assignments, count, exit_status, natural
 from twc_env.config import load, override
 from twc_env.json_values import check_folder, check_writable, json_text, write_json
+from twc_env.tasks import task_config
 
 _EXPLORE_HELP = """\
 Let a scripted team explore one building and write a run folder:
@@ -30,6 +31,7 @@ examples:
   python -m agents explore --map office.yaml --steps 6000 --set odometry.drift=2 --set lidar.beam_count=360
   python -m agents explore --agent random --no-pictures --json -
   python -m agents explore --config runs/twin-02 --seed 1        the same episode again, to the byte
+  python -m agents explore --config twc/ExploreHard-v0 --steps 1500
 """
 _BENCHMARK_HELP = """\
 Run many seeds on several maps and print one table per map. Runs that are already in the output folder with the same
@@ -189,8 +191,11 @@ def _radio_survey(options: argparse.Namespace) -> int:
 
 
 def _config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
-    """Defaults, then the file, then the options, then --set."""
-    config = load(options.config) if options.config else EnvConfig()
+    """Defaults, then the file or standard task, then the options, then --set."""
+    if options.config is None:
+        config = EnvConfig()
+    else:
+        config = task_config(options.config) if options.config.startswith("twc/") else load(options.config)
     named = {"map": map_name, "robots": options.robots, "max_cycles": steps}
     config = override(config, {key: value for key, value in named.items() if value is not None})
     return override(config, assignments(options.set))
@@ -265,7 +270,11 @@ def _parser() -> argparse.ArgumentParser:
     for command in (one, many, teams):
         command.add_argument("--robots", type=count, help="number of robots (default: 3)")
         command.add_argument("--steps", type=count, help="steps at most (default: 2000)")
-        command.add_argument("--config", type=Path, metavar="FILE", help="settings: TOML, JSON or a run folder")
+        command.add_argument(
+            "--config",
+            metavar="FILE",
+            help="settings: TOML, JSON, a run folder or a task such as twc/ExploreHard-v0",
+        )
         command.add_argument(
             "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change one setting"
         )

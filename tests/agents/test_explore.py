@@ -15,6 +15,7 @@ from twc_env import ConfigError, EnvConfig
 from twc_env.config import digest, from_dict, override
 from twc_env.datasets.g2o import read_g2o
 from twc_env.datasets.tum import read_tum
+from twc_env.tasks import task_config
 
 DOCUMENTED = {
     "map", "agent", "robots", "seed", "steps", "sim_time_s", "coverage_believed", "coverage_true", "coverage_correct",
@@ -92,6 +93,7 @@ def test_the_same_seed_gives_the_same_figures():
         ("explore --set lidar.beam_count", "--set takes KEY=VALUE"),
         ("explore --set lidar.beam_count=many", "must be a whole number"),
         ("explore --config nowhere.toml", "nowhere.toml"),
+        ("explore --config twc/ExploreHart-v0", "did you mean 'twc/ExploreHard-v0'"),
         ("benchmark --maps twin-3 --seeds 0", "twin-0"),
         ("benchmark --seeds 3-1", "seeds must be"),
     ],
@@ -142,6 +144,13 @@ def test_figures_for_the_terminal_are_added_to_what_stands_in_a_file(tmp_path):
         subprocess.run([*command, "--json", "-", "--out", str(tmp_path / "run")], stdout=file, check=True)
     first, _, rest = figures.read_text().partition("\n")
     assert first == "before" and json.loads(rest)["steps"] == 2
+
+
+def test_a_standard_task_is_a_config(tmp_path):
+    chosen = ["--map", "sfw-e4", "--steps", "5", "--no-pictures", "--out", str(tmp_path)]
+    assert main(["explore", "--config", "twc/ExploreHard-v0", *chosen]) == 0
+    written = from_dict(json.loads((tmp_path / "config.json").read_text()))
+    assert written == override(task_config("twc/ExploreHard-v0"), {"map": "sfw-e4", "max_cycles": 5})
 
 
 @pytest.mark.parametrize("command", ["explore", "benchmark"])
