@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from twc_env.config import MergingConfig
 from twc_env.geometry import between, compose, inverse
 from twc_env.messages import Fingerprint
-from twc_env.slam.map_merging import count_places, largest_agreement, wall_contradiction, wifi_agrees
+from twc_env.slam.map_merging import count_places, largest_agreement, wall_contradiction, weight_of, wifi_agrees
 from twc_env.slam.occupancy_grid import OccupancyGrid
 
 TRUE_A_B = np.array([12.0, -7.0, 2.2])
@@ -83,8 +83,46 @@ def test_a_sign_read_alike_by_both_outvotes_rows_of_names_that_follow_one_anothe
 
 @pytest.mark.parametrize(("apart_m", "count"), [(0.0, 4), (0.5, 3), (1.5, 2), (9.0, 1)])
 def test_signs_nearer_than_the_spread_count_once(apart_m, count):
-    assert count_places(np.array([[0.0, 0.0], [0.1, 0.0], [1.0, 0.0], [3.0, 0.0]]), apart_m) == count
-    assert count_places(np.zeros((0, 2)), apart_m) == 0
+    signs_m = np.array([[9.0, 9.0], [0.0, 0.0], [0.1, 0.0], [1.0, 0.0], [3.0, 0.0]])
+    assert count_places(signs_m, np.arange(1, 5), apart_m) == count
+    assert count_places(signs_m, np.arange(0), apart_m) == 0
+
+
+def by_the_definition(targets, sources, measured, signs_m, is_read_alike, rule: MergingConfig):
+    """The heaviest weight and what agrees, every pair with array functions."""
+    poses_a_b = compose(compose(targets, measured), inverse(sources))
+    error = between(compose(targets, measured)[None], compose(poses_a_b[:, None], sources[None]))
+    apart = np.linalg.norm(sources[:, None, :2] - sources[None, :, :2], axis=2)
+    agrees = np.linalg.norm(error[..., :2], axis=2) <= rule.consistency_m + 0.02 * apart
+    agrees &= np.abs(error[..., 2]) <= rule.consistency_rad
+    found = ((0, 0, 0), None, None)
+    for row in agrees:
+        spread = np.linalg.norm(signs_m[row][:, None] - signs_m[row][None], axis=2).max()
+        weight = weight_of(signs_m[row], is_read_alike[row], rule)
+        if row.sum() >= rule.closures_min and spread >= rule.spread_min_m and weight > found[0]:
+            cost = np.where(row, np.linalg.norm(error[..., :2], axis=2), 0.0).sum(axis=1)
+            found = weight, row, poses_a_b[np.flatnonzero(row)[np.argmin(cost[row])]]
+    return found
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_agreement_is_the_heaviest_of_all(seed):
+    random = np.random.default_rng(seed)
+    rule = MergingConfig(signs_read_alike_min=0, spread_min_m=float(random.choice([0.0, 0.5, 1.5])))
+    parts = [
+        closures(100 * seed + k, int(random.integers(1, 12)), random.uniform(0.01, 0.4), random.uniform(-3, 3, 3), 2.0)
+        for k in range(6)
+    ]
+    *parts, signs_m, alike = joined(*parts)
+    alike = random.uniform(size=len(alike)) < 0.3
+    weight, support, pose_a_b = by_the_definition(*parts, signs_m, alike, rule)
+    proposal = largest_agreement(*parts, signs_m, alike, rule)
+    if support is None:
+        assert proposal is None
+    else:
+        assert proposal.weight == weight
+        assert proposal.support.tolist() == support.tolist()
+        assert proposal.pose_a_b == pytest.approx(pose_a_b)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])

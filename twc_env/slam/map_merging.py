@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import MergingConfig
-from twc_env.geometry import between, compose, inverse
+from twc_env.geometry import compose, inverse
 from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint, GridMap
 
@@ -70,41 +70,113 @@ def largest_agreement(
         return None
     in_a = compose(targets, measured)
     poses_a_b = compose(in_a, inverse(sources))
-    predicted = compose(poses_a_b[:, None], sources[None])  # (seed, closure, 3)
-    error = between(in_a[None], predicted)
-    distance = np.linalg.norm(sources[:, None, :2] - sources[None, :, :2], axis=2)
-    agrees = np.linalg.norm(error[..., :2], axis=2) <= config.consistency_m + DRIFT_PER_M * distance
-    agrees &= np.abs(error[..., 2]) <= config.consistency_rad
-    between_signs = np.linalg.norm(signs_m[:, None] - signs_m[None, :], axis=2)
-    spread = np.array([between_signs[np.ix_(row, row)].max() for row in agrees])
-    votes = np.where(spread >= config.spread_min_m, agrees.sum(axis=1), 0)
-    votes[votes < config.closures_min] = 0
-    if not votes.any():
+    sources, signs_m = np.asarray(sources, float), np.asarray(signs_m, float)
+    rows, read_alike, signs = _heaviest_agreement(
+        poses_a_b, in_a, sources, signs_m, np.asarray(is_read_alike, bool), config.consistency_m,
+        config.consistency_rad, config.spread_min_m, config.closures_min,
+    )  # fmt: skip
+    if not len(rows) or read_alike < config.signs_read_alike_min:
         return None
-    weights = {int(k): weight_of(signs_m[agrees[k]], is_read_alike[agrees[k]], config) for k in np.flatnonzero(votes)}
-    seed = max(weights, key=lambda k: (weights[k], -k))
-    if weights[seed][0] < config.signs_read_alike_min:
-        return None
-    support = agrees[seed]
-    cost = np.where(support[None, :], np.linalg.norm(error[..., :2], axis=2), 0.0).sum(axis=1)
-    best = int(np.flatnonzero(support)[np.argmin(cost[support])])
-    return MergeProposal(poses_a_b[best], support, weights[seed])
+    support = np.zeros(len(targets), bool)
+    support[rows] = True
+    best = _most_central(poses_a_b, in_a, sources, rows)
+    return MergeProposal(poses_a_b[best], support, (read_alike, signs, len(rows)))
+
+
+@kernel
+def _apart_m(pose, in_a, source):
+    """How far a keyframe of b, put into a by the pose (3,), stands from where its own closure has it."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    x, y = pose[0] + c * source[0] - s * source[1] - in_a[0], pose[1] + s * source[0] + c * source[1] - in_a[1]
+    return math.hypot(x, y)
+
+
+@kernel
+def _heaviest_agreement(
+    poses_a_b, in_a, sources, signs_m, is_read_alike, consistency_m, consistency_rad, spread_min_m, closures_min
+):
+    """What agrees (n,) with the closure for which most speaks, and two parts of its weight; nothing: too little."""
+    count = poses_a_b.shape[0]
+    rows, alike, heaviest_rows = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
+    heaviest = (0, 0, 0)
+    for i in range(count):
+        votes = read_alike = same = 0
+        for j in range(count):
+            turned = (poses_a_b[i, 2] + sources[j, 2] - in_a[j, 2] + math.pi) % (2 * math.pi) - math.pi
+            if abs(turned) > consistency_rad:
+                continue
+            away = math.hypot(sources[i, 0] - sources[j, 0], sources[i, 1] - sources[j, 1])
+            if _apart_m(poses_a_b[i], in_a[j], sources[j]) > consistency_m + DRIFT_PER_M * away:
+                continue
+            rows[votes] = j
+            same += votes < heaviest[2] and heaviest_rows[votes] == j
+            votes += 1
+            if is_read_alike[j]:
+                alike[read_alike] = j
+                read_alike += 1
+        if votes < closures_min or same == votes == heaviest[2] or not _lie_apart(signs_m, rows[:votes], spread_min_m):
+            continue
+        read_alike = count_places(signs_m, alike[:read_alike], spread_min_m)
+        weight = (read_alike, count_places(signs_m, rows[:votes], spread_min_m), votes)
+        if weight > heaviest:
+            heaviest = weight
+            heaviest_rows[:votes] = rows[:votes]
+    return heaviest_rows[: heaviest[2]], heaviest[0], heaviest[1]
+
+
+@kernel
+def _lie_apart(signs_m, rows, apart_m):
+    """Whether any two of the chosen signs lie so far from each other."""
+    low_x = high_x = signs_m[rows[0], 0]
+    low_y = high_y = signs_m[rows[0], 1]
+    for k in rows:
+        low_x, high_x = min(low_x, signs_m[k, 0]), max(high_x, signs_m[k, 0])
+        low_y, high_y = min(low_y, signs_m[k, 1]), max(high_y, signs_m[k, 1])
+    longer = max(high_x - low_x, high_y - low_y)
+    if longer >= apart_m or math.hypot(high_x - low_x, high_y - low_y) < apart_m:
+        return longer >= apart_m
+    for k in rows:
+        for other in rows:
+            if math.hypot(signs_m[k, 0] - signs_m[other, 0], signs_m[k, 1] - signs_m[other, 1]) >= apart_m:
+                return True
+    return False
+
+
+@kernel
+def count_places(signs_m, rows, apart_m):
+    """How many of the chosen signs, rows of (k, 2), lie so far from each other, those counted before first."""
+    counted = np.empty(rows.shape[0], np.int64)
+    count = 0
+    for k in rows:
+        is_new = True
+        for i in range(count):
+            other = counted[i]
+            if math.hypot(signs_m[k, 0] - signs_m[other, 0], signs_m[k, 1] - signs_m[other, 1]) < apart_m:
+                is_new = False
+                break
+        if is_new:
+            counted[count] = k
+            count += 1
+    return count
+
+
+@kernel
+def _most_central(poses_a_b, in_a, sources, rows):
+    """Of the closures that agree (n,), the one from whose pose all of them stand least far in sum."""
+    best, least = rows[0], math.inf
+    for i in rows:
+        total = 0.0
+        for j in rows:
+            total += _apart_m(poses_a_b[i], in_a[j], sources[j])
+        if total < least:
+            best, least = i, total
+    return best
 
 
 def weight_of(signs_m: Array, is_read_alike: Array, config: MergingConfig) -> Weight:
     """What some closures weigh that stem from these signs (k, 2), read alike on both sides or not (k,)."""
-    apart_m = config.spread_min_m
-    return count_places(signs_m[is_read_alike], apart_m), count_places(signs_m, apart_m), len(signs_m)
-
-
-def count_places(signs_m: Array, apart_m: float) -> int:
-    """How many of some signs (k, 2) lie `apart_m` from each other, those counted before first."""
-    count = 0
-    while len(signs_m):
-        count += 1
-        away = np.hypot(*(signs_m[1:] - signs_m[0]).T)
-        signs_m = signs_m[1:][away >= apart_m]
-    return count
+    every, apart_m = np.arange(len(signs_m)), config.spread_min_m
+    return count_places(signs_m, every[is_read_alike], apart_m), count_places(signs_m, every, apart_m), len(signs_m)
 
 
 def wall_contradiction(grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> float:

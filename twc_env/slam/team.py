@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +29,20 @@ DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
 """A closure inside one map may disagree with the present estimate by this much."""
 REFUSED_MIN = 3
 """From so many refused closures on, and half as many again each time, all of a map are weighed anew."""
+MORE_PART = 16
+"""Of the closures between two maps that were no case for a merge, this part must come anew for another try."""
 RETRY_STEPS = 50
 """Merges that lacked evidence are tried again this often, whether or not another closure came."""
 OVERLAP_REACH_M = 5.0
 """Where scans come on request, keyframes this near the other group's are asked for theirs before a merge."""
+
+
+@dataclass(slots=True)
+class Waiting:
+    """Closures between two maps: how many were no case for a merge at the last try, and how many came since."""
+
+    tried: int = 0
+    come: int = 0
 
 
 class TeamMapper:
@@ -49,6 +60,8 @@ class TeamMapper:
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
         self._radio = RadioTies(radio, robot_count) if radio.online else None
+        self._waiting: dict[tuple[tuple[int, ...], tuple[int, ...]], Waiting] = {}
+        """Two groups, by their robots, and the closures between them."""
         self._refused_heard: dict[tuple[int, ...], int] = {}
         """How many closures of a group were refused when all of them were last weighed anew."""
         self._dirty: dict[int, bool] = {}
@@ -216,8 +229,14 @@ class TeamMapper:
                 self._judge_inside_map(closure)
             else:
                 closure.status, closure.reason = "pending", "waits for closures that agree"
-                self._try_merge(a, b)
+                waiting = self._waiting_of(a, b)
+                waiting.come += 1
+                if waiting.come * MORE_PART >= waiting.tried:
+                    self._try_merge(a, b)
         return True
+
+    def _waiting_of(self, a: int, b: int) -> Waiting:
+        return self._waiting.setdefault((self.groups[a].robots, self.groups[b].robots), Waiting())
 
     def _groups_of(self, closure: LoopClosure) -> tuple[int, int]:
         return self.group_index(closure.candidate.target[0]), self.group_index(closure.candidate.source[0])
@@ -252,6 +271,8 @@ class TeamMapper:
             return False
         pending = [c for c in self.closures if c.status == "pending" and set(self._groups_of(c)) == {a, b}]
         robots_a, robots_b = self.groups[a].robots, self.groups[b].robots
+        waiting = self._waiting_of(a, b)
+        waiting.tried, waiting.come = len(pending), 0
         proposal = self._judge.proposal(pending, robots_a)
         if proposal is None:
             return False
