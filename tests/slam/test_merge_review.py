@@ -1,6 +1,7 @@
 """Wrong merges are planted and must be undone once what the robots see speaks against them."""
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -236,3 +237,19 @@ def test_other_merges_of_a_group_that_fell_apart_speak_of_one_side_only(undone, 
     fresh.forget(wrong, sides)
     assert sorted((merge.a, merge.b) for merge in fresh.merges) == left
     assert fresh.undone_count == 1
+
+
+@pytest.mark.parametrize(("count", "tries"), [(10, 10), (200, 70)])
+def test_the_more_closures_wait_the_more_must_come_for_another_try(recorded, monkeypatch, count, tries):
+    config, frames, true_poses = recorded
+    engine = CooperativeSlam(config, 3)
+    for now in frames[: PLANTED_STEP + 1]:
+        engine.update(now)
+    team, asked = engine.team, []
+    coming = [replace(closure, status="accepted") for closure in closures(team, true_poses, count=count)]
+    monkeypatch.setattr(team._search, "next_closure", iter([*coming, None]).__next__)
+    monkeypatch.setattr(MergeJudge, "proposal", lambda *_: asked.append(1))
+    while team._verify_one():
+        pass
+    assert {closure.status for closure in coming} == {"pending"}
+    assert min(count, 16) <= len(asked) <= tries
