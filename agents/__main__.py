@@ -14,11 +14,10 @@ from agents import benchmark, compare, picture, radio_survey
 from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from agents.seeds import parse_seeds
-from twc_env import EnvConfig, load_map, map_names
+from twc_env import EnvConfig, load_map, map_names, task_config
 from twc_env.command_line import Paragraphs, assignments, count, exit_status, natural
 from twc_env.config import load, override
 from twc_env.json_values import check_folder, check_writable, json_text, write_json
-from twc_env.tasks import task_config
 
 _EXPLORE_HELP = """\
 Let a scripted team explore one building and write a run folder:
