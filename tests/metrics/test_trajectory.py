@@ -91,6 +91,13 @@ def test_the_error_equals_that_of_evo(seed):
     assert trajectory.absolute_trajectory_error_m(estimated, true) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("shape", [(), (5, 1), (5, 4), (0, 2)])
+def test_what_are_neither_positions_nor_poses_is_refused(shape):
+    for measure in (trajectory.align_team, trajectory.absolute_trajectory_error_m):
+        with pytest.raises(DataError, match=r"positions \(..., 2\) or poses"):
+            measure(np.zeros(shape), np.zeros(shape))
+
+
 def test_unequal_path_lengths_are_refused():
     with pytest.raises(DataError, match=r"\(3, 2\) and \(4, 2\)"):
         trajectory.absolute_trajectory_error_m(np.zeros((3, 2)), np.zeros((4, 2)))

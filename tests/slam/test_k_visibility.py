@@ -135,6 +135,12 @@ def test_too_few_readings_are_refused_with_a_reason():
         fit_signal(bin_along_path(np.array([[0.0, 0], [1, 0]]), np.array([[-40.0], [-41.0]])), 0, ROUTER)
 
 
+def test_another_number_of_places_than_of_routers_is_refused():
+    along = np.column_stack([np.linspace(0.0, 8.0, 50), np.zeros(50)])
+    with pytest.raises(DataError, match="each of the 1 routers that were heard; got 2"):
+        map_structure(along, np.full((50, 1), -50.0), router_m=np.zeros((2, 2)))
+
+
 def test_a_long_run_a_little_off_the_main_direction_still_offers_walls():
     corners = np.array([(0.0, 0), (10, 0), (10, 1), (0, 1), (0, 2), (3, 2.75)])
     assert (wall_candidates(corners, 0.3).ends_m[:, 1] > 2.1).any()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from twc_env.config import RadioSlamConfig
+from twc_env.errors import DataError
 from twc_env.geometry import between, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.metrics.trajectory import absolute_trajectory_error_m
@@ -115,6 +116,25 @@ def test_lte_beside_wifi_does_not_hurt(seed):
     lte, _ = made_log(seed=seed + 5, first_mac=CELL_ID_MIN)
     alone, _ = errors(wifi, truth)
     assert errors(heard_both(wifi, lte), truth)[0] < min(alone + 0.05, 0.6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"fingerprints": [Fingerprint(np.array([1]), np.array([-50.0]))] * 4}, "and 5 fingerprints; got .* and 4"),
+        ({"turned_rad": np.zeros(3)}, r"turns \(4,\).*; got .*\(3,\)"),
+        ({"motions": np.zeros((4, 2))}, r"motions \(4, 3\).*; got \(4, 2\)"),
+        ({"motions": np.full((4, 3), np.nan)}, "finite"),
+        ({"motions": "far"}, "numbers"),
+        ({"fingerprints": [None] * 5}, "fingerprint 0 is None"),
+    ],
+)
+def test_a_log_whose_parts_do_not_fit_is_refused(changes, message):
+    heard = Fingerprint(np.array([1]), np.array([-50.0]))
+    parts = {"motions": np.zeros((4, 3)), "turned_rad": np.zeros(4), "fingerprints": [heard] * 5}
+    with pytest.raises(DataError, match=message):
+        RadioLog(**{**parts, **changes})
+    assert RadioLog(**{key: list(value) for key, value in parts.items()}).odometry.shape == (5, 3)
 
 
 def test_the_same_log_gives_the_same_bytes():

@@ -5,7 +5,7 @@ import pytest
 
 from twc_env.geometry import between, compose
 from twc_env.slam import pose_graph
-from twc_env.slam.scan_alignment import FITS, STEPS_BACK, aligned
+from twc_env.slam.scan_alignment import FITS, STEPS_BACK, _pairs, aligned
 
 WAY = [(-2.5, -2.0, 0.0), (-1.5, -2.0, 0.1), (-0.3, -2.1, 0.3), (0.7, -2.0, 0.9), (0.6, -0.8, 1.6), (0.3, 0.4, 2.2)]
 WAY += [
@@ -40,6 +40,15 @@ def test_neighbouring_scans_put_a_loop_right_to_millimetres(office, path_of):
     assert np.hypot(*before[:, :2].T).max() > 0.04
     assert np.hypot(*after[:, :2].T).max() < 0.006
     assert np.abs(after[:, 2]).max() < 0.002
+
+
+def test_on_a_small_round_no_pair_of_scans_is_laid_twice():
+    travel_m = np.arange(30.0)
+    turn = travel_m * (2 * np.pi / 8)  # a metre of way each, on a circle of eight
+    poses = np.column_stack([4 / np.pi * np.cos(turn), 4 / np.pi * np.sin(turn), turn])
+    pairs = _pairs(poses, travel_m)
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    assert {tuple(pair) for pair in pairs.tolist()} >= {(k - back, k) for back in STEPS_BACK for k in range(back, 30)}
 
 
 def test_scans_without_returns_leave_the_odometry_alone(path_of):

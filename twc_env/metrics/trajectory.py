@@ -124,8 +124,12 @@ def _position_pairs(estimated: ArrayLike, true: ArrayLike) -> tuple[Array, Array
 
 
 def _check_pairs(estimated: Array, true: Array) -> None:
-    if estimated.shape[:-1] != true.shape[:-1] or true.size == 0:
-        raise DataError(f"need as many estimated as true poses, at least one; got {estimated.shape} and {true.shape}")
+    are_poses = all(a.shape[-1:] in ((2,), (3,)) for a in (estimated, true))
+    if not are_poses or estimated.shape[:-1] != true.shape[:-1] or true.size == 0:
+        raise DataError(
+            "need as many estimated as true positions (..., 2) or poses (..., 3), at least one; "
+            f"got {estimated.shape} and {true.shape}"
+        )
 
 
 @kernel

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.errors import DataError
 from twc_env.slam.k_visibility_grid import WallGrid, cell_probabilities
 from twc_env.slam.k_visibility_signal import fit_signal, locate_router, typical_signal
 from twc_env.slam.path_bins import PathBins, bin_along_path
@@ -79,6 +80,8 @@ def map_structure(
         router_m, fits = np.array([place for place, _ in located]), [fit for _, fit in located]
     else:
         router_m = np.asarray(router_m, float).reshape(-1, 2)
+        if len(router_m) != count:
+            raise DataError(f"give a place for each of the {count} routers that were heard; got {len(router_m)}")
         fits = [fit_signal(bins, r, router_m[r]) for r in range(count)]
     typical = [typical_signal(bins, r, place) for r, place in enumerate(router_m)]
     standoff = STANDOFF_M if standoff_m is None else standoff_m

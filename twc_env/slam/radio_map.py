@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from twc_env.errors import DataError
 from twc_env.messages import Fingerprint
 from twc_env.slam.radio_similarity import FingerprintStore, features
 
@@ -27,10 +28,12 @@ class RadioMap:
     def __init__(self, positions_m: Array, fingerprints: Sequence[Fingerprint], mode: str = "shifted"):
         self.positions_m = np.array(positions_m, float)
         if self.positions_m.shape != (len(fingerprints), 2) or not len(fingerprints):
-            raise ValueError(
+            raise DataError(
                 f"a radio map needs one position (n, 2) per fingerprint, at least one; got {self.positions_m.shape} "
                 f"for {len(fingerprints)}"
             )
+        if not np.isfinite(self.positions_m).all():
+            raise DataError("the positions of a radio map must be finite")
         self.fingerprints = tuple(fingerprints)
         self._store = FingerprintStore(mode)
         for fingerprint in fingerprints:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from twc_env.config import RadioSlamConfig
+from twc_env.errors import DataError
 from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_cue, radio_field
@@ -53,7 +54,7 @@ POSITION_STD_MIN_M, HEADING_STD_MIN_RAD = 0.02, 0.005
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadioLog:
-    """One robot's record, scan by scan (n)."""
+    """One robot's record, scan by scan (n). Raises DataError for parts that do not fit together."""
 
     motions: Array
     """(n - 1, 3) odometry from each scan to the next."""
@@ -61,6 +62,28 @@ class RadioLog:
     """(n - 1,) the turn on the way, not wrapped."""
     fingerprints: Sequence[Fingerprint]
     """(n) WiFi and LTE together, as far as there is any."""
+
+    def __post_init__(self) -> None:
+        steps = max(len(self.fingerprints) - 1, len(self.turned_rad))
+        try:
+            motions, turned_rad = np.asarray(self.motions, float), np.asarray(self.turned_rad, float)
+        except (TypeError, ValueError) as error:
+            raise DataError(f"motions and turns must be numbers: {error}") from None
+        shapes = motions.shape, turned_rad.shape, len(self.fingerprints)
+        if shapes != ((steps, 3), (steps,), steps + 1):
+            raise DataError(
+                f"a radio log has motions ({steps}, 3), turns ({steps},) and {steps + 1} fingerprints; "
+                f"got {shapes[0]}, {shapes[1]} and {shapes[2]}"
+            )
+        if not (np.isfinite(motions).all() and np.isfinite(turned_rad).all()):
+            raise DataError("motions and turns of a radio log must be finite")
+        for k, fingerprint in enumerate(self.fingerprints):
+            if not isinstance(fingerprint, Fingerprint):
+                raise DataError(
+                    f"fingerprint {k} is {fingerprint!r}: give an empty Fingerprint where nothing was heard"
+                )
+        object.__setattr__(self, "motions", motions)
+        object.__setattr__(self, "turned_rad", turned_rad)
 
     @property
     def odometry(self) -> Array:

@@ -75,7 +75,7 @@ def _pairs(poses: Array, travel_m: Array) -> Array:
             if all(abs(travel_m[there] - travel_m[other]) > VISIT_APART_M for other in visits):
                 visits.append(there)
         pairs += [(there, here) for there in visits[:VISITS]]
-    return np.array(sorted(pairs), np.int64)
+    return np.array(sorted(set(pairs)), np.int64)
 
 
 def _measured(scans: Array, poses: Array, pairs: Array, range_max_m: float) -> tuple[Array, Array, Array]:
