@@ -173,7 +173,8 @@ class Episode:
         if self._frames is frames or self._frames:
             engine.track(self._frames)
         engine.absorb(self.steps, self._contacts)
-        self.record.append(world.poses, engine.poses_odom, frames.odometry, world.contacts)
+        self._touching = world.contacts
+        self.record.append(world.poses, engine.poses_odom, frames.odometry, self._touching)
 
     def _notice(self) -> None:
         """What the robots believe now, and what their observations must remember of it."""
@@ -181,8 +182,8 @@ class Episode:
         self._builder.notice(self._shown, self._beliefs)
 
     def _judge(self) -> list[dict[str, float]]:
-        config, before, sent_before, contacts = self.config, self._standing, self._bytes_judged, self._world.contacts
-        self._bytes_judged = self.bytes_sent
+        config, before, sent_before, contacts = self.config, self._standing, self._bytes_judged, self._touching
+        self._bytes_judged = sum(self.engine.bytes_sent.values())
         if self.is_over or self.steps % config.reward.period_steps == 0:
             self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), self.is_over)
         elif self._bytes_judged == sent_before and True not in contacts.tolist():

@@ -198,7 +198,7 @@ def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, room):
 
 @borrowing_kernel
 def _crop(kinds, x, y, heading, inverse_m, cell_m, room, out):
-    """Egocentric view: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0).
+    """Egocentric view: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0); the others are emptied.
 
     Looking up stands apart from comparing, because only the latter gains from being done for many cells at once.
     """
@@ -207,9 +207,10 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, room, out):
     if kinds.shape[0] == 0:
         flat[: 2 * count] = 0
         flat[2 * count : 3 * count] = 255
-        flat[3 * count : 4 * count] = 0
+        flat[3 * count :] = 0
         return
     _look_around(kinds, x, y, heading, inverse_m, cell_m, size, room)
+    flat[4 * count :] = 0
     levels = room[0]
     free, wall, unknown = flat[:count], flat[count : 2 * count], flat[2 * count : 3 * count]
     for j in range(count):
@@ -234,7 +235,6 @@ def _crop_and_mark(kept, kinds, places, signs, poses, out):
     for i in range(len(kinds)):
         here, odom, place = poses[i, 0], poses[i, 2], places[i]
         _crop(kinds[i], here[0] - place[0], here[1] - place[1], here[2], place[2], cell_m, room, out[i])
-        out[i, 4:] = 0
         _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m, numbers)
         _mark(out[i, 5], mates[i], mates.shape[2], 0.0, 0.0, 0.0, inverse_m, numbers)
         _mark(out[i, 6], signs[i], signs[i].shape[1], here[0], here[1], here[2], inverse_m, numbers)

@@ -52,10 +52,10 @@ class ObservationBuilder:
 
     def notice(self, frames: Sequence[SensorFrame], beliefs: Sequence[Belief]) -> None:
         """Take in one step of all robots, whether or not observations are built of it: path, radio and readings."""
-        self._frames, self._beliefs = TeamFrames.of(frames), TeamBeliefs.of(beliefs)
-        self._small.notice(self._frames, self._beliefs)
-        if any(self._frames.signs):
-            self._signs.remember(self._beliefs.poses, self._frames.time_s, self._frames.signs)
+        sensed, believed = self._frames, self._beliefs = TeamFrames.of(frames), TeamBeliefs.of(beliefs)
+        self._small.notice(sensed, believed)
+        if any(sensed.signs):
+            self._signs.remember(believed.poses, sensed.time_s, sensed.signs)
 
     def build(
         self, candidates: Sequence[Candidates] | None = None, masks: Sequence[Array] | None = None

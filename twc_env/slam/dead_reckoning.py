@@ -30,7 +30,8 @@ class DeadReckoning:
         self.mappers = [self.team]
         self._grid = self.team.grid_of(0)
         self._everyone = np.arange(robot_count)
-        self._poses = np.zeros((robot_count, 3, 3))
+        self._shape = robot_count, 3, 3
+        self._poses = np.zeros(self._shape)
         """(robots, 3, 3) as `TeamBeliefs.poses`."""
         self._ranges_m: list[Array] | Array = [np.zeros(0)] * robot_count
         self._steps: Sequence[int] | int = 0
@@ -61,7 +62,7 @@ class DeadReckoning:
             self._ranges_m, self._steps = list(self._ranges_m), self._steps_of_all()
             for robot, ranges_m in zip(robots.tolist(), team.ranges_m, strict=True):
                 self._ranges_m[robot], self._steps[robot] = ranges_m, team.step
-        self._poses = np.empty(before.shape)
+        self._poses = np.empty(self._shape)
         moves = team.odometry, before, self._poses
         if robots is not self._everyone:
             _chain(robots, *moves)
