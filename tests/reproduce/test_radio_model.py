@@ -1,6 +1,7 @@
 import dataclasses
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -107,6 +108,16 @@ def test_every_set_is_either_calibrated_or_reported_and_both_exist():
     roles = [study.role for study in STUDIES]
     assert set(roles) == {"calibrated", "reported"}
     assert len({study.name for study in STUDIES}) == len(STUDIES)
+
+
+@needs_data
+@pytest.mark.parametrize("name", ["sfw_authors E3", "sfw_authors E5"])
+def test_routers_are_as_strong_near_by_as_each_experiment_says(name):
+    study = next(study for study in STUDIES if study.name == name)
+    folder = Path(os.environ["TWC_DATA"])
+    real, simulated = study.real(folder, True), study.simulated(folder, study.config, 0, True)
+    for figure in ("mean RSS of class 0 [dBm]", "mean RSS of class 1 [dBm]"):
+        assert simulated[figure] == pytest.approx(real[figure], abs=2.5)
 
 
 @needs_data

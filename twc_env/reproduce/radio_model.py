@@ -4,7 +4,7 @@ For each survey the radio model is run at the survey's own places, in a plan tha
 of readings are judged by one function. `calibrated` rows are of sets whose figures the presets were fitted to;
 `reported` rows are of sets looked at only afterwards, with the same settings. Preset `radio-indoor` serves the
 offices, the library and the robot's floor, `radio-mall` the malls; what belongs to a place or a device (its plan, how
-many transmitters, how strong a BLE tag sends, how faint a phone still hears) is set per place.
+many transmitters, how strong a tag or a router sends, how faint a phone still hears) is set per place.
 
 `real_low` and `real_high` say how far real places of the kind differ by themselves: the middle 95 % of a bootstrap over
 the set's access points, anchors or walks, or the range over three places of a router; none for what papers print.
