@@ -210,6 +210,25 @@ def test_the_same_wrong_merge_needs_twice_as_many_closures_the_next_time(undone)
     assert review.closures_needed((i,), (2,), again) == 3
 
 
+def test_the_last_merge_is_wrong_where_closures_pull_odometry_apart(recorded):
+    engine, _, _ = run(recorded, (0.0, 0.0, 0.0), 200, **BLIND)
+    team, graph = engine.team, engine.team._graph
+    robots = team.groups[team.group_index(0)].robots
+    assert {0, 1} <= set(robots)
+    squared, count = graph.strain(robots)
+    assert squared < 0.3 * 3 * count
+    latest = team._review.merges[-1]
+    for merge in team._review.merges:
+        merge.due_step = 0
+    assert team._review.wrong(200) is None
+    nodes = graph.part(robots)[0]
+    graph.place(nodes, graph.poses[nodes] * (1.4, 1.0, 1.0))
+    for merge in team._review.merges:
+        merge.due_step = 0
+    found = team._review.wrong(201)
+    assert found is not None and found[0] is latest and "odometry" in found[1]
+
+
 def test_right_merges_stand(recorded):
     config, frames, true_poses = recorded
     engine = CooperativeSlam(config, 3)

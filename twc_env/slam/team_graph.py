@@ -254,6 +254,12 @@ class TeamGraph:
         )  # fmt: skip
         return nodes, edges, Graph(local, measured, information, is_closure), is_used
 
+    def strain(self, robots: Sequence[int]) -> tuple[float, int]:
+        """Squared error of the odometry of some robots, and for how many closures that are used it pays that."""
+        nodes, _, graph, is_used = self.part(robots)
+        squared = graph.squared_errors(self.poses[nodes])
+        return float(squared[~graph.is_closure].sum()), int(np.count_nonzero(is_used & graph.is_closure))
+
     def places_among(self, robots: Sequence[int], nodes: Array) -> dict[tuple[int, int], int]:
         """Where among ascending nodes (n,) each keyframe (robot, index) of some robots is."""
         return {
