@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.config import RadioConfig
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
@@ -25,7 +24,7 @@ _ROOM_POINTS, _CHARACTER_WIDTH = 6.0, 0.62
 """Height of the letters in rooms, and how wide one is on average in heights."""
 
 
-def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = None, with_signal: bool = True) -> Path:
+def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Path:
     """Write the picture; returns its path. Raises MapError when matplotlib is missing or the path cannot be written."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -45,7 +44,7 @@ def draw_plan(plan: Floorplan, path: str | Path, config: RadioConfig | None = No
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     if with_signal and plan.access_points:
-        _draw_signal(axes, figure, plan, config)
+        _draw_signal(axes, figure, plan)
     axes.add_collection(
         PolyCollection([r.polygon_m for r in plan.rooms], facecolors="none", edgecolors="tab:green", linewidths=0.5)
     )
@@ -124,8 +123,8 @@ def name_sign(axes, text: str, place_m: Array, facing_rad: float, points: float 
     )  # fmt: skip
 
 
-def _draw_signal(axes, figure, plan: Floorplan, config: RadioConfig | None) -> None:
-    signal, (x0, y0), step_m = signal_map_dbm(plan, config)
+def _draw_signal(axes, figure, plan: Floorplan) -> None:
+    signal, (x0, y0), step_m = signal_map_dbm(plan)
     low, high = SIGNAL_SPAN_DBM
     rows, columns = signal.shape
     image = axes.imshow(

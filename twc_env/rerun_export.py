@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +26,8 @@ _LIFT_M = 0.02
 """Layers lie so far above one another, so that the viewer can tell which is on top."""
 
 
-def write_rerun(run: Path, path: Path, report: Callable[[int, int], None] = lambda done, total: None) -> Path:
-    """Make a recording (.rrd) of a run folder's trace.npz and report.json; `report` hears of the progress.
+def write_rerun(run: Path, path: Path) -> Path:
+    """Make a recording (.rrd) of a run folder's trace.npz and report.json.
 
     Time lines are `step` and `time`. Entities, all in the building frame [m]: `building/...` is true, `team/...` is
     what the team believed at that time, `figures/...` are the figures over time.
@@ -56,7 +55,6 @@ def write_rerun(run: Path, path: Path, report: Callable[[int, int], None] = lamb
         for count, moment in enumerate(moments):
             _set_time(recording, moment["step"], config)
             _log_moment(rerun, moment, cells[count])
-            report(count + 1, len(moments))
         _log_robots(rerun, recording, trace, config)
         recording.flush()
     return path

@@ -77,13 +77,6 @@ class RadioSurvey:
         return self.room_kind
 
     @property
-    def high_bands(self) -> Array:
-        """(t,) 5 GHz flags of a set that tells them; DataError for others."""
-        if self.is_high_band is None:
-            raise DataError(f"survey {self.name} does not tell its bands; use one that does")
-        return self.is_high_band
-
-    @property
     def transmitters(self) -> tuple[Array, Array, Array]:
         """Places (t, 2), storeys (t,) and 5 GHz flags (t,) of a set that tells them; DataError for others."""
         if self.transmitter_m is None or self.transmitter_floor is None or self.is_high_band is None:

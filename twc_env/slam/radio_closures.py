@@ -34,7 +34,7 @@ def strongest_per_place(i: Array, j: Array, similarity: Array, count: int) -> Ar
     return (_rank(i, similarity) < count) | (_rank(j, similarity) < count)
 
 
-def with_support(i: Array, j: Array, travel_m: Array, support_min: int = SUPPORT_MIN) -> Array:
+def with_support(i: Array, j: Array, travel_m: Array) -> Array:
     """(k,) bool: closures with others near at both ends. A distance alone says too little to be judged by pairs."""
     rows, columns = (travel_m[i] // SUPPORT_REACH_M).astype(np.int64), (travel_m[j] // SUPPORT_REACH_M).astype(np.int64)
     if not len(i):
@@ -42,7 +42,7 @@ def with_support(i: Array, j: Array, travel_m: Array, support_min: int = SUPPORT
     counts = np.zeros((rows.max() + 3, columns.max() + 3), np.int32)
     np.add.at(counts, (rows + 1, columns + 1), 1)
     around = sum(counts[rows + 1 + a, columns + 1 + b] for a in (-1, 0, 1) for b in (-1, 0, 1))
-    return around - 1 >= support_min
+    return around - 1 >= SUPPORT_MIN
 
 
 def closures(

@@ -123,11 +123,11 @@ class Drawing:
         """A sign."""
         self.signs.append(Sign(text, position_m, float(facing_rad)))
 
-    def is_clear(self, edge: Edge, along: float, gap: float = 4) -> bool:
+    def is_clear(self, edge: Edge, along: float) -> bool:
         """Whether a sign fits: on the edge, beside doors and other signs."""
         if not edge.begin + 2 <= along <= edge.end - 2:
             return False
         if any(begin - 2 < along < end + 2 for begin, end in self.doors[edge.axis, edge.line]):
             return False
         place = edge.point_m(along)
-        return all(np.abs(sign.position_m - place).max() >= gap / 10 for sign in self.signs)
+        return all(np.abs(sign.position_m - place).max() >= 0.4 for sign in self.signs)

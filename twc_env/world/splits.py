@@ -22,20 +22,20 @@ SPLIT_AREA_M2 = (100.0, 2000.0)
 _SPLIT_SEEDS = {"train": 0, "validation": 1_000_000, "test": 2_000_000}
 
 
-def generate_by_name(name: str, check: bool = True) -> Floorplan | None:
+def generate_by_name(name: str) -> Floorplan | None:
     """The building of a name such as `gen:office:800:7` or `train/0007`; None for names of another form.
 
     Raises MapError when the form fits and a part of it does not.
     """
     head, _, rest = name.partition(":")
     if head == "gen":
-        return _cached(*_parts(name, rest), name, check)
+        return _cached(*_parts(name, rest), name)
     split, _, number = name.partition("/")
     if split not in SPLITS or not number.isdecimal() or len(number) != 4:
         return None
     if int(number) >= SPLITS[split]:
         raise MapError(f"no building {name!r}: {split} holds {SPLITS[split]}, {split}/0000 to {_last(split)}")
-    return _cached(*split_recipe(split, int(number)), name, check)
+    return _cached(*split_recipe(split, int(number)), name)
 
 
 def split_names(split: str) -> tuple[str, ...]:
@@ -88,8 +88,8 @@ def split_layouts(split: str) -> list[str]:
 
 
 @lru_cache(maxsize=32)
-def _cached(kind: str, area_m2: float, seed: int, name: str, check: bool) -> Floorplan:
-    plan = generate(kind, area_m2, seed, check)
+def _cached(kind: str, area_m2: float, seed: int, name: str) -> Floorplan:
+    plan = generate(kind, area_m2, seed)
     object.__setattr__(plan, "name", name)  # not yet seen by anyone; its caches stay warm
     return plan
 
