@@ -148,9 +148,10 @@ class _Alone(TeamBeliefs):
 @borrowing_kernel
 def _chain(robots, motions, before, poses):
     """Move the poses of robots (k,) in odom and map, which are one here, by motions (k, 3) seen from them."""
-    old, new = before.reshape(-1), poses.reshape(-1)
-    for k in range(new.shape[0]):
-        new[k] = old[k]
+    for robot in range(poses.shape[0]):
+        for row in range(3):
+            for axis in range(3):
+                poses[robot, row, axis] = before[robot, row, axis]
     for k in range(robots.shape[0]):
         pose = poses[robots[k], 2]
         c, s = math.cos(pose[2]), math.sin(pose[2])
