@@ -3,6 +3,7 @@ import numpy as np
 import twc_env
 from twc_env.config import KVisibilityConfig
 from twc_env.messages import SensorFrame, WifiScan
+from twc_env.slam import radio_structure
 from twc_env.slam.radio_structure import RadioStructure
 
 CONFIG = KVisibilityConfig(enabled=True, noise_std_db=2.0, wall_loss_db=10.0, period_scans=1)
@@ -49,6 +50,55 @@ def test_the_map_moves_with_the_frame_and_is_kept_until_something_new_is_heard()
     assert radio.picture_of((0,), np.zeros((1, 3)), 0) is first
     moved = radio.picture_of((0,), np.array([[100.0, 0.0, 0.0]]), 1)
     assert np.allclose(moved.grid.origin_m - first.grid.origin_m, [100.0, 0.0], atol=0.11)
+
+
+def walk(radio, count, seed=0):
+    """Scans of two transmitters on a way that leads away from both, one at a time; gives the picture after each."""
+    random = np.random.default_rng(seed)
+    pictures = []
+    for k in range(count):
+        place = np.array([0.3 * k, random.normal(), 0.0])
+        heard = [level(np.hypot(*(place[:2] - at)), 0) + random.normal(0, 2.0) for at in ((0, 2), (6, -3))]
+        scan = WifiScan(np.array([7, 9]), np.array(heard))
+        radio.add(SensorFrame(0, 0, 0.0, np.zeros(3), 0.0, np.zeros(4), scan), place)
+        pictures.append(radio.picture_of((0,), np.zeros((1, 3)), 0))
+    return pictures
+
+
+def test_readings_added_one_at_a_time_give_the_map_of_all_at_once():
+    several, at_once = RadioStructure(CONFIG, 0.1, 1), RadioStructure(CONFIG, 0.1, 1)
+    for radio in (several, at_once):
+        radio.give_transmitters(np.array([7, 9]), np.array([[0.0, 2.0], [6.0, -3.0]]), np.zeros((1, 3)))
+    pictures = walk(several, 40)
+    first = pictures[0].grid.log_odds.copy()
+    at_once._readings = several._readings
+    grid, whole = pictures[-1].grid, at_once.picture_of((0,), np.zeros((1, 3)), 0).grid
+    assert np.array_equal(grid.log_odds, whole.log_odds) and np.allclose(grid.origin_m, whole.origin_m)
+    assert np.count_nonzero(grid.log_odds) > 200
+    assert np.array_equal(pictures[0].grid.log_odds, first)
+    assert pictures[0].grid.log_odds.shape < grid.log_odds.shape
+
+
+def test_a_reading_is_cast_a_few_times_however_many_follow(monkeypatch):
+    cast, draw = [], radio_structure._update_all
+    monkeypatch.setattr(radio_structure, "_update_all", lambda *all: cast.append(len(all[3])) or draw(*all))
+    radio = RadioStructure(CONFIG, 0.1, 1)
+    pictures = walk(radio, 300)
+    assert len(pictures[-1].transmitter_m) == 2
+    assert len(cast) == 300
+    assert sum(cast) < 10 * 600
+
+
+def test_a_transmitter_that_was_passed_nearly_is_in_the_next_picture():
+    radio = RadioStructure(CONFIG, 0.1, 1)
+    counts = [len(picture.transmitter_m) for picture in walk(radio, 60)]
+    assert counts[0] == 1 and counts[-1] == 2 and sorted(counts) == counts
+
+
+def test_a_ray_counts_once_in_each_cell():
+    cells = np.zeros((3, 60), np.int16)
+    radio_structure.update_reading(cells, np.zeros(2), 10.0, 5.97, 0.15, 0.03, 0.15, -60.0, -35.0, 2.3, 10.0, 2.0)
+    assert len(set(cells[1].tolist())) == 1 and cells[1, 0] != 0
 
 
 def test_observations_hold_the_radio_map_only_when_asked_for():

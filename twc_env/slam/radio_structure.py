@@ -30,6 +30,8 @@ _PLACED_FROM = 40
 """A transmitter is placed by so many of its strongest readings, which few walls stand before."""
 _POWER_STD_DB = 3.0
 """How well a transmitter's power is known before."""
+REDRAWN_FACTOR = 1.25
+"""When scans are so many times more than when all were drawn, all are drawn again."""
 _SEARCH_STEPS_M = (0.6, 0.15)
 _SEARCH_REACH = 4
 """Places tried on either side of the best so far, at each step width."""
@@ -54,13 +56,32 @@ class _Readings:
     rssi_dbm: list[Array]
 
 
+@dataclass(slots=True, eq=False)
+class _Drawn:
+    """A picture, and what is in it."""
+
+    picture: RadioPicture
+    macs: Array
+    """(k,) of the picture's transmitters, rising."""
+    version: int
+    """Of the map in whose frame it is."""
+    scans: list[int]
+    """Of each robot."""
+    scans_at_redraw: int
+
+    @property
+    def scan_count(self) -> int:
+        """Scans of all robots."""
+        return sum(self.scans)
+
+
 class RadioStructure:
     """One robot team's readings, and the maps that they give for any set of robots in one frame."""
 
     def __init__(self, config: KVisibilityConfig, resolution_m: float, robots: int):
         self._config, self._resolution_m = config, resolution_m
         self._readings = [_Readings([], [], []) for _ in range(robots)]
-        self._maps: dict[tuple[int, ...], tuple[tuple, RadioPicture]] = {}
+        self._maps: dict[tuple[int, ...], _Drawn] = {}
         self._given: tuple[Array, Array, Array] | None = None
 
     def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
@@ -80,66 +101,97 @@ class RadioStructure:
     def picture_of(self, robots: tuple[int, ...], poses_map_odom: Array, version: int) -> RadioPicture | None:
         """What the readings of these robots say, in a map frame; poses (robots, 3) lay their odom frames in it.
 
-        Worked out anew every `period_scans` readings or when the map jumped. None before anything is heard.
+        Every `period_scans` scans the new readings are added, and all of a transmitter that was passed nearly since.
+        All are drawn anew when the map jumped, or when there are a quarter more, which tell better where transmitters
+        stand. None before anything is heard.
         """
-        count = sum(len(self._readings[r].macs) for r in robots)
-        key = (version, count // self._config.period_scans)
-        held = self._maps.get(robots)
-        if held is not None and held[0] == key:
-            return held[1]
+        scans = [len(self._readings[r].macs) for r in robots]
+        count, held = sum(scans), self._maps.get(robots)
+        if held is not None and held.version == version:
+            if count // self._config.period_scans == held.scan_count // self._config.period_scans:
+                return held.picture
+            if count < REDRAWN_FACTOR * held.scans_at_redraw:
+                return self._extended(held, robots, poses_map_odom, scans)
         if not count:
             return None
-        picture = self._drawn(robots, poses_map_odom)
-        self._maps[robots] = (key, picture)
+        place, mac, level = self._heard(robots, poses_map_odom, [0] * len(robots))
+        if self._given is None:
+            macs, transmitter_m = self._located(place, mac, level)
+        else:
+            macs, position_m, starts = self._given
+            transmitter_m = transform_points(compose(poses_map_odom[0], inverse(starts[robots[0]])), position_m)
+        low = np.floor(place[0] / self._resolution_m) * self._resolution_m
+        nothing = GridMap(np.zeros((1, 1), np.int16), low, self._resolution_m)
+        picture = self._with(nothing, transmitter_m, place, _places_of(mac, macs), level)
+        self._maps[robots] = _Drawn(picture, macs, version, scans, count)
         return picture
 
-    def _drawn(self, robots: tuple[int, ...], poses_map_odom: Array) -> RadioPicture:
-        places, macs, levels = [], [], []
-        for robot, pose in zip(robots, poses_map_odom, strict=True):
+    def _extended(self, held: _Drawn, robots: tuple[int, ...], poses_map_odom: Array, scans: list[int]) -> RadioPicture:
+        """The picture with what was heard since."""
+        place, mac, level = self._heard(robots, poses_map_odom, held.scans)
+        macs, transmitter_m = held.macs, held.picture.transmitter_m
+        known = _places_of(mac, macs)
+        if self._given is None and np.any(level[known < 0] >= self._config.located_from_dbm):
+            earlier = self._heard(robots, poses_map_odom, [0] * len(robots))
+            others = [part[_places_of(earlier[1], macs) < 0] for part in earlier]
+            found, found_m = self._located(*others)
+            is_found = _places_of(others[1], found) >= 0
+            place, mac, level = (
+                np.concatenate([part[known >= 0], other[is_found]])
+                for part, other in zip((place, mac, level), others, strict=True)
+            )
+            order = np.argsort(np.concatenate([macs, found]))
+            macs = np.concatenate([macs, found])[order]
+            transmitter_m = np.concatenate([transmitter_m, found_m])[order]
+        held.picture = self._with(held.picture.grid, transmitter_m, place, _places_of(mac, macs), level)
+        held.macs, held.scans = macs, scans
+        return held.picture
+
+    def _heard(self, robots: tuple[int, ...], poses_map_odom: Array, since: list[int]) -> tuple[Array, Array, Array]:
+        """Readings of these robots from their scans number `since` on: places (n, 2), addresses and levels (n,)."""
+        places, macs, levels = [np.zeros((0, 2))], [np.zeros(0, np.int64)], [np.zeros(0)]
+        for robot, pose, first in zip(robots, poses_map_odom, since, strict=True):
             own = self._readings[robot]
-            if own.macs:
-                at = compose(pose, np.array(own.pose_odom))[:, :2]
-                places.append(np.repeat(at, [len(m) for m in own.macs], axis=0))
-                macs.append(np.concatenate(own.macs))
-                levels.append(np.concatenate(own.rssi_dbm))
-        place, mac, level = np.concatenate(places), np.concatenate(macs), np.concatenate(levels)
-        if self._given is None:
-            routers, which = self._routers(place, mac, level)
-        else:
-            known, position_m, starts = self._given
-            routers = transform_points(compose(poses_map_odom[0], inverse(starts[robots[0]])), position_m)
-            which = np.clip(np.searchsorted(known, mac), 0, len(known) - 1)
-            which = np.where(known[which] == mac, which, -1)
-        low = np.floor((np.concatenate([place, routers]).min(axis=0) - _MARGIN_M) / self._resolution_m)
-        high = np.ceil((np.concatenate([place, routers]).max(axis=0) + _MARGIN_M) / self._resolution_m)
-        columns, rows = (high - low).astype(int).tolist()
-        log_odds = np.zeros((rows, columns), np.int16)
-        origin = low * self._resolution_m
+            if len(own.macs) > first:
+                at = compose(pose, np.array(own.pose_odom[first:]))[:, :2]
+                places.append(np.repeat(at, [len(m) for m in own.macs[first:]], axis=0))
+                macs += own.macs[first:]
+                levels += own.rssi_dbm[first:]
+        return np.concatenate(places), np.concatenate(macs), np.concatenate(levels)
+
+    def _with(self, before: GridMap, transmitter_m: Array, place: Array, which: Array, level: Array) -> RadioPicture:
+        """A map with some more readings: their places (n, 2), transmitters (n,), -1 for none, and levels (n,)."""
+        cell = self._resolution_m
+        ends = np.concatenate([place, transmitter_m])
+        held = np.round(np.asarray(before.origin_m) / cell)
+        low = np.vstack([np.floor((ends - _MARGIN_M) / cell), held]).min(axis=0).astype(int)
+        high = np.vstack([np.ceil((ends + _MARGIN_M) / cell), held + before.log_odds.shape[::-1]]).max(axis=0)
+        (columns, rows), (column, row) = (high.astype(int) - low).tolist(), (held.astype(int) - low).tolist()
+        log_odds, origin = np.zeros((rows, columns), np.int16), low * cell
+        log_odds[row : row + before.log_odds.shape[0], column : column + before.log_odds.shape[1]] = before.log_odds
         told = which >= 0
         _update_all(
-            log_odds, origin, 1.0 / self._resolution_m, np.ascontiguousarray(place[told]), routers, which[told],
+            log_odds, origin, 1.0 / cell, np.ascontiguousarray(place[told]), transmitter_m, which[told],
             level[told], *self._signal(),
         )  # fmt: skip
         log_odds.flags.writeable = False
-        return RadioPicture(GridMap(log_odds, origin, self._resolution_m), routers)
+        return RadioPicture(GridMap(log_odds, origin, cell), transmitter_m)
 
     def _signal(self) -> tuple[float, float, float, float]:
         config = self._config
         return config.power_at_1m_dbm, config.path_loss_exponent, config.wall_loss_db, config.noise_std_db
 
-    def _routers(self, place: Array, mac: Array, level: Array) -> tuple[Array, Array]:
-        """Places of the transmitters passed nearly (routers, 2), and which of them each reading heard (-1: none)."""
+    def _located(self, place: Array, mac: Array, level: Array) -> tuple[Array, Array]:
+        """Addresses (k,), rising, and places (k, 2) of the transmitters that were passed nearly."""
         known, inverse = np.unique(mac, return_inverse=True)
         strongest = np.full(len(known), -np.inf)
         np.maximum.at(strongest, inverse, level)
-        is_located = strongest >= self._config.located_from_dbm
-        number = np.where(is_located, np.cumsum(is_located) - 1, -1)
+        located = np.flatnonzero(strongest >= self._config.located_from_dbm)
         order = np.lexsort((-level, inverse))
-        first = np.searchsorted(inverse[order], np.flatnonzero(is_located))
-        last = np.searchsorted(inverse[order], np.flatnonzero(is_located), side="right")
+        first, last = (np.searchsorted(inverse[order], located, side) for side in ("left", "right"))
         own = [order[a : min(b, a + _PLACED_FROM)] for a, b in zip(first, last, strict=True)]
-        routers = [self._placed(place[rows], level[rows]) for rows in own]
-        return np.array(routers).reshape(-1, 2), number[inverse]
+        places = [self._placed(place[rows], level[rows]) for rows in own]
+        return known[located], np.array(places).reshape(-1, 2)
 
     def _placed(self, place: Array, level: Array) -> Array:
         """(2,) from where readings (k,) at places (k, 2) that no wall weakens would fall off as these do."""
@@ -156,6 +208,14 @@ class RadioStructure:
             misfit = (np.minimum(np.abs(error - power[:, None]), 3.0 * config.noise_std_db) ** 2).sum(axis=1)
             best = tried[np.argmin(misfit + power**2 / spread)]
         return best
+
+
+def _places_of(mac: Array, macs: Array) -> Array:
+    """Where among the addresses (k,), rising, each of others (n,) is; -1: nowhere."""
+    if not len(macs):
+        return np.full(len(mac), -1)
+    found = np.clip(np.searchsorted(macs, mac), 0, len(macs) - 1)
+    return np.where(macs[found] == mac, found, -1)
 
 
 @kernel
@@ -176,24 +236,28 @@ def update_reading(log_odds, origin, inverse_m, x, y, router_x, router_y, rssi, 
     steps = int(distance * inverse_m) + 1
     # Walls already found on the ray explain their share of the loss.
     found, before, cells = 0.0, False, 0
+    last_row = last_column = -1
     for s in range(steps + 1):
         c = int(np.floor((router_x + dx * s / steps - origin[0]) * inverse_m))
         r = int(np.floor((router_y + dy * s / steps - origin[1]) * inverse_m))
-        if 0 <= r < rows and 0 <= c < columns:
+        if 0 <= r < rows and 0 <= c < columns and (r != last_row or c != last_column):
             is_wall = log_odds[r, c] > 8
             if is_wall and not before:
                 found += 1.0
             before = is_wall
             cells += 1
+            last_row, last_column = r, c
     share = min(max(expected - found, 0.0) / max(cells, 1), 0.5)
     share = min(max(share * (1.0 - clear), 0.002), 0.5)
     change = np.log(share / (1.0 - share)) - np.log(_WALL_DENSITY / (1.0 - _WALL_DENSITY))
     step = int(np.round(change * _RAY_WEIGHT * LEVELS_PER_NAT))
+    last_row = last_column = -1
     for s in range(steps + 1):
         c = int(np.floor((router_x + dx * s / steps - origin[0]) * inverse_m))
         r = int(np.floor((router_y + dy * s / steps - origin[1]) * inverse_m))
-        if 0 <= r < rows and 0 <= c < columns:
+        if 0 <= r < rows and 0 <= c < columns and (r != last_row or c != last_column):
             log_odds[r, c] = min(max(log_odds[r, c] + step, -_LEVEL_MAX), _LEVEL_MAX)
+            last_row, last_column = r, c
 
 
 @kernel
