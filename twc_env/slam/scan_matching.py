@@ -67,7 +67,8 @@ def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, 
     start[0], start[1], start[2] = guess[0], guess[1], guess[2]
     begun = held = total = vx = vy = 0.0
     near, degenerate = 0, False
-    for attempt in range(3):  # at the guess; where that fits badly elsewhere; where nothing fits better there again
+    # At the guess; where that fits badly elsewhere too; and there again where nothing fits clearly better.
+    for attempt in range(3):
         total, near, degenerate, vx, vy, first = refine_pose(
             cells, lines, origin, rule[1], points, n, start, rule[2], int(rule[5]), rule[3], TRACKING_STOP_M,
             TRACKING_STOP_RAD, scratch, pose, h,
@@ -81,7 +82,7 @@ def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, 
                 cells, origin, rule[1], points, n, guess, SEARCH_M, SEARCH_RAD, SEARCH_STEP_M, SEARCH_STEP_RAD,
                 max(n // SEARCH_BEAMS, 1), start,
             )  # fmt: skip
-        elif total > held:
+        elif total >= held + GAIN_MIN * n:
             break
         else:
             start[0], start[1], start[2] = guess[0], guess[1], guess[2]
