@@ -95,12 +95,6 @@ def test_a_transmitter_that_was_passed_nearly_is_in_the_next_picture():
     assert counts[0] == 1 and counts[-1] == 2 and sorted(counts) == counts
 
 
-def test_a_ray_counts_once_in_each_cell():
-    cells = np.zeros((3, 60), np.int16)
-    radio_structure.update_reading(cells, np.zeros(2), 10.0, 5.97, 0.15, 0.03, 0.15, -60.0, -35.0, 2.3, 10.0, 2.0)
-    assert len(set(cells[1].tolist())) == 1 and cells[1, 0] != 0
-
-
 def test_observations_hold_the_radio_map_only_when_asked_for():
     plain = twc_env.parallel_env(map="sfw-e4", robots=1)
     assert "radio" not in plain.observation_space("robot_0").spaces

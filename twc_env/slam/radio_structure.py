@@ -220,7 +220,10 @@ def _places_of(mac: Array, macs: Array) -> Array:
 
 @kernel
 def update_reading(log_odds, origin, inverse_m, x, y, router_x, router_y, rssi, power, exponent, loss, noise):
-    """One reading at (x, y) of a router: the probability that no wall lies between moves every cell on the ray."""
+    """One reading at (x, y) of a router: the probability that no wall lies between moves every cell on the ray.
+
+    A cell in which the ray is long may be moved twice: the ray says more about it.
+    """
     rows, columns = log_odds.shape
     dx, dy = x - router_x, y - router_y
     distance = np.sqrt(dx * dx + dy * dy)
@@ -236,28 +239,24 @@ def update_reading(log_odds, origin, inverse_m, x, y, router_x, router_y, rssi, 
     steps = int(distance * inverse_m) + 1
     # Walls already found on the ray explain their share of the loss.
     found, before, cells = 0.0, False, 0
-    last_row = last_column = -1
     for s in range(steps + 1):
         c = int(np.floor((router_x + dx * s / steps - origin[0]) * inverse_m))
         r = int(np.floor((router_y + dy * s / steps - origin[1]) * inverse_m))
-        if 0 <= r < rows and 0 <= c < columns and (r != last_row or c != last_column):
+        if 0 <= r < rows and 0 <= c < columns:
             is_wall = log_odds[r, c] > 8
             if is_wall and not before:
                 found += 1.0
             before = is_wall
             cells += 1
-            last_row, last_column = r, c
     share = min(max(expected - found, 0.0) / max(cells, 1), 0.5)
     share = min(max(share * (1.0 - clear), 0.002), 0.5)
     change = np.log(share / (1.0 - share)) - np.log(_WALL_DENSITY / (1.0 - _WALL_DENSITY))
     step = int(np.round(change * _RAY_WEIGHT * LEVELS_PER_NAT))
-    last_row = last_column = -1
     for s in range(steps + 1):
         c = int(np.floor((router_x + dx * s / steps - origin[0]) * inverse_m))
         r = int(np.floor((router_y + dy * s / steps - origin[1]) * inverse_m))
-        if 0 <= r < rows and 0 <= c < columns and (r != last_row or c != last_column):
+        if 0 <= r < rows and 0 <= c < columns:
             log_odds[r, c] = min(max(log_odds[r, c] + step, -_LEVEL_MAX), _LEVEL_MAX)
-            last_row, last_column = r, c
 
 
 @kernel
