@@ -17,7 +17,7 @@ from agents.seeds import parse_seeds
 from twc_env import EnvConfig, load_map, map_names, task_config
 from twc_env.command_line import Paragraphs, assignments, count, exit_status, natural
 from twc_env.config import load, override
-from twc_env.json_values import check_folder, check_writable, json_text, write_json
+from twc_env.json_values import TERMINAL, check_folder, check_writable, write_json
 
 _EXPLORE_HELP = """\
 Let a scripted team explore one building and write a run folder:
@@ -66,8 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
 
     def command() -> int:
-        figures = getattr(options, "json", None)
-        check_writable(None if str(figures) == "-" else figures)
+        check_writable(getattr(options, "json", None))
         return options.run(options)
 
     return exit_status(command)
@@ -86,8 +85,8 @@ def _explore(options: argparse.Namespace) -> int:
     finally:
         progress.close()
     write_run(run, folder, not options.no_pictures)
-    _write_report(options.json, run.report)
-    if str(options.json) != "-":
+    write_json(options.json, run.report)
+    if options.json != TERMINAL:
         print(f"{options.agent} on {config.map}, seed {options.seed}, {config.robots} robots\n")
         print(table_of(run.report))
         print(f"\nwritten to {folder}")
@@ -140,8 +139,8 @@ def _benchmark(options: argparse.Namespace) -> int:
         was_interrupted = True
     summaries = {name: benchmark.summary_of(rows) | {"reports": rows} for name, rows in reports.items() if rows}
     write_json(options.out / "summary.json", summaries)
-    _write_report(options.json, summaries)
-    if str(options.json) != "-":
+    write_json(options.json, summaries)
+    if options.json != TERMINAL:
         for name, rows in reports.items():
             if rows:
                 print(f"\n{name}, {options.agent}\n{benchmark.table_of(rows)}")
@@ -156,8 +155,8 @@ def _compare(options: argparse.Namespace) -> int:
     found = compare.compare(
         config, maps, options.agents, options.out, options.jobs, lambda text: print(text, file=sys.stderr)
     )
-    _write_report(options.json, compare.as_json(found))
-    if str(options.json) != "-":
+    write_json(options.json, compare.as_json(found))
+    if options.json != TERMINAL:
         print(compare.table_of(found))
     return 0
 
@@ -198,15 +197,6 @@ def _config(options: argparse.Namespace, map_name: str | None, steps: int | None
     named = {"map": map_name, "robots": options.robots, "max_cycles": steps}
     config = override(config, {key: value for key, value in named.items() if value is not None})
     return override(config, assignments(options.set))
-
-
-def _write_report(place: Path | None, values: dict[str, Any]) -> None:
-    if place is None:
-        return
-    if str(place) == "-":
-        print(json_text(values))
-    else:
-        write_json(place, values)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -26,6 +26,14 @@ def test_without_a_path_nothing_is_written():
     check_writable(None)
 
 
+def test_a_dash_is_the_terminal(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    check_writable(Path("-"))
+    write_json(Path("-"), {"a": 1})
+    assert json.loads(capsys.readouterr().out) == {"a": 1}
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_place_that_cannot_be_written_is_refused_before_and_after(tmp_path):
     (tmp_path / "file").write_text("")
     for refuse in (check_writable, lambda path: write_json(path, {})):

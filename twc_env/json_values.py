@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twc_env.errors import DataError
+
+TERMINAL = Path("-")
 
 
 def plain(value: Any) -> Any:
@@ -30,8 +33,14 @@ def json_text(values: Any) -> str:
 
 
 def write_json(path: Path | None, values: Any) -> None:
-    """Write values, folders included; nothing without a path. Raises DataError when the file cannot be written."""
+    """Write values, folders included; nothing without a path, to the terminal for `-`.
+
+    Raises DataError when the file cannot be written.
+    """
     if path is None:
+        return
+    if path == TERMINAL:
+        sys.stdout.write(json_text(values) + "\n")
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -42,7 +51,7 @@ def write_json(path: Path | None, values: Any) -> None:
 
 def check_writable(path: Path | None) -> None:
     """Raise DataError now where `write_json` could not write later, after hours of work perhaps. Makes nothing."""
-    if path is None:
+    if path is None or path == TERMINAL:
         return
     if path.is_dir():
         raise DataError(f"cannot write {path}: it is a folder; name a file in it")

@@ -14,7 +14,7 @@ from pathlib import Path
 from twc_env.command_line import Paragraphs
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
-from twc_env.json_values import check_folder, plain, write_json
+from twc_env.json_values import TERMINAL, check_folder, plain, write_json
 from twc_env.worker_processes import in_processes
 
 TABLES: dict[str, str] = {
@@ -179,7 +179,9 @@ def add_parser(commands) -> None:
             formatter_class=Paragraphs,
         )
         module.add_arguments(table)
-        table.add_argument("--json", type=Path, metavar="FILE", help="write the rows, and pictures beside them")
+        table.add_argument(
+            "--json", type=Path, metavar="FILE", help="write the rows, and pictures beside them; - for the terminal"
+        )
         table.add_argument(
             "--cache", type=Path, default=Path("runs/reproduce"), help="finished parts (default: %(default)s)"
         )
@@ -204,7 +206,7 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     print("".join(note + "\n" for note in runner.notes), end="")
     for remark in getattr(module, "remarks", lambda _: ())(rows):
         print(remark)
-    if options.json:
-        write_json(options.json, rows)
+    write_json(options.json, rows)
+    if options.json not in (None, TERMINAL):
         for path in getattr(module, "draw", lambda *_: ())(options, runner, options.json.parent):
             print(path)
