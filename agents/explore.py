@@ -140,7 +140,8 @@ def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
         poses = getattr(result, f"{kind}_poses")
         for robot in range(poses.shape[1]):
             write_tum(folder / "trajectories" / f"robot_{robot}_{kind}.tum", times_s, poses[:, robot])
-    write_frame_log(folder / "frames.npz", result.config, run.frames, run.contacts)
+    if any(run.frames):  # robots that never worked have none
+        write_frame_log(folder / "frames.npz", result.config, run.frames, run.contacts)
     run.trace.write(folder / "trace.npz")
     write_g2o(folder / "pose_graph.g2o", result.graph)
     write_ros_maps(result.grids, folder)

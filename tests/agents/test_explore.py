@@ -146,6 +146,13 @@ def test_figures_for_the_terminal_are_added_to_what_stands_in_a_file(tmp_path):
     assert first == "before" and json.loads(rest)["steps"] == 2
 
 
+def test_robots_that_never_work_leave_a_whole_run(tmp_path):
+    broken = ["--set", "failure.robots=2", "--set", "failure.robots_step=0"]
+    assert main(["explore", "--robots", "2", "--steps", "5", *broken, "--no-gif", "--out", str(tmp_path)]) == 0
+    assert json.loads((tmp_path / "report.json").read_text())["coverage_correct"] == 0.0
+    assert (tmp_path / "map.png").exists() and not (tmp_path / "frames.npz").exists()
+
+
 def test_a_standard_task_is_a_config(tmp_path):
     chosen = ["--map", "sfw-e4", "--steps", "5", "--no-pictures", "--out", str(tmp_path)]
     assert main(["explore", "--config", "twc/ExploreHard-v0", *chosen]) == 0
