@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,14 +36,6 @@ OVERLAP_REACH_M = 5.0
 """Where scans come on request, keyframes this near the other group's are asked for theirs before a merge."""
 
 
-@dataclass(slots=True)
-class Waiting:
-    """Closures between two maps: how many were no case for a merge at the last try, and how many came since."""
-
-    tried: int = 0
-    come: int = 0
-
-
 class TeamMapper:
     """Place recognition, loop closure, map merging and joint optimisation over the keyframes of all robots.
 
@@ -60,8 +51,8 @@ class TeamMapper:
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
         self._radio = RadioTies(radio, robot_count) if radio.online else None
-        self._waiting: dict[tuple[tuple[int, ...], tuple[int, ...]], Waiting] = {}
-        """Two groups, by their robots, and the closures between them."""
+        self._no_case: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
+        """Two groups, by their robots, and how many closures between them were no case for a merge when last tried."""
         self._refused_heard: dict[tuple[int, ...], int] = {}
         """How many closures of a group were refused when all of them were last weighed anew."""
         self._dirty: dict[int, bool] = {}
@@ -229,14 +220,8 @@ class TeamMapper:
                 self._judge_inside_map(closure)
             else:
                 closure.status, closure.reason = "pending", "waits for closures that agree"
-                waiting = self._waiting_of(a, b)
-                waiting.come += 1
-                if waiting.come * MORE_PART >= waiting.tried:
-                    self._try_merge(a, b)
+                self._try_merge(a, b, is_patient=True)
         return True
-
-    def _waiting_of(self, a: int, b: int) -> Waiting:
-        return self._waiting.setdefault((self.groups[a].robots, self.groups[b].robots), Waiting())
 
     def _groups_of(self, closure: LoopClosure) -> tuple[int, int]:
         return self.group_index(closure.candidate.target[0]), self.group_index(closure.candidate.source[0])
@@ -265,14 +250,19 @@ class TeamMapper:
 
     # --- merging ---
 
-    def _try_merge(self, a: int, b: int) -> bool:
-        """Put group b into the map of group a if enough speaks for it and nothing against; whether it was done."""
+    def _try_merge(self, a: int, b: int, is_patient: bool = False) -> bool:
+        """Put group b into the map of group a if enough speaks for it and nothing against; whether it was done.
+
+        When `is_patient`, nothing is asked before enough closures have come since the last try.
+        """
         if not self._config.merging.enabled:
             return False
         pending = [c for c in self.closures if c.status == "pending" and set(self._groups_of(c)) == {a, b}]
         robots_a, robots_b = self.groups[a].robots, self.groups[b].robots
-        waiting = self._waiting_of(a, b)
-        waiting.tried, waiting.come = len(pending), 0
+        tried = self._no_case.get((robots_a, robots_b), 0)
+        if is_patient and tried < len(pending) < tried + tried // MORE_PART:
+            return False
+        self._no_case[robots_a, robots_b] = len(pending)
         proposal = self._judge.proposal(pending, robots_a)
         if proposal is None:
             return False
