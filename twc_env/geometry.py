@@ -17,7 +17,7 @@ def wrap_angle(angle_rad: ArrayLike):
 
 
 def wrap_one(angle_rad: float) -> float:
-    """`wrap_angle` of a plain number, thirty times as quick."""
+    """`wrap_angle` of a plain number, without array functions."""
     return (angle_rad + math.pi) % (2 * math.pi) - math.pi
 
 

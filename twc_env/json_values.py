@@ -14,6 +14,7 @@ import numpy as np
 from twc_env.errors import DataError
 
 TERMINAL = Path("-")
+"""Instead of a file."""
 
 
 def plain(value: Any) -> Any:

@@ -6,27 +6,19 @@ heading wrong (stated in `method`). Errors are those of all scans that are in th
 alignment of the whole; the similarity model never sees a surveyed position. `odometry` of a mall aligns every walk by
 itself: it says how good dead reckoning is, and no method could know that much.
 
-What bounds the malls is not the walkers' steps and headings but both what the radio tells and the search. Walks with
-the headings of their compasses, put where they truly lie, are off by 1.7 m (B1) and 2.2 m (F6); all scans at one point
-by 65 and 58 m. An affine map of the whole instead of a rigid one takes 13.4 m to 10.9 m and 12.4 m to 11.4 m: most is
-neither scale nor shear. These were tried once and are no part of the table (B1, then F6):
+What bounds the malls is not the walkers' steps and headings (`odometry` tells how good they are) but both the search
+and what the radio tells. These were tried once and are no part of the table:
 
-- Search: with true distances for the closures the fit reaches 18 and 15 m from its first layout, 4.2 m on both from
-  where the walks truly lie. A loss that grows robust by degrees does not help. With the true shapes and headings of all
-  walks: 12 and 14 m.
-- Radio: started from where the walks truly lie, the same fit leaves them by 11 and 6 m, transmitters as landmarks by
-  11 m and more. Gaussian processes over the floor (a long and a short reach, errors that belong to a walk, headings;
-  walks turn and stretch) leave them by 8 and 13 m. Sixty steps of a badly scaled descent stood at 3.4 and 4.6 m: the
-  valley is flat, and a descent that is stopped early flatters.
-- The evidence of these processes does not tell the true layout of F6 from folded ones. With each walk moved to its best
-  place among the others they found a layout 27 m off that they like better than one 4.4 m off.
-- A survey: walks put where the three most alike scans of each of their scans were surveyed are off by 5.0 and 6.9 m,
-  before errors add up from walk to walk. One of F6 placed by Gaussian fields is off by 6.4 m, in the median by 5.2 m.
+- Search: with true distances for its closures the fit stays far off from its own first layout, and near when it starts
+  where the walks truly lie. A loss that grows robust by degrees does not help.
+- Radio: started where the walks truly lie, the same fit leaves them, and so do Gaussian processes over the floor and
+  transmitters as landmarks. The valley is flat: a descent that is stopped early flatters. The evidence of such
+  processes does not tell the true layout of F6 from folded ones.
 - Links from each walk's end to where the same phone's next one begins do not help, nor those where the scans of two
-  walks repeat the very same readings (92 and 29 pairs of walks, about 3 m apart): 13.5 and 12.6 m.
+  walks repeat the very same readings.
 
-Of the scans nine in ten have one of another walk within 3.2 and 7.9 m, but likeness at a distance differs with every
-wall, so that far pairs swell the map and near ones shrink it. Settings of `trace_joining` were chosen on these floors.
+Likeness at a distance differs with every wall, so that far pairs swell the map and near ones shrink it. Settings of
+`trace_joining` were chosen on these floors.
 """
 
 from __future__ import annotations

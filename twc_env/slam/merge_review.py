@@ -33,8 +33,8 @@ SAME_PLACE_M = 2.0
 """A merge that puts a robot this near where an undone one had put it is nearly the same."""
 STRAIN_MIN, STRAIN_SHARE = 16.27, 0.5
 """A merge is wrong where odometry must err by more than 99.9 % of chi squared for one closure, and by more than this
-share of what all closures that are used leave free, three each. In right maps of training buildings it is 0.27 at most
-(0.16 where odometry is twice as bad as told); in the wrong one, where a false closure and a true one pulled, 1.4."""
+share of what all closures that are used leave free, three each: more than right maps of training buildings pay, less
+than a wrong one did, where a false closure and a true one pulled."""
 IN_PLACE = np.zeros(3)
 
 
