@@ -197,6 +197,20 @@ def test_every_command_ends_quietly_when_its_reader_leaves(buffering):
         assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a disk is filled by a device of Linux")
+def test_a_full_disk_is_one_line_wherever_the_output_goes(tmp_path):
+    (tmp_path / "truth.npz").symlink_to("/dev/full")
+    record = ["record", "--steps", "3", "--robots", "1", "--out", str(tmp_path)]
+    for arguments, place in ((["maps", "list"], "/dev/full"), (record, os.devnull)):
+        with open(place, "w") as out:
+            command = [sys.executable, "-m", "twc_env", *arguments]
+            done = subprocess.run(command, stdout=out, stderr=subprocess.PIPE, text=True)
+        assert done.returncode == 2
+        assert "Traceback" not in done.stderr
+        *_, last = done.stderr.splitlines()
+        assert last == "error: cannot write: No space left on device; make room, or choose another place"
+
+
 def test_an_interrupted_table_says_that_it_can_go_on(monkeypatch, tmp_path, capsys):
     def interrupt(*_):
         raise KeyboardInterrupt

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import math
 import os
 import sys
@@ -12,10 +13,14 @@ from pathlib import Path
 
 from twc_env.errors import ConfigError, DataError, TwcError
 
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+"""How writing fails where a place was fit to be written to before the work."""
+
 
 def exit_status(command: Callable[[], int | None], remark: str = "interrupted") -> int:
-    """Run a command: 0 or what it gives when done, 2 after bad input (one line on stderr), 130 when interrupted.
+    """Run a command: 0 or what it gives when done, 130 when interrupted.
 
+    2 after bad input, or where nothing more can be written (one line on stderr).
     Who reads the output, as `head` does, may leave early. `remark` is what an interruption is answered with.
     """
     try:
@@ -26,11 +31,25 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
         sys.stderr.write(f"error: {error}\n")
         return 2
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence()
         return 0
+    except OSError as error:
+        if error.errno not in _NO_ROOM:
+            raise
+        sys.stderr.write(f"error: cannot write: {error.strerror}; make room, or choose another place\n")
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _silence()
+        return 2
     except KeyboardInterrupt:
         sys.stderr.write(f"{remark}\n")
         return 130
+
+
+def _silence() -> None:
+    """Let what is still to be printed go nowhere: where it should have gone takes no more."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class Paragraphs(argparse.HelpFormatter):
