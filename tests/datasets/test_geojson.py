@@ -139,6 +139,66 @@ def test_a_door_may_be_a_corner_of_both_rooms_and_drawn_twice(tmp_path, above):
     assert plan.wall_index.crossing(low, high[None])[0].tolist() == [0]
 
 
+def around_a_core(door: bool) -> dict:
+    """A corridor around a store of 7.6 x 3.6 m and a yard, its two holes; beside it the second part of a room."""
+
+    def room(name, *polygons):
+        relations = [{"role": "buildingpart", "reltags": {"level": "0"}}]
+        feature = polygon(box(0, 0, 1, 1), tags={"buildingpart": "room", "name": name}, relations=relations)
+        rings = [[[lonlat(*corner) for corner in [*ring, ring[0]]] for ring in rings] for rings in polygons]
+        feature["geometry"] = {"type": "MultiPolygon", "coordinates": rings}
+        return feature
+
+    store = [(4.2, 4.2), (8, 4.2), (11.8, 4.2), (11.8, 7.8), (4.2, 7.8)]
+    doors = [(8, 4.2)] * door + [(16.2, 2.0)]
+    point = {"type": "Point"}
+    return collection(
+        room("corridor", [box(0, 0, 16, 12), box(4, 4, 12, 8), box(4, 9, 8, 11)[::-1]]),
+        room("store", [store]),
+        room("annex", [box(30, 0, 31, 1)], [[(16.2, 0), (16.2, 2), (16.2, 4), (20, 4), (20, 0)][::-1]]),
+        room("sliver", [[(1, 1), (2, 1), (1, 1)]], [[(1, 1), (2, 1), (3, 1)]]),
+        *(
+            {
+                "type": "Feature",
+                "properties": {"tags": {"door": "yes"}},
+                "geometry": {**point, "coordinates": lonlat(*d)},
+            }
+            for d in doors
+        ),
+    )
+
+
+@pytest.mark.parametrize("door", [True, False])
+def test_rooms_go_around_others_and_have_several_parts(tmp_path, door):
+    path = tmp_path / "building.geojson"
+    path.write_text(json.dumps(around_a_core(door)))
+    plan = load_map(path)
+    corner = np.array(plan.bounds_m[:2])
+    places = {"corridor": (2, 2), "store": (6, 6), "yard": (6, 10), "wall": (4.1, 6), "annex": (18, 2)}
+    is_free = dict(zip(places, plan.cells().is_free(corner + np.array([*places.values()])), strict=True))
+    assert is_free == {"corridor": True, "store": door, "yard": False, "wall": False, "annex": True}
+    assert plan.floor_area_m2 == pytest.approx(16 * 12 - 32 - 8 + 3.8 * 4 + door * 7.6 * 3.6, rel=0.02)
+    assert sorted(room.name for room in plan.rooms) == ["annex", "corridor", *["store"] * door]
+
+
+def test_a_ring_that_is_not_closed_keeps_its_last_corner(tmp_path):
+    building = level()
+    for feature in building["features"][:3]:
+        del feature["geometry"]["coordinates"][0][-1]
+    (tmp_path / "open.geojson").write_text(json.dumps(building))
+    (tmp_path / "closed.geojson").write_text(json.dumps(level()))
+    opened, closed = (load_map(tmp_path / f"{name}.geojson") for name in ("open", "closed"))
+    np.testing.assert_array_equal(opened.walls_m, closed.walls_m)
+
+
+def test_all_parts_of_a_place_are_closed(floor):
+    values = json.loads(floor().read_text())
+    shop, stairs = values["features"][2], values["features"][3]
+    shop["geometry"] = {"type": "MultiPolygon", "coordinates": [f["geometry"]["coordinates"] for f in (shop, stairs)]}
+    plan = load_map(floor(features=[values["features"][0], shop]))
+    assert plan.floor_area_m2 == pytest.approx(300 - 30 - 45, rel=0.01)
+
+
 def test_another_level_is_asked_for_by_its_number(tmp_path):
     path = tmp_path / "building.geojson"
     path.write_text(json.dumps(level()))

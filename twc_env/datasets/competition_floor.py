@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.datasets.geojson_features import EXTENT_MAX_M, Area, metric, name_of, rings_of, signed_area_m2, walls_of
+from twc_env.datasets.geojson_features import EXTENT_MAX_M, Area, metric, name_of, polygons_of, signed_area_m2, walls_of
 from twc_env.datasets.house_expo import fill_ring
 from twc_env.datasets.name_plate import hung_sign
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
@@ -27,7 +27,7 @@ _RASTER_M = 0.2
 def competition_floor(features: list[dict], path: Path, name: str) -> Floorplan:
     """Feature 0 is the floor's outline; all other polygons are closed."""
     size_m = _floor_size(path)
-    outline = rings_of(features[0], path.name)
+    outline = [ring for polygon in polygons_of(features[0], path.name) for ring in polygon]
     if not outline:
         raise MapError(f"{path.name}: feature 0 must be the polygon of the floor; put the outline first")
     low = np.min([ring.min(axis=0) for ring in outline], axis=0)
@@ -36,9 +36,9 @@ def competition_floor(features: list[dict], path: Path, name: str) -> Floorplan:
         raise MapError(f"{path.name}: the floor's outline has no area; export it again")
     floor = [metric(ring, low, size_m / extent) for ring in outline]
     blocks = _distinct(
-        Area(name_of(feature), metric(ring, low, size_m / extent))
+        Area(name_of(feature), metric(rings[0], low, size_m / extent))
         for feature in features[1:]
-        for ring in rings_of(feature, path.name)[:1]
+        for rings in polygons_of(feature, path.name)
     )
     walls = np.concatenate([walls_of(ring) for ring in [*floor, *(block.ring_m for block in blocks)]])
     plan = Floorplan(

@@ -29,6 +29,8 @@ class Area:
     name: str
     ring_m: Array
     """(k, 2), not closed, counter-clockwise."""
+    holes_m: tuple[Array, ...] = ()
+    """The same, clockwise: what they go around is no part of it."""
 
 
 def metric(lonlat: Array, origin: Array, scale: Array) -> Array:
@@ -88,23 +90,37 @@ def width_m_of(feature: dict) -> float:
     return float(np.clip(width_m, *_DOOR_WIDTHS_M)) if np.isfinite(width_m) else _DOOR_WIDTH_M
 
 
-def rings_of(feature: dict, where: str) -> list[Array]:
-    """Rings (k, 2) [degrees] of a polygon feature, the outer first, each counter-clockwise; [] for other shapes."""
+def polygons_of(feature: dict, where: str) -> list[list[Array]]:
+    """Polygons of a feature, each as its rings (k, 2) [degrees]; [] for other shapes.
+
+    The outer ring comes first, counter-clockwise; the others, clockwise, go around holes. Rings of less than three
+    corners are left out, with their holes.
+    """
     geometry = feature.get("geometry")
     kind = geometry.get("type") if isinstance(geometry, dict) else None
     if not isinstance(geometry, dict) or kind not in ("Polygon", "MultiPolygon"):
         return []
     try:
         polygons = [geometry["coordinates"]] if kind == "Polygon" else list(geometry["coordinates"])
-        rings = [np.array(ring, dtype=float) for polygon in polygons for ring in polygon]
-        if any(ring.ndim != 2 or ring.shape[1] < 2 or len(ring) < 4 or not np.isfinite(ring).all() for ring in rings):
+        rings = [[np.array(ring, dtype=float) for ring in polygon] for polygon in polygons]
+        if not all(_is_ring(ring) for polygon in rings for ring in polygon):
             raise ValueError
     except (KeyError, TypeError, ValueError, OverflowError):
         raise MapError(f"{where}: a {kind} must hold closed rings of [longitude, latitude]; export it again") from None
-    rings = [without_repeats(ring[:-1, :2]) for ring in rings]
-    for ring in rings:
-        _check_degrees(ring, where)
-    return [ring if signed_area_m2(ring) > 0 else ring[::-1] for ring in rings]
+    opened = [[_opened(ring, k == 0, where) for k, ring in enumerate(polygon)] for polygon in rings]
+    return [[ring for ring in polygon if len(ring) > 2] for polygon in opened if polygon and len(polygon[0]) > 2]
+
+
+def _is_ring(values: Array) -> bool:
+    return values.ndim == 2 and values.shape[1] >= 2 and len(values) >= 4 and bool(np.isfinite(values).all())
+
+
+def _opened(ring: Array, is_outer: bool, where: str) -> Array:
+    """Corners (k, 2) of a ring, the first not once more at its end, in the direction that it should run."""
+    is_closed = np.array_equal(ring[0, :2], ring[-1, :2])
+    ring = without_repeats(ring[: -1 if is_closed else len(ring), :2])
+    _check_degrees(ring, where)
+    return ring if (signed_area_m2(ring) > 0) == is_outer else ring[::-1]
 
 
 def point_of(feature: dict, where: str) -> Array:

@@ -7,6 +7,7 @@ room boxes can lie anywhere: neither is trusted.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -44,12 +45,15 @@ def house_expo_plan(values: object, where: str, seed: int = 0) -> Floorplan:
     contour = simplified_ring(_contour(values, where), SIMPLIFY_M)
     ends = np.stack([contour, np.roll(contour, -1, axis=0)], axis=1)
     name = str(values.get("id", Path(where).stem))
+    inside = interior_point([contour], where)
+    if inside is None:
+        raise MapError(f"{where} has no free space inside its contour; verts must go around the floor")
     plan = validate(
         Floorplan(
             name=name,
             walls_m=ends,
             wall_loss_db=np.full(len(ends), WALL_LOSS_DB / 2),
-            interior_m=interior_point(contour, where)[None],
+            interior_m=inside[None],
         )
     )
     rooms = _rooms(values.get("room_category", {}), plan.cells(), where)
@@ -72,17 +76,21 @@ def _contour(values: dict, where: str) -> Array:
     return contour
 
 
-def interior_point(contour: Array, where: str) -> Array:
-    """(2,) a point deep in the largest part of the inside, whether or not the contour touches itself."""
-    low = contour.min(axis=0) - _FILL_RESOLUTION_M
-    columns, rows = (np.ceil((contour.max(axis=0) - low) / _FILL_RESOLUTION_M).astype(int) + 2).tolist()
+def interior_point(rings: Sequence[Array], where: str) -> Array | None:
+    """(2,) a point deep in the largest part of what the first ring (k, 2) [m] goes around and the others do not.
+
+    The rings may touch themselves. None where nothing is inside.
+    """
+    low = rings[0].min(axis=0) - _FILL_RESOLUTION_M
+    columns, rows = (np.ceil((rings[0].max(axis=0) - low) / _FILL_RESOLUTION_M).astype(int) + 2).tolist()
     if rows * columns > CELLS_MAX:
         raise MapError(f"{where} spans {columns * _FILL_RESOLUTION_M:.0f} m; verts must be metres")
     inside = np.zeros((rows, columns), np.bool_)
-    fill_ring(np.ascontiguousarray(contour - low), _FILL_RESOLUTION_M, inside)
+    for ring in rings:  # holes flip back
+        fill_ring(np.ascontiguousarray(ring - low), _FILL_RESOLUTION_M, inside)
     part = largest_part(inside)
     if not part.any():
-        raise MapError(f"{where} has no free space inside its contour; verts must go around the floor")
+        return None
     row, column = deepest_cell(part)
     return low + (np.array([column, row]) + 0.5) * _FILL_RESOLUTION_M
 

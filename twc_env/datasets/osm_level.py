@@ -13,7 +13,7 @@ from twc_env.datasets.geojson_features import (
     levels_of,
     metric,
     point_of,
-    rings_of,
+    polygons_of,
     sides_of,
     tag_of,
     walls_of,
@@ -39,47 +39,60 @@ def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorp
     """Rooms of one level, joined by the doors that are corners of their outlines."""
     parts = [feature for feature in features if tag_of(feature, "buildingpart") not in ("", "shell")]
     levels = sorted({lvl for feature in parts for lvl in levels_of(feature)})
-    chosen = [feature for feature in parts if level in levels_of(feature) and rings_of(feature, where)]
-    if not chosen:
+    chosen = [feature for feature in parts if level in levels_of(feature)]
+    polygons = [(tag_of(feature, "name"), rings) for feature in chosen for rings in polygons_of(feature, where)]
+    if not polygons:
         raise MapError(
             f"{where} has no level {level!r}; levels are {', '.join(levels) or 'not given'}: write FILE#LEVEL"
         )
-    rings = [(tag_of(feature, "name"), ring) for feature in chosen for ring in rings_of(feature, where)[:1]]
-    origin = np.mean([ring.mean(axis=0) for _, ring in rings], axis=0)
+    origin = np.mean([rings[0].mean(axis=0) for _, rings in polygons], axis=0)
     scale = _METRES_PER_DEGREE * np.array([np.cos(np.deg2rad(origin[1])), 1.0])
-    areas = [Area(text, metric(ring, origin, scale)) for text, ring in rings]
-    if max(np.abs(area.ring_m).max() for area in areas) > EXTENT_MAX_M:
+    drawn = [Area(text, *_in_metres(rings, origin, scale)) for text, rings in polygons]
+    if max(np.abs(area.ring_m).max() for area in drawn) > EXTENT_MAX_M:
         raise MapError(
             f"{where}: level {level!r} is wider than {EXTENT_MAX_M:g} m; cut out one building, or, "
             "if its numbers are metres, export it in longitude and latitude (WGS 84, EPSG:4326)"
         )
-    walls = [walls_of(area.ring_m) for area in areas]
+    inside = [(area, interior_point([area.ring_m, *area.holes_m], where)) for area in drawn]
+    areas, seeds = [area for area, seed in inside if seed is not None], [seed for _, seed in inside if seed is not None]
+    if not areas:
+        raise MapError(f"{where}: the rooms of level {level!r} have no area; export it again")
+    outlines = [Area(area.name, ring) for area in areas for ring in (area.ring_m, *area.holes_m)]
+    walls = [walls_of(outline.ring_m) for outline in outlines]
     plates: list[tuple[str, Array, Array]] = []  # text, (2, 2) either side of the door, normal
     jambs = []
     for feature in features:
         if tag_of(feature, "door"):
             place = metric(point_of(feature, where)[None], origin, scale)[0]
-            jambs += _open_door(areas, walls, place, width_m_of(feature), plates)
+            jambs += _open_door(outlines, walls, place, width_m_of(feature), plates)
     table = np.concatenate([*walls, np.array(jambs).reshape(-1, 2, 2)])
     # Every room seeds the floor; then only what hangs together is kept.
-    seeds = np.array([interior_point(area.ring_m, where) for area in areas])
-    plan = Floorplan(name, table, np.full(len(table), WALL_LOSS_DB / 2), interior_m=seeds)
+    plan = Floorplan(name, table, np.full(len(table), WALL_LOSS_DB / 2), interior_m=np.array(seeds))
     cells = plan.cells()
     row, column = deepest_cell(largest_part(cells.free))
     plan = dataclasses.replace(
         plan, interior_m=(cells.origin_m + (np.array([column, row]) + 0.5) * cells.resolution_m)[None]
     )
-    reached = plan.cells().is_free(seeds)
+    reached = plan.cells().is_free(np.array(seeds))
     rooms = [Room(area.name or f"ROOM {i + 1}", area.ring_m) for i, area in enumerate(areas) if reached[i]]
     tries = [[hung_sign(plan, text, at, normal) for at in sides] for text, sides, normal in plates]
     signs = [sign for both in tries for sign in [s for s in both if s is not None][:1]]
     return dataclasses.replace(plan, rooms=tuple(rooms), signs=tuple(signs))
 
 
+def _in_metres(rings: list[Array], origin: Array, scale: Array) -> tuple[Array, tuple[Array, ...]]:
+    """The outer ring, and the holes."""
+    outer, *holes = (metric(ring, origin, scale) for ring in rings)
+    return outer, tuple(holes)
+
+
 def _open_door(
     areas: list[Area], walls: list[Array], place: Array, width_m: float, plates: list[tuple[str, Array, Array]]
 ) -> list[Array]:
-    """Cut a door into the room whose outline has it as a corner and into the room behind; returns the two jambs."""
+    """Cut a door into the room whose outline has it as a corner and into the room behind; returns the two jambs.
+
+    A hole of a room is an outline of its own, which runs the other way around.
+    """
     corner_gaps = [np.linalg.norm(area.ring_m - place, axis=1).min() for area in areas]
     room = int(np.argmin(corner_gaps))
     if corner_gaps[room] > 0.05:
