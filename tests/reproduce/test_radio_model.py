@@ -11,6 +11,7 @@ from twc_env.config import RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio_model import STUDIES
+from twc_env.reproduce.radio_remarks import told
 from twc_env.reproduce.radio_rooms import surveyed_rooms
 from twc_env.reproduce.radio_study import hearing, spread_over
 
@@ -99,9 +100,40 @@ def test_readings_alone_tell_where_a_receivers_hearing_ends(floor_dbm, slope_db)
 
 def test_the_spread_is_that_of_the_mean_over_what_is_drawn():
     values = np.random.default_rng(1).normal(5.0, 2.0, 400)
-    low, high = spread_over(400, lambda drawn: {"mean": float(values[drawn].mean())}, draws=400)["mean"]
+    low, high, _ = spread_over(400, lambda drawn: {"mean": float(values[drawn].mean())}, draws=400)["mean"]
     assert (low + high) / 2 == pytest.approx(values.mean(), abs=0.05)
     assert high - low == pytest.approx(2 * 1.96 * 2.0 / 20.0, rel=0.15)
+
+
+def test_real_places_near_a_real_figure_are_counted():
+    values = np.array([1.0, 2.0, 3.0, 4.0])
+    low, high, near = spread_over(4, lambda drawn: {"first": float(values[drawn[0]])}, draws=400)["first"]
+    assert (low, high) == (1.0, 4.0)
+    assert near == pytest.approx(0.25, abs=0.07)
+
+
+def test_remarks_count_what_is_near_and_quote_the_evidence():
+    row = {"dataset": "hall", "role": "reported", "real_low": 0.5, "real_high": 2.0, "real_near": 0.5}
+    table = [
+        {**row, "quantity": "rate", "real": 1.0, "simulated": 1.1},
+        {**row, "quantity": "level", "real": 1.0, "simulated": 3.0},
+        {**row, "quantity": "level far off", "real": 1.0, "simulated": None},
+    ]
+    study = dataclasses.replace(STUDIES[0], name="hall", reasons={"level": "it is {loud:.1f}", "rate": "unused"})
+    said = list(told(table, [study], {"hall": {"loud": 2.5}}))
+    assert "1 of 3 rows within 15%" in said[0]
+    assert "2 of 3" not in said[1]
+    assert "where other real places of the kind would have 1.5; 3 real figures" in said[2]
+    assert [line.endswith("it is 2.5") for line in said[3:]] == [True, True]
+    assert "no figure" in said[-1]
+
+
+@needs_data
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.name)
+def test_every_reason_for_a_miss_can_be_told_from_the_data(study):
+    evidence = study.evidence(Path(os.environ["TWC_DATA"]), True) if study.evidence else {}
+    assert all(np.isfinite(value) for value in evidence.values())
+    assert all(reason.format(**evidence) for reason in study.reasons.values())
 
 
 def test_every_set_is_either_calibrated_or_reported_and_both_exist():

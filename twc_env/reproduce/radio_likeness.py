@@ -62,22 +62,43 @@ def mall_studies() -> Iterator[Study]:
 
             return spread_over(len(scans), of_walks, _MALL_DRAWS)
 
+        def evidence(folder: Path, quick: bool, survey=survey) -> Figures:
+            return _mall_evidence(survey(folder, quick))
+
         changes = {"high_band": {"share": high_share}}
-        yield Study(f"indoor20 {floor}", role, "radio-mall", changes, real, simulated, _MALL_REASONS, spread)
+        yield Study(f"indoor20 {floor}", role, "radio-mall", changes, real, simulated, _MALL_REASONS, evidence, spread)
 
 
 _CLUSTERS = (
-    "radios stand in clusters, here evenly: with phones of one model a quarter of the walks on site2_F6 hear 40 or "
-    "fewer, another quarter 210 or more"
+    "radios stand in clusters, here evenly: with phones of one model a quarter of its walks hear {few:.0f} networks or "
+    "fewer, another quarter {many:.0f} or more"
 )
 _MALL_REASONS = {
     "distance at cosine": _CLUSTERS,
     "transmitters per scan": _CLUSTERS,
     "rows per scan": _CLUSTERS,
     "sd of transmitters per scan": _CLUSTERS,
-    "age of rows": "where a phone hears 250 networks its scans are 2.4 s apart, elsewhere 1.9 s: sweeps are longer",
-    "share of rows at 5 GHz": "in the cluster of site2_F6 nine rows in ten are at 5 GHz, elsewhere half of them",
+    "age of rows": "where phones hear most, scans are {crowded_period_s:.1f} s apart, elsewhere {other_period_s:.1f} "
+    "s: sweeps are longer",
+    "share of rows at 5 GHz": "where phones hear most, {crowded_high_share:.0%} of the rows are at 5 GHz, elsewhere "
+    "{other_high_share:.0%}",
 }
+
+
+def _mall_evidence(survey: RadioSurvey) -> Figures:
+    """How unlike the walks are: those that hear most, a quarter, and the others."""
+    fresh = np.isfinite(survey.fresh(FRESH_S).rssi_dbm).sum(axis=1)
+    walks = [survey.walk == walk for walk in np.unique(survey.walk)]
+    few, many = np.quantile([fresh[walk].mean() for walk in walks], [0.25, 0.75]).tolist()
+    figures = {"few": few, "many": many}
+    for name, is_crowded in (("crowded", True), ("other", False)):
+        mine = [walk for walk in walks if (fresh[walk].mean() >= many) == is_crowded]
+        heard = np.isfinite(survey.rssi_dbm[np.any(mine, axis=0)])
+        is_high = np.zeros(heard.shape[1], bool) if survey.is_high_band is None else survey.is_high_band
+        figures[f"{name}_high_share"] = float(heard[:, is_high].sum() / heard.sum())
+        periods_s = np.concatenate([np.diff(np.sort(survey.time_s[walk])) for walk in mine])
+        figures[f"{name}_period_s"] = float(np.median(periods_s))
+    return figures
 
 
 def _mall_figures(survey: RadioSurvey) -> Figures:
@@ -101,7 +122,7 @@ _ROBOT_FAINTEST_DBM = -90.0
 _ROBOT_ROOMS = (5.0, 5.0)
 """Width [m] and wall loss [dB] of the rooms drawn for the floor, fitted."""
 _ROBOT_RECEIVER = {"detection_floor_dbm": -93.8, "detection_slope_db": 2.0, "high_band": {"share": 0.0}}
-_ROBOT_REASONS = {"": "where the 30 access points of the floor and its neighbours stand is not known"}
+_ROBOT_REASONS = {"": "where the access points of the floor and its neighbours stand is not known"}
 
 
 def robot_floor_studies() -> Iterator[Study]:
@@ -129,7 +150,9 @@ def robot_floor_studies() -> Iterator[Study]:
         is_pair = _apart_in_time(true)
         return spread_over(len(true.addresses), lambda k: similarity_figures(true, true.rssi_dbm[:, k], is_pair))
 
-    yield Study("wifi/uw_floor", "calibrated", "radio-indoor", _ROBOT_RECEIVER, real, simulated, _ROBOT_REASONS, spread)
+    yield Study(
+        "wifi/uw_floor", "calibrated", "radio-indoor", _ROBOT_RECEIVER, real, simulated, _ROBOT_REASONS, spread=spread
+    )
 
 
 def _apart_in_time(survey: RadioSurvey) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from twc_env.datasets.raster import plan_from_free
 from twc_env.datasets.sfw_authors import THRESHOLDS_DBM, AuthorsWalk
 from twc_env.maps import load_map
 from twc_env.reproduce import radio_places as places
-from twc_env.reproduce.radio_study import Figures, Spread, Study, similarity_figures, with_settings
+from twc_env.reproduce.radio_study import Figures, Spread, Study, share_near, similarity_figures, with_settings
 from twc_env.reproduce.sfw_authors import LaidWalk, lay
 from twc_env.world.floorplan import AccessPoint, Floorplan
 
@@ -95,7 +95,18 @@ def fingerprint_slam_studies() -> Iterator[Study]:
             real,
             simulated,
             _SLAM_REASONS | (_CELL_REASONS if kind == "lte" else {}),
+            partial(_window_evidence, name, kind),
         )
+
+
+def _window_evidence(name: str, kind: str, folder: Path, quick: bool) -> Figures:
+    """How far apart all pairs of places within the window are, on one walk through the twin."""
+    walk = _stroll(name, 100.0 if quick else _STROLL_M, 0)
+    travel_m = walk.time_s * _STROLL_SPEED_M_S
+    first, second = np.nonzero(np.triu(np.abs(travel_m[:, None] - travel_m[None]) < _WINDOW_M[kind], 1))
+    apart_m = np.linalg.norm(walk.position_m[first] - walk.position_m[second], axis=1)
+    width_m, height_m = np.ptp(load_map(name).bounds_m.reshape(2, 2), axis=0)
+    return {"pairs_sd_m": float(apart_m.std()), "width_m": float(width_m), "height_m": float(height_m)}
 
 
 _SLAM_REASONS = {
@@ -104,8 +115,8 @@ _SLAM_REASONS = {
     "distance at cosine": "the paper prints neither the merging rule of the phones nor the pairs",
 }
 _CELL_REASONS = {
-    "distance at cosine 0.8: sd": "all pairs of the window together spread by 16.5 m in the twin, which is 85 x 60 m: "
-    "places of the print lie further apart",
+    "distance at cosine 0.8: sd": "all pairs of the window together spread by {pairs_sd_m:.1f} m in the twin, which is "
+    "{width_m:.0f} x {height_m:.0f} m: places of the print lie further apart",
 }
 
 
@@ -128,6 +139,9 @@ _AUTHORS_FLAT = {
 """Fitted to E3 with its rooms known; how strong routers are is told by each experiment's readings near by and in sight.
 The preset stands for the twins, whose rooms are drawn so that the printed classes come out: there strength falls less
 with distance."""
+_WALL_FACES = 2
+"""Rims of free space that a line through one wall meets."""
+_MANY_WALLS = 3
 _MAP_CELL_M = 0.1
 _NEAR_M = 3.0
 
@@ -147,10 +161,16 @@ def k_visibility_studies() -> Iterator[Study]:
             window = _SMOOTHED[experiment]
             return _class_figures([_smoothed(level[np.isfinite(level)], window) for level in heard.T])
 
-        def spread(folder: Path, quick: bool) -> Spread:
-            levels = [level for routers in (1, 2) for level in _low_band(_laid(folder, routers).walk)]
-            each = [_class_figures([level]) for level in levels]
-            return {name: _range([figures[name] for figures in each]) for name in each[0]}
+        def spread(folder: Path, quick: bool, experiment=experiment) -> Spread:
+            mine, others = (
+                [_class_figures([level]) for level in _low_band(_laid(folder, routers).walk)]
+                for routers in sorted(_ROUTERS.values(), key=lambda routers: routers != _ROUTERS[experiment])
+            )
+            real = _class_figures(_low_band(_laid(folder, _ROUTERS[experiment]).walk))
+            return {
+                name: _range(value, [router[name] for router in mine], [router[name] for router in others])
+                for name, value in real.items()
+            }
 
         yield Study(
             f"sfw_authors {experiment}",
@@ -160,6 +180,7 @@ def k_visibility_studies() -> Iterator[Study]:
             real,
             simulated,
             _K_VISIBILITY_REASONS,
+            _first_wall_evidence,
             spread,
             runs=4,
         )
@@ -177,8 +198,24 @@ def _power_in_sight(laid: LaidWalk, walk: RadioSurvey, plan: Floorplan, config: 
 
 
 _K_VISIBILITY_REASONS = {
-    "": "to the same router on the same path E3 loses 17 dB where one wall is crossed first, E5 11 dB",
+    "": "the same router is heard {E3_first_db:.0f} dB fainter behind one wall than in sight in E3, {E5_first_db:.0f} "
+    "dB in E5; behind three or more {E3_further_db:.0f} and {E5_further_db:.0f} dB fainter still",
 }
+
+
+def _first_wall_evidence(folder: Path, quick: bool) -> Figures:
+    """What the first and the further walls [dB] take from the router that both experiments know."""
+    figures: Figures = {}
+    for experiment, routers in _ROUTERS.items():
+        laid = _laid(folder, routers)
+        walk, plan = _walk_and_plan(laid)
+        faces = plan.wall_index.crossing(plan.access_points[0].position_m, walk.position_m)[0]
+        walls, level = (faces + 1) // _WALL_FACES, _low_band(laid.walk)[0]
+        in_sight, first, further = (
+            float(level[mine].mean()) for mine in (walls == 0, walls == 1, walls >= _MANY_WALLS)
+        )
+        figures |= {f"{experiment}_first_db": in_sight - first, f"{experiment}_further_db": first - further}
+    return figures
 
 
 @lru_cache(maxsize=2)
@@ -205,8 +242,9 @@ def _walk_and_plan(laid: LaidWalk) -> tuple[RadioSurvey, Floorplan]:
     return walk, dataclasses.replace(plan, wall_loss_db=np.full(len(plan.walls_m), _WALL_DB / 2), access_points=points)
 
 
-def _range(values: list[float]) -> tuple[float, float]:
-    return float(np.nanmin(values)), float(np.nanmax(values))
+def _range(real: float, mine: list[float], others: list[float]) -> tuple[float, float, float]:
+    """Over the routers of both experiments, and which share of the other one's comes near a figure."""
+    return float(np.nanmin(mine + others)), float(np.nanmax(mine + others)), share_near(np.array(others), real)
 
 
 def _class_figures(levels_dbm: list[Array]) -> Figures:

@@ -19,7 +19,11 @@ from twc_env.random_streams import random_stream
 Array = NDArray
 Figures = dict[str, float]
 
-Spread = dict[str, tuple[float, float]]
+Spread = dict[str, tuple[float, float, float]]
+"""Of each figure the middle 95 % over real places, and the share of them within NEAR of the set's own figure."""
+
+NEAR = 0.15
+"""A figure this near to the real one, as a share of it, is near enough."""
 
 SIMILARITIES = (0.7, 0.8, 0.9)
 _INTERVAL = 0.95
@@ -41,7 +45,9 @@ class Study:
     real: Callable[[Path, bool], Figures]
     simulated: Callable[[Path, RadioConfig, int, bool], Figures]
     reasons: dict[str, str] = dataclasses.field(default_factory=dict)
-    """Why figures whose name begins with the key are missed."""
+    """Why figures whose name begins with the key are missed; names in braces stand for figures of the evidence."""
+    evidence: Callable[[Path, bool], Figures] | None = None
+    """What the data tells for the reasons."""
     spread: Callable[[Path, bool], Spread] | None = None
     """How far apart the real figures are of other access points, walks or routers of the same kind of place."""
     runs: int = 1
@@ -65,16 +71,21 @@ def similarity_figures(survey: RadioSurvey, rssi_dbm: Array, is_pair: Array, off
 
 
 def spread_over(units: int, figures_of: Callable[[Array], Figures], draws: int = 100) -> Spread:
-    """Bootstrap: the middle 95 % of each figure over draws (units,) with replacement of what a set happens to have."""
+    """Bootstrap: each figure over draws (units,) with replacement of what a set happens to have."""
     random = random_stream(0, "spread")
     found = [figures_of(random.integers(0, units, units)) for _ in range(draws)]
     spread = {}
-    for name in found[0]:
+    for name, own in figures_of(np.arange(units)).items():
         values = np.array([figures[name] for figures in found], float)
         if np.isfinite(values).any():
             low, high = np.nanquantile(values, [0.5 - _INTERVAL / 2, 0.5 + _INTERVAL / 2]).tolist()
-            spread[name] = (low, high)
+            spread[name] = (low, high, share_near(values, own))
     return spread
+
+
+def share_near(values: Array, real: float) -> float:
+    """Of values (k,), how many lie within NEAR of the real one; 0 where that is none or nothing."""
+    return float(np.mean(np.abs(values - real) <= NEAR * abs(real))) if np.isfinite(real) else 0.0
 
 
 def hearing(rssi_dbm: Array) -> tuple[float, float]:

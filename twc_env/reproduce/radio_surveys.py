@@ -1,8 +1,7 @@
-"""Published radio surveys and the radio model at the same places: offices, a library, a flat.
+"""Published radio surveys and the radio model at the same places: a library and a flat.
 
-What belongs to a place or a device is taken from the set as an input and never judged: where the access points stand or
-how many there are, which surveyed points share a room, and how faint signals each receiver still hears. All else is the
-preset's.
+What belongs to a place or a device is taken from the set as an input and never judged: where the anchors stand or how
+many access points there are. All else is the preset's.
 """
 
 from __future__ import annotations
@@ -16,123 +15,32 @@ from numpy.typing import NDArray
 from twc_env.config import RadioConfig
 from twc_env.datasets.ble_flat import read_ble_run, read_flat
 from twc_env.datasets.fingerprints import RadioSurvey
-from twc_env.datasets.sod_indoor_loc import read_sod
 from twc_env.datasets.uji_library import read_uji_library
-from twc_env.metrics.radio import detection_rates, fit_path_loss, mean_rssi_by_walls, spread_at_points
+from twc_env.metrics.radio import fit_path_loss, mean_rssi_by_walls, spread_at_points
 from twc_env.reproduce import radio_places as places
-from twc_env.reproduce.radio_rooms import surveyed_rooms
 from twc_env.reproduce.radio_study import (
     Figures,
     Spread,
     Study,
-    device_hearing,
     extent,
     spread_over,
     thinned,
-    with_settings,
 )
 from twc_env.world.floorplan import Floorplan
 
 Array = NDArray
 
-_DISTANCES_M = np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
-_NEAR_BY_M = 10.0
-_FLOORS_AWAY = 2
 _WALLS_MAX = 2
 _WALL_FACES = 2
 """Lines of the flat's outline that one wall crossing meets."""
 _HEARD_MIN = 8
-
-# --- offices with known access points (SODIndoorLoc) ------------------------------------------------------------------
-
-
-def office_studies() -> Iterator[Study]:
-    """Places and storeys of the access points are known, and of each point the kind of room and the phone."""
-    for building, role, reasons in (
-        ("CETC331", "calibrated", _OFFICE_REASONS),
-        ("SYL", "reported", _SECOND_OFFICE_REASONS),
-    ):
-
-        def survey(folder: Path, quick: bool, building: str = building) -> RadioSurvey:
-            true = read_sod(folder / "wifi" / "sod", building)
-            return thinned(true.of_transmitters(_is_heard_near_by(true)), quick)
-
-        def real(folder: Path, quick: bool, survey=survey) -> Figures:
-            return _office_figures(survey(folder, quick), survey(folder, quick).rssi_dbm)
-
-        def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool, survey=survey) -> Figures:
-            true = survey(folder, quick)
-            rssi = np.full(true.rssi_dbm.shape, np.nan, np.float32)
-            for floor in np.unique(true.floor).tolist():
-                rooms = places.another(surveyed_rooms(true, floor, extent(true.position_m, 2.0)), seed)
-                equipped = places.with_known_transmitters(rooms, true, floor)
-                for phone in np.unique(true.walk).tolist():
-                    mine = true.walk == phone
-                    own = with_settings(config, device_hearing(true.at_scans(mine)))
-                    here = np.flatnonzero(mine & (true.floor == floor))
-                    rssi[here] = places.simulate(true.at_scans(here), equipped, own, seed).rssi_dbm
-            return _office_figures(true, rssi)
-
-        def spread(folder: Path, quick: bool, survey=survey) -> Spread:
-            true = survey(folder, quick)
-            _, box = np.unique(np.column_stack(true.transmitters[:2]), axis=0, return_inverse=True)
-            columns = [np.flatnonzero(box == number) for number in range(box.max() + 1)]
-
-            def of_boxes(drawn: Array) -> Figures:
-                some = true.of_transmitters(np.concatenate([columns[number] for number in drawn]))
-                return _office_figures(some, some.rssi_dbm)
-
-            return spread_over(len(columns), of_boxes)
-
-        changes = {"high_band": {"share": 0.5}}
-        yield Study(f"wifi/sod {building}", role, "radio-indoor", changes, real, simulated, reasons, spread, runs=4)
-
-
-_OFFICE_REASONS = {
-    "detection rate": "through ceilings a rate rests on the few access points that are that far: another building of "
-    "the kind differs by as much",
-}
-_SECOND_OFFICE_REASONS = {
-    "detection rate": "here a phone misses up to one strong 2.4 GHz signal in six, which the levels of what it hears "
-    "do not tell; at 5 GHz what is heard 45 m off is 10 dB above what gets lost, as if the corridor guided it",
-}
-
-
-def _is_heard_near_by(survey: RadioSurvey) -> Array:
-    """(t,) whether any scan near an access point heard its address: else it was off, or stands elsewhere than told."""
-    transmitter_m, storeys, _ = survey.transmitters
-    apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
-    is_near = (apart_m < _NEAR_BY_M) & (survey.floor[:, None] == storeys[None])
-    return (is_near & np.isfinite(survey.rssi_dbm)).any(axis=0)
-
-
-def _office_figures(survey: RadioSurvey, rssi_dbm: Array) -> Figures:
-    transmitter_m, storeys, on_high_band = survey.transmitters
-    apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
-    ceilings = np.abs(survey.floor[:, None] - storeys[None])
-    heard = np.isfinite(rssi_dbm)
-    figures: Figures = {}
-    for band, is_high in (("2.4 GHz", False), ("5 GHz", True)):
-        mine = (on_high_band == is_high)[None] & (ceilings == 0)
-        fit = fit_path_loss(apart_m[mine & heard], rssi_dbm[mine & heard])
-        figures[f"path-loss exponent without walls, {band}"] = fit.exponent
-        figures[f"residual sd without walls [dB], {band}"] = fit.residual_std_db
-        figures[f"mean RSS at 10 m [dBm], {band}"] = fit.power_at_1m_dbm - 10 * fit.exponent
-        for away in range(min(_FLOORS_AWAY, int(ceilings.max())) + 1):
-            mine = (on_high_band == is_high)[None] & (ceilings == away)
-            rates = detection_rates(apart_m[mine], heard[mine], _DISTANCES_M)
-            for near, rate in zip(_DISTANCES_M[:-1], rates, strict=True):
-                name = f"detection rate {near:.0f}-{near + 10:.0f} m, {band}, {away} floors away"
-                figures[name] = float(rate)
-    return figures
-
 
 # --- samples at fixed points (UJI library) ----------------------------------------------------------------------------
 
 
 def library_studies() -> Iterator[Study]:
     """Twelve samples at each of 48 points."""
-    for month, role in (("01", "calibrated"), ("13", "reported")):
+    for month, role in ((_LIBRARY_MONTHS["first"], "calibrated"), (_LIBRARY_MONTHS["later"], "reported")):
 
         def survey(folder: Path, month: str = month) -> RadioSurvey:
             return read_uji_library(folder / "wifi" / "uji_lib", month)
@@ -153,11 +61,27 @@ def library_studies() -> Iterator[Study]:
 
         changes = {"bssids_per_access_point": 0, "high_band": {"share": 0.5}}
         yield Study(
-            f"wifi/uji_lib {month}", role, "radio-indoor", changes, real, simulated, _LIBRARY_REASONS, spread, runs=4
+            f"wifi/uji_lib {month}",
+            role,
+            "radio-indoor",
+            changes,
+            real,
+            simulated,
+            _LIBRARY_REASONS,
+            _library_evidence,
+            spread,
+            runs=4,
         )
 
 
-_LIBRARY_REASONS = {"": "the same points differ by a quarter a year later: 3.4 and 4.3 dB"}
+_LIBRARY_MONTHS = {"first": "01", "later": "13"}
+_LIBRARY_REASONS = {"": "at the same points it is {first_db:.1f} dB, and {later_db:.1f} dB a year later"}
+
+
+def _library_evidence(folder: Path, quick: bool) -> Figures:
+    """The figure of both months."""
+    surveys = {name: read_uji_library(folder / "wifi" / "uji_lib", month) for name, month in _LIBRARY_MONTHS.items()}
+    return {f"{name}_db": spread_at_points(s.walk, s.rssi_dbm, _HEARD_MIN) for name, s in surveys.items()}
 
 
 def _library_figures(survey: RadioSurvey, rssi_dbm: Array) -> Figures:
@@ -214,12 +138,12 @@ def flat_studies() -> Iterator[Study]:
             return spread_over(rssi.shape[1], of_anchors)
 
         name = f"wifi/ble_lidar {'+'.join(runs)}"
-        yield Study(name, role, "radio-indoor", _BLE_TAG, real, simulated, _FLAT_REASONS, spread, runs=4)
+        yield Study(name, role, "radio-indoor", _BLE_TAG, real, simulated, _FLAT_REASONS, spread=spread, runs=4)
 
 
 _FLAT_REASONS = {
-    "path-loss exponent": "drives meet few anchors near by: with other anchors of the same flat it lies anywhere from "
-    "below 0 to 2",
+    "path-loss exponent": "drives meet few anchors near by: how much other anchors of the same flat change it, the "
+    "real spread tells",
     "loss per wall": "walls and distance rise together in a small flat: the fit trades one for the other",
 }
 

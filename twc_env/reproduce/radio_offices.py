@@ -1,0 +1,146 @@
+"""Offices whose access points stand at known places (SODIndoorLoc), and the radio model at the same places.
+
+What belongs to a place or a device is taken from the set as an input and never judged: where the access points stand,
+which surveyed points share a room, and how faint signals each phone still hears. All else is the preset's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.config import RadioConfig
+from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.datasets.sod_indoor_loc import read_sod
+from twc_env.metrics.radio import detection_rates, fit_path_loss
+from twc_env.reproduce import radio_places as places
+from twc_env.reproduce.radio_rooms import surveyed_rooms
+from twc_env.reproduce.radio_study import (
+    Figures,
+    Spread,
+    Study,
+    device_hearing,
+    extent,
+    hearing,
+    spread_over,
+    thinned,
+    with_settings,
+)
+
+Array = NDArray
+
+_DISTANCES_M = np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
+_NEAR_BY_M = 10.0
+_FLOORS_AWAY = 2
+
+
+def office_studies() -> Iterator[Study]:
+    """Places and storeys of the access points are known, and of each point the kind of room and the phone."""
+    for building, role, reasons in (
+        ("CETC331", "calibrated", _OFFICE_REASONS),
+        ("SYL", "reported", _SECOND_OFFICE_REASONS),
+    ):
+
+        def survey(folder: Path, quick: bool, building: str = building) -> RadioSurvey:
+            true = read_sod(folder / "wifi" / "sod", building)
+            return thinned(true.of_transmitters(_is_heard_near_by(true)), quick)
+
+        def real(folder: Path, quick: bool, survey=survey) -> Figures:
+            return _office_figures(survey(folder, quick), survey(folder, quick).rssi_dbm)
+
+        def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool, survey=survey) -> Figures:
+            true = survey(folder, quick)
+            rssi = np.full(true.rssi_dbm.shape, np.nan, np.float32)
+            for floor in np.unique(true.floor).tolist():
+                rooms = places.another(surveyed_rooms(true, floor, extent(true.position_m, 2.0)), seed)
+                equipped = places.with_known_transmitters(rooms, true, floor)
+                for phone in np.unique(true.walk).tolist():
+                    mine = true.walk == phone
+                    own = with_settings(config, device_hearing(true.at_scans(mine)))
+                    here = np.flatnonzero(mine & (true.floor == floor))
+                    rssi[here] = places.simulate(true.at_scans(here), equipped, own, seed).rssi_dbm
+            return _office_figures(true, rssi)
+
+        def spread(folder: Path, quick: bool, survey=survey) -> Spread:
+            true = survey(folder, quick)
+            _, box = np.unique(np.column_stack(true.transmitters[:2]), axis=0, return_inverse=True)
+            columns = [np.flatnonzero(box == number) for number in range(box.max() + 1)]
+
+            def of_boxes(drawn: Array) -> Figures:
+                some = true.of_transmitters(np.concatenate([columns[number] for number in drawn]))
+                return _office_figures(some, some.rssi_dbm)
+
+            return spread_over(len(columns), of_boxes)
+
+        def evidence(folder: Path, quick: bool, survey=survey) -> Figures:
+            return _office_evidence(survey(folder, False))
+
+        changes = {"high_band": {"share": 0.5}}
+        yield Study(
+            f"wifi/sod {building}", role, "radio-indoor", changes, real, simulated, reasons, evidence, spread, runs=4
+        )
+
+
+_OFFICE_REASONS = {
+    "detection rate": "{boxes:.0f} access points on {storeys:.0f} storeys: through ceilings a rate rests on the few "
+    "that are that far",
+}
+_SECOND_OFFICE_REASONS = {
+    "detection rate": "of 2.4 GHz signals stronger than {strong_dbm:.0f} dBm at one point the same phone misses "
+    "{low_missed:.0%} at points beside it, of 5 GHz signals {high_missed:.0%}; at 5 GHz what is heard 40 m off or more "
+    "is {far_above_db:.0f} dB above the level where hearing ends, as if the corridor guided it",
+}
+_STRONG_DBM, _BESIDE_M, _FAR_M = -60.0, 1.6, 40.0
+
+
+def _office_evidence(survey: RadioSurvey) -> Figures:
+    """What is missed that must be strong, how clearly far ones are heard, and how many access points there are."""
+    transmitter_m, storeys, is_high = survey.transmitters
+    figures = {
+        "boxes": float(len(np.unique(np.column_stack([transmitter_m, storeys]), axis=0))),
+        "storeys": float(len(np.unique(storeys))),
+        "strong_dbm": _STRONG_DBM,
+    }
+    is_beside = np.linalg.norm(survey.position_m[:, None] - survey.position_m[None], axis=2) < _BESIDE_M
+    is_beside &= (survey.floor[:, None] == survey.floor[None]) & (survey.walk[:, None] == survey.walk[None])
+    here, beside = np.nonzero(is_beside & ~np.eye(len(is_beside), dtype=bool))
+    for name, band in (("low", False), ("high", True)):
+        rssi = survey.rssi_dbm[:, is_high == band]
+        is_strong = rssi[here] > _STRONG_DBM
+        figures[f"{name}_missed"] = float(1.0 - np.isfinite(rssi[beside][is_strong]).mean())
+    apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
+    far = survey.rssi_dbm[(apart_m > _FAR_M) & (survey.floor[:, None] == storeys[None]) & is_high]
+    figures["far_above_db"] = float(np.nanmean(far) - hearing(survey.rssi_dbm[:, is_high])[0])
+    return figures
+
+
+def _is_heard_near_by(survey: RadioSurvey) -> Array:
+    """(t,) whether any scan near an access point heard its address: else it was off, or stands elsewhere than told."""
+    transmitter_m, storeys, _ = survey.transmitters
+    apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
+    is_near = (apart_m < _NEAR_BY_M) & (survey.floor[:, None] == storeys[None])
+    return (is_near & np.isfinite(survey.rssi_dbm)).any(axis=0)
+
+
+def _office_figures(survey: RadioSurvey, rssi_dbm: Array) -> Figures:
+    transmitter_m, storeys, on_high_band = survey.transmitters
+    apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
+    ceilings = np.abs(survey.floor[:, None] - storeys[None])
+    heard = np.isfinite(rssi_dbm)
+    figures: Figures = {}
+    for band, is_high in (("2.4 GHz", False), ("5 GHz", True)):
+        mine = (on_high_band == is_high)[None] & (ceilings == 0)
+        fit = fit_path_loss(apart_m[mine & heard], rssi_dbm[mine & heard])
+        figures[f"path-loss exponent without walls, {band}"] = fit.exponent
+        figures[f"residual sd without walls [dB], {band}"] = fit.residual_std_db
+        figures[f"mean RSS at 10 m [dBm], {band}"] = fit.power_at_1m_dbm - 10 * fit.exponent
+        for away in range(min(_FLOORS_AWAY, int(ceilings.max())) + 1):
+            mine = (on_high_band == is_high)[None] & (ceilings == away)
+            rates = detection_rates(apart_m[mine], heard[mine], _DISTANCES_M)
+            for near, rate in zip(_DISTANCES_M[:-1], rates, strict=True):
+                name = f"detection rate {near:.0f}-{near + 10:.0f} m, {band}, {away} floors away"
+                figures[name] = float(rate)
+    return figures
