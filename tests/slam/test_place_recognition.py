@@ -188,3 +188,37 @@ def test_a_place_is_tried_again_only_when_an_end_has_moved_on(keyframe):
     assert tried.is_new(at(0, 5.0), at(1, 10.0), 2.0)
     assert tried.is_new(at(0, 7.0), at(1, 8.0), 2.0)
     assert tried.is_new(at(0, 5.0), at(2, 8.0), 2.0)
+
+
+def test_places_met_before_a_receiver_was_known_to_be_odd_are_compared_anew(place):
+    recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
+    names, offset_db, found = ("A101", "A102", "A103"), 12.0, []
+    for k, name in enumerate(names):
+        levels = np.roll(LEVELS_DBM, k)
+        own = place(0, k, name, rssi_dbm=levels)
+        loud = place(1, k, name, rssi_dbm=levels + offset_db, travel_m=30.0 * k)
+        assert recogniser.propose(own) == []
+        found.append(recogniser.propose(loud))
+    assert found[:2] == [[], []]
+    assert [(c.target, c.source) for c in found[2]] == [((0, k), (1, k)) for k in range(3)]
+    assert all(c.rssi_similarity == 1.0 for c in found[2])
+
+
+def test_an_odd_receiver_is_not_compared_anew_with_robots_that_are_skipped(place):
+    recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
+    for k, name in enumerate(("A101", "A102", "A103")):
+        recogniser.propose(place(0, k, name))
+        found = recogniser.propose(place(1, k, name, rssi_dbm=np.add(LEVELS_DBM, 12.0), travel_m=30.0 * k), (0,))
+        assert found == []
+
+
+def test_what_a_weaker_receiver_cannot_hear_is_not_missed(place):
+    recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
+    far = (*MACS, 6, 7, 8)
+    for k, name in enumerate(("A101", "A102", "A103", "A104")):
+        recogniser.propose(place(0, k, name))
+        loud = np.array([*LEVELS_DBM, -85.0, -86.0, -87.0]) + 12.0  # the last three lie below what robot 0 hears
+        found = recogniser.propose(place(1, k, name, macs=far, rssi_dbm=loud, travel_m=30.0 * k))
+    assert [(c.target, c.mac_similarity) for c in found] == [((0, 3), 1.0)]
+    near = np.array([*LEVELS_DBM, -50.0, -50.0, -50.0]) + 12.0  # these, robot 0 would have heard
+    assert recogniser.propose(place(1, 9, "A104", macs=far, rssi_dbm=near, travel_m=200.0)) == []

@@ -34,7 +34,7 @@ def test_the_table_finds_what_a_comparison_pair_by_pair_finds(make, radio, skipp
     random = np.random.default_rng(5)
     table = SignTable()
     for place, text in zip(places, texts.tolist(), strict=True):
-        table.append(place, text)
+        table.append(place, str(text), text)
     in_all = 0
     for _ in range(80):
         here = make()

@@ -53,8 +53,8 @@ class ClosureSearch:
         if near is not None:
             candidates.append(near)
         for candidate in candidates:
-            target = self._graph.keyframe(candidate.target)
-            if self._filters[candidate.recogniser].is_new(target, keyframe, self._reach_m(target, keyframe)):
+            target, source = self._graph.keyframe(candidate.target), self._graph.keyframe(candidate.source)
+            if self._filters[candidate.recogniser].is_new(target, source, self._reach_m(target, source)):
                 self._waiting[candidate.recogniser].append(candidate)
 
     def _reach_m(self, target: Keyframe, source: Keyframe) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -12,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.messages import Keyframe
+from twc_env.slam.device_offsets import LETTERS_MIN, DeviceOffsets, offset_of
 from twc_env.slam.team import TeamMapper
+from twc_env.slam.text_similarity import normalise
 
 Array = NDArray
 
 SILENT_S = 5.0
 """A robot that was not heard for longer is named."""
-DEVICE_OFFSET_DB, TRANSMITTERS_MIN, PLACES_MIN, LETTERS_MIN = 6.0, 3, 3, 3
-"""Devices that differ by more, over so many transmitters at so many places with a name this long, are named, if half
-of these places agree which one hears more."""
 REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.4, 4
 """A name at places this far apart in one map is repeated; with this share of the names repeated there is a lack."""
 
@@ -102,30 +100,20 @@ def _repeated_names(mapper: TeamMapper) -> list[str]:
 
 
 def _odd_devices(paths: Sequence[Sequence[Keyframe]]) -> list[str]:
-    """Robots whose receivers disagree where both read the same name (which may have twins: hence the median)."""
-    where: list[dict[str, Keyframe]] = [{} for _ in paths]
+    """Robots whose receivers disagree where both read the same name (which may have twins: hence the middle)."""
+    devices = DeviceOffsets()
+    devices.make_room(len(paths))
     for robot, path in enumerate(paths):
         for keyframe in path:
             for sign in keyframe.signs:
-                where[robot].setdefault(sign.text, keyframe)
-    lines = []
-    for a, b in itertools.combinations(range(len(paths)), 2):
-        common = sorted(set(where[a]) & set(where[b]))
-        offsets = [_offset_db(where[a][text], where[b][text]) for text in common if len(text) >= LETTERS_MIN]
-        known = [offset for offset in offsets if math.isfinite(offset)]
-        if len(known) < PLACES_MIN:
-            continue
-        low, middle, high = np.percentile(known, (25, 50, 75))
-        if abs(middle) > DEVICE_OFFSET_DB and low * high > 0:
-            lines.append(f"robot {b} reads WiFi {middle:+.0f} dB against robot {a} where both read a name")
-    return lines
-
-
-def _offset_db(first: Keyframe, second: Keyframe) -> float:
-    """How much stronger the second heard what both heard; NaN with too little in common."""
-    a, b = first.fingerprint, second.fingerprint
-    shared, in_a, in_b = np.intersect1d(a.macs, b.macs, assume_unique=True, return_indices=True)
-    return float(np.median(b.rssi_dbm[in_b] - a.rssi_dbm[in_a])) if len(shared) >= TRANSMITTERS_MIN else math.nan
+                devices.note(robot, normalise(sign.text), keyframe.fingerprint)
+    pairs = itertools.combinations(range(len(paths)), 2)
+    differences = {(a, b): offset_of(devices.between(a, b)) for a, b in pairs}
+    return [
+        f"robot {b} reads WiFi {offset_db:+.0f} dB against robot {a} where both read a name"
+        for (a, b), offset_db in differences.items()
+        if offset_db != 0.0
+    ]
 
 
 def _apart(mapper: TeamMapper) -> list[str]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe
+from twc_env.slam.device_offsets import DeviceOffsets
 from twc_env.slam.growing import doubled
 from twc_env.slam.radio_fingerprint import rssi_similarity
 
@@ -31,20 +32,26 @@ class RadioRule(NamedTuple):
 
 
 @kernel
-def _compare(macs, levels, first, end, other_macs, other_levels):
-    """`mac_similarity`, and distance and count of `rssi_distance_db`, of a row of a table and another fingerprint."""
-    i, j, n, squares = first, 0, 0, 0.0
-    while i < end and j < other_macs.shape[0]:
-        if macs[i] < other_macs[j]:
+def _compare(macs, levels, first, end, other_macs, other_levels, offset, faintest, other_faintest):
+    """`mac_similarity`, and distance and count of `rssi_distance_db`, of a row of a table and another fingerprint.
+
+    offset [dB]: how much more the other's receiver hears. What that of one would hear below its faintest [dBm] is not
+    missed there.
+    """
+    i, j, n, squares, length, other_length = first, 0, 0, 0.0, 0, 0
+    while i < end or j < other_macs.shape[0]:
+        if j == other_macs.shape[0] or (i < end and macs[i] < other_macs[j]):
+            length += offset >= 0.0 or levels[i] + offset >= other_faintest
             i += 1
-        elif macs[i] > other_macs[j]:
+        elif i == end or macs[i] > other_macs[j]:
+            other_length += offset <= 0.0 or other_levels[j] - offset >= faintest
             j += 1
         else:
-            squares += (levels[i] - other_levels[j]) ** 2
+            squares += (levels[i] + offset - other_levels[j]) ** 2
             n += 1
             i += 1
             j += 1
-    larger = max(end - first, other_macs.shape[0])
+    larger = n + max(length, other_length)
     return (n / larger if larger > 0 else 0.0), math.sqrt(squares), n
 
 
@@ -53,14 +60,17 @@ def _choose(
     table, place_count, likeness, is_skipped, robot, latest, other_macs, other_levels, mac_min, rssi_min, tolerance
 ):  # fmt: skip
     """See `SignTable.like`; gives how many rows of the last part of the table, (places, 6), were written."""
-    places, travels, ends, macs, levels, out = parts_of(table)
+    places, travels, ends, macs, levels, out, offsets, faintest = parts_of(table)
     count = 0
     for k in range(place_count):
         other, similarity = places[k, 0], likeness[places[k, 1]]
         if similarity == UNLIKE or is_skipped[other] or (other == robot and travels[k] > latest):
             continue
         first = ends[k - 1] if k > 0 else np.int64(0)
-        shared, distance, number = _compare(macs, levels, first, ends[k], other_macs, other_levels)
+        shared, distance, number = _compare(
+            macs, levels, first, ends[k], other_macs, other_levels, offsets[other, robot], faintest[other],
+            faintest[robot],
+        )  # fmt: skip
         rssi = rssi_similarity(distance, number, tolerance)
         if shared >= mac_min and rssi >= rssi_min:
             out[count, 0], out[count, 1], out[count, 2], out[count, 3] = k, similarity, shared, rssi
@@ -80,6 +90,7 @@ class SignTable:
         self._macs, self._rssi_dbm = np.zeros(_ROOM, np.int64), np.zeros(_ROOM)
         """Of all fingerprints, one after the other."""
         self._count = self._end = self._robots = 0
+        self._devices = DeviceOffsets()
         self._first_m: dict[int, dict[int, float]] = {}
         """Of each text the path length at which each robot first read it."""
         self._run: Callable[..., int] | None = None
@@ -88,20 +99,28 @@ class SignTable:
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}
 
-    def append(self, keyframe: Keyframe, text: int) -> None:
-        """Add a row for a text of this number, read at a keyframe."""
+    def append(self, keyframe: Keyframe, text: str, number: int) -> list[int]:
+        """Add a row for a text of this number, read at a keyframe.
+
+        Gives the robots from which the keyframe's receiver is now known to differ: places may be alike that were not.
+        """
         heard, row = keyframe.fingerprint, self._count
         first, end = self._end, self._end + len(heard.macs)
-        self._make_room(row + 1, end)
+        self._make_room(row + 1, end, keyframe.robot)
         self._macs[first:end], self._rssi_dbm[first:end] = heard.macs, heard.rssi_dbm
-        self._places[row, 0], self._places[row, 1] = keyframe.robot, text
+        self._places[row, 0], self._places[row, 1] = keyframe.robot, number
         self._travels_m[row], self._ends[row] = keyframe.travel_m, end
         self._count, self._end = row + 1, end
         self._robots = max(self._robots, keyframe.robot + 1)
-        first_m = self._first_m.setdefault(text, {})
+        first_m = self._first_m.setdefault(number, {})
         first_m[keyframe.robot] = min(first_m.get(keyframe.robot, math.inf), keyframe.travel_m)
+        return self._devices.note(keyframe.robot, text, heard)
 
-    def _make_room(self, rows: int, heard: int) -> None:
+    def _make_room(self, rows: int, heard: int, robot: int) -> None:
+        robots = len(self._devices.offset_db)
+        if robot >= robots:
+            self._devices.make_room(max(robot + 1, 2 * robots))
+            self._run = None
         while heard > len(self._macs):
             self._macs, self._rssi_dbm, self._run = doubled(self._macs), doubled(self._rssi_dbm), None
         if rows > len(self._places):
@@ -122,6 +141,7 @@ class SignTable:
         keyframe's own those less than apart_m before it along the path. Each comes as its number, the similarity of
         texts, `mac_similarity`, `rssi_similarity`, and distance [dB] and count of `rssi_distance_db`.
         """
+        self._make_room(self._count, self._end, keyframe.robot)
         latest_m = keyframe.travel_m - apart_m
         if not self._has_any(alike, keyframe.robot, latest_m, skipped_robots):
             return []
@@ -137,7 +157,7 @@ class SignTable:
         )  # fmt: skip
         if self._run is None:
             held = self._places, self._travels_m, self._ends, self._macs, self._rssi_dbm, self._found
-            self._run = bound(_choose, Lent(held), *now)
+            self._run = bound(_choose, Lent((*held, self._devices.offset_db, self._devices.faintest_dbm)), *now)
         rows: list[list[float]] = self._found[: self._run(*now)].tolist()
         return rows
 

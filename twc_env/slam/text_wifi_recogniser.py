@@ -55,8 +55,23 @@ class TextWifiRecogniser:
         """See `Recogniser`; the better of two texts speaks for a pair."""
         if not keyframe.signs:
             return []
-        best: dict[tuple[int, int], tuple[float, int, SignObservation, float, float]] = {}
         readings = [(self._key(sign.text), sign) for sign in keyframe.signs]
+        candidates = self._compare(keyframe, readings, skipped_robots, is_wanted)
+        for text, sign in readings:
+            for other in self._remember(text, keyframe, sign):
+                if other not in skipped_robots:
+                    candidates += self._compare_anew(keyframe.robot, other)
+        return candidates
+
+    def _compare(
+        self,
+        keyframe: Keyframe,
+        readings: Sequence[tuple[str, SignObservation]],
+        skipped_robots: Sequence[int],
+        is_wanted: Callable[[Keyframe], bool] | None = None,
+    ) -> list[LoopCandidate]:
+        """Candidates between a keyframe that read these texts and all places known; one for each other keyframe."""
+        best: dict[tuple[int, int], tuple[float, int, SignObservation, float, float]] = {}
         for text, sign in readings:
             if math.isnan(sign.facing_rad):
                 continue
@@ -65,13 +80,21 @@ class TextWifiRecogniser:
                 held = best.get((target.robot, target.index))
                 if held is None or similarity > held[0]:
                     best[target.robot, target.index] = similarity, k, sign, macs, rssi
-        for text, sign in readings:
-            self._remember(text, keyframe, sign)
         source = keyframe.robot, keyframe.index
         return [
             self._candidate(source, *entry)
             for entry in best.values()
             if is_wanted is None or is_wanted(self._places[entry[1]][0])
+        ]
+
+    def _compare_anew(self, robot: int, other: int) -> list[LoopCandidate]:
+        """Candidates between all places of one robot and those of another, once their receivers are told apart."""
+        skipped = {place.robot for place, _ in self._places} - {other}
+        return [
+            candidate
+            for keyframe, sign in self._places
+            if keyframe.robot == robot
+            for candidate in self._compare(keyframe, [(self._key(sign.text), sign)], sorted(skipped))
         ]
 
     def _candidate(
@@ -118,20 +141,23 @@ class TextWifiRecogniser:
                 passed.append((k, text, macs, rssi))
         return passed
 
-    def _remember(self, text: str, keyframe: Keyframe, sign: SignObservation) -> None:
-        """Keep a reading, unless no wall is known behind it or the same robot read the same just before."""
+    def _remember(self, text: str, keyframe: Keyframe, sign: SignObservation) -> list[int]:
+        """Keep a reading, unless no wall is known behind it or the same robot read the same just before.
+
+        See `SignTable.append` for what it gives.
+        """
         if math.isnan(sign.facing_rad):
-            return
+            return []
         (x, y, heading), (ahead, left) = keyframe.pose_odom.tolist(), sign.position_m.tolist()
         c, s = math.cos(heading), math.sin(heading)
         position = x + c * ahead - s * left, y + s * ahead + c * left
         for travel_m, other in self._recent.get((keyframe.robot, text), ()):
             if keyframe.travel_m - travel_m < SAME_PLACE_M and math.dist(position, other) < SAME_SIGN_M:
-                return
+                return []
         recent = self._recent.setdefault((keyframe.robot, text), deque(maxlen=4))
         recent.append((keyframe.travel_m, position))
         self._places.append((keyframe, sign))
-        self._table.append(keyframe, self._texts.number_of(text))
+        return self._table.append(keyframe, text, self._texts.number_of(text))
 
     def _key(self, text: str) -> str:
         return normalise(text) if self._config.normalise_text else text
