@@ -5,7 +5,9 @@ from twc_env.messages import Fingerprint
 from twc_env.slam.device_offsets import DeviceOffsets, offset_of
 
 MACS = np.arange(6)
-SOUNDS = {name: -60.0 + 12.0 * np.cos(np.arange(6) * (k + 1)) for k, name in enumerate(("A101", "A102", "A103", "A104"))}
+SOUNDS = {
+    name: -60.0 + 12.0 * np.cos(np.arange(6) * (k + 1)) for k, name in enumerate(("A101", "A102", "A103", "A104"))
+}
 """How loud six transmitters are where each sign hangs."""
 
 
