@@ -284,3 +284,21 @@ def test_twenty_random_closures_bend_the_real_map_only_without_a_robust_loss(rob
         PoseGraphConfig(robust=robust, iterations_max=100),
     )
     assert (np.hypot(*(poses - best)[:, :2].T).max() < 0.15) == is_robust
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_several_held_poses_keep_their_bits_and_the_others_fit_best(seed):
+    true, edges, measured, information, _ = random_graph(seed)
+    random, held = np.random.default_rng(seed), np.array([0, 1, 2, 7])
+    start = true + random.normal(0, 0.05, true.shape)
+    moves = np.setdiff1d(np.arange(len(true)), held)
+    equations = pose_graph.NormalEquations(edges, measured, information, len(true), held)
+    fitted = equations.minimise(start, np.ones_like, 100, 1e-9, 1e-9)
+
+    def errors(free):
+        poses = start.copy()
+        poses[moves] = free.reshape(-1, 3)
+        return (pose_graph.residuals(poses, edges, measured) @ np.linalg.cholesky(information[0])).ravel()
+
+    assert fitted[held].tobytes() == start[held].tobytes()
+    assert fitted[moves] == pytest.approx(least_squares(errors, start[moves].ravel()).x.reshape(-1, 3), abs=1e-5)

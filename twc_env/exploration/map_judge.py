@@ -26,6 +26,9 @@ Array = NDArray
 
 PLACE_M, TURN_RAD = 0.02, 0.001
 """A map's place in the building is rounded to these, so that its mask holds for long."""
+JUDGED_MAX = 4000
+"""Of more keyframes than so many only every second is looked at while an episode runs, of twice as many every third,
+and so on, so that the time it takes does not grow with the way gone."""
 NOT_KNOWN = -1.0
 """In place of a number: of wrong pairs, where there are no keyframes; of cells, where a map lies elsewhere."""
 
@@ -52,7 +55,7 @@ def lay(robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> tuple[Array
     if not len(nodes[0]):
         return None
     pose, room = np.empty(3), _room_for(len(nodes[0]), len(robots))
-    if _lay_paths(_numbers(robots), *nodes, true_poses, room, pose) == NOT_KNOWN:
+    if _lay_paths(_numbers(robots), *nodes, true_poses, 1, room, pose) == NOT_KNOWN:
         return None
     return pose, tuple((robots[i], robots[j]) for i, j in np.argwhere(room[-1]).tolist())
 
@@ -71,16 +74,22 @@ def _room_for(nodes: int, robots: int) -> tuple[Array, ...]:
 
 
 @borrowing_kernel
-def _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true, owner):
+def _collect(robots, poses, robot_of_node, step_of_node, truth, stride, estimated, true, owner):
     """Estimated and true poses of some robots' keyframes, robot by robot, and whose they are; count and mean place.
+
+    Of each robot the first, and every so manyth after it.
 
     truth (steps, robots, 3); poses, estimated, true (nodes, 3); owner (nodes,): the robot's number among `robots`.
     """
     count, x, y = 0, 0.0, 0.0
     for a in range(robots.shape[0]):
+        left_out = stride - 1
         for k in range(poses.shape[0]):
-            if robot_of_node[k] == robots[a] and count < poses.shape[0]:
-                step = step_of_node[k]
+            if robot_of_node[k] != robots[a]:
+                continue
+            left_out += 1
+            if left_out == stride and count < poses.shape[0]:
+                left_out, step = 0, step_of_node[k]
                 for axis in range(3):
                     estimated[count, axis], true[count, axis] = poses[k, axis], truth[step, robots[a], axis]
                 owner[count] = a
@@ -91,10 +100,10 @@ def _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true,
 
 
 @borrowing_kernel
-def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, room, pose):
-    """See `lay`; marks wrong pairs in the last array of the room, gives how many there are."""
+def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, stride, room, pose):
+    """See `lay`, by every so manyth keyframe; marks wrong pairs in the last array of the room, gives their number."""
     estimated, true, owner, frames, is_wrong = room
-    count, x, y = _collect(robots, poses, robot_of_node, step_of_node, truth, estimated, true, owner)
+    count, x, y = _collect(robots, poses, robot_of_node, step_of_node, truth, stride, estimated, true, owner)
     if count == 0:
         return NOT_KNOWN
     align(estimated[:count], true[:count], HEADING_LEVER_M, pose)
@@ -113,7 +122,8 @@ def _judge(kept, robots, poses, robot_of_node, step_of_node, truth, log_odds, to
     """
     estimated, true, owner, frames, is_wrong, place, mask, known, counts, result = parts_of(kept)
     room = (estimated, true, owner, frames, is_wrong)
-    result[3] = _lay_paths(robots, poses, robot_of_node, step_of_node, truth, room, result[:3])
+    stride = 1 + poses.shape[0] // (JUDGED_MAX + 1)
+    result[3] = _lay_paths(robots, poses, robot_of_node, step_of_node, truth, stride, room, result[:3])
     result[4] = NOT_KNOWN
     x, y, turn = np.rint(result[0] / PLACE_M), np.rint(result[1] / PLACE_M), np.rint(result[2] / TURN_RAD)
     if result[3] >= 0.0 and x == place[0] and y == place[1] and turn == place[2]:

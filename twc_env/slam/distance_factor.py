@@ -69,7 +69,7 @@ class RadioEquations(NormalEquations):
         self, edges: Array, measured: Array, information: Array, distances: Distances, count: int, fixed: int = 0
     ):
         self._relative_count = len(edges)
-        self._distances = distances
+        self._distances, self._fixed = distances, fixed
         nothing = np.zeros((len(distances), 3))
         # As edges without information the pairs take their places in the sparse pattern.
         super().__init__(

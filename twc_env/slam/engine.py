@@ -241,7 +241,7 @@ class CooperativeSlam:
             mates[robot] = others + [NOBODY] * (mates.shape[1] - len(others))
             if not self._is_central:
                 for k, mate in enumerate(others):
-                    self._heard_poses[robot, k] = mapper.poses_of(mate)[-1]
+                    self._heard_poses[robot, k] = mapper.latest_pose_of(mate)
         self._mates = mates
 
     def finish(self) -> None:

@@ -76,6 +76,8 @@ class GroupMaps:
         """Which nodes' scans have come; the others may be drawn by their own robot only."""
         self._sides: dict[tuple[int, ...], Side] = {}
         """Robots of a part of a group -> what they have seen."""
+        self._settled: dict[tuple[int, ...], Side] = {}
+        """Robots of a group -> what its keyframes show that were held in place when its map was drawn last."""
         self.wanted: dict[tuple[int, int], None] = {}
         """Scans to ask for, in order."""
 
@@ -115,15 +117,17 @@ class GroupMaps:
         if not self._on_request and len(robots) == len(self.groups[group].robots):
             return self.groups[group].grid.snapshot()
         nodes = self._graph.nodes_of(robots)
-        nodes = nodes[self._scan_here[nodes]]
-        poses = self._graph.poses[nodes]
-        side = self._sides.get(tuple(robots))
+        return self._drawn_in(self._sides, tuple(robots), nodes[self._scan_here[nodes]]).grid.snapshot()
+
+    def _drawn_in(self, sides: dict[tuple[int, ...], Side], robots: tuple[int, ...], nodes: Array) -> Side:
+        """What these nodes of some robots show: drawn on where they stand as they did, otherwise anew."""
+        poses, side = self._graph.poses[nodes], sides.get(robots)
         if side is None or not side.is_of(nodes, poses):
-            side = self._sides[tuple(robots)] = Side(self._new_grid(), nodes[:0], poses[:0])
+            side = sides[robots] = Side(self._new_grid(), nodes[:0], poses[:0])
         self._draw(side.grid, nodes[len(side.nodes) :])
         side.poses = np.concatenate([side.poses, poses[len(side.nodes) :]])
         side.nodes = nodes
-        return side.grid.snapshot()
+        return side
 
     def merge(self, a: int, b: int, pose_a_b: Array) -> None:
         """Carry group b into the map of group a; b's number goes to the group after it."""
@@ -154,28 +158,46 @@ class GroupMaps:
 
     def _renumber(self) -> None:
         self._sides.clear()
+        self._settled.clear()
         self.regroupings += 1
         self.changes += 1
         for index, group in enumerate(self.groups):
             for robot in group.robots:
                 self.group_of[robot] = index
 
-    def redraw_if_moved(self, group: int) -> None:
-        """Draw the map anew where keyframes have moved enough to show."""
+    def redraw_if_moved(self, group: int, first: int = 0) -> None:
+        """Draw the map anew where keyframes have moved enough to show; nodes before `first` were held in place."""
         nodes = self._graph.nodes_of(self.groups[group].robots)
         if _have_moved(self._graph.poses[nodes], self._drawn[nodes]):
-            self.redraw(group)
+            self.redraw(group, first)
 
-    def redraw(self, group: int) -> None:
-        """Draw a group's map anew, from where its keyframes stand now."""
-        self.groups[group].grid.clear()
-        self._redraw(group, self._graph.nodes_of(self.groups[group].robots))
+    def redraw(self, group: int, first: int = 0) -> None:
+        """Draw a group's map anew, from where its keyframes stand now; those before `first`, which do not move, once.
+
+        How long it takes does not grow with these.
+        """
+        nodes, robots = self._graph.nodes_of(self.groups[group].robots), self.groups[group].robots
+        settled = int(np.searchsorted(nodes, first))
+        if settled == 0:
+            self._settled.pop(robots, None)
+            self.groups[group].grid.clear()
+            self._redraw(group, nodes)
+            return
+        held = self._drawn_in(self._settled, robots, self._drawable(group, nodes[:settled]))
+        self._drawn[nodes[:settled]] = self._graph.poses[nodes[:settled]]
+        self._drawn[held.nodes] = held.poses
+        self.groups[group].grid.take_over(held.grid)
+        self._redraw(group, nodes[settled:])
 
     def _redraw(self, group: int, nodes: Array) -> None:
         self._drawn[nodes] = self._graph.poses[nodes]
-        self._draw(self.groups[group].grid, nodes if self._draws_all(group) else nodes[self._scan_here[nodes]])
+        self._draw(self.groups[group].grid, self._drawable(group, nodes))
         self.groups[group].version += 1
         self.changes += 1
+
+    def _drawable(self, group: int, nodes: Array) -> Array:
+        """Those of some nodes of a group whose scans may be drawn."""
+        return nodes if self._draws_all(group) else nodes[self._scan_here[nodes]]
 
     def _draw(self, grid: OccupancyGrid, nodes: Array | slice) -> None:
         cells = grid.log_odds

@@ -271,6 +271,13 @@ class OccupancyGrid:
         self._snapshot: GridMap | None = None
         self._run = rebound(self._run, self._packed())
 
+    def take_over(self, other: OccupancyGrid) -> None:
+        """Be what another grid is now."""
+        self.log_odds, self.origin_m = other.log_odds.copy(), other.origin_m.copy()
+        self._kinds, self._touched, self._numbers = other._kinds.copy(), other._touched.copy(), other._numbers.copy()
+        self._boxes_m, self._snapshot = other._boxes_m.copy(), None
+        self._run = rebound(self._run, self._packed())
+
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}
 

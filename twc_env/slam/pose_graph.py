@@ -118,14 +118,17 @@ def weighted(
 class NormalEquations:
     """Gauss-Newton's normal equations of one set of edges, whose sparse pattern is found once."""
 
-    def __init__(self, edges: Array, measured: Array, information: Array, count: int, fixed: int):
+    def __init__(self, edges: Array, measured: Array, information: Array, count: int, fixed: int | Array):
+        """fixed: a pose that is held where it is, or several (k,)."""
         self.edges = np.ascontiguousarray(edges, np.int64)
         self.measured = np.ascontiguousarray(measured, float)
         self.information = np.ascontiguousarray(information, float)
-        self._count, self._fixed = count, fixed
+        self._count, self._held = count, np.atleast_1d(np.asarray(fixed, np.int64))
         self._fewer: tuple[bytes, NormalEquations] | None = None
         pairs = self.edges.copy()
-        pairs[pairs == fixed] = -1
+        is_held = np.zeros(count, bool)
+        is_held[self._held] = True
+        pairs[is_held[pairs]] = -1
         self._cholesky = BlockCholesky(pairs, count)
         self._blocks = self._cholesky.block_of_pair
         self._edge_block_count = int(self._blocks.max(initial=-1)) + 1
@@ -135,7 +138,7 @@ class NormalEquations:
         return relative_squared_errors(poses, self.edges, self.measured, self.information)
 
     def linearise(self, poses: Array, weight: Array) -> tuple[Array, Array, Array]:
-        """Diagonal blocks (n, 3, 3), blocks of the edges' pairs, gradient (n, 3); the fixed pose has unit blocks."""
+        """Diagonal blocks (n, 3, 3), blocks of the edges' pairs, gradient (n, 3); held poses have unit blocks."""
         return linearise_relative(
             poses,
             self.edges,
@@ -144,7 +147,7 @@ class NormalEquations:
             weight,
             self._blocks,
             self._edge_block_count,
-            self._fixed,
+            self._held,
         )
 
     def minimise(
@@ -185,7 +188,7 @@ class NormalEquations:
         cholesky = self._cholesky
         if not cholesky.has_dense_rest:
             is_sound, moved, moved_m, moved_rad = sparse_step(
-                poses, self.edges, self.measured, self.information, weight, self._blocks, self._fixed,
+                poses, self.edges, self.measured, self.information, weight, self._blocks, self._held,
                 *cholesky.pattern, cholesky.block_count, damping,
             )  # fmt: skip
             return is_sound, moved, moved_m, moved_rad
@@ -194,7 +197,7 @@ class NormalEquations:
     def _go_in_parts(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
         diagonal, blocks, gradient = self.linearise(poses, weight)
         delta = self._cholesky.solve(damped(diagonal, damping), blocks, gradient)
-        return (False, poses, 0.0, 0.0) if delta is None else (True, *moved_by(poses, delta, self._fixed))
+        return (False, poses, 0.0, 0.0) if delta is None else (True, *moved_by(poses, delta, self._held))
 
     def _heard(self, weight: Array) -> tuple[NormalEquations, Array]:
         """The equations of edges that are not weighed away, where these are so few that a smaller pattern pays."""
@@ -204,7 +207,7 @@ class NormalEquations:
         key = heard.tobytes()
         if self._fewer is None or self._fewer[0] != key:
             edges, measured, information = self.edges[heard], self.measured[heard], self.information[heard]
-            self._fewer = key, NormalEquations(edges, measured, information, self._count, self._fixed)
+            self._fewer = key, NormalEquations(edges, measured, information, self._count, self._held)
         return self._fewer[1], weight[heard]
 
 

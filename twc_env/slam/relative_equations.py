@@ -44,8 +44,10 @@ def relative_squared_errors(poses, edges, measured, information):
 
 
 @kernel
-def linearise_relative(poses, edges, measured, information, weight, block_of_edge, block_count, fixed):
+def linearise_relative(poses, edges, measured, information, weight, block_of_edge, block_count, held):
     """Hessian blocks and gradient of half the weighted squared errors; block holds H[larger index, smaller index].
+
+    Poses held (k,) where they are have unit blocks and no gradient.
 
     The residual's derivatives by the two poses are A = (-R, d; 0, -1) and B = (R, 0; 0, 1) with a turn R; so the first
     two rows of A^T O are those of B^T O with the other sign, and all blocks follow from B^T O A and B^T O B.
@@ -120,10 +122,11 @@ def linearise_relative(poses, edges, measured, information, weight, block_of_edg
             blocks[block, 0, 2] -= h20
             blocks[block, 1, 2] -= h21
             blocks[block, 2, 2] += h22
-    for row in range(3):
-        for col in range(3):
-            diagonal[fixed, row, col] = 1.0 if row == col else 0.0
-        gradient[fixed, row] = 0.0
+    for pose in held:
+        for row in range(3):
+            for col in range(3):
+                diagonal[pose, row, col] = 1.0 if row == col else 0.0
+            gradient[pose, row] = 0.0
     return diagonal, blocks, gradient
 
 
@@ -138,34 +141,34 @@ def damped(diagonal, damping):
 
 
 @kernel
-def moved_by(poses, delta, fixed):
-    """Poses after a step, and how far a pose went at most [m, rad]; the fixed pose keeps its bits."""
+def moved_by(poses, delta, held):
+    """Poses after a step, and how far a pose went at most [m, rad]; held poses (k,), of no delta, keep their bits."""
     out = poses.copy()
     moved_m, moved_rad = 0.0, 0.0
     for i in range(len(poses)):
-        if i == fixed:
-            continue
         out[i, 0] += delta[i, 0]
         out[i, 1] += delta[i, 1]
         out[i, 2] = wrapped(out[i, 2] + delta[i, 2])
         moved_m = max(moved_m, abs(delta[i, 0]), abs(delta[i, 1]))
         moved_rad = max(moved_rad, abs(wrapped(delta[i, 2])))
+    for i in held:
+        out[i] = poses[i]
     return out, moved_m, moved_rad
 
 
 @kernel
 def sparse_step(
-    poses, edges, measured, information, weight, block_of_edge, fixed, order, start, node_of, block_of, target_start,
+    poses, edges, measured, information, weight, block_of_edge, held, order, start, node_of, block_of, target_start,
     target, block_count, damping,
 ):  # fmt: skip
     """See `NormalEquations._go`; for a pattern of which nothing is left to be factorised densely."""
     diagonal, blocks, solution = linearise_relative(
-        poses, edges, measured, information, weight, block_of_edge, block_count, fixed
+        poses, edges, measured, information, weight, block_of_edge, block_count, held
     )
     diagonal = damped(diagonal, damping)
     lower = np.empty((len(node_of), 3, 3))
     is_sound = factorise(order, start, node_of, block_of, target_start, target, diagonal, blocks, lower, solution)
     if is_sound:
         substitute_back(order, start, node_of, diagonal, lower, solution)
-    moved, moved_m, moved_rad = moved_by(poses, solution, fixed)
+    moved, moved_m, moved_rad = moved_by(poses, solution, held)
     return is_sound, moved, moved_m, moved_rad

@@ -90,7 +90,7 @@ def revise(
     """
     if config.robust != "ours":
         return solve(poses, *graph.parts, config, fixed)
-    result = _second_thoughts(poses, graph, is_used, config, fixed)
+    result = second_thoughts(poses, graph, is_used, config, fixed)
     if is_thorough and not result.accepted.all():
         if len(result.rejections) <= FEW_REFUSED:
             afresh = _all_together(result, graph, config, fixed)
@@ -109,10 +109,16 @@ def _all_together(result: BackendResult, graph: Graph, config: PoseGraphConfig, 
         EPISODE_STEP_RAD,
     )  # fmt: skip
     fits = equations.squared_errors(poses) < RETURNS_BELOW
-    return _second_thoughts(poses, graph, result.accepted | fits, config, fixed)
+    return second_thoughts(poses, graph, result.accepted | fits, config, fixed)
 
 
-def _second_thoughts(poses: Array, graph: Graph, is_used: Array, config: PoseGraphConfig, fixed: int) -> BackendResult:
+def second_thoughts(
+    poses: Array, graph: Graph, is_used: Array, config: PoseGraphConfig, fixed: int | Array
+) -> BackendResult:
+    """The running answer of `ours`: fitted anew, less what the fit contradicts, with what agrees with it again.
+
+    fixed: a pose that is held where it is, or several (k,).
+    """
     used = is_used | ~graph.is_closure
     equations = NormalEquations(graph.edges, graph.measured, graph.information, len(poses), fixed)
     for _ in range(ROUNDS_MAX):

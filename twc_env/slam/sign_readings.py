@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.geometry import compose
 from twc_env.kernels import bound, kernel
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import Growing
@@ -17,6 +18,9 @@ Array = NDArray
 
 SAME_SIGN_M = 1.0
 """Readings of one text nearer to each other than this are of one sign."""
+ENOUGH, ENOUGH_M = 8, 0.5
+"""Of so many readings of a text by one robot, so near to where it was read again, another tells nothing: signs that are
+passed time and again take no more time and room in the end."""
 
 
 @kernel
@@ -75,21 +79,32 @@ class SignReadings:
         """... and these texts in order."""
         self._readings, self._places = Growing(3, dtype=np.int64), Growing(2)
         """Robot, node and text of each reading; where it is in the frame of its keyframe."""
+        self._rows_of: dict[tuple[int, int], list[int]] = {}
+        """Those of each robot and text."""
         self._run: Callable[..., int] | None = None
         """`_places_of_signs` of readings that are one sign where they are less than SAME_SIGN_M apart."""
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}
 
-    def add(self, keyframe: Keyframe, node: int) -> None:
-        """Take in what was read at a keyframe, which is a node of the pose graph."""
+    def add(self, keyframe: Keyframe, node: int, poses: Array) -> None:
+        """Take in what was read at a keyframe, which is a node of the pose graph; poses (nodes, 3) of all nodes."""
         for sign in keyframe.signs:
             text = self._numbers.setdefault(sign.text, len(self._texts))
             if text == len(self._texts):
                 self._texts.append(sign.text)
+            self.counts[keyframe.robot] += 1
+            rows = self._rows_of.setdefault((keyframe.robot, text), [])
+            if len(rows) >= ENOUGH and self._near(rows, compose(poses[node], [*sign.position_m, 0.0]), poses) >= ENOUGH:
+                continue
+            rows.append(self._readings.count)
             self._readings.append((keyframe.robot, node, text))
             self._places.append(sign.position_m)
-            self.counts[keyframe.robot] += 1
+
+    def _near(self, rows: list[int], place: Array, poses: Array) -> int:
+        """How many of some readings are near a place (3,)."""
+        there = compose(poses[self._readings.rows[rows, 1]], np.pad(self._places.rows[rows], ((0, 0), (0, 1))))
+        return int(np.count_nonzero(np.hypot(*(there - place)[:, :2].T) < ENOUGH_M))
 
     def known(self, poses: Array, robots: Sequence[int]) -> KnownSigns:
         """The texts read by some robots of one group, each once per place; poses (nodes, 3) of all nodes."""

@@ -16,6 +16,7 @@ from twc_env.slam.group_maps import Group, GroupMaps
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import MergeReview
 from twc_env.slam.radio_ties import RadioTies
+from twc_env.slam.settled_maps import SettledMaps
 from twc_env.slam.team_graph import TeamGraph
 from twc_env.team_messages import KnownSigns
 
@@ -44,13 +45,15 @@ class TeamMapper:
 
     def __init__(self, config: EnvConfig, robot_count: int, home: int | None = None):
         self._config, self._on_request = config.slam, config.link.scan_on_request
-        self._graph = TeamGraph(robot_count, config.lidar.beam_count, config.slam.pose_graph.robust == "ours")
+        is_ours = config.slam.pose_graph.robust == "ours"
+        self._graph = TeamGraph(robot_count, config.lidar.beam_count, is_ours)
         self._maps = GroupMaps(config, self._graph, home, robot_count)
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
         self._judge = MergeJudge(config.slam.merging, self._graph)
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
         self._radio = RadioTies(radio, robot_count) if radio.online else None
+        self._settled_maps, self._may_hold_poses = SettledMaps(), self._radio is None and is_ours
         self._no_case: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
         """Two groups, by their robots, and how many closures between them were no case for a merge when last tried."""
         self._refused_heard: dict[tuple[int, ...], int] = {}
@@ -168,6 +171,10 @@ class TeamMapper:
         """Of all keyframes as they arrived: poses (n, 3) in the maps of their groups, robots and steps (n,)."""
         return self._graph.poses, self._graph.robot_of_node, self._graph.step_of_node
 
+    def latest_pose_of(self, robot: int) -> Array:
+        """(3,) of the robot's newest keyframe in its group's map frame."""
+        return self._graph.latest_pose_of(robot)
+
     def keyframe_steps(self, robot: int) -> Array:
         """(keyframes,) the step at which each was taken."""
         return self._graph.steps_of(robot)
@@ -219,7 +226,7 @@ class TeamMapper:
             if a == b:
                 self._judge_inside_map(closure)
             else:
-                closure.status, closure.reason = "pending", "waits for closures that agree"
+                self._graph.let_wait([closure])
                 self._try_merge(a, b, is_patient=True)
         return True
 
@@ -257,7 +264,7 @@ class TeamMapper:
         """
         if not self._config.merging.enabled:
             return False
-        pending = [c for c in self.closures if c.status == "pending" and set(self._groups_of(c)) == {a, b}]
+        pending = [c for c in self._graph.waiting() if set(self._groups_of(c)) == {a, b}]
         robots_a, robots_b = self.groups[a].robots, self.groups[b].robots
         tried = self._no_case.get((robots_a, robots_b), 0)
         if is_patient and tried < len(pending) < tried + tried // MORE_PART:
@@ -277,6 +284,7 @@ class TeamMapper:
         if self._judge.walls_disagree(*grids, pose_a_b):
             return False
         self._maps.merge(a, b, pose_a_b)
+        self._settled_maps.forget()
         self._review.note(robots_a, robots_b, self._step)
         merged = self.group_index(robots_a[0])
         self._soil(merged, True)
@@ -295,7 +303,7 @@ class TeamMapper:
     def _retry_merges(self) -> None:
         """Try all groups with pending closures: new keyframes, walls or merges may have made the case for them."""
         while True:
-            pairs = {tuple(sorted(self._groups_of(c))) for c in self.closures if c.status == "pending"}
+            pairs = {tuple(sorted(self._groups_of(c))) for c in self._graph.waiting()}
             if not any(self._try_merge(a, b) for a, b in sorted(pairs)):
                 return
 
@@ -309,10 +317,10 @@ class TeamMapper:
         rivals = self._graph.closures_between(a, b, "rejected")
         for closure in self._graph.closures_between(a, b, "accepted"):
             self._graph.refuse(closure, f"the merge it spoke for was undone: {why}")
-        for closure in rivals:
-            closure.status, closure.reason = "pending", "waits for closures that agree"
+        self._graph.let_wait(rivals)
         self._review.forget(merge, (a, b))
         self._maps.split(self.group_index(a[0]), (a, b))
+        self._settled_maps.forget()
         self._search.untie(a + b)
         for side in (a, b):
             self._optimise(self.group_index(side[0]))
@@ -330,13 +338,41 @@ class TeamMapper:
             self._dirty.clear()
 
     def _optimise(self, group: int, is_thorough: bool = False) -> None:
+        robots, count = self.groups[group].robots, len(self._graph.poses)
+        first = self._settled_maps.first_movable(robots, count) if self._may_hold_poses and not is_thorough else 0
+        if first > 0 and self._optimise_latest(group, first):
+            self._settled_maps.note(robots, count, is_whole=False)
+            return
+        self._optimise_whole(group, is_thorough)
+        self._settled_maps.note(robots, count, is_whole=True)
+
+    def _optimise_latest(self, group: int, first: int) -> bool:
+        """Optimise the nodes from `first` on and leave the others; False where closures should be weighed anew."""
+        robots = self.groups[group].robots
+        if self._is_refused_often(robots, self._graph.refused_count(robots)):
+            return False
+        nodes, _, graph, is_used = self._graph.part(robots, first)
+        held = np.arange(np.searchsorted(nodes, first))
+        result = robust_backend.second_thoughts(
+            self._graph.poses[nodes], graph, is_used, self._config.pose_graph, held
+        )  # fmt: skip
+        if not np.array_equal(result.accepted, is_used):
+            return False
+        self._graph.place(nodes, result.poses)
+        self._maps.redraw_if_moved(group, first)
+        return True
+
+    def _is_refused_often(self, robots: tuple[int, ...], refused: int) -> bool:
+        return refused >= max(REFUSED_MIN, 1.5 * self._refused_heard.get(robots, 0))
+
+    def _optimise_whole(self, group: int, is_thorough: bool) -> None:
         robots = self.groups[group].robots
         nodes, edges, graph, is_used = self._graph.part(robots)
         if len(nodes) < 2:
             return
         fixed = int(np.searchsorted(nodes, self._graph.node((robots[0], 0)))) if self.keyframes[robots[0]] else 0
         refused = int(np.count_nonzero(~is_used))
-        is_thorough |= refused >= max(REFUSED_MIN, 1.5 * self._refused_heard.get(robots, 0))
+        is_thorough |= self._is_refused_often(robots, refused)
         result = robust_backend.revise(
             self._graph.poses[nodes], graph, is_used, self._config.pose_graph, fixed, is_thorough and refused > 0,
             lambda *sides: self._judge.may_replace(robots, *[self._graph.closures_of(edges[used]) for used in sides]),

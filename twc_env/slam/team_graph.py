@@ -39,16 +39,28 @@ def _disagreement(poses, target, source, measured, covariance):
 
 
 @kernel
-def _part(is_inside, robot_of_node, ends, measured, information, closure_of_edge, is_used):
+def _is_of_part(ends, is_inside, first, robot_of_node):
+    a, b = ends[0], ends[1]
+    return max(a, b) >= first and is_inside[robot_of_node[a]] and is_inside[robot_of_node[b]]
+
+
+@kernel
+def _part(is_inside, first, robot_of_node, ends, measured, information, closure_of_edge, is_used):
     """See `TeamGraph.part`; is_inside (robots,) bool."""
+    is_kept = np.zeros(robot_of_node.shape[0], np.bool_)
+    for n in range(first, robot_of_node.shape[0]):
+        is_kept[n] = is_inside[robot_of_node[n]]
+    edge_count = 0
+    for e in range(ends.shape[0]):
+        if _is_of_part(ends[e], is_inside, first, robot_of_node):
+            is_kept[ends[e, 0]] = is_kept[ends[e, 1]] = True
+            edge_count += 1
     local = np.full(robot_of_node.shape[0], -1)
-    count = edge_count = 0
+    count = 0
     for n in range(robot_of_node.shape[0]):
-        if is_inside[robot_of_node[n]]:
+        if is_kept[n]:
             local[n] = count
             count += 1
-    for e in range(ends.shape[0]):
-        edge_count += local[ends[e, 0]] >= 0 and local[ends[e, 1]] >= 0
     nodes, edges, inner = np.empty(count, np.int64), np.empty(edge_count, np.int64), np.empty((edge_count, 2), np.int64)
     motions, weights = np.empty((edge_count, 3)), np.empty((edge_count, 3, 3))
     closures, used = np.empty(edge_count, np.bool_), np.empty(edge_count, np.bool_)
@@ -57,9 +69,9 @@ def _part(is_inside, robot_of_node, ends, measured, information, closure_of_edge
             nodes[local[n]] = n
     k = 0
     for e in range(ends.shape[0]):
-        a, b = local[ends[e, 0]], local[ends[e, 1]]
-        if a < 0 or b < 0:
+        if not _is_of_part(ends[e], is_inside, first, robot_of_node):
             continue
+        a, b = local[ends[e, 0]], local[ends[e, 1]]
         edges[k], inner[k, 0], inner[k, 1] = e, a, b
         closures[k], used[k] = closure_of_edge[e] != ODOMETRY, is_used[e]
         for i in range(3):
@@ -86,6 +98,8 @@ class TeamGraph:
         self.keyframes: list[list[Keyframe]] = [[] for _ in range(robot_count)]
         self.closures: list[LoopClosure] = []
         """Every closure that was ever verified, with what became of it."""
+        self._waiting: dict[int, LoopClosure] = {}
+        """By their numbers, ascending, all closures that are pending; others among them have been judged since."""
         self._arrays = GraphArrays(robot_count, beam_count)
         self._nodes: list[list[int]] = [[] for _ in range(robot_count)]
         self._readings = SignReadings(robot_count)
@@ -123,6 +137,11 @@ class TeamGraph:
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) of one robot."""
         return self.poses[self._arrays.nodes_of(robot)]
+
+    def latest_pose_of(self, robot: int) -> Array:
+        """(3,) of the robot's newest keyframe."""
+        pose: Array = self.poses[self._nodes[robot][-1]]
+        return pose
 
     def scans_of(self, robot: int) -> Array:
         """(keyframes, beams) of one robot [m]."""
@@ -172,13 +191,25 @@ class TeamGraph:
         self._nodes[robot].append(node)
         self.keyframes[robot].append(keyframe)
         if keyframe.signs:
-            self._readings.add(keyframe, node)
+            self._readings.add(keyframe, node, self.poses)
         return node
 
     def add_closure(self, closure: LoopClosure) -> None:
         """Note a verified closure."""
         closure.number = len(self.closures)
         self.closures.append(closure)
+        self._waiting[closure.number] = closure
+
+    def let_wait(self, closures: Sequence[LoopClosure]) -> None:
+        """Noted closures between two maps wait for others that agree with them."""
+        for closure in closures:
+            closure.status, closure.reason = "pending", "waits for closures that agree"
+        self._waiting = dict(sorted((self._waiting | {c.number: c for c in closures}).items()))
+
+    def waiting(self) -> list[LoopClosure]:
+        """The closures that are pending, in the order of their numbers."""
+        self._waiting = {number: c for number, c in self._waiting.items() if c.status == "pending"}
+        return list(self._waiting.values())
 
     def accept(self, closure: LoopClosure) -> None:
         """Use a noted closure as an edge."""
@@ -245,14 +276,22 @@ class TeamGraph:
         self.poses[nodes] = poses
         self.changes += 1
 
-    def part(self, robots: Sequence[int]) -> tuple[Array, Array, Graph, Array]:
-        """Nodes (n,) and edges (e,) among some robots, these as a graph of their own, and which edges are used (e,)."""
+    def part(self, robots: Sequence[int], first: int = 0) -> tuple[Array, Array, Graph, Array]:
+        """Nodes (n,) and edges (e,) among some robots, these as a graph of their own, and which edges are used (e,).
+
+        Of the nodes before `first` only those with edges to later ones, and none of the edges between them.
+        """
         arrays = self._arrays
         nodes, edges, local, measured, information, is_closure, is_used = _part(
-            self._are(robots), arrays.robot_of_node, arrays.ends, arrays.measured, arrays.information,
+            self._are(robots), first, arrays.robot_of_node, arrays.ends, arrays.measured, arrays.information,
             arrays.closure_of_edge, arrays.is_used,
         )  # fmt: skip
         return nodes, edges, Graph(local, measured, information, is_closure), is_used
+
+    def refused_count(self, robots: Sequence[int]) -> int:
+        """How many closures among some robots are edges that are not used."""
+        refused = self._arrays.ends[~self._arrays.is_used]
+        return int(np.count_nonzero(self._are(robots)[self.robot_of_node[refused]].all(axis=1)))
 
     def strain(self, robots: Sequence[int]) -> tuple[float, int]:
         """Squared error of the odometry of some robots, and for how many closures that are used it pays that."""

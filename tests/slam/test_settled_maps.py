@@ -1,0 +1,152 @@
+"""Large maps are optimised in part; what that costs does not grow, and what it gives is as good."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from twc_env import parallel_env
+from twc_env.bench import wander
+from twc_env.config import EnvConfig, override
+from twc_env.exploration import map_judge
+from twc_env.geometry import compose
+from twc_env.slam import settled_maps, sign_readings
+from twc_env.slam.settled_maps import GROWN, LARGE_FROM, MOVABLE, SettledMaps
+from twc_env.slam.team import TeamMapper
+
+TEAM, ODD_TEAM = (0, 1), (0, 2)
+
+
+def episode(steps, **settings):
+    """The engine after a wandering team's episode."""
+    env = parallel_env(config=override(EnvConfig(), {"max_cycles": steps, **settings}))
+    env.reset(seed=0)
+    for action in wander(env, 0):
+        env.step(action)
+    return env.episode.engine
+
+
+@pytest.fixture(scope="module")
+def walked():
+    return pickle.dumps(episode(2000).team)
+
+
+@pytest.fixture
+def team(walked):
+    """A mapper that tests may change."""
+    return pickle.loads(walked)
+
+
+def test_small_maps_and_those_never_optimised_move_as_a_whole():
+    maps = SettledMaps()
+    assert maps.first_movable(TEAM, 10 * LARGE_FROM) == 0
+    maps.note(TEAM, LARGE_FROM - 2, is_whole=True)
+    assert maps.first_movable(TEAM, LARGE_FROM - 1) == 0
+
+
+def test_large_maps_move_as_a_whole_as_often_as_they_have_grown_by_a_share():
+    maps, wholes = SettledMaps(), 0
+    for count in range(LARGE_FROM, 16 * LARGE_FROM):
+        first = maps.first_movable(TEAM, count)
+        wholes += first == 0
+        maps.note(TEAM, count, is_whole=first == 0)
+        assert first == 0 or first == count - 1 - MOVABLE
+    assert wholes == 1 + int(np.log(16) / np.log(GROWN))
+
+
+def test_what_came_since_the_last_optimisation_may_move_however_much_it_is():
+    maps = SettledMaps()
+    maps.note(TEAM, 8 * LARGE_FROM, is_whole=True)
+    assert maps.first_movable(TEAM, 9 * LARGE_FROM) == 8 * LARGE_FROM - MOVABLE
+
+
+def test_maps_of_others_and_merged_maps_are_not_settled():
+    maps = SettledMaps()
+    maps.note(TEAM, LARGE_FROM, is_whole=True)
+    assert maps.first_movable(ODD_TEAM, LARGE_FROM + 1) == 0
+    maps.forget()
+    assert maps.first_movable(TEAM, LARGE_FROM + 1) == 0
+
+
+def test_a_map_drawn_on_from_where_nothing_moves_is_the_map_drawn_anew(team):
+    maps, count = team._maps, len(team.nodes[0])
+    team._graph.poses[count // 2 :] += (0.1, 0.0, 0.01)
+    for first in (count // 3, count // 2):  # the second time it goes on with what it drew the first time
+        maps.redraw(0, first)
+    drawn = cells(team.grid_of(0))
+    maps.redraw(0)
+    assert len(drawn) > 1000 and drawn == cells(team.grid_of(0))
+    maps.redraw_if_moved(0)
+    version = maps.groups[0].version
+    maps.redraw_if_moved(0)
+    assert maps.groups[0].version == version
+
+
+def test_what_was_held_is_drawn_anew_once_it_has_moved(team):
+    maps, count = team._maps, len(team.nodes[0])
+    maps.redraw(0, count // 2)
+    team._graph.poses[: count // 2] += (0.3, 0.0, 0.0)
+    maps.redraw_if_moved(0, count // 2)
+    drawn = cells(team.grid_of(0))
+    maps.redraw(0)
+    assert drawn == cells(team.grid_of(0))
+
+
+def cells(grid) -> dict:
+    """The cells about which something is known."""
+    rows, columns = np.nonzero(grid.log_odds)
+    corner = np.round(grid.origin_m / grid.resolution_m).astype(int)
+    where = zip((columns + corner[0]).tolist(), (rows + corner[1]).tolist(), strict=True)
+    return dict(zip(where, grid.log_odds[rows, columns].tolist(), strict=True))
+
+
+def test_signs_read_again_and_again_are_known_as_if_all_readings_were_kept(monkeypatch, team):
+    monkeypatch.setattr(sign_readings, "ENOUGH", 10**9)
+    every = episode(2000).team
+    for group, other in zip(team.groups, every.groups, strict=True):
+        known, more = (t._graph.signs(group.robots) for t in (team, every))
+        assert other.robots == group.robots
+        assert [s.text for s in known] == [s.text for s in more]
+        assert np.array([s.position_m for s in known]) == pytest.approx(np.array([s.position_m for s in more]))
+    assert team._graph._readings._readings.count < every._graph._readings._readings.count
+
+
+@pytest.mark.parametrize("stride", [1, 2, 5])
+def test_every_so_manyth_keyframe_lays_a_map_as_all_do(stride):
+    random, count = np.random.default_rng(0), 500
+    robots, steps = random.integers(0, 3, count), np.sort(random.integers(0, 900, count))
+    truth = random.normal(0, 5, (900, 3, 3))
+    poses = compose([1.0, 2.0, 0.5], truth[steps, robots]) + random.normal(0, 0.01, (count, 3))
+    poses[robots == 2] = compose([3.0, 0.0, 0.0], poses[robots == 2])
+    laid, room = np.empty(3), map_judge._room_for(count, 3)
+    wrong = map_judge._lay_paths(np.arange(3), poses, robots, steps, truth, stride, room, laid)
+    every, pairs = map_judge.lay((0, 1, 2), (poses, robots, steps), truth)
+    assert laid == pytest.approx(every, abs=0.3 if stride > 1 else 0.0)
+    assert wrong == len(pairs) == 2
+
+
+def test_part_of_a_graph_has_all_edges_to_later_nodes_and_their_ends(team):
+    graph, robots = team._graph, team.groups[0].robots
+    first = len(graph.poses) // 2
+    everything, edges, whole, used = graph.part(robots)
+    nodes, later, part, is_used = graph.part(robots, first)
+    ends = everything[whole.edges]
+    assert np.array_equal(later, edges[ends.max(axis=1) >= first])
+    assert np.array_equal(nodes[part.edges], ends[ends.max(axis=1) >= first])
+    assert set(nodes) == set(everything[everything >= first]) | set(nodes[part.edges].ravel())
+    assert np.array_equal(is_used, used[ends.max(axis=1) >= first])
+    assert part.measured.tobytes() == whole.of(ends.max(axis=1) >= first).measured.tobytes()
+
+
+@pytest.mark.parametrize("robust", ["ours", "dcs"])
+def test_maps_that_are_held_in_part_are_as_good(monkeypatch, robust):
+    whole = episode(2500, **{"slam.pose_graph.robust": robust}).team
+    monkeypatch.setattr(settled_maps, "LARGE_FROM", 300)
+    monkeypatch.setattr(settled_maps, "MOVABLE", 100)
+    tries = []
+    optimise_latest = TeamMapper._optimise_latest
+    monkeypatch.setattr(TeamMapper, "_optimise_latest", lambda *a: tries.append(optimise_latest(*a)) or tries[-1])
+    parts = episode(2500, **{"slam.pose_graph.robust": robust}).team
+    assert (sum(tries) > 5) == (robust == "ours")
+    assert [g.robots for g in parts.groups] == [g.robots for g in whole.groups]
+    assert np.abs(parts.nodes[0] - whole.nodes[0]).max() < 0.05

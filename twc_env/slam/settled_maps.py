@@ -1,0 +1,41 @@
+"""Which part of a map an optimisation may leave as it is, so that its time does not grow with the way gone.
+
+Once a building is known, what comes anew ties the latest keyframes to a map that hardly moves. So the older keyframes
+of a large map are held where they are, until the map has grown by a share of what it was when all of it was last
+optimised: this costs the same for each new keyframe, however many there are.
+"""
+
+from __future__ import annotations
+
+LARGE_FROM = 2500
+"""Smaller maps are optimised as a whole."""
+MOVABLE = 1000
+"""Keyframes before the last optimisation, the latest ones, that may still move."""
+GROWN = 1.25
+"""A map that has grown by this factor is optimised as a whole again."""
+
+
+class SettledMaps:
+    """The first keyframe, counted as they arrived, of each group's map that may move."""
+
+    def __init__(self) -> None:
+        self._whole: dict[tuple[int, ...], int] = {}
+        self._latest: dict[tuple[int, ...], int] = {}
+        """How many keyframes there were when the map of these robots was optimised, as a whole and at all."""
+
+    def first_movable(self, robots: tuple[int, ...], count: int) -> int:
+        """The first of `count` keyframes that may move in the map of these robots; 0 for all of them."""
+        if count < LARGE_FROM or count >= GROWN * self._whole.get(robots, 0):
+            return 0
+        return max(self._latest[robots] - MOVABLE, 0)
+
+    def note(self, robots: tuple[int, ...], count: int, is_whole: bool) -> None:
+        """The map of these robots was optimised when there were so many keyframes."""
+        self._latest[robots] = count
+        if is_whole:
+            self._whole[robots] = count
+
+    def forget(self) -> None:
+        """Robots came to share a map or no longer do: nothing is settled."""
+        self._whole.clear()
+        self._latest.clear()
