@@ -1,4 +1,5 @@
 import json
+import re
 import shutil
 
 import numpy as np
@@ -37,7 +38,7 @@ def run(tmp_path_factory):
 
 
 def data_of(page) -> dict:
-    text = page.read_text()
+    text = page.read_text(encoding="utf-8")
     start = text.index('type="application/json">') + len('type="application/json">')
     return json.loads(text[start : text.index("</script>", start)])
 
@@ -121,6 +122,25 @@ def test_a_trace_that_contradicts_itself_is_named_in_one_line(run, tmp_path, cha
     assert "\n" not in str(error.value) and not (tmp_path / "page.html").exists()
 
 
+def with_odd_names(run, folder):
+    """A copy of a run whose names would change the page if they were taken for a part of it."""
+    names = ["<!-- <script>", "</script><script>alert(1)</script>", "__TITLE__", "&lt;", "\u2028\\n"]
+    with np.load(run / "trace.npz") as data:
+        np.savez(folder / "trace.npz", **{**data, "sign_texts": np.array(json.dumps(names))})
+    report = json.loads((run / "report.json").read_text())
+    (folder / "report.json").write_text(json.dumps({**report, "map": "__DATA__ <b>.json", "agent": "<i>"}))
+    return names
+
+
+def test_names_are_no_part_of_the_page(run, tmp_path):
+    names = with_odd_names(run, tmp_path)
+    plain, odd = write_page(run, tmp_path / "plain.html"), write_page(tmp_path, tmp_path / "odd.html")
+    assert data_of(odd)["sign_texts"] == names
+    tags = [re.findall(r"<[!/]?[a-z-]*", page.read_text(encoding="utf-8")) for page in (plain, odd)]
+    assert tags[0] == tags[1]
+    assert "<title>&lt;i&gt; on __DATA__ &lt;b&gt;.json" in odd.read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def browser():
     webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium (extra 'dev')")
@@ -165,3 +185,13 @@ def test_a_browser_loads_plays_scrubs_and_shows_the_numbers_of_the_report(run, b
         assert float(row.find_element("tag name", "b").text) == pytest.approx(report[key], abs=5e-5)
     errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
     assert errors == []
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_browser_shows_names_that_look_like_a_page(run, tmp_path, browser):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    with_odd_names(run, tmp_path)
+    browser.get(write_page(tmp_path, tmp_path / "page.html").as_uri())
+    WebDriverWait(browser, 30).until(lambda b: b.find_element("tag name", "body").get_attribute("data-ready") == "yes")
+    assert browser.find_element("tag name", "h1").text.startswith("<i> on __DATA__ <b>.json")

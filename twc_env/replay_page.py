@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,11 +37,12 @@ def write_page(run: Path, path: Path) -> Path:
     trace, report = read_trace(run / "trace.npz"), read_report(run / "report.json")
     with contradictions(run):
         data = page_data(trace, report)
-        content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+        content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     template = files("twc_env").joinpath("replay_page.html").read_text(encoding="utf-8")
     title = escape(f"{report.get('agent', 'team')} on {report['map']}, seed {report['seed']}")
     try:
-        path.write_text(template.replace("__TITLE__", title).replace("__DATA__", content), encoding="utf-8")
+        filled = re.sub("__(TITLE|DATA)__", lambda gap: {"TITLE": title, "DATA": content}[gap[1]], template)
+        path.write_text(filled, encoding="utf-8")
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror}; choose another place with --html FILE") from error
     return path
