@@ -10,6 +10,7 @@ import twc_env
 from agents.__main__ import main as agents
 from twc_env.__main__ import main
 from twc_env.datasets.frame_log import read_truth_log, write_frame_log
+from twc_env.maps import bundled_folder
 
 
 def test_bench_writes_one_flat_object_with_both_speeds(tmp_path, capsys):
@@ -209,6 +210,16 @@ def test_a_full_disk_is_one_line_wherever_the_output_goes(tmp_path):
         assert "Traceback" not in done.stderr
         *_, last = done.stderr.splitlines()
         assert last == "error: cannot write: No space left on device; make room, or choose another place"
+
+
+def test_names_that_the_terminal_cannot_show_are_spelt_out(tmp_path):
+    plan = json.loads((bundled_folder() / "twin-01.json").read_text())
+    (tmp_path / "plan.json").write_text(json.dumps({**plan, "name": "Büro 階"}))
+    command = [sys.executable, "-m", "twc_env", "maps", "list", str(tmp_path / "plan.json")]
+    for encoding, shown in (("ascii", r"B\xfcro \u968e"), ("cp1252", r"Büro \u968e"), ("utf-8", "Büro 階")):
+        done = subprocess.run(command, capture_output=True, env=os.environ | {"PYTHONIOENCODING": encoding})
+        assert (done.returncode, done.stderr) == (0, b"")
+        assert shown.encode(encoding) in done.stdout
 
 
 def test_an_interrupted_table_says_that_it_can_go_on(monkeypatch, tmp_path, capsys):

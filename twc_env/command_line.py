@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import io
 import math
 import os
 import sys
@@ -21,8 +22,11 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
     """Run a command: 0 or what it gives when done, 130 when interrupted.
 
     2 after bad input, or where nothing more can be written (one line on stderr).
-    Who reads the output, as `head` does, may leave early. `remark` is what an interruption is answered with.
+    Who reads the output, as `head` does, may leave early, and letters that a terminal does not have are spelt out.
+    `remark` is what an interruption is answered with.
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace" if sys.stdout.errors == "strict" else sys.stdout.errors)
     try:
         status = command()
         sys.stdout.flush()
