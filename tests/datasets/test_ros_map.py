@@ -1,3 +1,4 @@
+import dataclasses
 import os
 from pathlib import Path
 
@@ -72,6 +73,36 @@ def test_comments_quotes_and_further_keys_are_read(tmp_path):
     text = path.read_text().replace("image: mine.pgm", 'image: "mine.pgm"  # the picture')
     path.write_text("# a map\nmode: trinary\n" + text)
     assert read_ros_cells(path).free.sum() == (grid().log_odds < 0).sum()
+
+
+@pytest.mark.parametrize(
+    ("stem", "line"),
+    [
+        ("hall #2", 'image: "hall #2.pgm"  # 2nd "hall"'),
+        ("hall #2", "image: 'hall #2.pgm'"),
+        ("it's", "image: 'it''s.pgm' # a: b"),
+        ("a#b", "image: a#b.pgm # b"),
+        ("Büro", 'image: "B\\u00fcro.pgm"'),
+    ],
+)
+def test_what_is_quoted_is_no_comment(tmp_path, stem, line):
+    path = write_ros_map(grid(), tmp_path, "mine")
+    (tmp_path / "mine.pgm").rename(tmp_path / f"{stem}.pgm")
+    path.write_text(path.read_text().replace("image: mine.pgm", line))
+    assert read_ros_cells(path).free.sum() == (grid().log_odds < 0).sum()
+
+
+@pytest.mark.parametrize(
+    "stem",
+    ["hall #2", "a: b", "- a", "'a'", '"a"', "[a]", "#a", "a\nb", "%a", "{a}", "*a", "a\\b", "Büro 階", "true", "~"],
+)
+def test_every_name_of_a_map_is_read_back_by_us_and_by_yaml(tmp_path, stem):
+    path = write_ros_map(dataclasses.replace(grid(), origin_m=np.array([1e-17, -2.5])), tmp_path, stem)
+    assert read_ros_cells(path).free.sum() == (grid().log_odds < 0).sum()
+    yaml = pytest.importorskip("yaml", reason="another reader of YAML is not here")
+    values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert values["image"] == f"{stem}.pgm"
+    assert values["origin"] == [1e-17, -2.5, 0.0]
 
 
 def test_raw_pictures_hold_percents_and_what_is_above_is_unknown(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +27,11 @@ _MODES, _RAW_MAX = ("trinary", "scale", "raw"), 100
 RESOLUTION_MIN_M = 0.005
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0
 _OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
+_PLAIN = re.compile(r"\w[\w. -]*")
+"""Names that YAML takes as they stand."""
+_QUOTED = re.compile(r"""("(?:[^"\\]|\\.)*"|'(?:[^']|'')*')\s*(?:#.*)?""")
+_COMMENT = re.compile(r"(?:^|\s)#.*")
+"""Within a word a # is a letter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,11 +97,14 @@ def write_ros_map(grid: GridMap, folder: str | Path, stem: str) -> Path:
     shade[grid.log_odds > 0] = _OCCUPIED
     rows, columns = shade.shape
     (folder / f"{stem}.pgm").write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + shade[::-1].tobytes())
-    x, y = (float(value) for value in grid.origin_m)
+    # Readers of YAML 1.1 take 1e-17, which has no point, for text.
+    resolution, x, y = (np.format_float_positional(v, trim="0") for v in (grid.resolution_m, *grid.origin_m))
+    picture = f"{stem}.pgm" if _PLAIN.fullmatch(stem) else json.dumps(f"{stem}.pgm", ensure_ascii=False)
     path = folder / f"{stem}.yaml"
     path.write_text(
-        f"image: {stem}.pgm\nresolution: {float(grid.resolution_m)!r}\norigin: [{x!r}, {y!r}, 0.0]\nnegate: 0\n"
-        f"occupied_thresh: {_OCCUPIED_ABOVE}\nfree_thresh: {_FREE_BELOW}\n"
+        f"image: {picture}\nresolution: {resolution}\norigin: [{x}, {y}, 0.0]\nnegate: 0\n"
+        f"occupied_thresh: {_OCCUPIED_ABOVE}\nfree_thresh: {_FREE_BELOW}\n",
+        encoding="utf-8",
     )
     return path
 
@@ -121,17 +131,31 @@ def _read_yaml(path: Path) -> dict[str, str]:
     except UnicodeDecodeError as error:
         raise MapError(f"{path.name} is no text: {error}; export the map again") from error
     values, key = {}, ""
-    for line in text.splitlines():
-        name, separator, value = line.partition("#")[0].partition(":")
-        if separator:
+    for line in text.split("\n"):
+        name, separator, value = line.partition(":")
+        if separator and "#" not in name:
             key = name.strip()
-            values[key] = value.strip().strip("\"'")
-        elif key and (item := name.strip().removeprefix("- ").strip()):  # the line before goes on
+            values[key] = _scalar(value.strip())
+        elif key and (item := _COMMENT.sub("", line).strip().removeprefix("- ").strip()):  # the line before goes on
             values[key] = ", ".join(part.strip(", ") for part in (values[key], item) if part.strip(", "))
     for key in _KEYS:
         if key not in values:
             raise MapError(f"{path.name} lacks the key {key!r}; a map_server file has {', '.join(_KEYS)}")
     return values
+
+
+def _scalar(text: str) -> str:
+    """A value without its quotes, or without the comment behind it."""
+    quoted = _QUOTED.fullmatch(text)
+    if quoted is None:
+        return _COMMENT.sub("", text).strip()
+    inner = quoted[1][1:-1]
+    if text[0] == "'":
+        return inner.replace("''", "'")
+    try:
+        return json.loads(f'"{inner}"')
+    except ValueError:  # an escape that JSON does not have
+        return inner
 
 
 def _number(values: dict[str, str], key: str, path: Path) -> float:
