@@ -60,6 +60,8 @@ THICK_WALL = [[2, 0, 2, 4, 5], [2.2, 0, 2.2, 4, 5]]
         ({"walls": square_values()["walls"] + THICK_WALL, "interior_m": [[1, 1], [3, 3]], "starts": [],
           "signs": sign(2.1, 2)}, ["sign 'EXIT' at (2.10, 2.00) is buried inside a wall"]),
         ({"signs": [{"text": " ", "position_m": [0, 2], "facing_rad": 0}]}, ["sign 0", "no text"]),
+        ({"signs": [{"text": "\ud83d A1", "position_m": [0, 2], "facing_rad": 0}]}, ["'\\ud83d A1'", "half a letter"]),
+        ({"name": "\udc00"}, ["'\\udc00'", "half a letter"]),
         ({"signs": [{"text": 7, "position_m": [0, 2], "facing_rad": 0}]}, ["signs[0].text must be a text", "7"]),
         ({"signs": [{"text": "A", "position_m": [0, 2], "facing": 0}]}, ["signs[0]", "did you mean 'facing_rad'?"]),
         ({"signs": {}}, ["signs must be a list"]),

@@ -79,6 +79,10 @@ def _all_numbers(plan: Floorplan) -> Iterator[tuple[str, Array]]:
 
 
 def _check_names(plan: Floorplan, where: str) -> None:
+    names = [plan.name, *(room.name for room in plan.rooms), *(point.name for point in plan.access_points)]
+    for text in names + [sign.text for sign in plan.signs]:
+        if any("\ud800" <= letter <= "\udfff" for letter in text):
+            raise MapError(f"{where}: the text {text[:40]!r} holds half a letter (a lone surrogate); write it whole")
     owner: dict[int, str] = {}
     for access_point in plan.access_points:
         if not access_point.macs:
