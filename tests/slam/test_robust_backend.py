@@ -237,6 +237,50 @@ def test_a_graph_that_cannot_be_meant_is_refused(mode, changed, value, message):
         solve(mode, np.zeros((3, 3)), graph)
 
 
+def indefinite(*values) -> list:
+    return [np.diag([1.0, 1.0, 1.0]), np.array(values, float).reshape(3, 3)]
+
+
+@pytest.mark.parametrize(
+    ("changed", "value", "message"),
+    [
+        (0, [(0, 1), (1, 1.5)], "edges of a graph must be whole numbers"),
+        (1, np.zeros((2, 2)), r"measurements of a graph must have shape \('edges', 3\); got \(2, 2\)"),
+        (2, np.zeros((2, 2, 2)), r"information of a graph must have shape \('edges', 3, 3\)"),
+        (2, indefinite(1, 0, 0, 0, 1, 0, 0, 0, -1), "edge 1"),
+        (2, indefinite(1, 2, 0, 2, 1, 0, 0, 0, 1), "symmetric and positive .*edge 1"),
+        (2, indefinite(1, 0.5, 0, 0, 1, 0, 0, 0, 1), "symmetric and positive .*edge 1"),
+        (3, np.zeros((2, 1), bool), "is_closure of a graph"),
+    ],
+)
+@pytest.mark.parametrize("mode", MODES)
+def test_parts_of_a_graph_that_cannot_be_meant_are_refused_in_one_line(mode, changed, value, message):
+    graph = [np.array([(0, 1), (1, 2)]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.array([False, True])]
+    graph[changed] = np.array(value)
+    with pytest.raises(DataError, match=message) as error:
+        solve(mode, np.zeros((3, 3)), graph)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_information_that_leaves_a_direction_open_is_taken_or_refused_in_one_line(mode):
+    information = np.array([np.eye(3), np.diag([1.0, 0.0, 0.0])])
+    graph = [np.array([(0, 1), (1, 2)]), np.zeros((2, 3)), information, np.array([False, True])]
+    if mode in ("pcm", "ours"):
+        with pytest.raises(DataError, match="positive definite"):
+            solve(mode, np.zeros((3, 3)), graph)
+    else:
+        assert np.isfinite(solve(mode, np.zeros((3, 3)), graph).poses).all()
+
+
+@pytest.mark.parametrize("held", [-1, 3])
+@pytest.mark.parametrize("mode", MODES)
+def test_a_pose_that_is_not_there_cannot_be_held(mode, held):
+    graph = [np.array([(0, 1), (1, 2)]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.array([False, True])]
+    with pytest.raises(DataError, match=f"one of 0 to 2; got {held}"):
+        robust_backend.solve(np.zeros((3, 3)), *graph, PoseGraphConfig(robust=mode), held)
+
+
 def revise(start, graph, is_used, is_thorough):
     config = PoseGraphConfig(robust="ours")
     return robust_backend.revise(start, pose_graph.Graph(*graph), is_used, config, 0, is_thorough)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,12 +178,12 @@ def solve(
     """
     poses = np.array(poses, float)
     graph = Graph(
-        np.ascontiguousarray(edges, np.int64).reshape(-1, 2),
-        np.ascontiguousarray(measured, float).reshape(-1, 3),
-        np.ascontiguousarray(information, float).reshape(-1, 3, 3),
-        np.ascontiguousarray(is_closure, bool),
+        _rows(edges, np.int64, (2,), "edges"),
+        _rows(measured, float, (3,), "measurements"),
+        _rows(information, float, (3, 3), "information"),
+        _rows(is_closure, bool, (), "is_closure"),
     )
-    _check(poses, graph)
+    _check(poses, graph, fixed, is_inverted=config.robust in ("pcm", "ours"))
     group = np.full(len(graph.edges), -1)
     reasons: dict[int, str] = {}
     held = poses[fixed].copy() if len(poses) else np.zeros(3)
@@ -202,7 +203,20 @@ def solve(
     return BackendResult(out, accepted, _rejections(graph, out, accepted, group, reasons, config.robust))
 
 
-def _check(poses: Array, graph: Graph) -> None:
+def _rows(values: Any, kind: type, shape: tuple[int, ...], name: str) -> Array:
+    """(edges, *shape) of a kind. Raises DataError where values have another shape, or lose by being turned into it."""
+    given = np.asarray(values)
+    rows: Array = np.ascontiguousarray(given, kind)
+    if rows.size == 0:
+        return rows.reshape(0, *shape)
+    if rows.shape[1:] != shape or rows.ndim != 1 + len(shape):
+        raise DataError(f"{name} of a graph must have shape {('edges', *shape)}; got {rows.shape}")
+    if kind is np.int64 and not np.array_equal(rows, given):
+        raise DataError(f"{name} of a graph must be whole numbers; got {given.dtype} with {given.ravel()[:4].tolist()}")
+    return rows
+
+
+def _check(poses: Array, graph: Graph, fixed: int, is_inverted: bool) -> None:
     """Raise DataError for a graph that the kernels, which check nothing, must not see."""
     lengths = {len(part) for part in graph.parts}
     if poses.ndim != 2 or poses.shape[1] != 3 or len(lengths) != 1:
@@ -211,6 +225,25 @@ def _check(poses: Array, graph: Graph) -> None:
         raise DataError(f"edges join poses 0 to {len(poses) - 1}; got {graph.edges.min()} to {graph.edges.max()}")
     if not all(np.isfinite(values).all() for values in (poses, graph.measured, graph.information)):
         raise DataError("poses, measurements and information must be finite")
+    if len(poses) and not 0 <= fixed < len(poses):
+        raise DataError(f"the pose that is held must be one of 0 to {len(poses) - 1}; got {fixed}")
+    _check_information(graph.information, is_inverted)
+
+
+def _check_information(information: Array, is_inverted: bool) -> None:
+    """Raise DataError where information (e, 3, 3) is that of no measurement, or has no inverse where one is needed."""
+    largest = np.abs(information).max(axis=(1, 2), initial=0.0)
+    is_odd = np.abs(information - information.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0) > 1e-6 * largest
+    least = np.linalg.eigvalsh(information).min(axis=1, initial=np.inf)
+    is_odd |= least < -1e-9 * largest
+    what = "symmetric and positive semidefinite"
+    if is_inverted:
+        is_odd, what = is_odd | (least <= 0.0), "symmetric and positive definite"
+    if is_odd.any():
+        edge = int(np.argmax(is_odd))
+        raise DataError(
+            f"information must be {what} (an inverse covariance); that of edge {edge} is {information[edge].tolist()}"
+        )
 
 
 def _rejections(graph: Graph, poses, accepted, group, reasons, mode) -> tuple[Rejection, ...]:
