@@ -129,11 +129,15 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
         print(f"slam.oracle = {config.slam.oracle!r}: what it tells is in no log, so nothing is told", file=sys.stderr)
     seen = 1 + max(frame.robot for frames in steps for frame in frames)
     engine = CooperativeSlam(config, contacts[0].heard.shape[1] if contacts else seen)
+    step = -1
     for k, frames in enumerate(steps):
-        engine.update(frames, contacts[k] if contacts else None)
+        step = frames[0].step if frames else step + 1
+        if frames:
+            engine.track(frames)
+        engine.absorb(step, contacts[k] if contacts else None)
         odom_poses.append(engine.poses_odom)
         _progress(k + 1, len(steps))
-    if steps[-1][0].step >= config.max_cycles:  # the episode was played to its end, where the mapper clears its desk
+    if step >= config.max_cycles:  # the episode was played to its end, where the mapper clears its desk
         engine.finish()
     team = engine.team
     figures = {

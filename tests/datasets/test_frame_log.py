@@ -96,6 +96,25 @@ def test_logs_are_written_under_the_name_that_was_asked_for(recorded, tmp_path):
     assert read_truth_log(tmp_path / "truth")[:2] == (4, "twin-01")
 
 
+def test_steps_without_frames_keep_their_place_and_their_contacts(recorded, tmp_path):
+    env, steps = recorded
+    heard = [Contacts(np.full((1, 2), k % 2 == 0), np.full((1, 2), k % 3 == 0)) for k in range(6)]
+    write_frame_log(tmp_path / "frames.npz", env.config, [steps[0], (), steps[2], steps[3][:1], (), ()], heard)
+    _, read = read_frame_log(tmp_path / "frames.npz")
+    assert [[frame.step for frame in frames] for frames in read] == [[0, 0], [], [2, 2], [3], [], []]
+    contacts = read_contacts(tmp_path / "frames.npz")
+    assert [bool(own.heard[0, 0]) for own in contacts] == [True, False, False, True, False, False]
+    with np.load(tmp_path / "frames.npz") as data:
+        older = {key: data[key] for key in data.files if not key.startswith(("step_frames", "contacts"))}
+    np.savez(tmp_path / "older.npz", **older)
+    assert [len(frames) for frames in read_frame_log(tmp_path / "older.npz")[1]] == [2, 2, 1]
+    np.savez(tmp_path / "odd.npz", **older, step_frames=np.array([2, 2]))
+    with pytest.raises(DataError, match="step_frames tells of 4 frames, and there are 5"):
+        read_frame_log(tmp_path / "odd.npz")
+    with pytest.raises(DataError, match="5 contacts for 6 steps"):
+        write_frame_log(tmp_path / "frames.npz", env.config, [steps[0]] * 6, heard[:5])
+
+
 def test_an_empty_log_is_refused(tmp_path):
     with pytest.raises(DataError, match="no frames to write"):
         write_frame_log(tmp_path / "frames.npz", twc_env.EnvConfig(), [])
@@ -130,7 +149,7 @@ def columns(recorded, tmp_path_factory):
 
 
 def test_a_log_without_any_of_its_columns_is_named(columns, tmp_path):
-    for missing in set(columns) - {"contacts_tried", "contacts_heard"}:
+    for missing in set(columns) - {"contacts_tried", "contacts_heard", "step_frames"}:  # older logs have none
         np.savez(tmp_path / "frames.npz", **{key: value for key, value in columns.items() if key != missing})
         with pytest.raises(DataError, match=f"'{missing}|{missing};|format 'None'"):
             read_frame_log(tmp_path / "frames.npz")

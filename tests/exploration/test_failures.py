@@ -92,16 +92,20 @@ def test_a_failed_robot_sees_and_hears_nothing_more_and_has_no_frames():
     assert before["robot_1"]["wifi"].any() and not observations["robot_1"]["signs"].any()
 
 
-@pytest.mark.parametrize("begin", [0, STOP])
+@pytest.mark.parametrize(("failed", "begin"), [(1, 0), (1, STOP), (2, STOP), (2, 1)])
 @pytest.mark.parametrize("topology", ["central", "peer"])
-def test_a_log_of_robots_that_failed_replays_to_the_byte(tmp_path, topology, begin):
-    failure = [f"failure.robots_step={begin}", "failure.robots=1", f"link.topology={topology}"]
+def test_a_log_of_robots_that_failed_replays_to_the_byte(tmp_path, topology, failed, begin):
+    failure = [f"failure.robots_step={begin}", f"failure.robots={failed}", f"link.topology={topology}"]
     settings = [part for setting in failure for part in ("--set", setting)]
     record = ["record", "--steps", "90", "--robots", "2", *settings, "--out", str(tmp_path)]
-    engines: list = []
+    episodes: list = []
     with mock.patch("twc_env.exploration.environment.ExplorationEnv.result", autospec=True) as judged:
-        judged.side_effect = lambda env: (engines.append(env.engine), env.episode.result())[1]
+        judged.side_effect = lambda env: (episodes.append(env.episode), env.episode.result())[1]
         assert main(record) == 0
-    assert main(["replay", str(tmp_path), "--json", str(tmp_path / "found.json")]) == 0
-    found = json.loads((tmp_path / "found.json").read_text())["final_poses"]
-    assert found == [[round(float(v), 6) for v in engines[-1].pose_map_robot(robot)] for robot in range(2)]
+    replay = ["replay", str(tmp_path), "--truth", str(tmp_path / "truth.npz")]
+    assert main([*replay, "--json", str(tmp_path / "found.json")]) == 0
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["steps"] == 91
+    assert found["team_ate_m"] == pytest.approx(episodes[-1].result().figures["team_ate_m"], rel=1e-9)
+    poses = [episodes[-1].engine.pose_map_robot(robot) for robot in range(2)]
+    assert found["final_poses"] == np.round(poses, 6).tolist()

@@ -31,13 +31,13 @@ def write_frame_log(
 ) -> None:
     """Write the frames of an episode (one sequence of frames per step) to a compressed .npz file.
 
-    `contacts`, one per step, say who heard whom; a log without them is replayed with all robots in touch. Steps in
-    which no robot sensed anything are left out.
+    `contacts`, one per step, say who heard whom; a log without them is replayed with all robots in touch.
     """
     frames = [frame for step in steps for frame in step]
-    contacts = [own for own, step in zip(contacts, steps, strict=True) if step] if contacts else ()
     if not frames:
-        raise DataError(f"no frames to write to {path}: record at least one step")
+        raise DataError(f"no frames to write to {path}: record at least one step in which a robot works")
+    if contacts and len(contacts) != len(steps):
+        raise DataError(f"{len(contacts)} contacts for {len(steps)} steps: give one per step, or none")
     heard = [frame.wifi for frame in frames]
     signs = [(k, sign) for k, frame in enumerate(frames) for sign in frame.signs]
     scans = [wifi for wifi in heard if wifi is not None]
@@ -45,6 +45,7 @@ def write_frame_log(
         path,
         format=np.array(FORMAT),
         config=np.array(json.dumps(to_dict(config), sort_keys=True)),
+        step_frames=np.array([len(step) for step in steps], np.int32),
         robot=np.array([f.robot for f in frames], np.int32),
         step=np.array([f.step for f in frames], np.int64),
         time_s=np.array([f.time_s for f in frames]),
@@ -72,7 +73,7 @@ def _ages(scans: Sequence[WifiScan]) -> dict[str, Any]:
 
 
 def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame, ...]]]:
-    """The config of the recording and its frames, one tuple per step.
+    """The config of the recording and its frames, one tuple per step, empty where all robots have failed.
 
     Raises DataError when the file is missing, cut off or no frame log.
     """
@@ -92,7 +93,8 @@ def read_contacts(path: str | Path) -> list[Contacts]:
     if "contacts_heard" not in log or "contacts_tried" not in log:
         return []
     tried, heard = log["contacts_tried"], log["contacts_heard"]
-    if tried.shape != heard.shape or (len(tried) and len(tried) != len(np.unique(log["step"]))):
+    steps = len(log["step_frames"] if "step_frames" in log else np.unique(log["step"]))
+    if tried.shape != heard.shape or (len(tried) and len(tried) != steps):
         raise DataError(f"{path} contradicts itself: contacts {tried.shape} and {heard.shape}; {REMEDY}")
     return [Contacts(*both) for both in zip(tried, heard, strict=True)]
 
@@ -139,6 +141,9 @@ def _fault(log: dict[str, Array]) -> str | None:
         return f"wifi_count tells of {np.maximum(counts, 0).sum()} readings and wifi_macs holds {readings}"
     if "wifi_age_s" in log and log["wifi_age_s"].shape != (readings,):
         return f"wifi_age_s of shape {log['wifi_age_s'].shape} for {readings} readings"
+    counted = log.get("step_frames", np.ones(0, int))
+    if "step_frames" in log and (counted.dtype.kind not in "iu" or counted.min() < 0 or counted.sum() != frames):
+        return f"step_frames tells of {counted.sum()} frames, and there are {frames}"
     if not np.isin(log["sign_frame"], np.arange(frames)).all():
         return f"sign_frame names frames beyond the {frames} that there are"
     return None
@@ -152,7 +157,7 @@ def _steps(log: dict[str, Array]) -> list[tuple[SensorFrame, ...]]:
     for frame, (bearing, range_m), text in zip(log["sign_frame"].tolist(), log["sign_place"], texts, strict=True):
         signs.setdefault(frame, []).append(SignReading(text, float(bearing), float(range_m)))
     ends = np.cumsum(np.maximum(log["wifi_count"], 0))
-    steps: dict[int, list[SensorFrame]] = {}
+    frames: list[SensorFrame] = []
     for k, step in enumerate(log["step"].tolist()):
         count = int(log["wifi_count"][k])
         heard = slice(ends[k] - max(count, 0), ends[k])
@@ -168,5 +173,11 @@ def _steps(log: dict[str, Array]) -> list[tuple[SensorFrame, ...]]:
             wifi=wifi,
             signs=tuple(signs.get(k, ())),
         )
-        steps.setdefault(step, []).append(frame)
-    return [tuple(frames) for _, frames in sorted(steps.items())]
+        frames.append(frame)
+    if "step_frames" in log:
+        step_ends = np.cumsum(log["step_frames"]).tolist()
+        return [tuple(frames[first:last]) for first, last in zip([0, *step_ends[:-1]], step_ends, strict=True)]
+    steps: dict[int, list[SensorFrame]] = {}
+    for frame in frames:
+        steps.setdefault(frame.step, []).append(frame)
+    return [tuple(of_step) for _, of_step in sorted(steps.items())]
