@@ -1,3 +1,4 @@
+import dataclasses
 import pickle
 import subprocess
 import sys
@@ -113,6 +114,20 @@ def test_a_snapshot_of_another_configuration_or_version_is_refused(monkeypatch):
     monkeypatch.setattr("twc_env.exploration.snapshot.__version__", "0.0.0")
     with pytest.raises(ConfigError, match=r"version .* this environment has 0\.0\.0"):
         env.restore(moment)
+
+
+@pytest.mark.parametrize("broken", [None, {}, b"content", 100, 0], ids=str)
+def test_what_is_no_snapshot_is_refused_and_the_episode_goes_on(broken):
+    env = twc_env.parallel_env(map="twin-01", robots=1, max_cycles=5)
+    env.reset(seed=0)
+    whole = env.snapshot()
+    if isinstance(broken, int):
+        broken = dataclasses.replace(whole, content=whole.content[:broken])
+    with pytest.raises(TwcError, match=r"takes what snapshot\(\) gave|cut off or of other code") as error:
+        env.restore(broken)
+    assert "\n" not in str(error.value)
+    env.step({"robot_0": np.zeros(2)})
+    env.restore(whole)
 
 
 def test_the_oracle_of_the_odometry_filter_can_be_saved_too():

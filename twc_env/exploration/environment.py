@@ -286,7 +286,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def restore(self, snapshot: Snapshot) -> None:
         """Go on from a moment that an environment of the same config and version took.
 
-        Raises ConfigError when the config or the version differs.
+        Raises ConfigError when the config or the version differs, DataError when the snapshot is broken; the episode
+        goes on then.
         """
         episode = self._begun = restore_snapshot(self.config, snapshot)
         self.agents = [] if episode.is_over else self.possible_agents[:]

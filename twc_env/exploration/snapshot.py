@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twc_env._version import __version__
 from twc_env.config import EnvConfig, digest
-from twc_env.errors import ConfigError
+from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.episode import Episode
 from twc_env.world.floorplan import Floorplan
 
@@ -78,9 +78,14 @@ def take_snapshot(config: EnvConfig, episode: Episode) -> Snapshot:
 
 def restore_snapshot(config: EnvConfig, snapshot: Snapshot) -> Episode:
     """The episode as it was at that moment; see `ExplorationEnv.restore`."""
+    if not isinstance(snapshot, Snapshot):
+        raise ConfigError(f"restore() takes what snapshot() gave; got {type(snapshot).__name__} {snapshot!r:.60}")
     _check("configuration", snapshot.config_digest, digest(config))
     _check("version", snapshot.version, __version__)
-    return _Unpickler(io.BytesIO(snapshot.content), snapshot.floorplan).load()
+    try:
+        return _Unpickler(io.BytesIO(snapshot.content), snapshot.floorplan).load()
+    except (EOFError, pickle.UnpicklingError, AttributeError, ImportError) as error:
+        raise DataError(f"the snapshot is cut off or of other code ({error}): take it anew") from error
 
 
 def _check(what: str, of_snapshot: str, own: str) -> None:
