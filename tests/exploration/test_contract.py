@@ -188,7 +188,7 @@ def test_the_belief_of_nobody_is_refused_with_the_team(agent):
         env.belief(agent)
 
 
-@pytest.mark.parametrize("what", ["frames", "contacts", "record", "engine", "bytes_sent"])
+@pytest.mark.parametrize("what", ["frames", "contacts", "record", "engine", "bytes_sent", "np_random"])
 def test_what_an_episode_holds_is_not_there_before_it(what):
     with pytest.raises(twc_env.TwcError, match="call reset"):
         getattr(twc_env.parallel_env(robots=1), what)
@@ -230,3 +230,18 @@ def test_every_render_mode_that_is_announced_works(monkeypatch):
 def test_what_is_no_floorplan_is_refused_with_the_remedy():
     with pytest.raises(twc_env.ConfigError, match="must be a Floorplan; got 'twin-01': name a map or a file as `map`"):
         twc_env.parallel_env(floorplan="twin-01")
+
+
+def test_wrappers_draw_from_a_stream_of_the_seed_that_no_episode_draws_from(same):
+    env, other = (twc_env.parallel_env(map="twin-01", robots=1, max_cycles=6) for _ in range(2))
+    env.reset(seed=3)
+    other.reset(seed=3)
+    drawn = env.np_random.random(5).tolist()
+    moment, later = env.snapshot(), env.np_random.random(5).tolist()
+    env.restore(moment)
+    assert env.np_random.random(5).tolist() == later
+    assert other.np_random.random(10).tolist() == drawn + later
+    env.reset(seed=3)
+    env.np_random.random(100)
+    action = {"robot_0": np.array([0.5, 0.5])}
+    assert same(env.step(action)[0]["robot_0"], other.step(action)[0]["robot_0"])

@@ -229,6 +229,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self.episode.engine
 
     @property
+    def np_random(self) -> np.random.Generator:
+        """A random stream of the episode's seed for wrappers (SuperSuit's frame_skip); nothing else draws from it."""
+        return self.episode.np_random
+
+    @property
     def frames(self) -> Sequence[SensorFrame]:
         """What each robot sensed in the last time step; `twc_env.datasets.write_frame_log` records them.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,11 @@ class Episode:
     def world(self) -> World:
         """The truth."""
         return self._world
+
+    @cached_property
+    def np_random(self) -> np.random.Generator:
+        """What wrappers around the environment may draw from; nothing in the episode does."""
+        return random_stream(self.seed, "wrappers")
 
     @property
     def frames(self) -> Sequence[SensorFrame]:
