@@ -7,16 +7,16 @@ from twc_env.config import digest, override
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "f04f0f38a45b",
-    "twc/ExploreTwin01-v0": "f04f0f38a45b",
-    "twc/ExploreTwin02-v0": "1ee601f3e9ab",
-    "twc/ExploreOffice-v0": "a9ca88668c86",
-    "twc/ExploreFrontier-v0": "286eafdbcdb6",
-    "twc/ExploreFrontierAsync-v0": "ba4f068e697f",
-    "twc/ExploreHard-v0": "fbdc615f36b7",
-    "twc/ExploreKnownStarts-v0": "c1cdf3118ae2",
-    "twc/ExploreTruePoses-v0": "4fd5aa225864",
-    "twc/ExploreNoMerging-v0": "c60e0e5d4bb4",
+    "twc/Explore-v0": "f78834597e40",
+    "twc/ExploreTwin01-v0": "f78834597e40",
+    "twc/ExploreTwin02-v0": "48dad4eb49d9",
+    "twc/ExploreOffice-v0": "d191ebeed49b",
+    "twc/ExploreFrontier-v0": "93af21ea76dd",
+    "twc/ExploreFrontierAsync-v0": "adf8145d8d79",
+    "twc/ExploreHard-v0": "e680a2c471a5",
+    "twc/ExploreKnownStarts-v0": "4d7810d3eb06",
+    "twc/ExploreTruePoses-v0": "77d207a3f8ad",
+    "twc/ExploreNoMerging-v0": "744f8b986923",
 }
 
 

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from twc_env.__main__ import main
-from twc_env.config import RadioConfig
+from twc_env.config import HighBandConfig, RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.reproduce import radio_places as places
+from twc_env.reproduce.radio_hearing import device_hearing, hearing, missed_share
 from twc_env.reproduce.radio_model import STUDIES
 from twc_env.reproduce.radio_remarks import told
 from twc_env.reproduce.radio_rooms import surveyed_rooms
-from twc_env.reproduce.radio_study import hearing, spread_over
+from twc_env.reproduce.radio_study import spread_over
 
 needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="real surveys: set TWC_DATA to the data folder")
 CLEAR = RadioConfig(
@@ -96,6 +97,25 @@ def test_readings_alone_tell_where_a_receivers_hearing_ends(floor_dbm, slope_db)
     found_dbm, found_db = hearing(np.where(is_heard, level, np.nan))
     assert found_dbm == pytest.approx(floor_dbm, abs=1.0)
     assert found_db == pytest.approx(slope_db, rel=0.1)
+
+
+def test_points_beside_each_other_tell_what_a_receiver_misses():
+    x, y = np.meshgrid(np.arange(1.0, 40.0), np.arange(1.0, 16.0))
+    zeros, boxes = np.zeros(x.size, int), np.random.default_rng(0).uniform([0, 0], [42.0, 16.4], (20, 2))
+    survey = RadioSurvey(
+        "hall", np.column_stack([x.ravel(), y.ravel()]), zeros, 1.0 * zeros, zeros, tuple(map(str, range(40))),
+        np.full((x.size, 40), np.nan), transmitter_m=np.repeat(boxes, 2, axis=0), transmitter_floor=np.zeros(40, int),
+        is_high_band=np.arange(40) % 2 == 1,
+    )  # fmt: skip
+    plan = places.with_known_transmitters(places.office("office", [0, 0, 42.0, 16.4]), survey, floor=0)
+    high = HighBandConfig(share=0.5, miss_probability_offset=-0.2)
+    config = RadioConfig(miss_probability=0.25, detection_floor_dbm=-80.0, high_band=high)
+    heard = dataclasses.replace(survey, rssi_dbm=places.simulate(survey, plan, config, 0).rssi_dbm)
+    assert missed_share(heard, False) == pytest.approx(0.25, abs=0.03)
+    assert missed_share(heard, True) == pytest.approx(0.05, abs=0.03)
+    told = device_hearing(heard)
+    assert told["miss_probability"] == missed_share(heard, False)
+    assert told["high_band"]["miss_probability_offset"] == pytest.approx(-0.2, abs=0.04)
 
 
 def test_the_spread_is_that_of_the_mean_over_what_is_drawn():

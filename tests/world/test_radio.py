@@ -196,6 +196,36 @@ def test_each_band_has_a_slope_of_its_own():
     assert (heard > 100).sum() / 4000 == pytest.approx(1 / (1 + np.exp(-4.0 / 2.0)), abs=0.03)
 
 
+def test_what_comes_round_the_walls_bounds_what_they_take():
+    walls = [(x, -3, x, 3, 6.0) for x in range(1, 9)]
+    high = HighBandConfig(share=0.5, wall_loss_factor=3.0)
+    plain = RadioConfig(**QUIET, power_spread_db=0.0, high_band=high)
+    limited = dataclasses.replace(plain, wall_loss_limit_db=15.0)
+    open_hall, through, round_them = (
+        np.array([RadioModel(config, plan).mean_rssi_dbm(np.array([x, 0.1])) for x in np.arange(0.5, 9.0)])
+        for config, plan in ((plain, hall()), (plain, hall(walls)), (limited, hall(walls)))
+    )
+    lost, kept = open_hall - through, open_hall - round_them
+    assert lost[:, 0] == pytest.approx(6.0 * np.arange(9))
+    share = 10 ** (-15.0 / 10)
+    assert kept == pytest.approx(-10 * np.log10((1 - share) * 10 ** (-lost / 10) + share))
+    assert kept[0] == pytest.approx([0.0, 0.0])
+    assert (np.diff(kept, axis=0) > 0).all()
+    assert (np.diff(kept, 2, axis=0) < 0).all(), "each further wall costs less"
+    assert (kept < 15.0).all()
+    assert kept[-1] == pytest.approx([15.0, 15.0], abs=0.01)
+
+
+def test_five_gigahertz_is_missed_as_often_as_it_says():
+    high = HighBandConfig(share=0.5, miss_probability_offset=-0.3)
+    config = RadioConfig(**SURE, miss_probability=0.35, high_band=high)
+    model = RadioModel(config, hall(macs=[(k, k + 100) for k in range(1, 101)]))
+    receiver = WifiReceiver(config, model, robot=0, seed=0)
+    heard = np.concatenate([receiver.scan(np.array([3.0, 0.0])).macs for _ in range(40)])
+    assert (heard <= 100).sum() / 4000 == pytest.approx(0.65, abs=0.03)
+    assert (heard > 100).sum() / 4000 == pytest.approx(0.95, abs=0.02)
+
+
 def test_ceilings_take_their_losses_and_lengthen_the_way():
     config = RadioConfig(
         **QUIET, power_spread_db=0.0, floor_loss_db=15.0, floor_loss_further_db=4.0, floor_height_m=3.0,

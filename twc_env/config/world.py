@@ -75,6 +75,8 @@ class HighBandConfig(Checked):
     """Added to `detection_floor_dbm`."""
     detection_slope_factor: float = number(1.0, 0.05, 20.0)
     """Times `detection_slope_db`: what crowds 2.4 GHz loses strong signals too, 5 GHz has an edge."""
+    miss_probability_offset: float = number(0.0, -1.0, 1.0)
+    """Added to `miss_probability`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,6 +138,9 @@ class RadioConfig(Checked):
     """Addresses each access point sends under; 0 takes those of the plan."""
     wall_loss_scale: float = number(1.0, 0.0, 10.0)
     """Multiplies the plan's wall losses on all bands: thin partitions drawn as 4 dB become concrete at 2.2."""
+    wall_loss_limit_db: float = number(0.0, 0.0, 100.0)
+    """Some of a signal comes round the walls, by doors and reflections: this much fainter than in the open, so that
+    further walls cost less and less and all together no more than this (0: nothing comes round)."""
     floor_loss_db: float = number(20.0, 0.0, 100.0)
     """Loss of the first ceiling between the robots and an access point of another storey."""
     floor_loss_further_db: float = number(10.0, 0.0, 100.0)

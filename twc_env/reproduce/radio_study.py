@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from twc_env.config import RadioConfig, from_dict
 from twc_env.datasets.fingerprints import RadioSurvey
@@ -27,9 +26,6 @@ NEAR = 0.15
 
 SIMILARITIES = (0.7, 0.8, 0.9)
 _INTERVAL = 0.95
-_FAINT_SHARE = 0.3
-"""So many of the readings, the faintest, tell where a receiver's hearing ends and how sharply."""
-_BELOW_DB = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,35 +82,6 @@ def spread_over(units: int, figures_of: Callable[[Array], Figures], draws: int =
 def share_near(values: Array, real: float) -> float:
     """Of values (k,), how many lie within NEAR of the real one; 0 where that is none or nothing."""
     return float(np.mean(np.abs(values - real) <= NEAR * abs(real))) if np.isfinite(real) else 0.0
-
-
-def hearing(rssi_dbm: Array) -> tuple[float, float]:
-    """Floor [dBm] and slope [dB] of a receiver's curve of detection, from its readings in whole dBm alone.
-
-    Were all signals heard, about as many would come at each of the faint levels; so the faintest readings thin out as
-    the curve falls. Greatest likelihood of the readings up to a level under that curve.
-    """
-    readings = rssi_dbm[np.isfinite(rssi_dbm)].astype(float)
-    last = np.floor(np.quantile(readings, _FAINT_SHARE))
-    levels = np.arange(readings.min() - _BELOW_DB, last + 1.0)
-    counts = np.bincount(np.searchsorted(levels, np.round(readings[readings <= last])), minlength=len(levels))
-
-    def unlikeliness(curve: Array) -> float:
-        log_share = -np.logaddexp(0.0, (curve[0] - levels) / np.exp(curve[1]))
-        return -float(counts @ (log_share - np.logaddexp.reduce(log_share))) / len(readings)
-
-    start = [readings.min() + 5.0, 0.7]
-    bounds = [(levels[0], last), (np.log(0.1), np.log(20.0))]
-    floor_dbm, log_slope = minimize(unlikeliness, start, method="Nelder-Mead", bounds=bounds).x
-    return float(floor_dbm), float(np.exp(log_slope))
-
-
-def device_hearing(survey: RadioSurvey) -> dict:
-    """Settings of the detection curves of a survey's own receiver, by band."""
-    is_high = survey.transmitters[2]
-    (low_dbm, low_db), (high_dbm, high_db) = (hearing(survey.rssi_dbm[:, is_high == band]) for band in (False, True))
-    high_band = {"detection_offset_db": high_dbm - low_dbm, "detection_slope_factor": high_db / low_db}
-    return {"detection_floor_dbm": low_dbm, "detection_slope_db": low_db, "high_band": high_band}
 
 
 def with_settings(config: RadioConfig, changes: dict) -> RadioConfig:

@@ -90,15 +90,16 @@ def _library_figures(survey: RadioSurvey, rssi_dbm: Array) -> Figures:
 
 # --- walls of a flat (BLE) --------------------------------------------------------------------------------------------
 
-_FLAT_WALL_DB = 6.5
+_FLAT_WALL_DB = 8.0
 _BLE_TAG = {
-    "power_at_1m_dbm": -50.5,
+    "power_at_1m_dbm": -49.9,
     "miss_probability": 0.1,
-    "path_loss_exponent": 0.72,
+    "path_loss_exponent": 0.76,
     "wall_loss_scale": 1.0,
-    "shadowing_std_db": 3.7,
+    "wall_loss_limit_db": 13.8,
+    "shadowing_std_db": 3.3,
     "shadowing_length_m": 1.5,
-    "fading_std_db": 3.9,
+    "fading_std_db": 4.4,
     "access_point_spread_db": 1.5,
     "power_spread_db": 0.0,
     "high_band": {"share": 0.0},

@@ -2,6 +2,7 @@
 
 rssi = P(1 m) - 10 n log10(max(d, d0)) - losses of walls and ceilings + shadowing(place) + fading(visit) +
 device(robot) + noise(scan), heard with probability 1 / (1 + exp((floor - rssi) / slope)) and reported in whole dB.
+Walls of L dB in all take -10 log10((1 - w) 10^(-L/10) + w), as a share w of the power comes round them.
 Power, exponent, losses, floor and slope belong to the band: 2.4 GHz, 5 GHz, or LTE cells on masts outside (papers.md
 R14-R15).
 """
@@ -105,6 +106,9 @@ class RadioModel:
         slope_db = config.detection_slope_db
         self.detection_slopes_db = np.array([slope_db, slope_db * high.detection_slope_factor, slope_db])[self.band_of]
         """(transmitters,) of the curve of what is heard."""
+        missed = config.miss_probability + high.miss_probability_offset * (self.band_of == HIGH_BAND)
+        self.miss_probabilities = np.clip(missed, 0.0, 1.0)
+        """(transmitters,)."""
         self._power_dbm, self._exponent = power, exponent
         radios, self.radio_of = np.unique(3 * self.access_point_of + self.band_of, return_inverse=True)
         self.radio_count = len(radios)
@@ -125,7 +129,8 @@ class RadioModel:
         boxes = np.column_stack([sources.position_m, sources.height_m, sources.shadowing_std_db]).T.copy()
         self.signal = (
             self._pose_home_building, boxes, sources.waves, np.stack([self._levels_dbm, self._exponent, grazing_db]),
-            np.stack([self.access_point_of, self.band_of]), config.distance_min_m,
+            np.stack([self.access_point_of, self.band_of]),
+            np.array([config.distance_min_m, _share_round_walls(config.wall_loss_limit_db)]),
             np.empty((3 + used, len(sources.position_m))),
         )  # fmt: skip
         """What `reception.mean_rssi_at` needs beside the place and the walls around it."""
@@ -201,6 +206,11 @@ def _building_stream(digest: str, what: str, mac: int) -> np.random.Generator:
 
 def _power_offset_db(config: RadioConfig, digest: str, mac: int) -> float:
     return config.power_spread_db * _building_stream(digest, "power", int(mac)).standard_normal()
+
+
+def _share_round_walls(wall_loss_limit_db: float) -> float:
+    """Of a signal's power in the open, what comes by ways without walls."""
+    return 10.0 ** (-wall_loss_limit_db / 10.0) if wall_loss_limit_db else 0.0
 
 
 def _sweep_places(digest: str, radios: Array) -> Array:

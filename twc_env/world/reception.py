@@ -41,12 +41,17 @@ class WifiReceiver:
         device = random_stream(seed, "wifi-device", robot)
         device_offset_db = config.device_offset_std_db * device.standard_normal() + offset_db
         floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
-        self.detection = np.stack([floors_dbm, model.detection_slopes_db])
-        """(2, transmitters) floor [dBm] and slope [dB] of the curve of what is heard."""
+        self.detection = np.stack([floors_dbm, model.detection_slopes_db, 1.0 - model.miss_probabilities])
+        """(3, transmitters) floor [dBm] and slope [dB] of the curve of what is heard, and its height."""
         self.constants = np.array(
-            [device_offset_db, config.noise_std_db, 1.0 - config.miss_probability, config.quantisation_db,
-             config.fading_length_m, config.fading_std_db]
-        )  # fmt: skip
+            [
+                device_offset_db,
+                config.noise_std_db,
+                config.quantisation_db,
+                config.fading_length_m,
+                config.fading_std_db,
+            ]
+        )
         self.is_fading_shared = config.fading_shared
         self._fading_db = np.zeros(count)
         self._fading_x, self._fading_y = np.inf, np.inf
@@ -138,17 +143,17 @@ def shadowing_at(x: float, y: float, pose_home_building: Array, boxes: Array, wa
 
 def mean_rssi_at(
     x: float, y: float, losses_db: Array, pose_home_building: Array, boxes: Array, waves: Array, radios: Array,
-    parts: Array, distance_min_m: float, scratch: Array,
+    parts: Array, ways: Array, scratch: Array,
 ) -> Array:  # fmt: skip
     """(transmitters,) strength before fading, device and noise.
 
     losses_db (bands, sources): of walls; boxes (4, sources): x, y, height and spread of the shadowing; waves
     (3, waves, sources): x and y frequency and phase; radios (3, transmitters): power less fixed losses, path-loss
-    exponent, and further loss of a ceiling at grazing incidence; parts (2, transmitters): source and band; scratch
-    (>= 3, sources).
+    exponent, and further loss of a ceiling at grazing incidence; parts (2, transmitters): source and band; ways (2,):
+    smallest distance, and the share of power that comes round walls; scratch (>= 3, sources).
     """
     mean = np.empty(radios.shape[1])
-    _mean_rssi(x, y, losses_db, pose_home_building, boxes, waves, radios, parts, distance_min_m, scratch, mean)
+    _mean_rssi(x, y, losses_db, pose_home_building, boxes, waves, radios, parts, ways, scratch, mean)
     return mean
 
 
@@ -172,18 +177,22 @@ def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
 
 
 @borrowing_kernel
-def _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, mean):
+def _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, ways, scratch, mean):
     shadowing, path_loss, grazing = scratch[0], scratch[1], scratch[2]
     _shadowing(x, y, pose_home_building, boxes, waves, shadowing)
     for a in range(boxes.shape[1]):
         dx, dy, dz = boxes[0, a] - x, boxes[1, a] - y, boxes[2, a]
         reach = np.sqrt(dx * dx + dy * dy + dz * dz)
-        path_loss[a] = 10.0 * np.log10(max(reach, distance_min))
+        path_loss[a] = 10.0 * np.log10(max(reach, ways[0]))
         grazing[a] = 1.0 - dz / reach if dz > 0.0 else 0.0
     for t in range(parts.shape[1]):
         a = parts[0, t]
         fixed = radios[0, t] - radios[1, t] * path_loss[a] - radios[2, t] * grazing[a]
         mean[t] = fixed - losses[parts[1, t], a] + shadowing[a]
+    if ways[1] > 0.0:
+        for t in range(parts.shape[1]):
+            through_db = losses[parts[1, t], parts[0, t]]
+            mean[t] += through_db + 10.0 * np.log10((1.0 - ways[1]) * 10.0 ** (-0.1 * through_db) + ways[1])
 
 
 @borrowing_kernel
@@ -203,11 +212,12 @@ def _receive(rssi, fading, constants, draws, detection, all_macs, heard, macs, r
 
     Draws: a normal deviate for each transmitter, then a uniform one for each.
     """
-    device_offset, noise_std, chance, step = constants[0], constants[1], constants[2], constants[3]
+    device_offset, noise_std, step = constants[0], constants[1], constants[2]
     transmitters, count = rssi.shape[0], 0
     for t in range(transmitters):
         level = rssi[t] + fading[t] + device_offset + noise_std * draws[t]
-        heard[t] = _is_heard(draws[transmitters + t], (detection[0, t] - level) / detection[1, t], chance)
+        lack = (detection[0, t] - level) / detection[1, t]
+        heard[t] = _is_heard(draws[transmitters + t], lack, detection[2, t])
         rssi[t] = step * np.floor(level / step + 0.5)
         macs[count], readings[count] = all_macs[t], rssi[t]  # where it is not heard, the next one takes the place
         count += int(heard[t])
@@ -217,7 +227,7 @@ def _receive(rssi, fading, constants, draws, detection, all_macs, heard, macs, r
 @borrowing_kernel
 def hear(
     robot, x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts,
-    sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts, distance_min, scratch,
+    sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts, ways, scratch,
     detection, constants, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
     draws, macs, readings,
 ):  # fmt: skip
@@ -226,15 +236,15 @@ def hear(
     `crossed`, `rssi`, `heard` and `scratch` are overwritten.
     """
     own, losses = constants[robot], scratch[3:]
-    if (x - fading_places[robot, 0]) ** 2 + (y - fading_places[robot, 1]) ** 2 >= own[4] ** 2:
+    if (x - fading_places[robot, 0]) ** 2 + (y - fading_places[robot, 1]) ** 2 >= own[3] ** 2:
         fading_places[robot, 0], fading_places[robot, 1] = x, y
         number = min(fading_used[robot], fading_numbers.shape[0] - 1)
         fading_used[robot] = number + 1
         for t in range(fading.shape[1]):
-            fading[robot, t] = own[5] * fading_numbers[number, robot, fading_of[t]]
+            fading[robot, t] = own[4] * fading_numbers[number, robot, fading_of[t]]
     crossed_at(
         x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts,
         sure_losses, first_open, open_walls, crossed, losses,
     )  # fmt: skip
-    _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, distance_min, scratch, rssi)
+    _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, ways, scratch, rssi)
     return _receive(rssi, fading[robot], own, draws[robot], detection[robot], all_macs, heard, macs, readings)

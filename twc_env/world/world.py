@@ -340,7 +340,7 @@ def _move_and_sense(
         biases, white, slips_per_m, time_step, odometry_noise,
         directions, radius, far, near, near_counts, anchors, laid, stamps, deviates, quantiles, range_std, words,
         loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
-        pose_home_building, boxes, waves, radios, parts, distance_min, scratch,
+        pose_home_building, boxes, waves, radios, parts, ways, scratch,
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
         draws, signs, lengths, optics, does_hide, sights, hidden, sight_counts, camera_period, before, wifi_period,
     ) = parts_of(apparatus)  # fmt: skip
@@ -367,7 +367,7 @@ def _move_and_sense(
         heard_counts[k] = hear(
             i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
             sure_counts, sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts,
-            distance_min, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
+            ways, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
             all_macs, crossed, rssi, heard, draws[scan], macs[k], readings[k],
         )  # fmt: skip
     sighted = 0

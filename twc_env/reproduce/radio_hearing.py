@@ -1,0 +1,71 @@
+"""How a real receiver hears, told by its own readings: where its hearing ends, how sharply, and what it misses.
+
+Neither needs to know where the transmitters stand, so that it can be set for a simulated receiver before the two are
+compared.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from twc_env.datasets.fingerprints import RadioSurvey
+
+Array = NDArray
+
+_FAINT_SHARE = 0.3
+"""So many of the readings, the faintest, tell where a receiver's hearing ends and how sharply."""
+_BELOW_DB = 30.0
+_STRONG_DB = 25.0
+"""Heard so far above the end of hearing, a signal is above it too at points beside: from one to the other it changes by
+a few dB."""
+_BESIDE_M = 1.6
+
+
+def hearing(rssi_dbm: Array) -> tuple[float, float]:
+    """Floor [dBm] and slope [dB] of a receiver's curve of detection, from its readings in whole dBm alone.
+
+    Were all signals heard, about as many would come at each of the faint levels; so the faintest readings thin out as
+    the curve falls. Greatest likelihood of the readings up to a level under that curve.
+    """
+    readings = rssi_dbm[np.isfinite(rssi_dbm)].astype(float)
+    last = np.floor(np.quantile(readings, _FAINT_SHARE))
+    levels = np.arange(readings.min() - _BELOW_DB, last + 1.0)
+    counts = np.bincount(np.searchsorted(levels, np.round(readings[readings <= last])), minlength=len(levels))
+
+    def unlikeliness(curve: Array) -> float:
+        log_share = -np.logaddexp(0.0, (curve[0] - levels) / np.exp(curve[1]))
+        return -float(counts @ (log_share - np.logaddexp.reduce(log_share))) / len(readings)
+
+    start = [readings.min() + 5.0, 0.7]
+    bounds = [(levels[0], last), (np.log(0.1), np.log(20.0))]
+    floor_dbm, log_slope = minimize(unlikeliness, start, method="Nelder-Mead", bounds=bounds).x
+    return float(floor_dbm), float(np.exp(log_slope))
+
+
+def missed_share(survey: RadioSurvey, is_high: bool) -> float:
+    """Of one receiver's strong signals of a band, the share that it did not hear at points beside."""
+    rssi = survey.rssi_dbm[:, survey.transmitters[2] == is_high]
+    is_beside = np.linalg.norm(survey.position_m[:, None] - survey.position_m[None], axis=2) < _BESIDE_M
+    is_beside &= survey.floor[:, None] == survey.floor[None]
+    here, beside = np.nonzero(is_beside & ~np.eye(len(is_beside), dtype=bool))
+    is_strong = rssi[here] > hearing(rssi)[0] + _STRONG_DB
+    return float(1.0 - np.isfinite(rssi[beside][is_strong]).mean()) if is_strong.any() else 0.0
+
+
+def device_hearing(survey: RadioSurvey) -> dict:
+    """Settings of the detection curves of a survey's own receiver, by band."""
+    bands = [survey.rssi_dbm[:, survey.transmitters[2] == is_high] for is_high in (False, True)]
+    (low_dbm, low_db), (high_dbm, high_db) = map(hearing, bands)
+    low_missed, high_missed = (missed_share(survey, is_high) for is_high in (False, True))
+    return {
+        "detection_floor_dbm": low_dbm,
+        "detection_slope_db": low_db,
+        "miss_probability": low_missed,
+        "high_band": {
+            "detection_offset_db": high_dbm - low_dbm,
+            "detection_slope_factor": high_db / low_db,
+            "miss_probability_offset": high_missed - low_missed,
+        },
+    }
