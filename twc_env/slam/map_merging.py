@@ -8,7 +8,6 @@ that are as alike as the robots' own paths say fingerprints of one place are.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,8 @@ from numpy.typing import NDArray
 from twc_env.config import MergingConfig
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import kernel
-from twc_env.messages import Fingerprint, GridMap
+from twc_env.messages import GridMap
+from twc_env.slam.heard_places import HeardPlaces
 
 Array = NDArray
 
@@ -300,20 +300,15 @@ def _doubled(values):
     return bigger
 
 
-def wifi_agrees(
-    positions: Array, robots: Array, travels_m: Array, fingerprints: Sequence[Fingerprint], is_b: Array
-) -> bool | None:
+def wifi_agrees(positions: Array, robots: Array, travels_m: Array, heard: HeardPlaces, is_b: Array) -> bool | None:
     """Whether places that a merge would bring together sound alike; None while too few places can be compared.
 
     positions (k, 2) of all keyframes of both groups in the proposed common frame, robots (k,), travels_m (k,) path
-    length of each, is_b (k,) bool. The yardstick is learned here and now: the median distance between fingerprints of
-    one robot taken REFERENCE_M apart.
+    length of each, what was heard at each, is_b (k,) bool. The yardstick is learned here and now: the median distance
+    between fingerprints of one robot taken REFERENCE_M apart.
     """
-    starts = np.zeros(len(fingerprints) + 1, np.int64)
-    np.cumsum([len(f.macs) for f in fingerprints], out=starts[1:])
-    macs, levels = np.concatenate([f.macs for f in fingerprints]), np.concatenate([f.rssi_dbm for f in fingerprints])
     together, reference = _compare_places(
-        macs, levels, starts, np.ascontiguousarray(positions, float), robots, travels_m, is_b
+        heard.macs, heard.rssi_dbm, heard.starts, np.ascontiguousarray(positions, float), robots, travels_m, is_b
     )
     if len(together) < PAIRS_MIN or len(reference) < PAIRS_MIN:
         return None

@@ -11,6 +11,7 @@ from twc_env.config import MergingConfig
 from twc_env.geometry import compose, inverse
 from twc_env.messages import GridMap, LoopClosure
 from twc_env.slam import map_merging
+from twc_env.slam.heard_places import HeardPlaces
 from twc_env.slam.map_merging import MergeProposal, Weight
 from twc_env.slam.team_graph import TeamGraph
 
@@ -22,6 +23,8 @@ class MergeJudge:
 
     def __init__(self, config: MergingConfig, graph: TeamGraph):
         self._rule, self._graph = config, graph
+        self._heard: dict[int, HeardPlaces] = {}
+        """What each robot heard at its keyframes, as far as anybody asked."""
 
     def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
         """Where the robots that are not in `a` lie in the map of `a`, by closures between the two."""
@@ -67,19 +70,24 @@ class MergeJudge:
 
     def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
         """Whether places that the merge brings together sound alike; None while too few can be compared."""
-        positions, robots, travels, prints, is_b = [], [], [], [], []
-        for group in (a, b):
-            for robot in group:
-                poses = self._graph.poses_of(robot)
-                poses = compose(pose_a_b, poses) if group is b else poses
-                positions.append(poses[:, :2])
-                robots += [robot] * len(poses)
-                travels.append(self._graph.travels_of(robot))
-                prints += [k.fingerprint for k in self._graph.keyframes[robot]]
-                is_b += [group is b] * len(poses)
+        members = [*a, *b]
+        poses = [self._graph.poses_of(robot) for robot in members]
+        counts = [len(own) for own in poses]
+        positions = [(own if k < len(a) else compose(pose_a_b, own))[:, :2] for k, own in enumerate(poses)]
         return map_merging.wifi_agrees(
-            np.concatenate(positions), np.array(robots), np.concatenate(travels), prints, np.array(is_b)
+            np.concatenate(positions),
+            np.repeat(members, counts),
+            np.concatenate([self._graph.travels_of(robot) for robot in members]),
+            HeardPlaces.joined([self._heard_by(robot) for robot in members]),
+            np.repeat(np.arange(len(members)) >= len(a), counts),
         )
+
+    def _heard_by(self, robot: int) -> HeardPlaces:
+        """What a robot heard at each of its keyframes."""
+        heard, keyframes = self._heard.setdefault(robot, HeardPlaces()), self._graph.keyframes[robot]
+        if len(heard) < len(keyframes):
+            heard.add([keyframe.fingerprint for keyframe in keyframes[len(heard) :]])
+        return heard
 
     def overlap(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, reach_m: float) -> list[tuple[int, int]]:
         """(robot, keyframe index) of the keyframes of each side that the merge would put near one of the other."""
