@@ -87,10 +87,13 @@ class Exchange:
             self._pairs_of = contacts
             self._pairs = [(i, k, bool(contacts.heard[i, k])) for i, k in np.argwhere(contacts.tried).tolist()]
         for listener, sender, is_heard in self._pairs:
-            if not self._is_central:
+            if self._is_central:
+                self._tell_keyframes(deliveries[0], 0, sender, len(self._paths[sender]), is_heard)
+            else:
                 self._tell_holdings(listener, sender, is_heard)
-            if not self._is_central or self._held[listener][sender] < len(self._paths[sender]):
-                self._tell_keyframes(deliveries[listener], listener, sender, before, is_heard)
+                for robot, count in enumerate(before[sender]):
+                    end = len(self._paths[robot]) if robot == sender else count
+                    self._tell_keyframes(deliveries[listener], listener, robot, end, is_heard)
             if wanted[listener]:
                 self._tell_scans(deliveries[listener], listener, sender, wanted[listener], is_heard)
         return deliveries
@@ -103,13 +106,11 @@ class Exchange:
         if is_heard:
             self._told[listener][sender] = self._held[listener].copy()
 
-    def _tell_keyframes(self, delivery: Delivery, listener: int, sender: int, before, is_heard: bool) -> None:
-        held = self._held[listener]
-        for robot in (sender,) if self._is_central else range(len(self._paths)):
-            end = len(self._paths[robot]) if robot == sender else before[sender][robot]
-            if end <= held[robot]:
-                continue
-            for keyframe in self._paths[robot][held[robot] : end]:
+    def _tell_keyframes(self, delivery: Delivery, listener: int, robot: int, end: int, is_heard: bool) -> None:
+        """Send what the listener lacks of a robot's keyframes before the one of number `end`."""
+        first = self._held[listener][robot]
+        if first < end:
+            for keyframe in self._paths[robot][first:end]:
                 self._count(keyframe)
             if is_heard:
                 self._hand_over(delivery, listener, robot, end)

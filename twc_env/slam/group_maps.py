@@ -13,6 +13,7 @@ from twc_env.config import EnvConfig
 from twc_env.geometry import compose
 from twc_env.kernels import borrowing_kernel
 from twc_env.messages import GridMap, Keyframe
+from twc_env.slam.growing import doubled
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.team_graph import TeamGraph
 
@@ -84,8 +85,7 @@ class GroupMaps:
     def add(self, keyframe: Keyframe, node: int) -> None:
         """A new keyframe: draw its scan, or ask for it where some robot would see it."""
         if node == len(self._drawn):
-            self._drawn = np.concatenate([self._drawn, np.zeros_like(self._drawn)])
-            self._scan_here = np.concatenate([self._scan_here, np.zeros_like(self._scan_here)])
+            self._drawn, self._scan_here = doubled(self._drawn), doubled(self._scan_here)
         self._scan_here[node] = not self._on_request or keyframe.robot == self._home
         self._drawn[node] = self._graph.poses[node]
         group = self.group_of[keyframe.robot]

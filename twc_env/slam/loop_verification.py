@@ -226,7 +226,8 @@ class SignVerifier:
 
 def _seen(keyframes: Sequence[Keyframe]) -> tuple[Array, Array]:
     """Poses (k, 3) in the odom frame, and scans (k, beams)."""
-    return np.array([k.pose_odom for k in keyframes]), np.array([k.ranges_m for k in keyframes])
+    poses, scans = np.concatenate([k.pose_odom for k in keyframes]), np.concatenate([k.ranges_m for k in keyframes])
+    return poses.reshape(len(keyframes), -1), scans.reshape(len(keyframes), -1)
 
 
 def _neighbours(keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float) -> list[Keyframe]:
