@@ -86,7 +86,9 @@ class WifiScans(NamedTuple):
 class TeamFrames(_Team[SensorFrame]):
     """The frames of all robots in one step."""
 
-    __slots__ = ("_scans", "_wifi", "odometry", "ranges_m", "signs", "step", "time_s", "turn_rates_rad_s")
+    __slots__ = (
+        "_wifi", "may_repeat_readings", "odometry", "ranges_m", "scans", "signs", "step", "time_s", "turn_rates_rad_s",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -100,38 +102,26 @@ class TeamFrames(_Team[SensorFrame]):
     ):
         """A row for each robot, with what the fields of `SensorFrame` mean; records show read-only views of them.
 
-        Arrays are of float64 and contiguous in memory.
+        Arrays are of float64 and contiguous in memory. `scans` are those of `wifi` side by side; `may_repeat_readings`:
+        whether one of them may hold readings of before it, which those given side by side do not.
         """
         self._records = None
         self.step, self.time_s = step, time_s
         self.odometry, self.turn_rates_rad_s, self.ranges_m = odometry, turn_rates_rad_s, ranges_m
         self.signs = signs
-        self._scans: WifiScans | None
         self._wifi: Sequence[WifiScan | None] | None
         if isinstance(wifi, WifiScans):
-            self._scans, self._wifi = wifi, None
+            self.scans, self._wifi, self.may_repeat_readings = wifi, None, False
         else:
-            self._scans, self._wifi = None, wifi
+            self.scans, self._wifi = WifiScans.of(wifi), wifi
+            self.may_repeat_readings = any([scan is not None and scan.age_s is not None for scan in wifi])
 
     @property
     def wifi(self) -> Sequence[WifiScan | None]:
         """The scan of each robot, where it finished one."""
         if self._wifi is None:
-            assert self._scans is not None
-            self._wifi = self._scans.each(len(self))
+            self._wifi = self.scans.each(len(self))
         return self._wifi
-
-    @property
-    def may_repeat_readings(self) -> bool:
-        """Whether some scan may hold readings of before it: those given side by side are all new."""
-        return self._wifi is not None and any([scan is not None and scan.age_s is not None for scan in self._wifi])
-
-    @property
-    def scans(self) -> WifiScans:
-        """The same side by side."""
-        if self._scans is None:
-            self._scans = WifiScans.of(self.wifi)
-        return self._scans
 
     @classmethod
     def of(cls, frames: Sequence[SensorFrame]) -> TeamFrames:

@@ -83,6 +83,9 @@ class CooperativeSlam:
         homes = [None] if self._is_central else range(robot_count)
         self.mappers = [TeamMapper(config, robot_count, home) for home in homes]
         self._exchange = Exchange(config, robot_count)
+        self.bytes_sent: dict[str, int] = self._exchange.bytes_sent
+        """Kind of message -> bytes put on the air so far."""
+        self._wanted = [mapper.wanted for mapper in self.mappers]
         self._listening = Listening(len(self.mappers), robot_count)
         self._time_step_s = config.dynamics.time_step_s
         everyone = np.ones((len(self.mappers), robot_count), bool)
@@ -144,11 +147,6 @@ class CooperativeSlam:
         """The one mapper of all robots; where each has its own, that of robot 0."""
         return self.mappers[0]
 
-    @property
-    def bytes_sent(self) -> dict[str, int]:
-        """Kind of message -> bytes put on the air so far."""
-        return self._exchange.bytes_sent
-
     def mapper_of(self, robot: int) -> TeamMapper:
         """The mapper whose map this robot believes in."""
         return self.mappers[0 if self._is_central else robot]
@@ -194,7 +192,7 @@ class CooperativeSlam:
         self._last_step = step
         contacts = contacts or self._all_in_touch
         self._listening.note(step, contacts.heard)
-        deliveries = self._exchange.deliver(contacts, [mapper.wanted for mapper in self.mappers])
+        deliveries = self._exchange.deliver(contacts, self._wanted)
         for number, mapper in enumerate(self.mappers):
             delivery = deliveries[number]
             if mapper.update(step, delivery.keyframes, delivery.scans):

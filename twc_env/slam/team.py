@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -48,6 +49,14 @@ class TeamMapper:
         is_ours = config.slam.pose_graph.robust == "ours"
         self._graph = TeamGraph(robot_count, config.lidar.beam_count, is_ours)
         self._maps = GroupMaps(config, self._graph, home, robot_count)
+        self.groups: list[Group] = self._maps.groups
+        """Robots that share a map."""
+        self.keyframes: list[list[Keyframe]] = self._graph.keyframes
+        """Of each robot, as far as they have arrived."""
+        self.closures: list[LoopClosure] = self._graph.closures
+        """Every closure that was ever verified, with what became of it."""
+        self.wanted: Collection[tuple[int, int]] = self._maps.wanted
+        """(robot, keyframe index) of scans to ask for, as they are now."""
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
         self._judge = MergeJudge(config.slam.merging, self._graph)
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
@@ -97,12 +106,20 @@ class TeamMapper:
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
-        if self._dirty:
-            self._optimise_in_time()
-        is_at_work = self._dirty or self._search.has_waiting or self._given_starts is not None
-        due_step = min(self._review.due_step, self._last_retried_step + RETRY_STEPS)
-        self._due_step, self._settled = step + 1 if is_at_work else due_step, self._graph.changes
+        if step >= self._optimisation_due_step():
+            self._last_optimised_step = step
+            for group in sorted({self.group_index(robot) for robot in self._dirty}):
+                self._optimise(group)
+            self._dirty.clear()
+        self._due_step, self._settled = self._next_due_step(), self._graph.changes
         return True
+
+    def _next_due_step(self) -> float:
+        """The first step with anything to do even if nothing arrives."""
+        if self._search.has_waiting or self._given_starts is not None:
+            return self._step + 1
+        retry_step = self._last_retried_step + RETRY_STEPS
+        return min(self._review.due_step, retry_step, self._optimisation_due_step())
 
     def give_starts(self, poses: Array) -> None:
         """Tell the mapper where all robots started (robots, 3), in any one frame: an oracle, for comparison only."""
@@ -119,24 +136,9 @@ class TeamMapper:
         self._settled = -1
 
     @property
-    def groups(self) -> list[Group]:
-        """Robots that share a map."""
-        return self._maps.groups
-
-    @property
     def regroupings(self) -> int:
         """Grows whenever robots come to share a map or no longer do."""
         return self._maps.regroupings
-
-    @property
-    def keyframes(self) -> list[list[Keyframe]]:
-        """Of each robot, as far as they have arrived."""
-        return self._graph.keyframes
-
-    @property
-    def closures(self) -> list[LoopClosure]:
-        """Every closure that was ever verified, with what became of it."""
-        return self._graph.closures
 
     @property
     def changes(self) -> int:
@@ -152,11 +154,6 @@ class TeamMapper:
     def merges_undone(self) -> int:
         """How many merges turned out to be wrong and were taken back."""
         return self._review.undone_count
-
-    @property
-    def wanted(self) -> Collection[tuple[int, int]]:
-        """(robot, keyframe index) of scans to ask for, as they are now."""
-        return self._maps.wanted
 
     def group_index(self, robot: int) -> int:
         """Which of `groups` the robot belongs to."""
@@ -328,14 +325,12 @@ class TeamMapper:
 
     # --- optimisation ---
 
-    def _optimise_in_time(self) -> None:
-        """Optimise the groups with new closures, unless that was done just before or none of them is urgent."""
-        waited, period = self._step - self._last_optimised_step, self._config.pose_graph.period_steps
-        if waited >= period and (any(self._dirty.values()) or waited >= PATIENCE_PERIODS * period):
-            self._last_optimised_step = self._step
-            for group in sorted({self.group_index(robot) for robot in self._dirty}):
-                self._optimise(group)
-            self._dirty.clear()
+    def _optimisation_due_step(self) -> float:
+        """From when on the groups with new closures are optimised: the later, if none of these is urgent."""
+        if not self._dirty:
+            return math.inf
+        periods = 1 if any(self._dirty.values()) else PATIENCE_PERIODS
+        return self._last_optimised_step + periods * self._config.pose_graph.period_steps
 
     def _optimise(self, group: int, is_thorough: bool = False) -> None:
         robots, count = self.groups[group].robots, len(self._graph.poses)
