@@ -16,6 +16,7 @@ import twc_env
 from agents import picture
 from agents.policy import make_policy
 from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
+from twc_env.command_line import alone_in
 from twc_env.config import to_dict
 from twc_env.datasets.frame_log import write_frame_log
 from twc_env.datasets.g2o import write_g2o
@@ -126,8 +127,14 @@ def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
 def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
     """Write the run folder: config, frames, pictures, trajectories, pose graph, maps, and last the report.
 
-    What an earlier run left there goes, so that nothing stands beside figures that are not of it.
+    What an earlier run left there goes, so that nothing stands beside figures that are not of it; runs that end at the
+    same time write one after the other.
     """
+    with alone_in(folder):
+        _write_files(run, folder, pictures)
+
+
+def _write_files(run: Run, folder: Path, pictures: bool) -> None:
     result = run.result
     try:
         _clear(folder)
@@ -153,10 +160,11 @@ def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
 
 
 def _clear(folder: Path) -> None:
-    """Take away what a run wrote, where a report says that there was one; first the report."""
-    if not (folder / "report.json").is_file():
+    """Take away what a run wrote, where a report says that there was one, or one was killed before it; first that."""
+    was_killed = (folder / "config.json").is_file() and (folder / "trajectories").is_dir()
+    if not (was_killed or (folder / "report.json").is_file()):
         return
-    (folder / "report.json").unlink()
+    (folder / "report.json").unlink(missing_ok=True)
     for pattern in _WRITTEN:
         for path in folder.glob(pattern):
             path.unlink()

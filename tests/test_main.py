@@ -183,6 +183,14 @@ def test_a_reader_that_leaves_early_is_no_error():
     assert done.stdout.startswith("map ") and done.stderr == ""
 
 
+@pytest.mark.parametrize("closed", ["1>&-", "2>&-", "1>&- 2>&-"])
+def test_a_command_whose_output_is_closed_does_its_work(tmp_path, closed):
+    arguments = f"explore --robots 1 --steps 2 --no-pictures --out {tmp_path / 'run'} {closed}"
+    done = subprocess.run(f"{sys.executable} -m agents {arguments}", shell=True, capture_output=True, text=True)
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    assert (tmp_path / "run" / "report.json").exists()
+
+
 @pytest.mark.parametrize("buffering", ["", "1"], ids=["buffered", "unbuffered"])
 def test_every_command_ends_quietly_when_its_reader_leaves(buffering):
     program = "import sys; from twc_env.command_line import exit_status; "

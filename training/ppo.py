@@ -27,6 +27,7 @@ from torch import nn
 from training.model_file import load_model, save_model
 from training.progress import progress_bar
 from training.run_folder import Task, read_settings, write_settings
+from twc_env.command_line import alone_in
 from twc_env.errors import DataError
 from twc_env.sb3 import TeamVecEnv
 
@@ -194,7 +195,8 @@ def train(
 
     `resume` goes on from the model in `folder`; its task and settings must be the same, but for the workers. Episodes
     are drawn anew from the seed and the step count, so a resumed run is reproducible but not equal to an uninterrupted
-    one. Raises DataError when there is nothing to resume, or when the folder holds a run and `resume` is not asked for.
+    one. Raises DataError when there is nothing to resume, when the folder holds a run and `resume` is not asked for, or
+    when another process trains in it.
     """
     torch.set_num_threads(1)
     if (task.config.action.kind, task.config.observation.kind) != ("frontier", "dict"):
@@ -207,17 +209,18 @@ def train(
     raw = TeamVecEnv(settings.environments, task.config, settings.workers, task.training_maps, settings.seed)
     teams = FixedHorizon(raw, task.max_cycles)
     try:
-        write_settings(folder, "ppo", task, asdict(settings))
-        if resume:
-            model = load_model(model_path, ChoicePolicy, teams.observation_space, teams.action_space, teams)
-            teams.seed(settings.seed + model.num_timesteps)
-            model.set_random_seed(settings.seed + model.num_timesteps)
-        else:
-            model = _new_model(teams, settings, folder)
-        if steps > model.num_timesteps:
-            progress = Progress(folder, steps, show_progress)
-            model.learn(steps - model.num_timesteps, progress, tb_log_name="ppo", reset_num_timesteps=False)
-            save_model(model, model_path)
+        with alone_in(folder, patience_s=0.0):
+            write_settings(folder, "ppo", task, asdict(settings))
+            if resume:
+                model = load_model(model_path, ChoicePolicy, teams.observation_space, teams.action_space, teams)
+                teams.seed(settings.seed + model.num_timesteps)
+                model.set_random_seed(settings.seed + model.num_timesteps)
+            else:
+                model = _new_model(teams, settings, folder)
+            if steps > model.num_timesteps:
+                progress = Progress(folder, steps, show_progress)
+                model.learn(steps - model.num_timesteps, progress, tb_log_name="ppo", reset_num_timesteps=False)
+                save_model(model, model_path)
     finally:
         teams.close()
     return model_path

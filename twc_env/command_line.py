@@ -9,10 +9,13 @@ import math
 import os
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from twc_env.errors import ConfigError, DataError, TwcError
+from twc_env.file_lock import FileLock
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 """How writing fails where a place was fit to be written to before the work."""
@@ -25,6 +28,9 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
     Who reads the output, as `head` does, may leave early, and letters that a terminal does not have are spelt out.
     `remark` is what an interruption is answered with.
     """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by who started the command
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace" if sys.stdout.errors == "strict" else sys.stdout.errors)
     try:
@@ -121,3 +127,21 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"cannot make the folder {folder}: {error.strerror}; choose another with --out") from error
+
+
+@contextmanager
+def alone_in(folder: Path, patience_s: float = 60.0) -> Iterator[None]:
+    """Be the only command that writes to a folder, which is made; two at once would leave a mixture of their files.
+
+    Raises DataError where another one does not end within `patience_s`, or the folder cannot be made.
+    """
+    make_folder(folder)
+    lock, end = FileLock(folder / ".lock"), time.monotonic() + patience_s
+    while lock.take() is False:
+        if time.monotonic() >= end:
+            raise DataError(f"another command writes to {folder}: wait for its end, or choose another with --out")
+        time.sleep(0.05)
+    try:
+        yield
+    finally:
+        lock.release()

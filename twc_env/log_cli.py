@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twc_env.command_line import Paragraphs, assignments, count, make_folder, natural
+from twc_env.command_line import Paragraphs, alone_in, assignments, count, make_folder, natural
 from twc_env.json_values import check_folder, write_json
 
 if TYPE_CHECKING:
@@ -89,9 +89,9 @@ def _record(options: argparse.Namespace) -> None:
         steps.append(env.frames)
         contacts.append(env.contacts)
         _progress(len(steps) - 1, env.config.max_cycles)
-    make_folder(options.out)
-    write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
-    write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
+    with alone_in(options.out):
+        write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
+        write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
     print(f"recorded {len(steps) - 1} steps of {env.config.robots} robots: {options.out}/frames.npz and truth.npz")
 
 

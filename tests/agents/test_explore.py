@@ -11,7 +11,8 @@ from agents import explore as explore_module
 from agents.__main__ import main
 from agents.explore import explore, table_of
 from agents.picture import Film
-from twc_env import ConfigError, EnvConfig
+from twc_env import ConfigError, DataError, EnvConfig
+from twc_env.command_line import alone_in
 from twc_env.config import digest, from_dict, override
 from twc_env.datasets.g2o import read_g2o
 from twc_env.datasets.tum import read_tum
@@ -116,18 +117,37 @@ def test_a_run_folder_is_enough_to_have_the_same_episode_again(tmp_path):
         assert (first / name).read_bytes() == (again / name).read_bytes(), name
 
 
-def test_a_run_takes_away_what_an_earlier_one_left_in_its_folder(tmp_path):
+@pytest.mark.parametrize("was_killed", [False, True])
+def test_a_run_takes_away_what_an_earlier_one_left_in_its_folder(tmp_path, was_killed):
     arguments = ["explore", "--no-gif", "--out", str(tmp_path)]
     assert main([*arguments, "--steps", "12", "--robots", "4"]) == 0
     assert (tmp_path / "map_4.yaml").exists() and (tmp_path / "trajectories/robot_3_true.tum").exists()
     for name in ("notes.txt", "replay.html", "trajectories/mine.tum"):
         (tmp_path / name).write_text("")
+    if was_killed:  # while it wrote: the report comes last
+        (tmp_path / "report.json").unlink()
     assert main([*arguments, "--steps", "5", "--robots", "1", "--no-pictures"]) == 0
     left = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
     assert left == {
         "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "map.yaml", "map.pgm", "report.json", "notes.txt",
         *(f"trajectories/{name}.tum" for name in ("robot_0_true", "robot_0_estimated", "robot_0_odometry", "mine")),
     }  # fmt: skip
+
+
+def test_nobody_else_writes_to_a_folder_while_a_run_does(tmp_path, monkeypatch):
+    folder, write_files, refused = tmp_path / "run", explore_module._write_files, []
+
+    def write_and_look(*arguments):
+        write_files(*arguments)
+        with pytest.raises(DataError, match="another command writes to"), alone_in(folder, patience_s=0.1):
+            pass
+        refused.append(folder)
+
+    monkeypatch.setattr(explore_module, "_write_files", write_and_look)
+    assert main(["explore", "--steps", "2", "--robots", "1", "--no-pictures", "--out", str(folder)]) == 0
+    assert refused == [folder] and not (folder / ".lock").exists()
+    with alone_in(folder, patience_s=0.0):
+        pass
 
 
 def test_a_folder_without_a_report_is_no_run_and_keeps_its_files(tmp_path):

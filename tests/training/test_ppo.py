@@ -12,6 +12,7 @@ from dataclasses import replace
 import pytest
 
 from training.__main__ import main
+from twc_env.command_line import alone_in
 from twc_env.errors import DataError, MapError
 
 HAS_TORCH = all(importlib.util.find_spec(name) is not None for name in ("torch", "stable_baselines3"))
@@ -190,6 +191,19 @@ def test_resuming_with_another_task_is_refused(run):
 
     with pytest.raises(DataError, match="trained with another task"):
         train(Task("twin-02"), small_settings(), 512, run, resume=True)
+
+
+@needs_torch
+def test_two_trainings_do_not_share_a_folder(tmp_path):
+    from training.ppo import train
+
+    (tmp_path / "run").mkdir()
+    with (
+        alone_in(tmp_path / "run"),
+        pytest.raises(DataError, match=r"another command writes to .*run: wait for its end"),
+    ):
+        train(small_task(), small_settings(), 128, tmp_path / "run")
+    assert not list((tmp_path / "run").iterdir())
 
 
 @needs_torch
