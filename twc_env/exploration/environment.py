@@ -193,9 +193,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         Raises ActionError for a missing, malformed, non-finite or out-of-range action, or one for an agent that is not
         in the episode; nothing has happened then.
         """
-        if not self.agents:
+        episode, agents = self._begun, self.agents
+        if episode is None or not agents:
             raise TwcError("step() was called after the episode's end: call reset() first")
-        episode, agents = self.episode, self.agents
         action_blocks.check_agents(actions, agents)
         began = episode.steps
         values = episode.step(actions, agents, self._watch)

@@ -52,10 +52,11 @@ class ObservationBuilder:
 
     def notice(self, frames: Sequence[SensorFrame], beliefs: Sequence[Belief]) -> None:
         """Take in one step of all robots, whether or not observations are built of it: path, radio and readings."""
-        sensed, believed = self._frames, self._beliefs = TeamFrames.of(frames), TeamBeliefs.of(beliefs)
-        self._small.notice(sensed, believed)
+        sensed = frames if isinstance(frames, TeamFrames) else TeamFrames.of(frames)
+        self._beliefs = TeamBeliefs.of(beliefs)
+        self._small.notice(sensed, self._beliefs)
         if any(sensed.signs):
-            self._signs.remember(believed.poses, sensed.time_s, sensed.signs)
+            self._signs.remember(self._beliefs.poses, sensed.time_s, sensed.signs)
 
     def build(
         self, candidates: Sequence[Candidates] | None = None, masks: Sequence[Array] | None = None

@@ -173,7 +173,7 @@ class CooperativeSlam:
             frames = [cues.heard(frame, self._cues) for frame in frames]
         self._beliefs = None
         if isinstance(frames, TeamFrames):
-            self._steps, self._ranges_m = [frames.step] * len(frames), frames.ranges_m
+            self._steps, self._ranges_m = [frames.step] * len(frames.signs), frames.ranges_m
         else:
             steps, ranges_m = list(self._steps), list(self._ranges_m)  # beliefs hold the old ones
             for frame in frames:

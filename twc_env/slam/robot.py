@@ -33,28 +33,28 @@ class FrontEnds:
 
     def __init__(self, config: EnvConfig, count: int):
         self._tracker = Tracker(config, count)
+        self.poses_odom = self._tracker.poses_odom
+        """(n, 3) the estimates after the latest frames; another array after every update."""
         self._radio = ScanWindows(count, config.slam.keyframe.fingerprint_scans_max)
         self._taker = KeyframeTaker(config, self._tracker, self._radio)
         self._everyone = np.arange(count)
         self.robots = [RobotFrontEnd(config, field) for field in self._tracker.fields.each]
         """What each robot remembers for itself."""
 
-    @property
-    def poses_odom(self) -> Array:
-        """(n, 3) the estimates after the latest frames; another array after every update."""
-        return self._tracker.poses_odom
-
     def update(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Take in at most one frame per robot; gives a keyframe of each that came to a new place."""
         if isinstance(frames, TeamFrames):
-            self._tracker.update(self._everyone, frames)
-            return self._remember(self._everyone, frames)
+            return self._take_in(self._everyone, frames)
         keyframes = []
         for together in of_one_time(frames):
             robots, team = np.array([frame.robot for frame in together]), TeamFrames.of(together)
-            self._tracker.update(robots, team)
-            keyframes += self._remember(robots, team)
+            keyframes += self._take_in(robots, team)
         return keyframes
+
+    def _take_in(self, robots: Array, frames: TeamFrames) -> list[Keyframe]:
+        self._tracker.update(robots, frames)
+        self.poses_odom = self._tracker.poses_odom
+        return self._remember(robots, frames)
 
     def _remember(self, robots: Array, frames: TeamFrames) -> list[Keyframe]:
         """Let each robot remember what it read and heard, and the place where that is a new one."""

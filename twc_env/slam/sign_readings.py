@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.geometry import compose
-from twc_env.kernels import bound, kernel
+from twc_env.kernels import borrowing_kernel, bound, kernel
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import Growing
 from twc_env.team_messages import KnownSigns
@@ -21,6 +20,21 @@ SAME_SIGN_M = 1.0
 ENOUGH, ENOUGH_M = 8, 0.5
 """Of so many readings of a text by one robot, so near to where it was read again, another tells nothing: signs that are
 passed time and again take no more time and room in the end."""
+
+
+@borrowing_kernel
+def _count_near(within_m, poses, readings, local, robot, node, text, ahead, left):
+    """How many readings (n, 3) of a text by a robot are so near to a place ahead and to the left of a node."""
+    c, s = math.cos(poses[node, 2]), math.sin(poses[node, 2])
+    x, y = poses[node, 0] + c * ahead - s * left, poses[node, 1] + s * ahead + c * left
+    count = 0
+    for k in range(readings.shape[0]):
+        if readings[k, 0] == robot and readings[k, 2] == text:
+            other = poses[readings[k, 1]]
+            c, s = math.cos(other[2]), math.sin(other[2])
+            dx, dy = other[0] + c * local[k, 0] - s * local[k, 1] - x, other[1] + s * local[k, 0] + c * local[k, 1] - y
+            count += math.hypot(dx, dy) < within_m
+    return count
 
 
 @kernel
@@ -79,13 +93,13 @@ class SignReadings:
         """... and these texts in order."""
         self._readings, self._places = Growing(3, dtype=np.int64), Growing(2)
         """Robot, node and text of each reading; where it is in the frame of its keyframe."""
-        self._rows_of: dict[tuple[int, int], list[int]] = {}
-        """Those of each robot and text."""
         self._run: Callable[..., int] | None = None
         """`_places_of_signs` of readings that are one sign where they are less than SAME_SIGN_M apart."""
+        self._near: Callable[..., int] | None = None
+        """`_count_near` of those less than ENOUGH_M away."""
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
+        return self.__dict__ | {"_run": None, "_near": None}
 
     def add(self, keyframe: Keyframe, node: int, poses: Array) -> None:
         """Take in what was read at a keyframe, which is a node of the pose graph; poses (nodes, 3) of all nodes."""
@@ -94,17 +108,13 @@ class SignReadings:
             if text == len(self._texts):
                 self._texts.append(sign.text)
             self.counts[keyframe.robot] += 1
-            rows = self._rows_of.setdefault((keyframe.robot, text), [])
-            if len(rows) >= ENOUGH and self._near(rows, compose(poses[node], [*sign.position_m, 0.0]), poses) >= ENOUGH:
-                continue
-            rows.append(self._readings.count)
-            self._readings.append((keyframe.robot, node, text))
-            self._places.append(sign.position_m)
-
-    def _near(self, rows: list[int], place: Array, poses: Array) -> int:
-        """How many of some readings are near a place (3,)."""
-        there = compose(poses[self._readings.rows[rows, 1]], np.pad(self._places.rows[rows], ((0, 0), (0, 1))))
-        return int(np.count_nonzero(np.hypot(*(there - place)[:, :2].T) < ENOUGH_M))
+            held = poses, self._readings.rows, self._places.rows
+            there = *held, keyframe.robot, node, text, *sign.position_m.tolist()
+            if self._near is None:
+                self._near = bound(_count_near, ENOUGH_M, *there)
+            if self._near(*there) < ENOUGH:
+                self._readings.append((keyframe.robot, node, text))
+                self._places.append(sign.position_m)
 
     def known(self, poses: Array, robots: Sequence[int]) -> KnownSigns:
         """The texts read by some robots of one group, each once per place; poses (nodes, 3) of all nodes."""

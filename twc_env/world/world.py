@@ -79,7 +79,7 @@ class World:
         """
         config, robots = self.config, self.config.robots
         start_poses_home = self._start_poses(seed, starts)
-        self.start_poses = self._in_building(start_poses_home)
+        self.start_poses = self._in_building(start_poses_home) if self._is_moved else start_poses_home
         self._walls = self._home.wall_index.buckets()
         self._dynamics = Dynamics(config.dynamics, self._home.wall_index, start_poses_home)
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
@@ -108,7 +108,7 @@ class World:
     @property
     def poses(self) -> Array:
         """(n, 3) true poses in the building frame; for readers only, as all that holds the truth."""
-        return self._in_building(self._dynamics.poses)
+        return self._in_building(self._dynamics.poses) if self._is_moved else self._dynamics.poses
 
     @property
     def poses_home(self) -> Array:
@@ -227,7 +227,7 @@ class World:
         return self.__dict__ | {"_run": None, "_rooms": [iter(()) for _ in self._hearing]}
 
     def _in_building(self, poses_home: Array) -> Array:
-        return compose(self.plan.pose_building_home, poses_home) if self._is_moved else poses_home
+        return compose(self.plan.pose_building_home, poses_home)
 
     def _start_poses(self, seed: int, starts: str | Array) -> Array:
         """(n, 3) in the home frame."""
