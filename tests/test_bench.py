@@ -98,3 +98,16 @@ def test_the_large_building_is_generated_and_reset():
     figures = bench_scaling.bench_large_reset("gen:office:300:1")
     assert set(figures) == {"large_generate_s", "large_first_reset_s", "large_reset_s"}
     assert all(value > 0 for value in figures.values())
+
+
+def test_a_long_episode_is_timed_by_tenths(tmp_path, capsys):
+    path = tmp_path / "long.json"
+    assert main(["bench", "--long", "--steps", "100", "--json", str(path)]) == 0
+    rows = json.loads(path.read_text())["stretches"]
+    assert [row["steps"] for row in rows] == list(range(10, 101, 10))
+    assert all(0 < row["median_ms"] <= row["p99_ms"] <= row["worst_ms"] for row in rows)
+    for key in ("path_m", "keyframes", "closures"):
+        assert [row[key] for row in rows] == sorted(row[key] for row in rows)
+    assert rows[-1]["keyframes"] > 0 < rows[-1]["path_m"]
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 11 and lines[0].split()[:3] == ["steps", "path", "m"]

@@ -23,7 +23,8 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
         "Compare figures from one machine and one run only.",
         epilog="examples:\n  python -m twc_env bench --json bench.json\n"
         "  python -m twc_env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
-        "  python -m twc_env bench --parts",
+        "  python -m twc_env bench --parts\n"
+        "  python -m twc_env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer",
         formatter_class=Paragraphs,
     )
     speed.add_argument("--map", default="twin-01", help="bundled name or file (default: %(default)s)")
@@ -42,6 +43,11 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
     speed.add_argument(
         "--scaling", action="store_true", help="cost of the world against walls, beams, robots and area; large resets"
     )
+    speed.add_argument(
+        "--long",
+        action="store_true",
+        help="one episode, by tenths: whether steps take longer the further robots have gone",
+    )
     speed.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one object")
     speed.set_defaults(run=_bench)
 
@@ -55,6 +61,9 @@ def _bench(options: argparse.Namespace) -> None:
     config = override(EnvConfig(), {**settings, "max_cycles": options.steps, **assignments(options.set)})
     if options.parts:
         _bench_parts(config, options)
+        return
+    if options.long:
+        _bench_long(config, options)
         return
     if options.peers or options.scaling:
         figures = _bench_peers(options)
@@ -89,3 +98,13 @@ def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
     for key, value in matching.items():
         print(f"{key:<32}{value:>18.3f}")
     write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows} | matching)
+
+
+def _bench_long(config: EnvConfig, options: argparse.Namespace) -> None:
+    from dataclasses import asdict
+
+    from twc_env.bench_long import bench_long, long_table
+
+    stretches = bench_long(config, report=_report)
+    print(long_table(stretches))
+    write_json(options.json, {"stretches": [asdict(stretch) for stretch in stretches]})

@@ -1,0 +1,81 @@
+"""One very long episode in one building: does a step take longer, the further the robots have gone?"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from twc_env.bench import wander
+from twc_env.config import EnvConfig
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.soak import resident_mb
+
+PARTS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A tenth of the episode."""
+
+    steps: int
+    """Since the episode began, at its end; so too the next four."""
+    path_m: float
+    """Of all robots together."""
+    keyframes: int
+    """Held by the mapper of robot 0."""
+    closures: int
+    """Verified by it."""
+    memory_mb: float
+    """Of the whole process."""
+    mean_ms: float
+    """Processor time of a step; so too the others."""
+    median_ms: float
+    p99_ms: float
+    worst_ms: float
+
+
+def bench_long(config: EnvConfig, seed: int = 0, report: Callable[[str], None] = lambda _line: None) -> list[Stretch]:
+    """Let a team wander for all of `config.max_cycles` steps; `report` gets a line after each stretch."""
+    env = ExplorationEnv(config=config)
+    env.reset(seed=seed)
+    ends = {config.max_cycles * part // PARTS for part in range(1, PARTS + 1)}
+    took_s: list[float] = []
+    stretches: list[Stretch] = []
+    for step, actions in enumerate(wander(env, seed), start=1):
+        began = time.process_time()
+        env.step(actions)
+        if env.agents:  # the last step works off what still waits, which no other has to
+            took_s.append(time.process_time() - began)
+        if step in ends:
+            stretches.append(_stretch(env, step, took_s))
+            report(f"{step}/{config.max_cycles} steps, {stretches[-1].mean_ms:.2f} ms a step")
+            took_s.clear()
+    return stretches
+
+
+def _stretch(env: ExplorationEnv, steps: int, took_s: Sequence[float]) -> Stretch:
+    record, mapper = env.episode.record, env.episode.engine.mapper_of(0)
+    true = record.true_poses[:, :, :2]
+    took_ms = 1e3 * np.array(took_s or [np.nan])
+    return Stretch(
+        steps,
+        float(np.linalg.norm(np.diff(true, axis=0), axis=2).sum()),
+        sum(len(path) for path in mapper.keyframes),
+        len(mapper.closures),
+        resident_mb(),
+        float(took_ms.mean()),
+        *np.quantile(took_ms, (0.5, 0.99, 1.0)).tolist(),
+    )
+
+
+def long_table(stretches: Sequence[Stretch]) -> str:
+    """A line for each stretch."""
+    heads = ("steps", "path m", "keyframes", "closures", "memory MB", "mean ms", "median ms", "p99 ms", "worst ms")
+    lines = ["".join(f"{head:>11}" for head in heads)]
+    for row in stretches:
+        values = asdict(row).values()
+        lines.append("".join(f"{v:>11.2f}" if isinstance(v, float) else f"{v:>11d}" for v in values))
+    return "\n".join(lines)
