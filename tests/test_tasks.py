@@ -7,16 +7,16 @@ from twc_env.config import digest, override
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "f78834597e40",
-    "twc/ExploreTwin01-v0": "f78834597e40",
-    "twc/ExploreTwin02-v0": "48dad4eb49d9",
-    "twc/ExploreOffice-v0": "d191ebeed49b",
-    "twc/ExploreFrontier-v0": "93af21ea76dd",
-    "twc/ExploreFrontierAsync-v0": "adf8145d8d79",
-    "twc/ExploreHard-v0": "e680a2c471a5",
-    "twc/ExploreKnownStarts-v0": "4d7810d3eb06",
-    "twc/ExploreTruePoses-v0": "77d207a3f8ad",
-    "twc/ExploreNoMerging-v0": "744f8b986923",
+    "twc/Explore-v0": "4905877e8405",
+    "twc/ExploreTwin01-v0": "4905877e8405",
+    "twc/ExploreTwin02-v0": "54d599e032ed",
+    "twc/ExploreOffice-v0": "125ec092897e",
+    "twc/ExploreFrontier-v0": "93274cdc5df0",
+    "twc/ExploreFrontierAsync-v0": "8618163c0e8f",
+    "twc/ExploreHard-v0": "5540e71e3e6e",
+    "twc/ExploreKnownStarts-v0": "783c11bcefa7",
+    "twc/ExploreTruePoses-v0": "f39b66405bcd",
+    "twc/ExploreNoMerging-v0": "b5c196baade1",
 }
 
 

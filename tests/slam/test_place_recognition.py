@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -222,3 +223,13 @@ def test_what_a_weaker_receiver_cannot_hear_is_not_missed(place):
     assert [(c.target, c.mac_similarity) for c in found] == [((0, 3), 1.0)]
     near = np.array([*LEVELS_DBM, -50.0, -50.0, -50.0]) + 12.0  # these, robot 0 would have heard
     assert recogniser.propose(place(1, 9, "A104", macs=far, rssi_dbm=near, travel_m=200.0)) == []
+
+
+@pytest.mark.parametrize(("time_s", "count"), [(30.0, 1), (5.0, 0)])
+def test_signs_alone_speak_for_a_robot_that_has_long_heard_nothing(place, time_s, count):
+    recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
+    deaf = replace(place(0, macs=(), rssi_dbm=()), time_s=time_s)
+    assert recogniser.propose(deaf) == []
+    assert len(recogniser.propose(replace(place(1), time_s=time_s))) == count
+    recogniser.propose(replace(place(0, 1, travel_m=9.0), time_s=time_s + 1.0))  # it hears after all
+    assert [c.target for c in recogniser.propose(replace(place(2), time_s=time_s + 2.0))] == [(1, 0), (0, 1)]

@@ -101,6 +101,9 @@ class PlaceRecognitionConfig(Checked):
     """Two keyframes of one robot are a loop only when it travelled this far in between."""
     proximity_m: float = number(2.5, 0.0, 50.0)
     """Keyframes this near in the present estimate are tried too (0: never)."""
+    spares_missing_cues: bool = True
+    """With `twc`: a robot that long read no sign is compared by WiFi alone, one that long heard nothing by signs alone.
+    Without it, and in TWC-SLAM, never."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

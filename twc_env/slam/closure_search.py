@@ -12,6 +12,7 @@ from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.group_maps import GroupMaps
 from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
 from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
+from twc_env.slam.signless_recogniser import SignlessRecogniser
 from twc_env.slam.team_graph import TeamGraph
 
 REPEAT_REACH_M = 2.0
@@ -31,7 +32,10 @@ class ClosureSearch:
         self._rule, self._on_request = config.slam.place_recognition, config.link.scan_on_request
         self._graph, self._maps = graph, maps
         self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
-        self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "proximity")}
+        self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "wifi", "proximity")}
+        self._signless: SignlessRecogniser | None = None
+        if self._rule.spares_missing_cues and self._recogniser.name == "twc" and config.slam.cues.lidar:
+            self._signless = SignlessRecogniser(self._rule, config.lidar.range_max_m, robot_count)
         self._verifier: LoopVerifier | SignVerifier = SignVerifier()
         if config.slam.cues.lidar:
             noise, range_max_m = config.slam.odometry_filter, config.lidar.range_max_m
@@ -49,6 +53,8 @@ class ClosureSearch:
         candidates = self._recogniser.propose(
             keyframe, mates, lambda target: not tried.was_tried(target, keyframe, self._reach_m(target, keyframe))
         )
+        if self._signless is not None:
+            candidates += self._signless.propose(keyframe, mates)
         near = None if is_tied else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)
@@ -105,8 +111,8 @@ class ClosureSearch:
         Missing scans are asked for. Inside one map a candidate is not needed once another closure ties its keyframe.
         """
         while True:
-            queue = self._waiting[self._recogniser.name] or self._waiting["proximity"]
-            if not queue:
+            queue = next(filter(None, self._waiting.values()), None)
+            if queue is None:
                 return None
             candidate = queue.popleft()
             (target, _), (source, index) = candidate.target, candidate.source

@@ -13,6 +13,7 @@ from twc_env.messages import GridMap, LoopClosure
 from twc_env.slam import map_merging
 from twc_env.slam.heard_places import HeardPlaces
 from twc_env.slam.map_merging import MergeProposal, Weight
+from twc_env.slam.signless_recogniser import MISSING_AFTER_S
 from twc_env.slam.team_graph import TeamGraph
 
 Array = NDArray
@@ -21,8 +22,8 @@ Array = NDArray
 class MergeJudge:
     """Asks closures, fingerprints and walls about a merge of robots `a` with robots `b`."""
 
-    def __init__(self, config: MergingConfig, graph: TeamGraph):
-        self._rule, self._graph = config, graph
+    def __init__(self, config: MergingConfig, graph: TeamGraph, spares_deaf: bool = False):
+        self._rule, self._graph, self._spares_deaf = config, graph, spares_deaf
         self._heard: dict[int, HeardPlaces] = {}
         """What each robot heard at its keyframes, as far as anybody asked."""
 
@@ -67,6 +68,17 @@ class MergeJudge:
             measured.append(z)
         alike = np.array([closure.candidate.is_read_alike for closure in closures])
         return np.array(in_a), np.array(in_b), np.array(measured), np.array(signs), alike
+
+    def radio_allows(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
+        """Whether places that the merge brings together sound alike, or one side never heard anything and may so."""
+        if self._spares_deaf and (self._are_deaf(a) or self._are_deaf(b)):
+            return True
+        return self.radio_agrees(a, b, pose_a_b) is True
+
+    def _are_deaf(self, robots: Sequence[int]) -> bool:
+        paths = [self._graph.keyframes[robot] for robot in robots]
+        is_late = any(path[-1].time_s >= MISSING_AFTER_S for path in paths if path)
+        return is_late and not any(len(keyframe.fingerprint.macs) for path in paths for keyframe in path)
 
     def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
         """Whether places that the merge brings together sound alike; None while too few can be compared."""

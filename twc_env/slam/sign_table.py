@@ -14,6 +14,7 @@ from twc_env.messages import Keyframe
 from twc_env.slam.device_offsets import DeviceOffsets
 from twc_env.slam.growing import doubled
 from twc_env.slam.radio_fingerprint import rssi_similarity
+from twc_env.slam.signless_recogniser import MISSING_AFTER_S
 
 Array = NDArray
 
@@ -29,6 +30,8 @@ class RadioRule(NamedTuple):
     mac_similarity_min: float
     rssi_similarity_min: float
     rssi_tolerance_db: float
+    spares_deaf: bool = False
+    """Whether all radio is alike to robots that for MISSING_AFTER_S heard nothing."""
 
 
 @kernel
@@ -57,10 +60,11 @@ def _compare(macs, levels, first, end, other_macs, other_levels, offset, faintes
 
 @borrowing_kernel
 def _choose(
-    table, place_count, likeness, is_skipped, robot, latest, other_macs, other_levels, mac_min, rssi_min, tolerance
+    table, place_count, likeness, is_skipped, robot, latest, other_macs, other_levels, mac_min, rssi_min, tolerance,
+    spares_deaf,
 ):  # fmt: skip
-    """See `SignTable.like`; gives how many rows of the last part of the table, (places, 6), were written."""
-    places, travels, ends, macs, levels, out, offsets, faintest = parts_of(table)
+    """See `SignTable.like`; gives how many rows of the part of the table for it, (places, 6), were written."""
+    places, travels, ends, macs, levels, out, is_deaf, offsets, faintest = parts_of(table)
     count = 0
     for k in range(place_count):
         other, similarity = places[k, 0], likeness[places[k, 1]]
@@ -72,7 +76,7 @@ def _choose(
             faintest[robot],
         )  # fmt: skip
         rssi = rssi_similarity(distance, number, tolerance)
-        if shared >= mac_min and rssi >= rssi_min:
+        if (shared >= mac_min and rssi >= rssi_min) or (spares_deaf and (is_deaf[robot] or is_deaf[other])):
             out[count, 0], out[count, 1], out[count, 2], out[count, 3] = k, similarity, shared, rssi
             out[count, 4], out[count, 5] = distance, number
             count += 1
@@ -91,6 +95,7 @@ class SignTable:
         """Of all fingerprints, one after the other."""
         self._count = self._end = self._robots = 0
         self._devices = DeviceOffsets()
+        self._is_deaf, self._has_heard = np.zeros(0, bool), np.zeros(0, bool)
         self._first_m: dict[int, dict[int, float]] = {}
         """Of each text the path length at which each robot first read it."""
         self._run: Callable[..., int] | None = None
@@ -107,6 +112,8 @@ class SignTable:
         heard, row = keyframe.fingerprint, self._count
         first, end = self._end, self._end + len(heard.macs)
         self._make_room(row + 1, end, keyframe.robot)
+        self._has_heard[keyframe.robot] |= end > first
+        self._is_deaf[keyframe.robot] = keyframe.time_s >= MISSING_AFTER_S and not self._has_heard[keyframe.robot]
         self._macs[first:end], self._rssi_dbm[first:end] = heard.macs, heard.rssi_dbm
         self._places[row, 0], self._places[row, 1] = keyframe.robot, number
         self._travels_m[row], self._ends[row] = keyframe.travel_m, end
@@ -119,7 +126,9 @@ class SignTable:
     def _make_room(self, rows: int, heard: int, robot: int) -> None:
         robots = len(self._devices.offset_db)
         if robot >= robots:
-            self._devices.make_room(max(robot + 1, 2 * robots))
+            more = max(robot + 1, 2 * robots) - robots
+            self._devices.make_room(robots + more)
+            self._is_deaf, self._has_heard = np.pad(self._is_deaf, (0, more)), np.pad(self._has_heard, (0, more))
             self._run = None
         while heard > len(self._macs):
             self._macs, self._rssi_dbm, self._run = doubled(self._macs), doubled(self._rssi_dbm), None
@@ -156,8 +165,9 @@ class SignTable:
             self._count, likeness, is_skipped, keyframe.robot, latest_m, heard.macs, heard.rssi_dbm, *radio
         )  # fmt: skip
         if self._run is None:
-            held = self._places, self._travels_m, self._ends, self._macs, self._rssi_dbm, self._found
-            self._run = bound(_choose, Lent((*held, self._devices.offset_db, self._devices.faintest_dbm)), *now)
+            places = self._places, self._travels_m, self._ends, self._macs, self._rssi_dbm, self._found
+            robots = self._is_deaf, self._devices.offset_db, self._devices.faintest_dbm
+            self._run = bound(_choose, Lent((*places, *robots)), *now)
         rows: list[list[float]] = self._found[: self._run(*now)].tolist()
         return rows
 

@@ -58,7 +58,8 @@ class TeamMapper:
         self.wanted: Collection[tuple[int, int]] = self._maps.wanted
         """(robot, keyframe index) of scans to ask for, as they are now."""
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
-        self._judge = MergeJudge(config.slam.merging, self._graph)
+        spares_deaf = config.slam.place_recognition.spares_missing_cues
+        self._judge = MergeJudge(config.slam.merging, self._graph, spares_deaf)
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
         self._radio = RadioTies(radio, robot_count) if radio.online else None
@@ -273,7 +274,7 @@ class TeamMapper:
         pose_a_b = proposal.pose_a_b
         if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, pose_a_b):
             return False
-        if self._config.merging.wifi_check and not self._judge.radio_agrees(robots_a, robots_b, pose_a_b):
+        if self._config.merging.wifi_check and not self._judge.radio_allows(robots_a, robots_b, pose_a_b):
             return False
         if self._on_request and self._maps.ask_for(self._judge.overlap(robots_a, robots_b, pose_a_b, OVERLAP_REACH_M)):
             return False

@@ -39,7 +39,7 @@ class TextWifiRecogniser:
         is_simple = config.rssi_mode == "saturating"
         self._radio = RadioRule(
             config.mac_similarity_min - 1e-9, config.rssi_similarity_min - 1e-9 if is_simple else -math.inf,
-            config.rssi_tolerance_db,
+            config.rssi_tolerance_db, config.spares_missing_cues,
         )  # fmt: skip
         self._recent: dict[tuple[int, str], deque[tuple[float, tuple[float, float]]]] = {}
         self._places: list[tuple[Keyframe, SignObservation]] = []
