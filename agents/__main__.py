@@ -248,7 +248,7 @@ def _parser() -> argparse.ArgumentParser:
         help="names or files (default: sfw-e1 to sfw-e6)",
     )
     walk.add_argument("--seeds", default="0-2", help="numbers and ranges (default: %(default)s)")
-    walk.add_argument("--steps", type=count, default=1500, help="steps at most (default: %(default)s)")
+    walk.add_argument("--steps", type=count, default=2500, help="steps at most (default: %(default)s)")
     walk.add_argument("--out", type=Path, default=Path("runs/radio-survey"), help="finished walks (%(default)s)")
     walk.set_defaults(run=_radio_survey)
     for command in (one, many):

@@ -1,47 +1,47 @@
-"""Walk where the radio will tell most: the path whose rays to the transmitters clear most doubtful cells per metre.
+"""Walk where the radio will tell most: the shortest walk whose rays to the transmitters clear what is doubtful.
 
-The active walk that inverse k-visibility leaves to future work. Needs `slam.k_visibility.enabled`.
+The active walk that inverse k-visibility leaves to future work. Needs `slam.k_visibility.enabled`. The walk is planned
+whole, over all floor that the robot has seen, and anew after every straight stretch of it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.ray_gain import RayGain
 from twc_env.config import EnvConfig
-from twc_env.messages import Belief, GridMap
-from twc_env.planning import Driver, PathFinder, Terrain, as_action
+from twc_env.messages import Belief
+from twc_env.planning import Driver, PathFinder, Terrain, WalkGraph, as_action, covering_walk, walk_graph
 
 Array = NDArray
 
-SPACING_M = 0.5
-"""Between places that are weighed against each other."""
-PATH_STEP_M = 0.2
-"""Readings are reckoned with every so far along a path."""
-STRIDE_M = 2.5
-"""A path is walked so far before the next choice."""
-OVERHEAD_M = 0.6
-"""Added to every path's length, or the nearest place would always win."""
-WALL_DENSITY = 0.04
-"""A ray with more walls than this per cell, as far as scans have shown walls, clears nothing."""
-CLEAR_NATS = 2.0
-"""A ray that says this much says all."""
-SURE_LEVELS = 10.0
-"""A cell that is this sure to be free, as the map holds log-odds, is not doubtful any more."""
-GAIN_MIN_CELLS = 4.0
-"""Where no path promises more, the walk is over."""
+SPACING_M = 0.25
+"""Between places that the walk may visit."""
+PRICES_M = (0.02, 0.05, 0.15)
+"""A cell is worth so much way, at first and when nothing is worth that much any more."""
+TRIES = 20_000
+STRIDE_M, STRAY_M = 2.5, 0.14
+"""So much of the walk is walked before it is planned anew, while a straight line strays no further from it."""
+PACE_M_S = 0.45
+"""Walked no faster, so that rays stand close."""
+FRONTIER_CELLS, FRONTIER_M = 8, 0.6
+"""Being so near to the edge of what is known is worth so many cells for each cell of that edge."""
+GAIN_MIN_CELLS = 8
+"""Where a walk promises less, it is over."""
+HUG = 0.8
+"""Places are taken as if robots were so many times as wide; scans keep them from touching what is nearer."""
+HELD_UP_TICKS, HELD_UP_M = 5, 0.5
+"""A robot that came no nearer to its goal in this time, so near to it, goes elsewhere."""
 IDLE_TICKS = 30
-ARRIVAL_M = 0.2
-HUG_PRICES = (3, 12)
-"""Terrain costs so much at 0.3 to 0.45 m from a wall."""
-HUG_COST, APART_COST = 2, 6
+ARRIVAL_M = 0.15
 
 
 class RadioWalk:
-    """Every robot for itself: nearest frontiers until a transmitter is found, then the most telling path."""
+    """Every robot for itself: nearest frontiers until a transmitter is found, then the walk that tells most."""
 
     def __init__(self, config: EnvConfig):
         self._dynamics = config.dynamics
@@ -51,11 +51,13 @@ class RadioWalk:
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Forget everything."""
         self._drivers = {agent: Driver(self._dynamics, self._finder) for agent in agents}
+        self._random = {agent: np.random.default_rng([seed, n]) for n, agent in enumerate(agents)}
         self._goals_m: dict[str, Array] = {}
+        self._turns_m: dict[str, Array] = {agent: np.zeros((0, 2)) for agent in agents}
         self._given_up_m: dict[str, list[Array]] = {agent: [] for agent in agents}
         self._walked_m: dict[str, list[Array]] = {agent: [] for agent in agents}
+        self._nearest: dict[str, tuple[float, int]] = {}
         self._idle = dict.fromkeys(agents, 0)
-        self._read: dict[str, Callable[[Belief, float], Terrain]] = {}
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
         """On along the chosen path, or a new choice."""
@@ -66,29 +68,33 @@ class RadioWalk:
         return bool(beliefs) and all(self._idle[agent] >= IDLE_TICKS for agent in beliefs)
 
     def _drive(self, agent: str, belief: Belief) -> Array:
-        driver = self._drivers[agent]
-        if driver.status == "failed":
+        driver, here, walked = self._drivers[agent], belief.pose_map_robot[:2], self._walked_m[agent]
+        if not walked or math.dist(walked[-1], here) >= SPACING_M / 2:
+            walked.append(np.array(here, float))
+        if driver.status == "failed" or (driver.status == "driving" and self._is_held_up(agent, here)):
             self._given_up_m[agent].append(self._goals_m[agent])
+            driver.stop()
         if driver.status != "driving":
             goal = self._choose(agent, belief)
             self._idle[agent] = 0 if goal is not None else self._idle[agent] + 1
             if goal is None:
                 return as_action(0.0, 0.6 * self._dynamics.turn_rate_max_rad_s, self._dynamics)
-            self._goals_m[agent] = goal
+            self._goals_m[agent], self._nearest[agent] = goal, (math.inf, 0)
             driver.start(goal, belief, arrival_m=ARRIVAL_M)
-        speed, turn_rate = driver.command(belief, self._read.get(agent, self._terrain_of))
-        return as_action(speed, turn_rate, self._dynamics)
+        speed, turn_rate = driver.command(belief, self._terrain_of)
+        return as_action(min(speed, PACE_M_S), turn_rate, self._dynamics)
+
+    def _is_held_up(self, agent: str, here: Array) -> bool:
+        """Whether the robot, near its goal, comes no nearer: the wall is nearer than the map has it."""
+        away, (nearest, ticks) = math.dist(here, self._goals_m[agent]), self._nearest[agent]
+        self._nearest[agent] = (away, 0) if away < nearest - 0.02 else (nearest, ticks + 1)
+        return ticks >= HELD_UP_TICKS and away < HELD_UP_M
 
     def _terrain_of(self, belief: Belief, squeeze: float) -> Terrain:
+        """Floor near walls costs no more: rays to there cross most floor."""
         poses = np.array([belief.pose_map_robot, *belief.mates.values()])
-        return Terrain(belief.grid, squeeze * self._dynamics.robot_radius_m, poses[:, :2])
-
-    def _along_walls(self, belief: Belief, squeeze: float) -> Terrain:
-        """The terrain on which it is cheap to keep near a wall: rays to there cross most floor."""
-        terrain = self._terrain_of(belief, squeeze)
-        price = terrain.cost
-        hugging = np.where((price >= HUG_PRICES[0]) & (price <= HUG_PRICES[1]), HUG_COST, APART_COST)
-        terrain.cost = np.where(price > 0, hugging, 0).astype(price.dtype)
+        terrain = Terrain(belief.grid, squeeze * HUG * self._dynamics.robot_radius_m, poses[:, :2])
+        terrain.cost = np.where(terrain.cost > 0, 2, 0).astype(terrain.cost.dtype)
         return terrain
 
     def _choose(self, agent: str, belief: Belief) -> Array | None:
@@ -96,99 +102,51 @@ class RadioWalk:
         terrain, here = self._terrain_of(belief, 1.0), belief.pose_map_robot[:2]
         if belief.radio_map is None or len(belief.transmitter_m) == 0:
             plan = self._finder.cheapest(terrain, here, terrain.labels, np.zeros(len(terrain.frontier_sizes)))
-            return None if plan is None else part_of_path(plan.path_m, STRIDE_M)[-1]
-        gain = RayGain(belief.radio_map, belief.grid, belief.transmitter_m, terrain, self._walked_m[agent])
-        best, chosen_m = 0.0, np.zeros((0, 2))
-        for read in (self._terrain_of, self._along_walls):
-            for path_m in self._paths(read(belief, 1.0), here, self._given_up_m[agent]):
-                told = gain.of_path(part_of_path(path_m, math.inf))
-                worth = told / (length_m(path_m) + OVERHEAD_M)
-                if told >= GAIN_MIN_CELLS and worth > best:
-                    best, chosen_m = worth, part_of_path(path_m, STRIDE_M)
-                    self._read[agent] = read
-        self._walked_m[agent] += list(chosen_m)
-        return chosen_m[-1] if len(chosen_m) else None
+            return None if plan is None else plan.path_m[-1]
+        graph = walk_graph(terrain, here, SPACING_M)
+        given_up = np.array(self._given_up_m[agent]).reshape(-1, 2)
+        is_barred = (np.linalg.norm(graph.places_m[:, None] - given_up, axis=2) < SPACING_M / 2).any(axis=1)
+        held = np.array(self._walked_m[agent])
+        told = np.hstack([
+            RayGain(belief.radio_map, belief.grid, belief.transmitter_m, SPACING_M).told(graph.places_m, held),
+            _frontiers_met(terrain, graph.places_m, held),
+        ])  # fmt: skip
+        told[is_barred] = False
+        told[:, told[np.linalg.norm(graph.places_m - here, axis=1) <= ARRIVAL_M].any(axis=0)] = False
+        begin = [0, *(int(np.argmin(np.linalg.norm(graph.places_m - at, axis=1))) for at in self._turns_m[agent])]
+        for price_m in PRICES_M:
+            draws = self._random[agent].random((TRIES, 4))
+            turns, cells = covering_walk(graph, told, price_m, np.array(begin), draws)
+            if len(turns) > 1 and cells >= GAIN_MIN_CELLS:
+                return self._first_stretch(agent, graph, turns)
+        return None
 
-    def _paths(self, terrain: Terrain, here_m: Array, given_up_m: list[Array]) -> list[Array]:
-        """Cheapest paths (k, 2) to reachable places on a lattice."""
-        stride = max(1, round(SPACING_M / terrain.resolution_m))
-        labels = np.zeros_like(terrain.labels)
-        part = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
-        is_open = terrain.cost[part] > 0
-        labels[part][is_open] = np.arange(1, is_open.sum() + 1)
-        if not self._finder.spread(terrain, here_m):
-            return []
-        lengths_m, places_m = self._finder.nearest_of_labels(terrain, labels, int(is_open.sum()))
-        paths = []
-        for label in np.flatnonzero(np.isfinite(lengths_m[1:])) + 1:
-            place = places_m[label]
-            if math.dist(place, here_m) < SPACING_M or any(math.dist(place, p) < SPACING_M for p in given_up_m):
-                continue
-            plan = self._finder.cheapest(terrain, here_m, np.where(labels == label, 1, 0).astype(np.int32), np.zeros(2))
-            if plan is not None:
-                paths.append(np.vstack([here_m, plan.path_m]))
-        return paths
+    def _first_stretch(self, agent: str, graph: WalkGraph, turns: Array) -> Array:
+        """(2,) the end of the walk's first straight stretch; what comes after it is kept for the next plan."""
+        way_m = graph.places_m[graph.way(turns)]
+        along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way_m, axis=0).T))])
+        last = int(np.argmax(np.linalg.norm(way_m - way_m[0], axis=1) > ARRIVAL_M))
+        while last + 1 < len(way_m) and along_m[last + 1] <= STRIDE_M and _strays_m(way_m[: last + 2]) <= STRAY_M:
+            last += 1
+        lengths_m = graph.lengths_m[turns[:-1], turns[1:]]
+        self._turns_m[agent] = graph.places_m[turns[1:][np.cumsum(lengths_m) > along_m[last] + 1e-6]]
+        return way_m[last]
 
 
-class RayGain:
-    """How much doubt the rays from transmitters to the points of a path would meet."""
-
-    def __init__(
-        self, radio: GridMap, seen: GridMap, transmitter_m: Array, terrain: Terrain, walked_m: Sequence[Array]
-    ):
-        """What has been walked already, points (2,), is not told again by rays no better than its own."""
-        corners = np.vstack([terrain.origin_m, terrain.to_metres(np.array(terrain.cost.shape)), transmitter_m])
-        self._transmitter_m, self._cell_m = transmitter_m, radio.resolution_m
-        self._low = corners.min(axis=0) - self._cell_m
-        columns, rows = np.ceil((corners.max(axis=0) + 2 * self._cell_m - self._low) / self._cell_m).astype(int)
-        row, column = np.mgrid[:rows, :columns]
-        centres = self._low + (np.stack([column, row], axis=-1) + 0.5) * self._cell_m
-        self._doubt = np.clip(1.0 + _levels(radio, centres) / SURE_LEVELS, 0.0, 1.0)
-        self._is_wall = _levels(seen, centres) > Terrain.WALL_ABOVE
-        self._held = np.zeros(self._doubt.size)
-        if len(walked_m):
-            self._held = self._told(np.array(walked_m))
-
-    def of_path(self, points_m: Array) -> float:
-        """Doubtful cells told, each by its best ray, in cells."""
-        return float(np.maximum(self._told(points_m) - self._held, 0.0) @ self._doubt.ravel())
-
-    def _told(self, points_m: Array) -> Array:
-        """(cells,) how much the best ray to any of the points says of each cell, 0 to 1."""
-        starts = np.tile(self._transmitter_m, (len(points_m), 1))
-        ends = np.repeat(points_m, len(self._transmitter_m), axis=0)
-        longest = float(np.linalg.norm(ends - starts, axis=1).max())
-        share = np.linspace(0.0, 1.0, max(int(longest / self._cell_m), 1) + 1)
-        on_ray = starts[:, None] + share[:, None] * (ends - starts)[:, None]  # (rays, samples, 2)
-        cells = np.floor((on_ray - self._low) / self._cell_m).astype(int)
-        rows = np.clip(cells[..., 1], 0, self._doubt.shape[0] - 1)
-        columns = np.clip(cells[..., 0], 0, self._doubt.shape[1] - 1)
-        walls = self._is_wall[rows, columns]
-        runs = walls[:, 0].astype(int) + (walls[:, 1:] & ~walls[:, :-1]).sum(axis=1)
-        met = np.maximum(np.linalg.norm(ends - starts, axis=1) / self._cell_m, 1.0)
-        told = np.log(WALL_DENSITY / np.maximum(runs / met, 0.002)) / CLEAR_NATS
-        best = np.zeros(self._doubt.size)
-        flat = (rows * self._doubt.shape[1] + columns).ravel()
-        np.maximum.at(best, flat, np.repeat(np.clip(told, 0.0, 1.0), len(share)))
-        return best
+def _frontiers_met(terrain: Terrain, places_m: Array, walked_m: Array) -> Array:
+    """(places, k) whether each place is near each piece of the edge of what is known that was not near before."""
+    rows, columns = np.nonzero(terrain.labels > 0)
+    edge_m = terrain.to_metres(np.column_stack([rows, columns]) + 0.5)
+    edge_m = edge_m[(np.linalg.norm(edge_m[:, None] - walked_m, axis=2) >= FRONTIER_M + 2 * ARRIVAL_M).all(axis=1)]
+    met = np.linalg.norm(places_m[:, None] - edge_m, axis=2) < FRONTIER_M
+    return np.repeat(met, FRONTIER_CELLS, axis=1)
 
 
-def _levels(grid: GridMap, points_m: Array) -> Array:
-    """Log-odds of a grid at points (..., 2); 0 outside."""
-    cells = grid.cell_of(points_m)
-    inside = np.all((cells >= 0) & (cells < grid.log_odds.shape), axis=-1)
-    rows, columns = np.where(inside, cells[..., 0], 0), np.where(inside, cells[..., 1], 0)
-    return np.where(inside, grid.log_odds[rows, columns], 0) if grid.log_odds.size else np.zeros(inside.shape)
-
-
-def length_m(path_m: Array) -> float:
-    """Length of a path (k, 2)."""
-    return float(np.hypot(*np.diff(path_m, axis=0).T).sum())
-
-
-def part_of_path(path_m: Array, limit_m: float) -> Array:
-    """(k, 2) points every `PATH_STEP_M` from a path's start, at most so far; its last point is always there."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path_m, axis=0).T))])
-    end = min(limit_m, along[-1])
-    at = np.append(np.arange(0.0, end, PATH_STEP_M), end)
-    return np.column_stack([np.interp(at, along, path_m[:, axis]) for axis in (0, 1)])
+def _strays_m(way_m: Array) -> float:
+    """How far the points between (k, 2) lie from the straight line between the first and the last."""
+    along = way_m[-1] - way_m[0]
+    length = float(np.hypot(*along))
+    if length < 1e-9:
+        return math.inf
+    apart = way_m[1:-1] - way_m[0]
+    return float(np.abs(apart[:, 0] * along[1] - apart[:, 1] * along[0]).max(initial=0.0)) / length

@@ -5,11 +5,11 @@ import pytest
 
 from agents import radio_survey
 from agents.radio_survey import Comparison, Walked
-from agents.radio_walk import RayGain, part_of_path
+from agents.radio_walk import RadioWalk
+from agents.ray_gain import RayGain
 from agents.wall_follower import STANDOFF_M, WallFollower, nearest_wall
 from twc_env.config import EnvConfig
 from twc_env.messages import Belief, GridMap
-from twc_env.planning import Terrain
 
 
 def grid(levels):
@@ -43,25 +43,35 @@ def test_a_follower_beside_its_wall_drives_straight_and_turns_away_when_too_near
     assert abs(turns[0]) < 0.1 < turns[1]
 
 
-def test_rays_gain_what_is_doubtful_and_nothing_twice_and_nothing_across_many_walls():
+def test_rays_tell_doubtful_floor_once_and_nothing_across_many_walls():
     seen, router = room(), np.array([[0.5, 2.0]])
-    radio = grid(np.zeros((40, 60), np.int16))
-    terrain = Terrain(grid(seen), 0.2)
-    far, near = np.array([[5.0, 2.0]]), np.array([[1.0, 2.0]])
-    gain = RayGain(radio, grid(seen), router, terrain, [])
-    assert gain.of_path(far) > gain.of_path(near) > 0
-    assert RayGain(radio, grid(seen), router, terrain, list(far)).of_path(near) == 0.0
+    radio, nowhere = grid(np.zeros((40, 60), np.int16)), np.zeros((0, 2))
+    places = np.array([[1.0, 2.0], [5.0, 2.0]])
+    gain = RayGain(radio, grid(seen), router, 0.25)
+    near, far = gain.told(places, nowhere)
+    assert far.sum() > near.sum() > 0
+    assert not gain.told(places, places[1:])[1].any()
     sure = grid(np.full((40, 60), -30, np.int16))
-    assert RayGain(sure, grid(seen), router, terrain, []).of_path(far) == 0.0
+    assert not RayGain(sure, grid(seen), router, 0.25).told(places, nowhere).any()
     walled = seen.copy()
     walled[:, [15, 20, 25, 30]] = 10
-    assert RayGain(radio, grid(walled), router, terrain, []).of_path(far) == 0.0
+    near, far = RayGain(radio, grid(walled), router, 0.25).told(places, nowhere)
+    assert near.any()
+    assert not far.any()
 
 
-def test_a_path_is_cut_at_a_length_and_keeps_its_end():
-    points = part_of_path(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), 1.5)
-    assert points[-1] == pytest.approx([1.0, 0.5])
-    assert np.hypot(*np.diff(points, axis=0).T).max() < 0.21
+def test_the_agent_walks_on_where_rays_would_tell_and_is_done_where_all_is_told():
+    agent, seen = RadioWalk(EnvConfig()), room()
+    for level, is_done in ((0, False), (-30, True)):
+        agent.reset(0, ["robot_0"])
+        radio = grid(np.full((40, 60), level, np.int16))
+        belief = Belief(
+            0, 0, np.array([1.0, 2.0, 0.0]), grid(seen), radio_map=radio, transmitter_m=np.array([[0.5, 2.0]])
+        )
+        for _ in range(40):
+            action = agent.act({"robot_0": belief})["robot_0"]
+        assert agent.finished({"robot_0": belief}) == is_done
+        assert np.any(action != 0.0)
 
 
 def test_walks_are_compared_by_the_path_that_an_iou_takes():

@@ -1,6 +1,7 @@
 """Plan and drive on an estimated map: terrain, cheapest paths, path following. Beliefs in, commands out; no truth."""
 
 from twc_env.planning.candidates import Candidates, find_candidates
+from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph
 from twc_env.planning.driver import Driver
 from twc_env.planning.follow import Follower, as_action, drive_to
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
@@ -14,9 +15,12 @@ __all__ = [
     "PathFinder",
     "Plan",
     "Terrain",
+    "WalkGraph",
     "as_action",
+    "covering_walk",
     "drive_to",
     "find_candidates",
     "is_frontier",
     "path_is_blocked",
+    "walk_graph",
 ]

@@ -1,0 +1,75 @@
+"""What the rays from transmitters to places would clear of the map from radio, as far as scans have shown walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.messages import GridMap
+from twc_env.planning import Terrain
+
+Array = NDArray
+
+WALL_DENSITY = 0.04
+"""A ray with more walls than this per cell clears nothing: so many there are before anything is known."""
+SURE_LEVELS = 4.0
+"""A cell that is this sure to be free, as the map holds log-odds, is not doubtful any more."""
+FAN = (-0.6, -0.3, 0.0, 0.3, 0.6)
+"""Rays end so far beside a place, in spacings of places: readings are taken all the way from one to the next."""
+
+
+class RayGain:
+    """Which doubtful cells the rays from the transmitters to a place would clear."""
+
+    def __init__(self, radio: GridMap, seen: GridMap, transmitter_m: Array, spacing_m: float):
+        """Doubtful is floor that scans have seen and the map from radio does not hold to be free surely enough."""
+        self._transmitter_m, self._cell_m, self._spacing_m = transmitter_m, seen.resolution_m, spacing_m
+        self._origin_m = np.asarray(seen.origin_m, float)
+        rows, columns = seen.log_odds.shape
+        row, column = np.mgrid[:rows, :columns]
+        centres = self._origin_m + (np.stack([column, row], axis=-1) + 0.5) * self._cell_m
+        self._is_wall = np.pad(seen.log_odds > Terrain.WALL_ABOVE, 1)
+        is_doubtful = (seen.log_odds < Terrain.FREE_BELOW) & (_levels(radio, centres) > -SURE_LEVELS)
+        self._number = np.full((rows + 2, columns + 2), -1)
+        self._number[1:-1, 1:-1][is_doubtful] = np.arange(is_doubtful.sum())
+
+    def told(self, places_m: Array, walked_m: Array) -> Array:
+        """(places, cells) what rays to each place would clear of what no ray to the places walked was to clear."""
+        held = self._cleared(walked_m).any(axis=0)
+        return self._cleared(places_m) & ~held
+
+    def _cleared(self, places_m: Array) -> Array:
+        """(places, doubtful cells) bool."""
+        cleared = np.zeros((len(places_m), max(int(self._number.max()) + 1, 1)), np.bool_)
+        for transmitter_m in self._transmitter_m:
+            away = places_m - transmitter_m
+            distance = np.maximum(np.linalg.norm(away, axis=1), 1e-6)
+            across = np.column_stack([-away[:, 1], away[:, 0]]) * (self._spacing_m / distance[:, None])
+            share = np.linspace(0.0, 1.0, max(int(1.5 * distance.max(initial=0.0) / self._cell_m), 2))[:, None]
+            is_clear = self._is_clear(*self._cells(transmitter_m + share * away[:, None]), distance)
+            for side in FAN:
+                number = self._number[self._cells(transmitter_m + share * (away + side * across)[:, None])]
+                is_told = (number >= 0) & is_clear[:, None]
+                place = np.broadcast_to(np.arange(len(places_m))[:, None], number.shape)
+                cleared[place[is_told], number[is_told]] = True
+        return cleared
+
+    def _cells(self, points_m: Array) -> tuple[Array, Array]:
+        """Rows and columns of points (..., 2) on the grid with its border; those outside are on the border."""
+        at = np.floor((points_m - self._origin_m) / self._cell_m).astype(int) + 1
+        rows, columns = self._number.shape
+        return np.clip(at[..., 1], 0, rows - 1), np.clip(at[..., 0], 0, columns - 1)
+
+    def _is_clear(self, row: Array, column: Array, distance_m: Array) -> Array:
+        """(rays,) whether rays with samples in these cells (rays, samples) meet few walls for their length."""
+        walls = self._is_wall[row, column]
+        runs = walls[:, 0].astype(int) + (walls[:, 1:] & ~walls[:, :-1]).sum(axis=1)
+        return runs < WALL_DENSITY * distance_m / self._cell_m
+
+
+def _levels(grid: GridMap, points_m: Array) -> Array:
+    """Log-odds of a grid at points (..., 2); 0 outside."""
+    cells = grid.cell_of(points_m)
+    inside = np.all((cells >= 0) & (cells < grid.log_odds.shape), axis=-1)
+    rows, columns = np.where(inside, cells[..., 0], 0), np.where(inside, cells[..., 1], 0)
+    return np.where(inside, grid.log_odds[rows, columns], 0) if grid.log_odds.size else np.zeros(inside.shape)
