@@ -39,8 +39,7 @@ class ObservationBuilder:
         self._robots = range(robots)
         self._blank: dict[str, Any] = dict.fromkeys(self._names)
         self._signs = RecentSigns(robots, shape.sign_slots)
-        self._small = SmallBlocks(config, self._signs)
-        self._small_blocks = [(k, name) for k, name in enumerate(self._small.names) if name in self._names]
+        self._small = SmallBlocks(config, self._signs, self._names)
         self._map_cells, self._map_cell_m = shape.map_cells, shape.map_cell_m
         self._views = map_view.MapViews(
             shape.map_cells, shape.map_cell_m, self._small.paths_odom, self._small.path_counts, self._small.mate_places
@@ -64,26 +63,23 @@ class ObservationBuilder:
         """The observation of each robot after the step that was noticed last; `masks`: its choices that count."""
         beliefs, names = self._beliefs, self._names
         self._signs.know(beliefs.signs)
-        blocks = {}
         first, small = self._small.build()
-        for name, make in self._makers:  # not before: the map shows where the mates are
-            blocks[name] = make()
+        # Not before: the map shows where the mates are.
+        blocks: list[tuple[str, Sequence[Array] | Array]] = [(name, make()) for name, make in self._makers]
         if "frontiers" in names:
             slots, lists = self._config.action.frontier_slots, candidates or [NOTHING] * len(beliefs)
-            blocks["frontiers"] = [
-                features_of(own, belief.pose_map_robot, slots) for own, belief in zip(lists, beliefs, strict=True)
-            ]
+            pairs = zip(lists, beliefs, strict=True)
+            blocks.append(("frontiers", [features_of(own, belief.pose_map_robot, slots) for own, belief in pairs]))
         if "action_mask" in names:
-            blocks["action_mask"] = (
-                [np.zeros(0, np.int8)] * len(beliefs) if masks is None else [m.copy() for m in masks]
-            )
+            given = [np.zeros(0, np.int8)] * len(beliefs) if masks is None else [m.copy() for m in masks]
+            blocks.append(("action_mask", given))
         seen = []
         for robot in self._robots:
-            own = self._blank.copy()  # quicker to fill than an empty one
-            for number, name in self._small_blocks:
-                own[name] = small[number][first + robot]
-            for name, block in blocks.items():
-                own[name] = block[robot]
+            own, row = self._blank.copy(), first + robot  # quicker to fill than an empty one
+            for name, block in small:
+                own[name] = block[row]
+            for name, each in blocks:
+                own[name] = each[robot]
             seen.append(own)
         return [joined(own) for own in seen] if self._is_flat else seen
 
