@@ -12,6 +12,7 @@ from numba import njit
 from twc_env.exploration import compilation
 from twc_env.exploration.compilation import FirstStart, _Announcer, announce_compilation
 from twc_env.file_lock import FileLock
+from twc_env.slam import robust_backend, warm_up
 
 
 def compiled(module: str):
@@ -226,3 +227,9 @@ def test_the_helper_compiles_every_kernel_of_the_engine_that_the_first_step_need
 
 
 ROOT = Path(__file__).parents[2]
+
+
+def test_the_helper_doubts_enough_closures_for_all_that_judges_them_to_be_compiled():
+    found = warm_up.doubt_closures()
+    assert len(found.rejections) > robust_backend.FEW_REFUSED  # fewer are not weighed from the start
+    assert not found.accepted[-warm_up.FALSE :].any() and found.accepted[: -warm_up.FALSE].all()

@@ -48,7 +48,7 @@ def play() -> None:
 
 
 def main() -> None:
-    """The engine's first steps, then an episode; nothing where another helper is at work."""
+    """The engine's first steps, an episode, then what few of these need; nothing where another helper is at work."""
     FIRST_START.may_call = False
     lock = helpers_lock()
     if lock is not None and lock.take() is False:
@@ -57,6 +57,7 @@ def main() -> None:
     gc.disable()  # of what numba makes nearly all lives until the end
     warm_up.main()
     play()
+    warm_up.doubt_closures()
 
 
 if __name__ == "__main__":

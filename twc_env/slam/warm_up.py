@@ -8,12 +8,17 @@ from __future__ import annotations
 import numpy as np
 
 from twc_env.config import EnvConfig
+from twc_env.geometry import between
 from twc_env.messages import SignReading, WifiScan
 from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.pose_graph import Graph
+from twc_env.slam.robust_backend import BackendResult, revise
 from twc_env.team_messages import TeamFrames
 
 ROBOTS, STEPS, BEAMS = 2, 3, 180
 DISC_AWAY_M, DISC_RADIUS_M = 1.0, 0.2
+PLACES, BACK, FALSE = 40, 4, 6
+"""Keyframes of a straight path, from each a closure with the one so many before; and how many of these are false."""
 
 
 def made_up_frames(step: int) -> TeamFrames:
@@ -36,3 +41,16 @@ def main() -> None:
     for step in range(STEPS):
         engine.update(made_up_frames(step))
         engine.beliefs()
+
+
+def doubt_closures() -> BackendResult:
+    """Weigh closures of which some are false: many episodes have too few of these to need all that judges them."""
+    path = np.zeros((PLACES, 3))
+    path[:, 0] = np.arange(PLACES)
+    steps, closures = [[(k, k + apart) for k in range(PLACES - apart)] for apart in (1, BACK)]
+    edges = np.array(steps + closures)
+    measured = between(path[edges[:, 0]], path[edges[:, 1]])
+    measured[-FALSE:, 1] += 3.0
+    information = np.tile(100.0 * np.eye(3), (len(edges), 1, 1))
+    graph = Graph(edges, measured, information, np.arange(len(edges)) >= len(steps))
+    return revise(path, graph, np.ones(len(edges), bool), EnvConfig().slam.pose_graph, is_thorough=True)
