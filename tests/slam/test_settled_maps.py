@@ -150,3 +150,25 @@ def test_maps_that_are_held_in_part_are_as_good(monkeypatch, robust):
     assert (sum(tries) > 5) == (robust == "ours")
     assert [g.robots for g in parts.groups] == [g.robots for g in whole.groups]
     assert np.abs(parts.nodes[0] - whole.nodes[0]).max() < 0.05
+
+
+def test_mappers_of_several_robots_hold_one_copy_of_each_scan():
+    engine = episode(300, **{"link.topology": "peer"})
+    first, other = (mapper._graph for mapper in engine.mappers[:2])
+    heard = [keyframe.index for keyframe in other.keyframes[0]]
+    assert len(heard) > 5
+    for index in heard:
+        scans = [
+            graph.rows_of(slice(node, node + 1))[1] for graph in (first, other) for node in [graph.node((0, index))]
+        ]
+        assert np.shares_memory(*scans)
+
+
+def test_scans_are_those_of_the_keyframes(team):
+    graph = team._graph
+    for robot, path in enumerate(graph.keyframes):
+        assert team.scans_of(robot).tobytes() == b"".join(keyframe.ranges_m.tobytes() for keyframe in path)
+    nodes = np.array([3, 1, 1])
+    poses, scans = graph.rows_of(nodes)
+    assert np.array_equal(scans[1], scans[2]) and scans.shape == (3, 180)
+    assert np.array_equal(poses, graph.poses[nodes]) and graph.rows_of(nodes[:0])[1].shape == (0, 180)

@@ -23,7 +23,7 @@ _ROOM = 64
 
 @borrowing_kernel
 def _put_node(
-    node, previous, robot, step, travel, motion, covariance, ranges, poses, scans, robots, steps, travels, strains
+    node, previous, robot, step, travel, motion, covariance, poses, robots, steps, travels, strains
 ):  # fmt: skip
     """Write a node that lies one motion after the previous one (-1: it is the first of its robot)."""
     x = y = heading = 0.0
@@ -33,8 +33,6 @@ def _put_node(
         y = poses[previous, 1] + s * motion[0] + c * motion[1]
         heading = wrapped(poses[previous, 2] + motion[2])
     poses[node, 0], poses[node, 1], poses[node, 2] = x, y, heading
-    for i in range(ranges.shape[0]):
-        scans[node, i] = ranges[i]
     robots[node], steps[node], travels[node] = robot, step, travel
     across = 0.5 * (covariance[0, 0] + covariance[1, 1])
     for axis in range(3):
@@ -52,17 +50,15 @@ def _put_edge(edge, first, second, measurement, covariance, closure, is_used, en
 
 
 @borrowing_kernel
-def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covariance, ranges):
+def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covariance):
     """Write a robot's next node, and the edge of odometry that leads to it; whether there is one."""
     (
-        poses, scans, robots, steps, travels, strains, ends, measured, information, kinds, used, rows, counts, tied,
+        poses, robots, steps, travels, strains, ends, measured, information, kinds, used, rows, counts, tied,
         latest_odom,
     ) = parts_of(graph)  # fmt: skip
     count = counts[robot]
     previous = rows[robot, count - 1] if count > 0 else np.int64(-1)
-    _put_node(
-        node, previous, robot, step, travel, motion, covariance, ranges, poses, scans, robots, steps, travels, strains
-    )
+    _put_node(node, previous, robot, step, travel, motion, covariance, poses, robots, steps, travels, strains)
     rows[robot, count], counts[robot] = node, count + 1
     for axis in range(3):
         latest_odom[robot, axis] = pose_odom[axis]
@@ -78,7 +74,7 @@ def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covarianc
 @borrowing_kernel
 def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
     """See `GraphArrays.locate`."""
-    poses, _, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom = parts_of(graph)
+    poses, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom = parts_of(graph)
     for k in robots:
         for a in range(others.shape[1]):
             other = others[k, a]
@@ -103,7 +99,7 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
 @borrowing_kernel
 def _nearest(graph, robot, pose, travel_max):
     """See `TeamGraph.nearest`."""
-    poses, _, _, _, travels, _, _, _, _, _, _, rows, counts, _, _ = parts_of(graph)
+    poses, _, _, travels, _, _, _, _, _, _, rows, counts, _, _ = parts_of(graph)
     best, best_squared = -1, np.inf
     for k in range(counts[robot]):
         node = rows[robot, k]
@@ -122,12 +118,14 @@ class GraphArrays:
         self.node_count = self.edge_count = 0
         self._nodes: list[Array] = [
             np.zeros((_ROOM, 3)),
-            np.zeros((_ROOM, beam_count)),
             np.zeros(_ROOM, np.int64),
             np.zeros(_ROOM, np.int64),
             np.zeros(_ROOM),
             np.zeros((_ROOM, 3)),
         ]
+        self._beam_count = beam_count
+        self._scans: list[Array] = []
+        """(beams,) of each node: the keyframes' own, which the mappers of other robots hold too."""
         self._edges: list[Array] = [
             np.zeros((_ROOM, 2), np.int64),
             np.zeros((_ROOM, 3)),
@@ -169,11 +167,12 @@ class GraphArrays:
         self._make_room_for_edge()
         new = (
             node, self.edge_count, keyframe.robot, keyframe.step, keyframe.travel_m, keyframe.pose_odom,
-            keyframe.motion, keyframe.motion_covariance, keyframe.ranges_m,
+            keyframe.motion, keyframe.motion_covariance,
         )  # fmt: skip
         if self._follow is None:
             self._follow = bound(_follow, self._all(), *new)
         self.edge_count += self._follow(*new)
+        self._scans.append(keyframe.ranges_m)
         self.node_count += 1
         return node
 
@@ -208,7 +207,12 @@ class GraphArrays:
 
     def rows_of(self, nodes: Array | slice) -> tuple[Array, Array]:
         """Poses (k, 3) and scans (k, beams) of some nodes."""
-        return self._nodes[0][nodes], self._nodes[1][nodes]
+        return self._nodes[0][nodes], self.scans_of(nodes)
+
+    def scans_of(self, nodes: Array | slice) -> Array:
+        """(k, beams) of some nodes [m]."""
+        chosen = self._scans[nodes] if isinstance(nodes, slice) else [self._scans[node] for node in nodes.tolist()]
+        return chosen[0][None] if len(chosen) == 1 else np.reshape(chosen, (len(chosen), self._beam_count))
 
     def nodes_of(self, robot: int) -> Array:
         """(keyframes,) its nodes, ascending."""
@@ -220,24 +224,19 @@ class GraphArrays:
         return self._nodes[0][: self.node_count]
 
     @property
-    def scans(self) -> Array:
-        """(nodes, beams) [m]."""
-        return self._nodes[1][: self.node_count]
-
-    @property
     def robot_of_node(self) -> Array:
         """(nodes,) whose keyframe each is."""
-        return self._nodes[2][: self.node_count]
+        return self._nodes[1][: self.node_count]
 
     @property
     def step_of_node(self) -> Array:
         """(nodes,) the step at which each was taken."""
-        return self._nodes[3][: self.node_count]
+        return self._nodes[2][: self.node_count]
 
     @property
     def travels_m(self) -> Array:
         """(nodes,) path length of the robot up to each."""
-        return self._nodes[4][: self.node_count]
+        return self._nodes[3][: self.node_count]
 
     @property
     def ends(self) -> Array:

@@ -111,11 +111,6 @@ class TeamGraph:
         return self._arrays.poses
 
     @property
-    def scans(self) -> Array:
-        """(nodes, beams) of all keyframes [m]."""
-        return self._arrays.scans
-
-    @property
     def robot_of_node(self) -> Array:
         """(nodes,) whose keyframe each is."""
         return self._arrays.robot_of_node
@@ -145,7 +140,7 @@ class TeamGraph:
 
     def scans_of(self, robot: int) -> Array:
         """(keyframes, beams) of one robot [m]."""
-        return self.scans[self._arrays.nodes_of(robot)]
+        return self._arrays.scans_of(self._arrays.nodes_of(robot))
 
     def steps_of(self, robot: int) -> Array:
         """(keyframes,) the step at which each was taken."""
