@@ -63,3 +63,53 @@ def test_ctrl_c_at_a_terminal_ends_all_processes_without_tracebacks(tmp_path):
         os.killpg(running.pid, signal.SIGINT)
         said, _ = running.communicate(timeout=30)  # ends when all have closed what they print to
     assert said == "interrupted\n"
+
+
+def _start(script: str, folder, *arguments: str) -> subprocess.Popen:
+    (folder / "script.py").write_text(script, encoding="utf-8")
+    command = [sys.executable, str(folder / "script.py"), *arguments]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM])
+def test_processes_end_with_the_one_that_started_them_however_it_ends(tmp_path, end):
+    parts = [tmp_path / "a", tmp_path / "b"]
+    with _start(SCRIPT, tmp_path, *map(str, parts)) as running:
+        while not all(part.exists() for part in parts):
+            assert running.poll() is None
+            time.sleep(0.05)
+        running.send_signal(end)
+        said, _ = running.communicate(timeout=30)  # ends when all have closed what they print to
+    assert running.returncode == -end and "Traceback" not in said
+
+
+TEAMS = """
+import sys
+from twc_env.vector import VectorTeams
+
+if __name__ == "__main__":
+    teams = VectorTeams(2, {"robots": 1, "lidar.beam_count": 16}, workers=2)
+    try:
+        teams.reset()
+        print("playing", flush=True)
+        while True:
+            teams.step(teams.sample())
+    except KeyboardInterrupt:
+        print("interrupted")
+"""
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
+def test_environments_in_processes_end_without_a_word_with_the_one_that_plays(tmp_path, end):
+    with _start(TEAMS, tmp_path) as running:
+        said = []
+        while not said or said[-1] != "playing\n":
+            said.append(running.stdout.readline())
+            assert said[-1]
+        time.sleep(0.5)
+        os.killpg(running.pid, end) if end == signal.SIGINT else running.send_signal(end)
+        rest, _ = running.communicate(timeout=30)
+    words = [line for line in rest.splitlines() if not line.startswith("compiling kernels")]
+    assert words == (["interrupted"] if end == signal.SIGINT else [])

@@ -31,6 +31,7 @@ from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.threads import single_threaded
+from twc_env.worker_processes import deaf_to_interrupts
 from twc_env.world.splits import SPLITS, is_of_split, split_names
 
 Array = NDArray
@@ -270,7 +271,7 @@ class _Worker:
     def __init__(self, context, part: list[int], boards: _Boards, task: tuple):
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_work, args=(theirs, part, boards, *task), daemon=True)
-        with single_threaded():
+        with single_threaded(), deaf_to_interrupts():
             self._process.start()
         theirs.close()
 
@@ -307,10 +308,11 @@ def _work(pipe: Connection, part: list[int], boards: _Boards, config: dict, buil
     while True:
         try:
             what, seed = pipe.recv()
-        except EOFError:  # the parent is gone
+        except (EOFError, OSError):  # the parent is gone
             return
         if what == "close":
             crew.close()
             return
         crew.send(what, seed)
-        pipe.send(crew.receive())
+        with contextlib.suppress(OSError):
+            pipe.send(crew.receive())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -18,13 +19,13 @@ from twc_env.threads import single_threaded
 def in_processes(work: Callable[[Any], Any], parts: Sequence, count: int) -> Iterator[tuple[int, Any]]:
     """(k, work(parts[k])) as each is done, by `count` processes that start afresh and compute with one thread each.
 
-    `work` and the parts must be picklable. Who leaves the loop, by Ctrl-C or an error, ends the processes. Raises
-    DataError where one of them died.
+    `work` and the parts must be picklable. Who leaves the loop, by Ctrl-C or an error, ends the processes, and so does
+    who dies in it. Raises DataError where one of them died.
     """
     before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
     try:
-        with single_threaded(), _deaf_to_interrupts():
+        with single_threaded(), deaf_to_interrupts():
             waiting = {pool.submit(work, part): k for k, part in enumerate(parts)}
         for done in as_completed(waiting):
             yield waiting[done], done.result()
@@ -38,8 +39,20 @@ def in_processes(work: Callable[[Any], Any], parts: Sequence, count: int) -> Ite
         raise
 
 
+def _end_with_parent() -> None:
+    """Let this process end where the one that started it was killed: nobody else would tell it to."""
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
 @contextlib.contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
+def deaf_to_interrupts() -> Iterator[None]:
     """Processes started in this block leave Ctrl-C, which reaches all of a terminal's, to the one that started them."""
     if threading.current_thread() is not threading.main_thread():  # only that one can set what signals do
         yield
