@@ -104,8 +104,10 @@ def evaluate(
     closures = _closures(engine, best, record, alignment)
     counted = metrics.score_closures([c["correct"] for c in closures], [c["status"] == "accepted" for c in closures])
     reckoned = record.odometry_poses()
-    by_odometry = _score_odometry(engine, reckoned, true, config, cells)
     robots = range(true.shape[1])
+    taken = _taken(engine, len(robots))
+    # The map that dead reckoning alone would give, its true relative starts given away, after one alignment.
+    by_odometry = _score(_drawn_at(reckoned, *taken, config), metrics.lay_map(reckoned, true), cells)
     figures = {
         "map": config.map,
         "robots": config.robots,
@@ -113,7 +115,7 @@ def evaluate(
         "steps": record.count - 1,
         "sim_time_s": round((record.count - 1) * config.dynamics.time_step_s, 6),
         "coverage_believed": score.believed_area_m2 / floor_m2(cells),
-        "coverage_true": _seen_share(map_at(engine, record.true_poses, config), cells),
+        "coverage_true": _seen_share(_drawn_at(true, *taken, config), cells),
         "coverage_correct": score.coverage_correct,
         "map_iou": score.map_iou,
         "wall_iou": score.wall_iou,
@@ -183,10 +185,20 @@ def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.Map
 
 def map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
     """The map that the keyframes' scans would give at other poses (steps + 1, robots, 3)."""
+    return _drawn_at(poses, *_taken(engine, poses.shape[1]), config)
+
+
+def _taken(engine: Engine, robots: int) -> tuple[list[Array], Array]:
+    """The steps (k,) of each robot's keyframes, and all their scans (keyframes, beams), robot by robot."""
+    mappers = [engine.mapper_of(robot) for robot in range(robots)]
+    steps = [mapper.keyframe_steps(robot) for robot, mapper in enumerate(mappers)]
+    return steps, np.concatenate([mapper.scans_of(robot) for robot, mapper in enumerate(mappers)])
+
+
+def _drawn_at(poses: Array, steps: list[Array], scans: Array, config: EnvConfig) -> GridMap:
+    """The map that scans (keyframes, beams) of these steps of each robot give at poses (steps + 1, robots, 3)."""
     grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
-    taken = [(engine.mapper_of(robot), robot) for robot in range(poses.shape[1])]
-    where = [poses[mapper.keyframe_steps(robot), robot] for mapper, robot in taken]
-    grid.integrate(np.concatenate(where), np.concatenate([mapper.scans_of(robot) for mapper, robot in taken]))
+    grid.integrate(np.concatenate([poses[taken, robot] for robot, taken in enumerate(steps)]), scans)
     return grid.snapshot()
 
 
@@ -214,11 +226,6 @@ def _count_seen(log_odds, origin, resolution_m, free, free_origin, free_resoluti
                 column = math.floor((free_origin[0] + (j + 0.5) * free_resolution_m - origin[0]) / resolution_m)
                 count += 0 <= column < columns and log_odds[row, column] != 0
     return count
-
-
-def _score_odometry(engine: Engine, reckoned: Array, true: Array, config: EnvConfig, cells: Cells) -> metrics.MapScore:
-    """The map that dead reckoning alone would give, its true relative starts given away, after one alignment."""
-    return _score(map_at(engine, reckoned, config), metrics.lay_map(reckoned, true), cells)
 
 
 def _closures(engine: Engine, best: GroupVerdict, record: EpisodeRecord, alignment: Array) -> list[dict]:

@@ -59,14 +59,18 @@ class RecentSigns:
         if signs is self._known:
             return
         self._known = signs
+        latest: Sequence[KnownSign] | None = None
         for robot, own in enumerate(signs):
-            if own is not self._known_of[robot]:
-                self._known_of[robot], known = own, KnownSigns.of(own)
+            if own is self._known_of[robot]:
+                continue
+            if own is not latest:  # mates of one group know the same
+                latest, known = own, KnownSigns.of(own)
                 places, counts = _index_of(tuple(known.texts), np.asarray(known.places_m, float).tobytes())
-                if places is not self.places[robot]:
-                    self.places = self.places.copy()
-                    self.places[robot], self._text_counts[robot] = places, counts
-                    self._count_elsewhere(robot)
+            self._known_of[robot] = own
+            if places is not self.places[robot]:
+                self.places = self.places.copy()
+                self.places[robot], self._text_counts[robot] = places, counts
+                self._count_elsewhere(robot)
 
     def _count_elsewhere(self, robot: int) -> None:
         for row, text in enumerate(self._texts[robot]):

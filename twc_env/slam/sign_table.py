@@ -154,7 +154,8 @@ class SignTable:
         latest_m = keyframe.travel_m - apart_m
         if not self._has_any(alike, keyframe.robot, latest_m, skipped_robots):
             return []
-        is_skipped, likeness = np.zeros(self._robots, bool), np.full(len(self._first_m), UNLIKE)
+        is_skipped, likeness = np.zeros(self._robots, bool), np.empty(len(self._first_m))
+        likeness.fill(UNLIKE)
         for robot in skipped_robots:
             if robot < self._robots:
                 is_skipped[robot] = True
