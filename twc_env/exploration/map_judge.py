@@ -115,15 +115,15 @@ def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, stride, room, 
 
 
 @borrowing_kernel
-def _judge(kept, robots, poses, robot_of_node, step_of_node, truth, log_odds, touched):
+def _judge(
+    room, place, mask, known, counts, result, robots, poses, robot_of_node, step_of_node, truth, log_odds, touched
+):  # fmt: skip
     """Write to `result` (5,) how the map lies, how many pairs are wrong, and how many free cells lie on the floor.
 
     The last is `NOT_KNOWN` where the map does not lie at the place (3,) that the mask belongs to.
     """
-    estimated, true, owner, frames, is_wrong, place, mask, known, counts, result = parts_of(kept)
-    room = (estimated, true, owner, frames, is_wrong)
     stride = 1 + poses.shape[0] // (JUDGED_MAX + 1)
-    result[3] = _lay_paths(robots, poses, robot_of_node, step_of_node, truth, stride, room, result[:3])
+    result[3] = _lay_paths(robots, poses, robot_of_node, step_of_node, truth, stride, parts_of(room), result[:3])
     result[4] = NOT_KNOWN
     x, y, turn = np.rint(result[0] / PLACE_M), np.rint(result[1] / PLACE_M), np.rint(result[2] / TURN_RAD)
     if result[3] >= 0.0 and x == place[0] and y == place[1] and turn == place[2]:
@@ -145,9 +145,8 @@ class _Held:
         """(rows, columns) bool: its cells that lie on the floor there."""
         self.known, self.counts = np.full(grid.touched.shape, -1), np.zeros(grid.touched.shape, np.int64)
         """(blocks, blocks) `GridMap.touched` when blocks were counted last, -1 for never; free cells on the floor."""
-        self.result = np.empty(5)
-        self.run: Callable[..., None] | None = None
-        """`_judge` with all of this."""
+        self.arguments = np.array(place, float), self.mask, self.known, self.counts
+        """For `_judge`."""
 
     def count(self) -> int:
         """Free cells of the floor."""
@@ -162,6 +161,9 @@ class MapJudges:
         self._held: dict[int, tuple[_Held, ...]] = {}
         """Of each map the latest two: often it goes back and forth between two places."""
         self._room: tuple[Array, ...] = ()
+        self._run: Callable[..., None] | None = None
+        """`_judge` with that room."""
+        self._result = np.empty(5)
 
     def __reduce__(self):
         return MapJudges, ()
@@ -189,12 +191,13 @@ class MapJudges:
         """What `_judge` says of a map that is kept."""
         if not self._room or len(nodes[0]) > len(self._room[0]):
             self._make_room(2 * len(nodes[0]), true_poses.shape[1])
-        now = _numbers(robots), *nodes, true_poses, held.grid.log_odds, held.grid.touched
-        if held.run is None:
-            kept = *self._room, np.array(held.place, float), held.mask, held.known, held.counts, held.result
-            held.run = bound(_judge, Lent(kept), *now)
-        held.run(*now)
-        said: list[float] = held.result.tolist()
+        now = (
+            *held.arguments, self._result, _numbers(robots), *nodes, true_poses, held.grid.log_odds, held.grid.touched
+        )  # fmt: skip
+        if self._run is None:
+            self._run = bound(_judge, Lent(self._room), *now)
+        self._run(*now)
+        said: list[float] = self._result.tolist()
         return said
 
     def correct_area_m2(
@@ -214,7 +217,4 @@ class MapJudges:
         return held.count() * grid.resolution_m**2
 
     def _make_room(self, nodes: int, robots: int) -> None:
-        self._room = _room_for(nodes, robots)
-        for kept in self._held.values():
-            for held in kept:
-                held.run = None
+        self._room, self._run = _room_for(nodes, robots), None

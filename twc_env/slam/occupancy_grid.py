@@ -269,14 +269,14 @@ class OccupancyGrid:
         self._boxes_m = np.array([NOWHERE_M] * 2)
         """The box of all cells, and of those that scans can have touched."""
         self._snapshot: GridMap | None = None
-        self._run = rebound(self._run, self._packed())
+        self._rebind()
 
     def take_over(self, other: OccupancyGrid) -> None:
         """Be what another grid is now."""
         self.log_odds, self.origin_m = other.log_odds.copy(), other.origin_m.copy()
         self._kinds, self._touched, self._numbers = other._kinds.copy(), other._touched.copy(), other._numbers.copy()
         self._boxes_m, self._snapshot = other._boxes_m.copy(), None
-        self._run = rebound(self._run, self._packed())
+        self._rebind()
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}
@@ -303,6 +303,11 @@ class OccupancyGrid:
             self._directions, self.range_max_m, self._reached_m, self._room,
         )  # fmt: skip
         return Lent(parts)
+
+    def _rebind(self) -> None:
+        """Some of the arrays are others now."""
+        if self._run is not None:
+            self._run = rebound(self._run, self._packed())
 
     def snapshot(self) -> GridMap:
         """A read-only view of the cells as they are now; valid until the next `integrate`."""
@@ -351,4 +356,4 @@ class OccupancyGrid:
         self._touched = np.zeros((-(-shape[0] // BLOCK_ROWS), -(-shape[1] // BLOCK_COLUMNS)), np.int64)
         self.origin_m = first * self.resolution_m
         self._boxes_m[0] = *self.origin_m, *(self.origin_m + shape[::-1] * self.resolution_m)
-        self._run = rebound(self._run, self._packed())
+        self._rebind()
