@@ -180,11 +180,16 @@ def _radio_survey(options: argparse.Namespace) -> int:
         along, active = (sum(column) / len(column) for column in zip(*both, strict=True))
         print(f"after {share:4.0%} of the walk along the walls: free IoU {along:.3f} along walls, {active:.3f} active")
     for part in (0.5, 0.75, 0.9, 1.0):
-        middle, low, high = radio_survey.median_share(found, part)
+        middle, low, high = radio_survey.median_share([c.path_share(part) for c in found])
         print(
             f"path of the active walk for {part:4.0%} of that walk's last IoU: {middle:.2f} of what the walk along the "
             f"walls needs for it (median, 95 % interval {low:.2f} to {high:.2f}; inf: never reached)"
         )
+    middle, low, high = radio_survey.median_share([c.bound(load_map(c.name)) for c in found])
+    print(
+        f"shortest walk found for all of that IoU, if the building were known and readings had no noise: {middle:.2f} "
+        f"(median, 95 % interval {low:.2f} to {high:.2f})"
+    )
     return 0
 
 

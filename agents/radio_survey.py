@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import twc_env
 from agents.policy import make_policy
+from agents.radio_bound import shortest_known_walk_m
 from twc_env import load_map
 from twc_env.config import EnvConfig, override
 from twc_env.finished_parts import FinishedParts
@@ -52,6 +53,8 @@ class Walked:
     """Free floor among known cells (papers.md K18)."""
     coverage: list[float]
     is_finished: bool
+    start_m: list[float]
+    """(2,) in the building frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +69,12 @@ class Comparison:
     def path_share(self, part: float = 1.0) -> float:
         """Path that the active walk needs for this part of the last IoU along the walls, by what is needed there."""
         goal = part * self.along_walls.iou[-1]
-        along_m, active_m = (
-            next((m for m, iou in zip(w.path_m, w.iou, strict=True) if iou >= goal), math.inf)
-            for w in (self.along_walls, self.active)
-        )
-        return active_m / max(along_m, STEP_M)
+        return _reached_m(self.active, goal) / max(_reached_m(self.along_walls, goal), STEP_M)
+
+    def bound(self, plan) -> float:
+        """As `path_share`, of the shortest walk found by who knows the building and reads without noise."""
+        known_m = shortest_known_walk_m(plan, np.array(self.along_walls.start_m), self.along_walls.iou[-1])
+        return known_m / max(_reached_m(self.along_walls, self.along_walls.iou[-1]), STEP_M)
 
     def at_share(self, share: float) -> tuple[float, float]:
         """IoU of both walks after this share of the walk along the walls."""
@@ -99,11 +103,10 @@ def compare(
     return found
 
 
-def median_share(found: list[Comparison], part: float = 1.0) -> tuple[float, float, float]:
-    """Median of the path shares, and its 95 % bootstrap interval over buildings and seeds."""
-    shares = np.array([c.path_share(part) for c in found])
+def median_share(shares: list[float]) -> tuple[float, float, float]:
+    """Median of path shares, and its 95 % bootstrap interval over buildings and seeds."""
     draws = np.random.default_rng(0).integers(0, len(shares), (2000, len(shares)))
-    medians = np.sort(np.median(shares[draws], axis=1))
+    medians = np.sort(np.median(np.array(shares)[draws], axis=1))
     return float(np.median(shares)), float(medians[50]), float(medians[-51])
 
 
@@ -129,7 +132,7 @@ def survey(config: EnvConfig, agent: str, seed: int) -> Walked:
     env.close()
     plan = load_map(config.map)
     iou, published, coverage = zip(*(score(grid, start, plan) for _, grid in held), strict=True)
-    return Walked([m for m, _ in held], list(iou), list(published), list(coverage), is_finished)
+    return Walked([m for m, _ in held], list(iou), list(published), list(coverage), is_finished, start[:2].tolist())
 
 
 def score(radio: GridMap, pose_building_map: Array, plan) -> tuple[float, float, float]:
@@ -147,6 +150,11 @@ def score(radio: GridMap, pose_building_map: Array, plan) -> tuple[float, float,
     free, known, truly = level < 0, level != 0, cells.free[rows, columns]
     right = float((free & truly).sum())
     return right / (free | truly).sum(), right / max((known & (free | truly)).sum(), 1), float(known.mean())
+
+
+def _reached_m(walked: Walked, goal: float) -> float:
+    """Path [m] until a walk first had this IoU; infinite: never."""
+    return next((m for m, iou in zip(walked.path_m, walked.iou, strict=True) if iou >= goal), math.inf)
 
 
 def _once(name: str, agent: str, seed: int, steps: int, finished: FinishedParts) -> Walked:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from agents import radio_survey
+from agents.radio_bound import shortest_known_walk_m
 from agents.radio_survey import Comparison, Walked
 from agents.radio_walk import RadioWalk
 from agents.ray_gain import RayGain
@@ -75,13 +76,22 @@ def test_the_agent_walks_on_where_rays_would_tell_and_is_done_where_all_is_told(
 
 
 def test_walks_are_compared_by_the_path_that_an_iou_takes():
-    along = Walked([0.0, 1.0, 2.0, 4.0], [0.0, 0.2, 0.4, 0.8], [1.0] * 4, [0.5] * 4, True)
-    active = Walked([0.0, 1.0, 2.0, 3.0], [0.0, 0.4, 0.6, 0.7], [1.0] * 4, [0.5] * 4, False)
+    along = Walked([0.0, 1.0, 2.0, 4.0], [0.0, 0.2, 0.4, 0.8], [1.0] * 4, [0.5] * 4, True, [0.0, 0.0])
+    active = Walked([0.0, 1.0, 2.0, 3.0], [0.0, 0.4, 0.6, 0.7], [1.0] * 4, [0.5] * 4, False, [0.0, 0.0])
     pair = Comparison("m", 0, along, active)
     assert pair.path_share(0.5) == 0.5
     assert pair.path_share(1.0) == math.inf
     assert pair.at_share(0.5) == (0.4, 0.6)
-    assert radio_survey.median_share([pair], 0.5) == (0.5, 0.5, 0.5)
+    assert radio_survey.median_share([pair.path_share(0.5)]) == (0.5, 0.5, 0.5)
+
+
+def test_a_walk_in_a_known_room_is_longer_the_more_it_must_clear_and_none_clears_more_than_all():
+    import twc_env
+
+    plan = twc_env.load_map("sfw-e1")
+    lengths = [shortest_known_walk_m(plan, plan.interior_m[0], share) for share in (0.2, 0.6, 1.0)]
+    assert 0.0 < lengths[0] < lengths[1] < 20.0
+    assert lengths[2] == math.inf
 
 
 def test_unknown_floor_counts_as_missed_where_walks_are_scored():

@@ -1,0 +1,40 @@
+"""How short a walk could be for one who knew the building: what to measure an active walk against.
+
+No noise, every ray is read as it should be, and no wall is taken for floor. The walk is the shortest that the search
+met, so that a shorter one may exist; one who must find the walls on the way cannot be expected to get there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.radio_walk import HUG, SPACING_M
+from agents.ray_gain import RayGain
+from twc_env.config import DynamicsConfig
+from twc_env.datasets.map_export import grid_of
+from twc_env.messages import GridMap
+from twc_env.planning import Terrain, covering_walk, walk_graph
+
+Array = NDArray
+
+PRICES_M = tuple(np.geomspace(0.005, 0.3, 12))
+TRIES = 40_000
+RESOLUTION_M = 0.1
+
+
+def shortest_known_walk_m(plan, start_m: Array, share: float, seed: int = 0) -> float:
+    """Length of the shortest walk found from start_m (2,) whose rays clear this share of the floor; inf: none does."""
+    seen = grid_of(plan, RESOLUTION_M)
+    radio = GridMap(np.zeros_like(seen.log_odds), seen.origin_m, RESOLUTION_M)
+    transmitter_m = np.array([point.position_m for point in plan.access_points])
+    graph = walk_graph(Terrain(seen, HUG * DynamicsConfig().robot_radius_m), start_m, SPACING_M)
+    told = RayGain(radio, seen, transmitter_m, SPACING_M).told(graph.places_m, np.zeros((0, 2)))
+    random, turns, best_m = np.random.default_rng(seed), np.array([0]), math.inf
+    for price_m in PRICES_M:
+        turns, cells = covering_walk(graph, told, price_m, turns, random.random((TRIES, 4)))
+        if cells >= share * told.shape[1]:
+            best_m = min(best_m, float(graph.lengths_m[turns[:-1], turns[1:]].sum()))
+    return best_m
