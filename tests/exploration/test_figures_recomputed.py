@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 import twc_env
+from agents import compare
+from twc_env import metrics
+from twc_env.config import EnvConfig, override
 
 SETTINGS = {
     "merged and apart": {"max_cycles": 220},
@@ -97,3 +100,72 @@ def test_end_points_and_lengths_are_those_of_the_paths(result):
     steps_m = np.linalg.norm(np.diff(true[..., :2], axis=0), axis=-1)
     assert figures["path_length_m"] == pytest.approx(steps_m.sum())
     assert figures["sim_time_s"] == pytest.approx(0.1 * len(steps_m))
+
+
+def nearest_wall(at_m: np.ndarray, walls_m: np.ndarray) -> tuple[float, int, float]:
+    """Distance of a place to the nearest of the walls (k, 2, 2), its number, and how far along it that is."""
+    begin, along = walls_m[:, 0], walls_m[:, 1] - walls_m[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    share = np.clip(np.einsum("kd,kd->k", at_m - begin, along) / length**2, 0.0, 1.0)
+    away = np.linalg.norm(begin + share[:, None] * along - at_m, axis=1)
+    wall = int(np.argmin(away))
+    return float(away[wall]), wall, float(share[wall] * length[wall])
+
+
+def test_walls_are_as_thick_as_their_cells_over_the_stretches_that_own_them(result):
+    grid, (x, y, heading), walls_m = result.grids[0], result.pose_building_map[0], result.floorplan.walls_m
+    found = metrics.wall_thickness_m(
+        grid.log_odds, grid.origin_m, grid.resolution_m, result.pose_building_map[0], walls_m
+    )
+    count, stretches = 0, {}
+    for row, column in np.argwhere(grid.log_odds > 0):
+        at = np.asarray(grid.origin_m) + (np.array([column, row]) + 0.5) * grid.resolution_m
+        away, wall, along = nearest_wall(turned(heading) @ at + [x, y], walls_m)
+        if away <= 1.0:
+            length, count = float(np.linalg.norm(walls_m[wall, 1] - walls_m[wall, 0])), count + 1
+            stretch = min(int(along / 0.25), int((length - 1e-9) / 0.25))
+            stretches[wall, stretch] = min(0.25, length - 0.25 * stretch)
+    if count == 0:
+        assert np.isnan(found)
+    else:  # it samples walls every 5 cm
+        assert found == pytest.approx(count * grid.resolution_m**2 / sum(stretches.values()), rel=0.03)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_wrong_merges_are_pairs_whose_paths_place_the_map_apart(seed):
+    random, count = np.random.default_rng(seed), 4
+    true = random.uniform((-20, -20, -np.pi), (20, 20, np.pi), (count, 30, 3))
+    frames = random.normal(0.0, (0.6, 0.6, 0.1), (count, 3)) + [5.0, -3.0, 2.5]
+    estimated = true.copy()  # the same path as seen in the map frame that lies where the robot's own frame says
+    for robot, (x, y, heading) in enumerate(frames):
+        estimated[robot, :, :2] = (true[robot, :, :2] - [x, y]) @ turned(heading)
+        estimated[robot, :, 2] -= heading
+    robot_of = np.repeat(np.arange(count), 30)
+    implied = metrics.implied_frames(estimated.reshape(-1, 3), true.reshape(-1, 3), robot_of)
+    centre = estimated[..., :2].reshape(-1, 2).mean(axis=0)
+    wrong = []
+    for i in range(count):
+        for j in range(i + 1, count):
+            here, there = (turned(frames[r, 2]) @ centre + frames[r, :2] for r in (i, j))
+            apart = np.abs(np.angle(np.exp(1j * (frames[i, 2] - frames[j, 2]))))
+            if np.linalg.norm(here - there) > 1.0 or apart > np.deg2rad(10.0):
+                wrong.append((i, j))
+    assert metrics.wrong_pairs(implied, centre) == wrong
+
+
+def test_the_time_to_ninety_percent_is_when_the_map_first_shows_so_much(monkeypatch):
+    config = override(EnvConfig(), {"map": "gen:office:100:1", "robots": 2, "max_cycles": 400, "lidar.beam_count": 90})
+    seen = []
+
+    class Watched(twc_env.ExplorationEnv):
+        def step(self, actions):
+            given = super().step(actions)
+            if self.episode.steps % self.config.reward.period_steps == 0:
+                seen.append((self.episode.steps, self.result().figures["coverage_correct"]))
+            return given
+
+    monkeypatch.setattr(twc_env, "parallel_env", Watched)
+    outcome = compare.explore(config, "nearest-frontier", 0)
+    first = next(step for step, share in seen if share >= compare.GOAL)
+    assert outcome.is_reached and 0 < first < 400
+    assert outcome.goal_s == pytest.approx(0.1 * first, abs=0.1 * config.reward.period_steps)
