@@ -41,3 +41,18 @@ def test_a_walk_that_heard_nothing_known_stays_out():
     joined = join([*traces, stranger], RadioSlamConfig())
     assert joined.is_joined.tolist() == [True] * 8 + [False]
     assert np.isnan(joined.positions_m[8]).all()
+
+
+def test_the_map_neither_swells_nor_shrinks():
+    traces, truths = walks(seed=1)
+    joined = join(traces, RadioSlamConfig())
+    found, truth = np.concatenate(joined.positions_m), np.concatenate(truths)
+    spread = [np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=1).mean()) for p in (found, truth)]
+    assert abs(spread[0] / spread[1] - 1.0) < 0.04
+
+
+def test_a_walk_without_scans_stays_out():
+    traces, _ = walks(8)
+    silent = Trace(np.zeros((0, 3)), [])
+    joined = join([*traces[:4], silent, *traces[4:]], RadioSlamConfig())
+    assert joined.is_joined.tolist() == [True] * 4 + [False] + [True] * 4

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import find_peaks
 
+from twc_env.datasets import phone_hearing
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import wrap_angle
@@ -29,7 +30,6 @@ SWING_MIN_M_S2 = 1.2
 WEINBERG_FACTOR = 0.38
 """Step length [m] over the fourth root of the swing [m/s2], for a phone held in front; people differ by 10 %.
 Its mean was set on floor site1_B1 of indoor20."""
-FRESH_S = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class WalkerTrace:
 
     name: str
     time_s: Array
-    """(n,) unix time of each scan."""
+    """(n,) unix time in the middle of each scan."""
     reckoned: Array
     """(n, 3) pose: the walk starts at the origin, x points where the compass says east."""
     turned_rad: Array
@@ -90,19 +90,19 @@ def dead_reckoning(
     return np.column_stack([position, wrap_angle(heading)]), np.diff(heading)
 
 
-def read_walks(folder: str | Path, age_max_s: float = FRESH_S, traces_max: int | None = None) -> list[WalkerTrace]:
-    """All traces of one floor of indoor20 that hold two scans or more. Addresses become numbers that the traces share.
+def read_walks(folder: str | Path, traces_max: int | None = None) -> list[WalkerTrace]:
+    """All traces of one floor of indoor20 that hold two scans or more. Radios become numbers that the traces share.
 
     Raises DataError for a folder without traces and for broken lines.
     """
     paths = sorted((Path(folder) / "traces").glob("*.txt*"))[:traces_max]
-    traces = [trace for path in paths if (trace := _read_walk(path, age_max_s)) is not None]
+    traces = [trace for path in paths if (trace := _read_walk(path)) is not None]
     if not traces:
         raise DataError(f"{folder} holds no trace with two scans; check the path")
     return traces
 
 
-def _read_walk(path: Path, age_max_s: float) -> WalkerTrace | None:
+def _read_walk(path: Path) -> WalkerTrace | None:
     rows: dict[str, list[list[str]]] = {
         f"TYPE_{kind}": [] for kind in ("WAYPOINT", "WIFI", "ACCELEROMETER", "ROTATION_VECTOR")
     }
@@ -115,7 +115,7 @@ def _read_walk(path: Path, age_max_s: float) -> WalkerTrace | None:
             np.array([[float(w[0]) / 1000, *(float(w[2 + k]) for k in range(size))] for w in rows[f"TYPE_{kind}"]])
             for kind, size in (("WAYPOINT", 2), ("ACCELEROMETER", 3), ("ROTATION_VECTOR", 3))
         )
-        at_s, prints = _scans(rows["TYPE_WIFI"], age_max_s)
+        at_s, prints = phone_hearing.fingerprints(rows["TYPE_WIFI"])
     except (ValueError, IndexError, OverflowError) as error:
         raise DataError(f"{path.name}: {error}; fetch the trace again") from error
     if len(waypoints) < 2 or len(acceleration) < 10 or len(rotation) < 2:
@@ -129,19 +129,3 @@ def _read_walk(path: Path, age_max_s: float) -> WalkerTrace | None:
     reckoned, turned = dead_reckoning(step_time, step_length, rotation[:, 0], heading, at_s)
     surveyed = np.column_stack([np.interp(at_s, waypoints[:, 0], waypoints[:, k]) for k in (1, 2)])
     return WalkerTrace(path.name.split(".")[0], at_s, reckoned, turned, tuple(prints), surveyed)
-
-
-def _scans(rows: list[list[str]], age_max_s: float) -> tuple[Array, list[Fingerprint]]:
-    """Times (n,) of the scans and what each really heard; of several readings of one address the strongest counts."""
-    scans: dict[str, dict[int, float]] = {}
-    for words in rows:
-        heard = scans.setdefault(words[0], {})
-        if float(words[0]) - float(words[6]) > 1000 * age_max_s:
-            continue
-        mac = int(words[3].replace(":", ""), 16) if ":" in words[3] else int(words[3], 16) & ((1 << 48) - 1)
-        heard[mac] = max(heard.get(mac, -200.0), float(words[4]))
-    prints = []
-    for heard in scans.values():
-        macs = np.array(sorted(heard), np.int64)
-        prints.append(Fingerprint(macs, np.array([heard[mac] for mac in macs.tolist()], float)))
-    return np.array([float(t) / 1000 for t in scans]), prints

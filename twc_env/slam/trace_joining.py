@@ -1,11 +1,13 @@
 """Many short walks put into one frame by radio alone: nobody knows where any of them began.
 
-Each walk knows its own shape and, by compass, about where north is. A first layout puts every scan where the scans of
-other walks are that sound most alike: with headings known this is linear, so it needs no guess. Then each walk moves
-as one piece (place and heading) until alike fingerprints lie as far apart as the model says, robustly, and fields of
-signal strength tie the walks where they pass each other.
+Each walk knows its own shape and, by compass, about where north is. Where two walks pass each other, one scan of each
+is the other walk's best match, both ways. A first layout puts such scans at one place: with headings known this is
+linear, so it needs no guess. Then each walk moves as one piece (place and heading) until it fits the fields of signal
+strength around it, robustly. Fields alone swell a map, matches alone shrink it (the scans of a match do not lie at
+quite one place): both act together.
 
-The model that turns likeness into distance is learnt within walks, from their own dead reckoning.
+With weighting `paper`, alike fingerprints lie as far apart as a model says instead. It is learnt within walks, from
+their own dead reckoning.
 """
 
 from __future__ import annotations
@@ -23,31 +25,32 @@ from twc_env.geometry import compose
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_field
 from twc_env.slam.distance_factor import Distances
-from twc_env.slam.radio_similarity import all_similarities, averaged, feature_rows
+from twc_env.slam.radio_similarity import all_similarities, feature_rows
 from twc_env.slam.similarity_model import SimilarityModel, train
 
 Array = NDArray
 
 APART_M = 10_000.0
 """Path length put between two walks, so that nothing is averaged across."""
-SHARPNESS = 2.0
+SHARPNESS = 2.5
 """Power to which strengths above the faintest are raised: what is loud tells more about a place than what is faint."""
-ALIKE_MIN, NEIGHBOUR_ALIKE_MIN = 0.85, 0.3
-"""Pairs at least this alike tell a distance; nearest neighbours of the first layout are at least so alike. Walks are so
-short that their model is cut off below."""
-NEIGHBOURS = 5
-"""Of each scan, this many of the most alike of other walks."""
+MATCH_ALIKE_MIN, MATCH_WALKS = 0.3, 3
+"""Matches of a scan are at least this alike, and lie in this many of the most alike other walks."""
+MATCH_POWER = 8
+"""A match weighs as much as this power of its likeness."""
+MATCH_STD_M = 4.0
+"""How far apart the scans of a match lie, once the fields speak too."""
 LAYOUT_ROUNDS, LAYOUT_SCALE_M, LAYOUT_FIRST_M, LAYOUT_SHRINK = 30, 8.0, 100.0, 0.8
 """Residual at which a neighbour has lost half of its weight: from the first, shrinking, to the last."""
-COMPASS_STD_RAD = 0.25
-"""How far a walk's headings are off as a whole: the phone's angle in the hand, magnetic disturbance."""
+COMPASS_STD_RAD = 0.1
+"""How far a walk's headings are off as a whole: the phone's angle in the hand, magnetic disturbance. Held tighter
+than compasses of real phones are good for: what radio says of headings is worse."""
 WINDOW_M = 60.0
 ROUNDS = 40
 STEP_M = 0.02
-BANDWIDTHS_M = (15.0, 15.0, 15.0, 15.0, 15.0)
+BANDWIDTH_M = 15.0
+FIELD_ROUNDS = 5
 CAUCHY = 2.0
-DEPENDENT_PAIRS = 30.0
-"""Pairs of two walks share fading, device and model: this many count as one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +72,6 @@ class Joined:
     """Per walk (n, 2) positions of its scans."""
     is_joined: Array
     """(walks,) bool: those of the largest group that fingerprints hold together."""
-    model: SimilarityModel
 
 
 def join(traces: Sequence[Trace], config: RadioSlamConfig) -> Joined:
@@ -86,24 +88,23 @@ class _Joiner:
         step = np.hypot(*np.diff(self._local[:, :2], axis=0, prepend=self._local[:1, :2]).T)
         step[np.diff(self._walk, prepend=-1) != 0] = APART_M
         self._travel_m = np.cumsum(step)
-        rows = feature_rows([f for t in traces for f in t.fingerprints], config.similarity)
-        smoothing_m = config.smoothing_wifi_m if self._is_ours else 0.0
+        self._rows = feature_rows([f for t in traces for f in t.fingerprints], config.similarity)
         if self._is_ours:
-            rows.data = rows.data**SHARPNESS
-        self._similarity = all_similarities(averaged(rows, self._travel_m, smoothing_m))
-        self._rows = rows
-        self._model = self._train()
+            self._rows.data = self._rows.data**SHARPNESS
+        self._similarity = all_similarities(self._rows)
 
     def run(self) -> Joined:
-        closures = self._closures()
-        first, second = self._neighbours()
-        is_joined = self._largest_group(np.column_stack([first, second]) if self._is_ours else closures.pairs)
-        poses = self._first_layout(first, second)
-        poses = self._refine(poses, closures) if self._is_ours else self._fit(poses, closures, None)
+        matches, weight = self._matches()
+        poses = self._first_layout(matches, weight)
+        if self._is_ours:
+            is_joined, poses = self._largest_group(matches), self._refine(poses, matches, weight)
+        else:
+            closures = self._closures()
+            is_joined, poses = self._largest_group(closures.pairs), self._fit(poses, closures, None)
         poses[~is_joined] = np.nan
         placed = compose(poses[self._walk], self._local)[:, :2]
         ends = np.cumsum([len(t.poses) for t in self._traces])[:-1]
-        return Joined(poses, tuple(np.split(placed, ends)), is_joined, self._model)
+        return Joined(poses, tuple(np.split(placed, ends)), is_joined)
 
     # --- what fingerprints say
 
@@ -112,17 +113,13 @@ class _Joiner:
         same = (self._walk[i] == self._walk[j]) & (self._travel_m[j] - self._travel_m[i] <= WINDOW_M)
         i, j = i[same], j[same]
         away = np.linalg.norm(self._local[i, :2] - self._local[j, :2], axis=1)
-        formula = "repaired" if self._is_ours else "paper"
-        return train(self._similarity[i, j], away, WINDOW_M, self._config.bin_width, formula)
+        return train(self._similarity[i, j], away, WINDOW_M, self._config.bin_width, "paper")
 
     def _closures(self) -> Distances:
-        least = ALIKE_MIN if self._is_ours else self._config.similarity_min
-        i, j = np.nonzero(np.triu(self._similarity > least, 1))
+        i, j = np.nonzero(np.triu(self._similarity > self._config.similarity_min, 1))
         other = self._walk[i] != self._walk[j]
         i, j = i[other], j[other]
-        mean, variance = self._model.distance(self._similarity[i, j])
-        if self._is_ours:
-            variance = variance * DEPENDENT_PAIRS
+        mean, variance = self._train().distance(self._similarity[i, j])
         return Distances(np.column_stack([i, j]), mean, variance)
 
     def _largest_group(self, pairs: Array) -> Array:
@@ -135,19 +132,24 @@ class _Joiner:
 
     # --- layout
 
-    def _neighbours(self) -> tuple[Array, Array]:
-        """Pairs of scans of different walks: each scan with those that sound most alike."""
+    def _matches(self) -> tuple[Array, Array]:
+        """Pairs (k, 2) of scans of two walks that are each other's best, and how much each weighs (k,)."""
         alike = np.where(self._walk[:, None] == self._walk[None], -1.0, self._similarity)
-        near = np.argsort(-alike, axis=1, kind="stable")[:, :NEIGHBOURS]
-        i, j = np.repeat(np.arange(len(alike)), near.shape[1]), near.ravel()
-        good = alike[i, j] > NEIGHBOUR_ALIKE_MIN
-        return i[good], j[good]
+        starts = np.flatnonzero(np.diff(self._walk, prepend=-1))
+        column = np.cumsum(np.diff(self._walk, prepend=-1) != 0) - 1  # of a scan's walk among those with scans
+        best = np.column_stack([alike[:, of].argmax(axis=1) + of.start for of in _slices(starts, len(alike))])
+        level = np.take_along_axis(alike, best, axis=1)
+        rank = np.argsort(np.argsort(-level, axis=1, kind="stable"), axis=1)
+        is_mutual = best[best, column[:, None]] == np.arange(len(alike))[:, None]
+        i, other = np.nonzero(is_mutual & (rank < MATCH_WALKS) & (level > MATCH_ALIKE_MIN))
+        return np.column_stack([i, best[i, other]]), level[i, other] ** MATCH_POWER
 
-    def _first_layout(self, i: Array, j: Array) -> Array:
+    def _first_layout(self, matches: Array, worth: Array) -> Array:
         """(walks, 3) with headings as the compass has them: robust linear least squares on places."""
-        a, b, count = self._walk[i], self._walk[j], len(self._traces)
+        (i, j), count = matches.T, len(self._traces)
+        a, b = self._walk[i], self._walk[j]
         apart = self._local[j, :2] - self._local[i, :2]
-        weight, place = np.ones(len(i)), np.zeros((count, 2))
+        weight, place = worth, np.zeros((count, 2))
         for round_ in range(LAYOUT_ROUNDS):
             laplacian = np.diag(np.bincount(a, weight, count) + np.bincount(b, weight, count) + 1e-6)
             links = np.bincount(a * count + b, weight, count * count).reshape(count, count)
@@ -158,12 +160,12 @@ class _Joiner:
             place = np.linalg.solve(laplacian, pull)
             missed = np.linalg.norm(place[a] - place[b] - apart, axis=1)
             scale_m = max(LAYOUT_SCALE_M, LAYOUT_FIRST_M * LAYOUT_SHRINK**round_)
-            weight = 1.0 / (1.0 + (missed / scale_m) ** 2)
+            weight = worth / (1.0 + (missed / scale_m) ** 2)
         return np.column_stack([place, np.zeros(count)])
 
     # --- fitting
 
-    def _fit(self, poses: Array, closures: Distances, ties: radio_field.Ties | None) -> Array:
+    def _fit(self, poses: Array, closures: Distances | None, ties: radio_field.Ties | None) -> Array:
         """Walks as rigid pieces: damped Gauss-Newton on distances, ties and the compass."""
         poses = poses.copy()
         damping, cost = 1e-3, self._cost(poses, closures, ties)
@@ -185,9 +187,11 @@ class _Joiner:
                 break
         return poses
 
-    def _cost(self, poses: Array, closures: Distances, ties: radio_field.Ties | None) -> float:
+    def _cost(self, poses: Array, closures: Distances | None, ties: radio_field.Ties | None) -> float:
         placed = compose(poses[self._walk], self._local)
-        total = self._loss(closures.residuals(placed) ** 2).sum() + (poses[:, 2] ** 2).sum() / COMPASS_STD_RAD**2
+        total = (poses[:, 2] ** 2).sum() / COMPASS_STD_RAD**2
+        if closures is not None:
+            total += self._loss(closures.residuals(placed) ** 2).sum()
         if ties is not None:
             total += self._loss(_tie_squared(ties, placed)).sum()
         return float(total)
@@ -198,13 +202,19 @@ class _Joiner:
     def _weight(self, squared: Array) -> Array:
         return 1.0 / (1.0 + squared / CAUCHY**2) if self._is_ours else np.ones(len(squared))
 
-    def _linearise(self, poses: Array, closures: Distances, ties: radio_field.Ties | None) -> tuple[Array, Array]:
+    def _linearise(
+        self, poses: Array, closures: Distances | None, ties: radio_field.Ties | None
+    ) -> tuple[Array, Array]:
         count = len(poses)
         placed = compose(poses[self._walk], self._local)
         arm = placed[:, :2] - poses[self._walk, :2]
         swing = np.column_stack([-arm[:, 1], arm[:, 0]])  # how a scan moves when its walk turns
-        residual = closures.residuals(placed)
-        parts = [(closures.pairs, closures.jacobian(placed)[:, None], residual[:, None], self._weight(residual**2))]
+        parts = []
+        if closures is not None:
+            residual = closures.residuals(placed)
+            parts.append(
+                (closures.pairs, closures.jacobian(placed)[:, None], residual[:, None], self._weight(residual**2))
+            )
         if ties is not None:
             root = np.swapaxes(np.linalg.cholesky(ties.information + 1e-9 * np.eye(2)), 1, 2)
             error = _tie_errors(ties, placed)
@@ -232,16 +242,19 @@ class _Joiner:
         gradient[:, 2] += poses[:, 2] / COMPASS_STD_RAD**2
         return hessian.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count), gradient.ravel()
 
-    def _refine(self, poses: Array, closures: Distances) -> Array:
-        feature = averaged(self._rows, self._travel_m, 0.5 * self._config.smoothing_wifi_m).toarray()
-        for bandwidth_m in BANDWIDTHS_M:
-            worth = radio_field.learn_worth(
-                feature, self._local[:, :2] + self._far_apart(), self._travel_m, bandwidth_m
-            )
+    def _refine(self, poses: Array, matches: Array, weight: Array) -> Array:
+        feature = self._rows.toarray()
+        matched = weight[:, None, None] * np.eye(2) / MATCH_STD_M**2
+        worth = radio_field.learn_worth(feature, self._local[:, :2] + self._far_apart(), self._travel_m, BANDWIDTH_M)
+        for _ in range(FIELD_ROUNDS):
             placed = compose(poses[self._walk], self._local)[:, :2]
-            ties = radio_field.ties(feature, placed, self._travel_m, bandwidth_m, APART_M / 2, worth, 1.5 * bandwidth_m)
-            if len(ties.pairs):
-                poses = self._fit(poses, closures, ties)
+            ties = radio_field.ties(feature, placed, self._travel_m, BANDWIDTH_M, APART_M / 2, worth, 1.5 * BANDWIDTH_M)
+            both = radio_field.Ties(
+                np.concatenate([ties.pairs, matches]),
+                np.concatenate([ties.offset_m, np.zeros(matches.shape)]),
+                np.concatenate([ties.information, matched]),
+            )
+            poses = self._fit(poses, None, both)
         return poses
 
     def _far_apart(self) -> Array:
@@ -256,3 +269,7 @@ def _tie_errors(ties: radio_field.Ties, placed: Array) -> Array:
 def _tie_squared(ties: radio_field.Ties, placed: Array) -> Array:
     error = _tie_errors(ties, placed)
     return np.einsum("ki,kij,kj->k", error, ties.information, error)
+
+
+def _slices(starts: Array, count: int) -> list[slice]:
+    return [slice(a, b) for a, b in zip(starts, [*starts[1:], count], strict=True)]
