@@ -20,7 +20,14 @@ def test_equal_seeds_mutate_equally():
     assert first.count == third.count == 40
 
 
-@pytest.mark.parametrize("error", [ValueError("bad"), MapError("two\nlines"), RecursionError("deep")])
+class OfTwoLines(MapError):
+    """What `TwcError` puts into one line."""
+
+    def __str__(self):
+        return "two\nlines"
+
+
+@pytest.mark.parametrize("error", [ValueError("bad"), OfTwoLines(), RecursionError("deep")])
 def test_the_fuzzer_sees_what_it_looks_for(monkeypatch, error):
     def broken(path, calls=[]):  # noqa: B006
         if "mutated" in str(path):

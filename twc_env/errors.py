@@ -2,7 +2,10 @@
 
 
 class TwcError(ValueError):
-    """Base of all errors that twc_env raises on bad input."""
+    """Base of all errors that twc_env raises on bad input; always one line, whatever value it names."""
+
+    def __init__(self, message: object = ""):
+        super().__init__(" ".join(line.strip() for line in str(message).splitlines()))
 
 
 class ConfigError(TwcError):

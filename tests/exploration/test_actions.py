@@ -1,3 +1,5 @@
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -95,3 +97,15 @@ def test_both_other_views_refuse_bad_actions_too():
     turns.reset(seed=0)
     with pytest.raises(ActionError, match="robot_0"):
         turns.step(BAD["too fast"])
+
+
+@pytest.mark.parametrize("bad", [np.zeros((3, 2)), np.array([1, 2], "M8[s]"), "a\nb"], ids=["rows", "dates", "text"])
+def test_values_of_many_lines_are_named_in_one(bad):
+    env = twc_env.parallel_env(map="twin-01", robots=1)
+    env.reset(seed=0)
+    for actions in ({"robot_0": bad}, bad):
+        with pytest.raises(ActionError) as error:
+            env.step(actions)
+        assert "\n" not in str(error.value) and "got" in str(error.value)
+        again = pickle.loads(pickle.dumps(error.value))  # as it comes from a worker process
+        assert (type(again), str(again)) == (ActionError, str(error.value))
