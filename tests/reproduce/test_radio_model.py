@@ -15,6 +15,7 @@ from twc_env.reproduce.radio_model import STUDIES
 from twc_env.reproduce.radio_remarks import told
 from twc_env.reproduce.radio_rooms import surveyed_rooms
 from twc_env.reproduce.radio_study import spread_over
+from twc_env.world.floor_cells import Cells
 
 needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="real surveys: set TWC_DATA to the data folder")
 CLEAR = RadioConfig(
@@ -68,6 +69,21 @@ def test_known_transmitters_keep_their_columns_and_storeys():
     distance = np.maximum(np.abs(survey.position_m[:, 0] - 5.0), 0.5)
     assert simulated.rssi_dbm[:, 0] == pytest.approx(-35.0 - 23.0 * np.log10(distance), abs=0.51)
     assert (simulated.rssi_dbm[:, 2] < simulated.rssi_dbm[:, 0].max() - 20).all()
+
+
+def test_shops_lie_along_wide_floor_and_not_along_narrow_corridors():
+    free = np.zeros((60, 120), bool)
+    free[20:40, 5:45] = True  # a concourse, 10 m wide
+    free[28:31, 45:115] = True  # a corridor, 1.5 m wide, leads away from it
+    cells = Cells(free, ~free, np.array([3.0, -2.0]), 0.5)
+    shops = places.beside_wide_floor(cells, 4.0, 3.0)
+    corners = np.array([[4.0, 13.0], [24.0, 13.0], [15.0, 8.0 - 2.9], [15.0, 18.0 + 2.9]])
+    assert shops.is_free(corners).all()
+    assert not shops.is_free(np.array([[31.0, 12.7], [55.0, 12.7], [15.0, 4.0], [15.0, 22.0]])).any()
+    plan = places.with_spread_transmitters(places.office("o", [0, 0, 42.0, 16.4]), 50, 100, 0, around=shops)
+    stood_m = np.array([point.position_m for point in plan.access_points])
+    assert shops.is_free(stood_m).all()
+    assert len(np.unique(stood_m, axis=0)) == 50
 
 
 def test_phones_side_by_side_are_averaged():

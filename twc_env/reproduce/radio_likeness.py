@@ -23,13 +23,16 @@ from twc_env.reproduce.radio_study import Figures, Spread, Study, extent, simila
 Array = NDArray
 
 _APART_S = 30.0
-_MALL_MARGIN_M = 15.0
 _ADDRESSES_PER_BOX = 4.83
 _MALL_DRAWS = 40
-_MALLS = {"site1_B1": ("calibrated", 0.00693, 0.416), "site2_F6": ("reported", 0.0098, 0.513)}
-"""Role, access points per m2 of the mall and its margin, and which share of their addresses is at 5 GHz. Fitted to
-site1_B1; on site2_F6 more addresses are heard ten times or more (1,814 against 1,293), and more of them are at 5 GHz
-(52 % against 43 %): its figures are scaled until the simulated walks hear as many in the same proportion."""
+_MALL_CELL_M = 0.5
+_CONCOURSE_WIDTH_M, _SHOP_DEPTH_M = 4.0, 8.64
+"""Access points stand along floor at least so wide, up to so far beside it, as shops open to concourses and service
+corridors lie behind. The depth is fitted."""
+_MALLS = {"site1_B1": ("calibrated", 0.011, 0.5), "site2_F6": ("reported", 0.025, 0.68)}
+"""Role, access points per m2 of concourse and shops, and which share of their addresses is at 5 GHz. Fitted to
+site1_B1; on site2_F6 both are scaled until its walks hear as many addresses ten times or more, in proportion to the
+real ones, and as many of them at 5 GHz, as on site1_B1."""
 
 
 def mall_studies() -> Iterator[Study]:
@@ -47,10 +50,10 @@ def mall_studies() -> Iterator[Study]:
         ) -> Figures:
             true = survey(folder, quick)
             plan = read_geojson(folder / "indoor20" / floor / "geojson_map.json.gz", seed)
-            around = plan.bounds_m + _MALL_MARGIN_M * np.array([-1, -1, 1, 1])
-            boxes = round(density * float(np.prod(around[2:] - around[:2])))
+            shops = places.beside_wide_floor(plan.cells(_MALL_CELL_M), _CONCOURSE_WIDTH_M, _SHOP_DEPTH_M)
+            boxes = round(density * float(shops.free.sum()) * _MALL_CELL_M**2)
             addresses = round(_ADDRESSES_PER_BOX * boxes)
-            plan = places.with_spread_transmitters(plan, boxes, addresses, seed, around, floors=(0, 0, 1, -1))
+            plan = places.with_spread_transmitters(plan, boxes, addresses, seed, floors=(0, 0, 1, -1), around=shops)
             return _mall_figures(places.simulate(true, plan, config, seed))
 
         def spread(folder: Path, quick: bool, survey=survey) -> Spread:
@@ -70,8 +73,8 @@ def mall_studies() -> Iterator[Study]:
 
 
 _CLUSTERS = (
-    "radios stand in clusters, here evenly: with phones of one model a quarter of its walks hear {few:.0f} networks or "
-    "fewer, another quarter {many:.0f} or more"
+    "radios stand in clusters, here evenly along the concourse: with phones of one model a quarter of its walks hear "
+    "{few:.0f} networks or fewer, another quarter {many:.0f} or more"
 )
 _MALL_REASONS = {
     "distance at cosine": _CLUSTERS,

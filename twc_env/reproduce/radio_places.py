@@ -11,12 +11,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from twc_env.config import RadioConfig
 from twc_env.datasets.ble_flat import Flat
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.routes import RoutePlanner
+from twc_env.world.floor_cells import Cells
 from twc_env.world.floorplan import AccessPoint, Floorplan
 from twc_env.world.radio import RadioModel
 from twc_env.world.reception import WifiReceiver
@@ -84,12 +86,25 @@ def with_known_transmitters(plan: Floorplan, survey: RadioSurvey, floor: int) ->
 
 
 def with_spread_transmitters(
-    plan: Floorplan, boxes: int, addresses: int, seed: int, bounds_m: Array | None = None, floors: Sequence[int] = (0,)
+    plan: Floorplan,
+    boxes: int,
+    addresses: int,
+    seed: int,
+    bounds_m: Array | None = None,
+    floors: Sequence[int] = (0,),
+    around: Cells | None = None,
 ) -> Floorplan:
-    """Access points at random places within bounds (default: the plan's), shared out over storeys."""
+    """Access points at random places shared out over storeys: within bounds (default: the plan's), or where `around` is
+    free."""
     random = random_stream(seed, f"transmitters {plan.name}")
-    low_high = plan.bounds_m if bounds_m is None else np.asarray(bounds_m, float)
-    places = random.uniform(low_high[:2], low_high[2:], (boxes, 2))
+    if around is not None:
+        rows, columns = np.nonzero(around.free)
+        drawn = random.integers(0, len(rows), boxes)
+        corners = np.column_stack([columns[drawn], rows[drawn]]) + random.random((boxes, 2))
+        places = around.origin_m + around.resolution_m * corners
+    else:
+        low_high = plan.bounds_m if bounds_m is None else np.asarray(bounds_m, float)
+        places = random.uniform(low_high[:2], low_high[2:], (boxes, 2))
     ends = np.linspace(0, addresses, boxes + 1).round().astype(int)
     points = [
         AccessPoint(
@@ -100,6 +115,14 @@ def with_spread_transmitters(
         if ends[i + 1] > ends[i]
     ]  # fmt: skip
     return dataclasses.replace(plan, access_points=tuple(points))
+
+
+def beside_wide_floor(cells: Cells, width_m: float, depth_m: float) -> Cells:
+    """What lies within `depth_m` of floor at least `width_m` wide: shops along a concourse, no service corridors."""
+    inside_m = distance_transform_edt(np.pad(cells.free, 1))[1:-1, 1:-1] * cells.resolution_m
+    wide = distance_transform_edt(inside_m < width_m / 2) * cells.resolution_m <= width_m / 2
+    beside = distance_transform_edt(~wide) * cells.resolution_m <= depth_m
+    return dataclasses.replace(cells, free=beside)
 
 
 def over_storeys(plan: Floorplan, floors: Sequence[int]) -> Floorplan:
