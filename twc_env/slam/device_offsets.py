@@ -33,7 +33,9 @@ class DeviceOffsets:
         self.offset_db = np.zeros((0, 0))
         """[a, b]: how much more b hears than a; 0 while unknown or small."""
         self.faintest_dbm = np.zeros(0)
-        """The faintest transmitter, in the mean over the places that each robot noted."""
+        """The faintest transmitter, in the mean over places where each robot read what another did."""
+        self._met: list[int] = []
+        """How many these are."""
         self._heard: list[dict[str, Fingerprint]] = []
         """Of each robot and text what was heard where it was first read, where anything was."""
         self._places: list[list[list[float]]] = []
@@ -47,17 +49,22 @@ class DeviceOffsets:
         if len(text) < LETTERS_MIN or text in self._heard[robot] or not len(heard.macs):
             return []
         self._heard[robot][text] = heard
-        self.faintest_dbm[robot] += (heard.rssi_dbm.min() - self.faintest_dbm[robot]) / len(self._heard[robot])
         is_new = False
         for other, known in enumerate(self._heard):
             there = known.get(text)
             if there is not None and other != robot:
+                self._listen(robot, heard)
+                self._listen(other, there)
                 count, mean_db, scatter_db = _shared_difference(there.macs, there.rssi_dbm, heard.macs, heard.rssi_dbm)
                 if count >= TRANSMITTERS_MIN and scatter_db <= SCATTER_MAX_DB:
                     insort(self._places[other][robot], mean_db)
                     insort(self._places[robot][other], -mean_db)
                     is_new = True
         return [other for other in range(len(self._heard)) if is_new and other != robot and self._learn(other, robot)]
+
+    def _listen(self, robot: int, heard: Fingerprint) -> None:
+        self._met[robot] += 1
+        self.faintest_dbm[robot] += (heard.rssi_dbm.min() - self.faintest_dbm[robot]) / self._met[robot]
 
     def between(self, a: int, b: int) -> list[float]:
         """How much more b hears than a, at every place that tells [dB], ascending.
@@ -85,6 +92,7 @@ class DeviceOffsets:
         more = robots - len(self._heard)
         self.offset_db, self.faintest_dbm = np.pad(self.offset_db, (0, more)), np.pad(self.faintest_dbm, (0, more))
         self._heard += [{} for _ in range(more)]
+        self._met += [0] * more
         self._places += [[] for _ in range(more)]
         for row in self._places:
             row += [[] for _ in range(robots - len(row))]
