@@ -24,7 +24,9 @@ def test_the_example_of_the_readme_has_ten_lines_at_most_and_runs(tmp_path):
     assert re.fullmatch(r"\d+% mapped rightly, [1-3] robots in one frame\n", done.stdout)
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "docs/figures.md", "docs/results.md", "maps/README.md"])
+@pytest.mark.parametrize(
+    "name", ["README.md", "CONTRIBUTING.md", "docs/figures.md", "docs/results.md", "maps/README.md"]
+)
 def test_links_to_files_lead_somewhere(name):
     text = (ROOT / name).read_text()
     targets = [target for target in re.findall(r"\]\(([^)#]+)", text) if "://" not in target]

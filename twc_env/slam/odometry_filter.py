@@ -1,7 +1,9 @@
 """Fuse odometry, gyro and scan matching: an extended Kalman filter over (x, y, heading, gyro bias, odometry's scale).
 
 The scale is what odometry reads too long, as a share. It is learned where scans fix all directions, and carries a robot
-through corridors where they do not.
+through corridors where they do not. How much a step says of it, and how far it may be off, is told by the running mean
+of the readings: one that is long by chance would otherwise weigh more, or less, than one that is short, and the scale
+be learned wrongly (errors in variables).
 
 The same equations stand here twice: `CompiledFilters`, used in the hot path, and `FilterpyFilters` on filterpy's
 ExtendedKalmanFilter, which is the oracle it is tested against and an option of the log tools.
@@ -20,6 +22,8 @@ from twc_env.kernels import borrowing_kernel, kernel
 
 Array = NDArray
 
+LATEST_SHARE = 0.2
+"""Weight of the latest reading in the mean of the readings before a step."""
 INFORMATION_MIN = 1e-6
 """Added to a match's information, so that a direction it does not fix has a variance at all."""
 
@@ -35,27 +39,30 @@ def _motion_noise(dx, dy, config):
 def predict_state(x, p, odometry, turn_rate, dt, config):
     """Move by odometry with the gyro's heading; then learn the gyro's bias from the odometry's turn.
 
-    x (5,) and p (5, 5) are changed in place. config: position_std_per_m, position_std_m, turn_std_rad,
-    odometry_turn_std_rad, gyro_bias_walk_rad_s, match_gate.
+    x (7,) and p (5, 5), see `CompiledFilters`, are changed in place. config: position_std_per_m,
+    position_std_m, turn_std_rad, odometry_turn_std_rad, gyro_bias_walk_rad_s, match_gate.
     """
     turn = (turn_rate - x[3]) * dt
     c, s = math.cos(x[2]), math.sin(x[2])  # odometry is given in the robot frame of the last frame
     dx, dy = odometry[0], odometry[1]
     read_x, read_y = c * dx - s * dy, s * dx + c * dy
     mx, my = (1.0 - x[4]) * read_x, (1.0 - x[4]) * read_y
+    went_x, went_y = c * x[5] - s * x[6], s * x[5] + c * x[6]
+    x[5] += LATEST_SHARE * (dx - x[5])
+    x[6] += LATEST_SHARE * (dy - x[6])
     x[0] += mx
     x[1] += my
     x[2] += turn
-    moved_variance, turn_variance = _motion_noise(dx, dy, config)
+    moved_variance, turn_variance = _motion_noise(x[5], x[6], config)
     # P <- F P F^T with F = I + rows 0-2: d/d heading, d/d scale and d/d bias
     f02, f12, f23 = -my, mx, -dt
     for j in range(5):
-        p[0, j] += f02 * p[2, j] - read_x * p[4, j]
-        p[1, j] += f12 * p[2, j] - read_y * p[4, j]
+        p[0, j] += f02 * p[2, j] - went_x * p[4, j]
+        p[1, j] += f12 * p[2, j] - went_y * p[4, j]
         p[2, j] += f23 * p[3, j]
     for i in range(5):
-        p[i, 0] += f02 * p[i, 2] - read_x * p[i, 4]
-        p[i, 1] += f12 * p[i, 2] - read_y * p[i, 4]
+        p[i, 0] += f02 * p[i, 2] - went_x * p[i, 4]
+        p[i, 1] += f12 * p[i, 2] - went_y * p[i, 4]
         p[i, 2] += f23 * p[i, 3]
     p[0, 0] += moved_variance
     p[1, 1] += moved_variance
@@ -88,7 +95,7 @@ def invert3(m, out):
 
 @kernel
 def update_state(x, p, pose, information, gate):
-    """Linear update of x (5,) and p (5, 5) with a measured pose (3,) and its information (3, 3).
+    """Linear update of x (7,) and p (5, 5) with a measured pose (3,) and its information (3, 3).
 
     Gives whether it was done: a pose that is further from the prediction than `gate` (squared, by the covariance of
     their difference) changes nothing.
@@ -224,9 +231,9 @@ class CompiledFilters:
 
     def __init__(self, config: OdometryFilterConfig, count: int):
         self.noise = _process_values(config)
-        self.states = np.zeros((count, 5))
-        """(n, 5) x [m], y [m], heading [rad], gyro bias [rad/s] in its odom frame, and by what share odometry reads too
-        long; the heading is not wrapped."""
+        self.states = np.zeros((count, 7))
+        """(n, 7) x [m], y [m], heading [rad], gyro bias [rad/s] in its odom frame, by what share odometry reads too
+        long, and the running mean of how far it reads ahead and to the left [m]; the heading is not wrapped."""
         self.covariances = np.tile(_first_covariance(config), (count, 1, 1))
         """(n, 5, 5)."""
 
@@ -255,6 +262,7 @@ class FilterpyFilters:
         self._config = config
         self._values = _process_values(config)
         self._filters = [ExtendedKalmanFilter(dim_x=5, dim_z=3) for _ in range(count)]
+        self._readings = np.zeros((count, 2))
         for ekf in self._filters:
             ekf.x = np.zeros(5)
             ekf.P = _first_covariance(config)
@@ -262,7 +270,7 @@ class FilterpyFilters:
     @property
     def states(self) -> Array:
         """See `CompiledFilters`."""
-        return np.array([ekf.x for ekf in self._filters])
+        return np.column_stack([[ekf.x for ekf in self._filters], self._readings])
 
     @property
     def covariances(self) -> Array:
@@ -273,7 +281,9 @@ class FilterpyFilters:
         """See `CompiledFilters`."""
         for k, motion, turn_rate, dt_s in zip(robots, odometry, turn_rates_rad_s, dts_s, strict=True):
             if dt_s > 0.0:
-                self._predict(self._filters[k], motion, float(turn_rate), float(dt_s))
+                before = self._readings[k].copy()
+                self._readings[k] += LATEST_SHARE * (motion[:2] - before)
+                self._predict(self._filters[k], motion, float(turn_rate), float(dt_s), before, self._readings[k])
 
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
         """See `CompiledFilters`."""
@@ -295,15 +305,16 @@ class FilterpyFilters:
                     residual=_pose_difference,
                 )
 
-    def _predict(self, ekf, odometry: Array, turn_rate_rad_s: float, dt_s: float) -> None:
+    def _predict(self, ekf, odometry: Array, turn_rate_rad_s: float, dt_s: float, before: Array, now: Array) -> None:
         dx, dy, turn_odometry = odometry
         turn = (turn_rate_rad_s - ekf.x[3]) * dt_s
         c, s = math.cos(ekf.x[2]), math.sin(ekf.x[2])
         read_x, read_y = c * dx - s * dy, s * dx + c * dy
         mx, my = (1.0 - ekf.x[4]) * read_x, (1.0 - ekf.x[4]) * read_y
-        moved_variance, turn_variance = _motion_noise(dx, dy, self._values)
+        went_x, went_y = c * before[0] - s * before[1], s * before[0] + c * before[1]
+        moved_variance, turn_variance = _motion_noise(*now, self._values)
         ekf.F = np.eye(5)
-        ekf.F[:3, 2:] += np.array([[-my, 0.0, -read_x], [mx, 0.0, -read_y], [0.0, -dt_s, 0.0]])
+        ekf.F[:3, 2:] += np.array([[-my, 0.0, -went_x], [mx, 0.0, -went_y], [0.0, -dt_s, 0.0]])
         bias_variance = self._config.gyro_bias_walk_rad_s**2 * dt_s
         ekf.Q = np.diag([moved_variance, moved_variance, turn_variance, bias_variance, 0.0])
         moved = ekf.x + np.array([mx, my, turn, 0.0, 0.0])
