@@ -13,9 +13,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
 
 from twc_env.kernels import kernel
 from twc_env.planning.terrain import Terrain
@@ -61,6 +58,10 @@ class WalkGraph:
 
 def walk_graph(terrain: Terrain, start_m: Array, spacing_m: float, places_max: int = 900) -> WalkGraph:
     """Places that can be reached from start_m (2,), about `spacing_m` apart, along the rim of the open floor first."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+    from scipy.spatial import cKDTree
+
     is_open = terrain.cost > 0
     spacing = spacing_m / terrain.resolution_m
     while True:
