@@ -2,6 +2,8 @@
 
 import os
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads that wait for each other make small matrices slow
+
 import numpy as np
 import pytest
 from hypothesis import settings
