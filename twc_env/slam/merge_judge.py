@@ -13,7 +13,7 @@ from twc_env.messages import GridMap, LoopClosure
 from twc_env.slam import map_merging
 from twc_env.slam.heard_places import HeardPlaces
 from twc_env.slam.map_merging import MergeProposal, Weight
-from twc_env.slam.signless_recogniser import MISSING_AFTER_S
+from twc_env.slam.sign_table import MISSING_AFTER_S
 from twc_env.slam.team_graph import TeamGraph
 
 Array = NDArray

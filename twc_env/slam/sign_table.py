@@ -9,17 +9,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.config import PlaceRecognitionConfig
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe
 from twc_env.slam.device_offsets import DeviceOffsets
 from twc_env.slam.growing import doubled
 from twc_env.slam.radio_fingerprint import rssi_similarity
-from twc_env.slam.signless_recogniser import MISSING_AFTER_S
 
 Array = NDArray
 
 _ROOM = 1024
 """Rows and readings to begin with; doubled when they are full."""
+MISSING_AFTER_S = 20.0
+"""A robot that has read, or heard, nothing for so long since the episode began has no use of that cue."""
 UNLIKE = -1.0
 """In place of a similarity, of texts that are not alike."""
 
@@ -32,6 +34,12 @@ class RadioRule(NamedTuple):
     rssi_tolerance_db: float
     spares_deaf: bool = False
     """Whether all radio is alike to robots that for MISSING_AFTER_S heard nothing."""
+
+    @classmethod
+    def of(cls, config: PlaceRecognitionConfig, spares_deaf: bool = False) -> RadioRule:
+        """The rule of a configuration; strengths are left to `rssi_cue` where their mode is not the simple one."""
+        rssi_min = config.rssi_similarity_min - 1e-9 if config.rssi_mode == "saturating" else -math.inf
+        return cls(config.mac_similarity_min - 1e-9, rssi_min, config.rssi_tolerance_db, spares_deaf)
 
 
 @kernel
@@ -177,7 +185,7 @@ class SignTable:
     ) -> bool:
         """Whether a robot that is not skipped has read one of these texts; the keyframe's own not after latest_m."""
         for text, _ in alike:
-            for robot, first_m in self._first_m[text].items():
+            for robot, first_m in self._first_m.get(text, {}).items():
                 if robot not in skipped_robots and (robot != own or first_m <= latest_m):
                     return True
         return False

@@ -6,10 +6,8 @@ from collections.abc import Sequence
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import Keyframe, LoopCandidate
+from twc_env.slam.sign_table import MISSING_AFTER_S
 from twc_env.slam.wayside_recognisers import WifiRecogniser
-
-MISSING_AFTER_S = 20.0
-"""A robot that has read, or heard, nothing for so long since the episode began has no use of that cue."""
 
 
 class SignlessRecogniser:

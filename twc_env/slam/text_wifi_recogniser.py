@@ -36,11 +36,7 @@ class TextWifiRecogniser:
     def __init__(self, config: PlaceRecognitionConfig):
         self._config = config
         self._texts = AlikeTexts(config.text_similarity_min - 1e-9)
-        is_simple = config.rssi_mode == "saturating"
-        self._radio = RadioRule(
-            config.mac_similarity_min - 1e-9, config.rssi_similarity_min - 1e-9 if is_simple else -math.inf,
-            config.rssi_tolerance_db, config.spares_missing_cues,
-        )  # fmt: skip
+        self._radio = RadioRule.of(config, config.spares_missing_cues)
         self._recent: dict[tuple[int, str], deque[tuple[float, tuple[float, float]]]] = {}
         self._places: list[tuple[Keyframe, SignObservation]] = []
         self._table = SignTable()

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import Keyframe, LoopCandidate
 from twc_env.slam.place_cues import rssi_cue, similarities
-from twc_env.slam.radio_fingerprint import mac_similarity, rssi_distance_db
 from twc_env.slam.scan_descriptor import compare, compare_many, describe, ring_key
+from twc_env.slam.sign_table import RadioRule, SignTable
 
 Array = NDArray
 
@@ -83,6 +83,9 @@ class WifiRecogniser:
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
         self._config = config
         self._places = PlacesOnTheWay(range_max_m)
+        self._table = SignTable()
+        """The same places, as if one sign were read at all of them."""
+        self._radio = RadioRule.of(config)
 
     def propose(
         self,
@@ -94,15 +97,13 @@ class WifiRecogniser:
         if not self._places.is_due(keyframe):
             return []
         rule, found = self._config, []
-        for k in self._places.others(keyframe, skipped_robots, rule.revisit_travel_m):
-            target = self._places.keyframes[k]
-            macs = mac_similarity(target.fingerprint, keyframe.fingerprint)
-            if macs < rule.mac_similarity_min - 1e-9:
-                continue
-            prints = target.fingerprint, keyframe.fingerprint
-            rssi, is_alike = rssi_cue(*rssi_distance_db(*prints), rule, prints)
+        rows = self._table.like([(0, 1.0)], keyframe, skipped_robots, rule.revisit_travel_m, self._radio)
+        for row, _, macs, _, distance_db, shared in rows:
+            k = int(row)
+            prints = self._places.keyframes[k].fingerprint, keyframe.fingerprint
+            rssi, is_alike = rssi_cue(distance_db, int(shared), rule, prints)
             if is_alike:
-                found.append((min(macs, rssi), int(k), macs, rssi))
+                found.append((min(macs, rssi), k, macs, rssi))
         found.sort(key=lambda entry: (-entry[0], entry[1]))
         descriptor = self._places.describe(keyframe)
         candidates = []
@@ -112,6 +113,7 @@ class WifiRecogniser:
                 _candidate(self._places.keyframes[k], keyframe, guess, self.name, mac=macs, rssi=rssi),
             )
         self._places.add(keyframe, descriptor)
+        self._table.append(keyframe, "", 0)
         return candidates
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
