@@ -12,6 +12,11 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from twc_env import command_start
+
+if command_start.is_loading():  # before anything that takes long to read
+    command_start.end_when_interrupted()
+
 import gymnasium
 import pettingzoo
 

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from twc_env.command_start import begin_work, end_when_interrupted, is_loading
 from twc_env.errors import ConfigError, DataError, TwcError
 from twc_env.file_lock import FileLock
 
@@ -34,6 +35,7 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace" if sys.stdout.errors == "strict" else sys.stdout.errors)
     try:
+        begin_work()
         status = command()
         sys.stdout.flush()
         return status or 0
@@ -55,6 +57,9 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
     except KeyboardInterrupt:
         sys.stderr.write(f"{remark}\n")
         return 130
+    finally:
+        if is_loading():
+            end_when_interrupted()
 
 
 def _silence() -> None:

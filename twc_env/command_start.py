@@ -1,0 +1,38 @@
+"""Ctrl-C while a command's modules are still being read: one line, as later, instead of a traceback through them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+
+_COMMANDS = ("twc_env.__main__", "agents.__main__", "training.__main__")
+
+
+def end_when_interrupted() -> None:
+    """Until `begin_work`, Ctrl-C ends a command of ours at once; all other programs get their KeyboardInterrupt."""
+    if threading.current_thread() is not threading.main_thread():  # only that one can set what signals do
+        return
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end)
+
+
+def begin_work() -> None:
+    """From here on Ctrl-C raises KeyboardInterrupt again: there is work whose remains must be tidied up."""
+    if signal.getsignal(signal.SIGINT) is _end:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def is_loading() -> bool:
+    """Whether `python -m` is about to run a package, or runs a command of ours."""
+    name = getattr(getattr(sys.modules.get("__main__"), "__spec__", None), "name", None)
+    return sys.argv[:1] == ["-m"] or name in _COMMANDS
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    if not is_loading():
+        signal.default_int_handler(number, frame)
+    os.write(2, b"interrupted\n")
+    os._exit(130)
