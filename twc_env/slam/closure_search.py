@@ -41,6 +41,8 @@ class ClosureSearch:
             noise, range_max_m = config.slam.odometry_filter, config.lidar.range_max_m
             self._verifier = LoopVerifier(config.slam.verification, noise, range_max_m)
         self._waiting: dict[str, deque[LoopCandidate]] = {name: deque() for name in self._filters}
+        self.waiting_count = 0
+        """Candidates that may have their turn."""
         self._without_scans: list[LoopCandidate] = []
         self._searched_m = [0.0] * robot_count
         self._tied_m = [-np.inf] * robot_count
@@ -62,6 +64,7 @@ class ClosureSearch:
             target, source = self._graph.keyframe(candidate.target), self._graph.keyframe(candidate.source)
             if self._filters[candidate.recogniser].is_new(target, source, self._reach_m(target, source)):
                 self._waiting[candidate.recogniser].append(candidate)
+                self.waiting_count += 1
 
     def _reach_m(self, target: Keyframe, source: Keyframe) -> float:
         """How near to an earlier proposal another one is a repetition of it."""
@@ -100,21 +103,14 @@ class ClosureSearch:
         for robot in robots:
             self._tied_m[robot] = -np.inf
 
-    @property
-    def has_waiting(self) -> bool:
-        """Whether a candidate may have its turn."""
-        return any(self._waiting.values())
-
     def next_closure(self) -> LoopClosure | None:
         """Verify the first candidate that is needed and whose scans are here; None when none waits.
 
         Missing scans are asked for. Inside one map a candidate is not needed once another closure ties its keyframe.
         """
-        while True:
-            queue = next(filter(None, self._waiting.values()), None)
-            if queue is None:
-                return None
-            candidate = queue.popleft()
+        while self.waiting_count:
+            candidate = next(filter(None, self._waiting.values())).popleft()
+            self.waiting_count -= 1
             (target, _), (source, index) = candidate.target, candidate.source
             paths = self._graph.keyframes[target], self._graph.keyframes[source]
             if self._maps.group_of[target] == self._maps.group_of[source] and self._is_tied(paths[1][index]):
@@ -123,9 +119,11 @@ class ClosureSearch:
                 self._without_scans.append(candidate)
             else:
                 return self._verifier.verify(candidate, *paths)
+        return None
 
     def wake(self) -> None:
         """Scans have come: candidates that waited for them have their turn first."""
         for candidate in reversed(self._without_scans):
             self._waiting[candidate.recogniser].appendleft(candidate)
+        self.waiting_count += len(self._without_scans)
         self._without_scans.clear()

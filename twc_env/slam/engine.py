@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,10 +110,8 @@ class CooperativeSlam:
         """Where each robot has its own mapper: where its mates were when they were heard of last."""
         self._maps: HeldMaps | None = None
         """None: they are to be looked up anew."""
-        self._located = [-1] * len(self.mappers)
-        """The state of each mapper, by its count of changes, that these were taken from."""
-        self._regroupings = [-1] * len(self.mappers)
-        self._map_changes = [(-1, -1)] * len(self.mappers)
+        self._counts = [(-1, -1, -1, -1)] * len(self.mappers)
+        """The state of each mapper, see `TeamMapper.counts`, that these were taken from."""
         self._views: list[View] = []
         self._views_of: list[int] = []
         """Which maps robots believe in, as of these counts of regroupings."""
@@ -219,17 +218,18 @@ class CooperativeSlam:
 
     def _relocate(self, number: int, mapper: TeamMapper) -> None:
         """Take over what a mapper says of robots, where that has changed; beliefs hold what it said before."""
-        if mapper.changes == self._located[number] and mapper.regroupings == self._regroupings[number]:
+        counts, before = mapper.counts(), self._counts[number]
+        if counts == before:
             return
+        self._counts[number] = counts
         since_m, heard = self._since_closure_m.copy(), self._contact_steps.copy()
         robots = self._everyone if self._is_central else self._everyone[number : number + 1]
         mapper.locate(robots, self._others, (self._poses_map_odom, self._std, since_m, heard))
-        if mapper.regroupings != self._regroupings[number] or not self._is_central:
+        if counts[1] != before[1] or not self._is_central:
             self._find_mates(robots.tolist(), mapper)
-        if mapper.map_changes != self._map_changes[number]:
-            self._map_changes[number], self._maps = mapper.map_changes, None
+        if counts[2:] != before[2:]:
+            self._maps = None
         self._since_closure_m, self._contact_steps = since_m, heard
-        self._located[number], self._regroupings[number] = mapper.changes, mapper.regroupings
 
     def _find_mates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
         """Who shares the map of each of these robots."""
@@ -289,17 +289,15 @@ class CooperativeSlam:
     def _held_maps(self) -> HeldMaps:
         """The maps that the robots believe in."""
         if self._maps is None or self._radio is not None:
-            maps = self._maps = HeldMaps([], [], [], [])
-            for robot in range(len(self.robots)):
-                mapper = self.mapper_of(robot)
-                number = mapper.group_index(robot)
+            rows: list[Any] = [None] * len(self.robots)
+            for view in self.views():
+                mapper, number = view.mapper, view.group
                 group = mapper.groups[number]
-                maps.grids.append(group.grid.snapshot())
-                maps.signs.append(mapper.signs_of(number))
-                maps.versions.append(group.version)
-                maps.radio.append(
-                    None if self._radio is None else self._radio_picture(self._radio, mapper, number, robot)
-                )
+                grid, signs = group.grid.snapshot(), mapper.signs_of(number)
+                for robot in view.viewers:
+                    radio = None if self._radio is None else self._radio_picture(self._radio, mapper, number, robot)
+                    rows[robot] = grid, signs, group.version, radio
+            self._maps = HeldMaps(*map(list, zip(*rows, strict=True)))
         return self._maps
 
     def _radio_picture(self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int) -> RadioPicture | None:

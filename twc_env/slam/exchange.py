@@ -88,7 +88,8 @@ class Exchange:
             self._pairs = [(i, k, bool(contacts.heard[i, k])) for i, k in np.argwhere(contacts.tried).tolist()]
         for listener, sender, is_heard in self._pairs:
             if self._is_central:
-                self._tell_keyframes(deliveries[0], 0, sender, len(self._paths[sender]), is_heard)
+                if self._held[0][sender] < len(self._paths[sender]):
+                    self._tell_keyframes(deliveries[0], 0, sender, len(self._paths[sender]), is_heard)
             else:
                 self._tell_holdings(listener, sender, is_heard)
                 for robot, count in enumerate(before[sender]):

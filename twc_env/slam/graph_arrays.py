@@ -98,7 +98,7 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
 
 @borrowing_kernel
 def _nearest(graph, robot, pose, travel_max):
-    """See `TeamGraph.nearest`."""
+    """See `GraphArrays.nearest`."""
     poses, _, _, travels, _, _, _, _, _, _, rows, counts, _, _ = parts_of(graph)
     best, best_squared = -1, np.inf
     for k in range(counts[robot]):
@@ -116,7 +116,7 @@ class GraphArrays:
 
     def __init__(self, robot_count: int, beam_count: int):
         self.node_count = self.edge_count = 0
-        self._nodes: list[Array] = [
+        self._node_rows: list[Array] = [
             np.zeros((_ROOM, 3)),
             np.zeros(_ROOM, np.int64),
             np.zeros(_ROOM, np.int64),
@@ -126,7 +126,7 @@ class GraphArrays:
         self._beam_count = beam_count
         self._scans: list[Array] = []
         """(beams,) of each node: the keyframes' own, which the mappers of other robots hold too."""
-        self._edges: list[Array] = [
+        self._edge_rows: list[Array] = [
             np.zeros((_ROOM, 2), np.int64),
             np.zeros((_ROOM, 3)),
             np.zeros((_ROOM, 3, 3)),
@@ -152,7 +152,7 @@ class GraphArrays:
         self._nearest = rebound(self._nearest, held)
 
     def _all(self) -> Lent:
-        return Lent((*self._nodes, *self._edges, self._rows, self._counts, self.tied, self._latest_odom))
+        return Lent((*self._node_rows, *self._edge_rows, self._rows, self._counts, self.tied, self._latest_odom))
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_follow": None, "_locate": None, "_nearest": None}
@@ -160,8 +160,8 @@ class GraphArrays:
     def add_node(self, keyframe: Keyframe) -> int:
         """A keyframe, put where odometry leads from the robot's last one; gives its node."""
         node = self.node_count
-        if node == len(self._nodes[0]):
-            self._nodes = [doubled(rows) for rows in self._nodes]
+        if node == len(self._node_rows[0]):
+            self._node_rows = [doubled(rows) for rows in self._node_rows]
             self._rows = doubled(self._rows.T).T.copy()
             self._hold_grown()
         self._make_room_for_edge()
@@ -179,12 +179,12 @@ class GraphArrays:
     def add_edge(self, ends: tuple[int, int], measured: Array, covariance: Array, closure: int, is_used: bool) -> None:
         """A measured pose (3,) of the second end in the frame of the first; `closure` is the closure's number."""
         self._make_room_for_edge()
-        _put_edge(self.edge_count, *ends, measured, covariance, closure, is_used, *self._edges)
+        _put_edge(self.edge_count, *ends, measured, covariance, closure, is_used, *self._edge_rows)
         self.edge_count += 1
 
     def _make_room_for_edge(self) -> None:
-        if self.edge_count == len(self._edges[0]):
-            self._edges = [doubled(rows) for rows in self._edges]
+        if self.edge_count == len(self._edge_rows[0]):
+            self._edge_rows = [doubled(rows) for rows in self._edge_rows]
             self._hold_grown()
 
     def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
@@ -199,66 +199,69 @@ class GraphArrays:
             self._locate = bound(_locate, self._all(), robots, others, *into)
         self._locate(robots, others, *into)
 
-    def nearest(self, robot: int, pose: Array, travel_max_m: float) -> tuple[int, float]:
-        """See `TeamGraph.nearest`."""
+    def nearest(self, robot: int, pose: Array, travel_max_m: float = math.inf) -> tuple[int, float]:
+        """The robot's keyframe nearest to a pose among those up to a path length, and how far away it is [m].
+
+        (-1, inf) where there is none.
+        """
         if self._nearest is None:
             self._nearest = bound(_nearest, self._all(), robot, pose, travel_max_m)
         return self._nearest(robot, pose, travel_max_m)
 
     def rows_of(self, nodes: Array | slice) -> tuple[Array, Array]:
         """Poses (k, 3) and scans (k, beams) of some nodes."""
-        return self._nodes[0][nodes], self.scans_of(nodes)
+        return self._node_rows[0][nodes], self._scans_at(nodes)
 
-    def scans_of(self, nodes: Array | slice) -> Array:
+    def _scans_at(self, nodes: Array | slice) -> Array:
         """(k, beams) of some nodes [m]."""
         chosen = self._scans[nodes] if isinstance(nodes, slice) else [self._scans[node] for node in nodes.tolist()]
         return chosen[0][None] if len(chosen) == 1 else np.reshape(chosen, (len(chosen), self._beam_count))
 
-    def nodes_of(self, robot: int) -> Array:
-        """(keyframes,) its nodes, ascending."""
+    def path_of(self, robot: int) -> Array:
+        """(keyframes,) the nodes of a robot, ascending."""
         return self._rows[robot, : self._counts[robot]]
 
     @property
     def poses(self) -> Array:
         """(nodes, 3) of all keyframes, each in its group's map frame; may be written to."""
-        return self._nodes[0][: self.node_count]
+        return self._node_rows[0][: self.node_count]
 
     @property
     def robot_of_node(self) -> Array:
         """(nodes,) whose keyframe each is."""
-        return self._nodes[1][: self.node_count]
+        return self._node_rows[1][: self.node_count]
 
     @property
     def step_of_node(self) -> Array:
         """(nodes,) the step at which each was taken."""
-        return self._nodes[2][: self.node_count]
+        return self._node_rows[2][: self.node_count]
 
     @property
     def travels_m(self) -> Array:
         """(nodes,) path length of the robot up to each."""
-        return self._nodes[3][: self.node_count]
+        return self._node_rows[3][: self.node_count]
 
     @property
     def ends(self) -> Array:
         """(edges, 2) nodes."""
-        return self._edges[0][: self.edge_count]
+        return self._edge_rows[0][: self.edge_count]
 
     @property
     def measured(self) -> Array:
         """(edges, 3) pose of the second end in the frame of the first."""
-        return self._edges[1][: self.edge_count]
+        return self._edge_rows[1][: self.edge_count]
 
     @property
     def information(self) -> Array:
         """(edges, 3, 3)."""
-        return self._edges[2][: self.edge_count]
+        return self._edge_rows[2][: self.edge_count]
 
     @property
     def closure_of_edge(self) -> Array:
         """(edges,) number of the closure, or `ODOMETRY`."""
-        return self._edges[3][: self.edge_count]
+        return self._edge_rows[3][: self.edge_count]
 
     @property
     def is_used(self) -> Array:
         """(edges,) bool; may be written to."""
-        return self._edges[4][: self.edge_count]
+        return self._edge_rows[4][: self.edge_count]

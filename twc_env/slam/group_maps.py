@@ -87,10 +87,11 @@ class GroupMaps:
         if node == len(self._drawn):
             self._drawn, self._scan_here = doubled(self._drawn), doubled(self._scan_here)
         self._scan_here[node] = not self._on_request or keyframe.robot == self._home
-        self._drawn[node] = self._graph.poses[node]
+        poses = self._graph.poses[node : node + 1]
+        self._drawn[node] = poses[0]
         group = self.group_of[keyframe.robot]
         if self._scan_here[node] or self._draws_all(group):
-            self._draw(self.groups[group].grid, slice(node, node + 1))
+            self._draw(self.groups[group].grid, poses, keyframe.ranges_m[None])
         elif self._is_seen(group):
             self.wanted[keyframe.robot, keyframe.index] = None
 
@@ -102,7 +103,7 @@ class GroupMaps:
             is_drawn = self._scan_here[node] or self._draws_all(group)
             self._scan_here[node] = True
             if not is_drawn:
-                self._draw(self.groups[group].grid, slice(node, node + 1))
+                self._draw(self.groups[group].grid, *self._graph.rows_of(slice(node, node + 1)))
 
     def ask_for(self, keys: Collection[tuple[int, int]]) -> bool:
         """Want those scans of these keyframes that are not here; whether there are any."""
@@ -124,7 +125,7 @@ class GroupMaps:
         poses, side = self._graph.poses[nodes], sides.get(robots)
         if side is None or not side.is_of(nodes, poses):
             side = sides[robots] = Side(self._new_grid(), nodes[:0], poses[:0])
-        self._draw(side.grid, nodes[len(side.nodes) :])
+        self._draw(side.grid, *self._graph.rows_of(nodes[len(side.nodes) :]))
         side.poses = np.concatenate([side.poses, poses[len(side.nodes) :]])
         side.nodes = nodes
         return side
@@ -191,7 +192,7 @@ class GroupMaps:
 
     def _redraw(self, group: int, nodes: Array) -> None:
         self._drawn[nodes] = self._graph.poses[nodes]
-        self._draw(self.groups[group].grid, self._drawable(group, nodes))
+        self._draw(self.groups[group].grid, *self._graph.rows_of(self._drawable(group, nodes)))
         self.groups[group].version += 1
         self.changes += 1
 
@@ -199,9 +200,9 @@ class GroupMaps:
         """Those of some nodes of a group whose scans may be drawn."""
         return nodes if self._draws_all(group) else nodes[self._scan_here[nodes]]
 
-    def _draw(self, grid: OccupancyGrid, nodes: Array | slice) -> None:
+    def _draw(self, grid: OccupancyGrid, poses: Array, scans: Array) -> None:
         cells = grid.log_odds
-        grid.integrate(*self._graph.rows_of(nodes))
+        grid.integrate(poses, scans)
         self.changes += grid.log_odds is not cells
 
     def _new_grid(self) -> OccupancyGrid:

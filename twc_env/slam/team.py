@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -98,7 +97,7 @@ class TeamMapper:
         if self._given_starts is not None:
             self._merge_given(self._given_starts)
         self._step = step
-        if self._search.has_waiting:
+        if self._search.waiting_count:
             for _ in range(self._config.verification.backlog_per_step):
                 if not self._verify_one():
                     break
@@ -107,7 +106,7 @@ class TeamMapper:
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
-        if step >= self._optimisation_due_step():
+        if self._dirty and step >= self._optimisation_due_step():
             self._last_optimised_step = step
             for group in sorted({self.group_index(robot) for robot in self._dirty}):
                 self._optimise(group)
@@ -117,10 +116,10 @@ class TeamMapper:
 
     def _next_due_step(self) -> float:
         """The first step with anything to do even if nothing arrives."""
-        if self._search.has_waiting or self._given_starts is not None:
+        if self._search.waiting_count or self._given_starts is not None:
             return self._step + 1
-        retry_step = self._last_retried_step + RETRY_STEPS
-        return min(self._review.due_step, retry_step, self._optimisation_due_step())
+        due_step = min(self._review.due_step, self._last_retried_step + RETRY_STEPS)
+        return min(due_step, self._optimisation_due_step()) if self._dirty else due_step
 
     def give_starts(self, poses: Array) -> None:
         """Tell the mapper where all robots started (robots, 3), in any one frame: an oracle, for comparison only."""
@@ -141,15 +140,10 @@ class TeamMapper:
         """Grows whenever robots come to share a map or no longer do."""
         return self._maps.regroupings
 
-    @property
-    def changes(self) -> int:
-        """Grows whenever a keyframe arrives, poses move or a closure is believed or refused."""
-        return self._graph.changes
-
-    @property
-    def map_changes(self) -> tuple[int, int]:
-        """Another pair whenever a map lies elsewhere, is drawn anew or is another robot's too, or a text was read."""
-        return self._maps.changes, sum(self._graph.signs_read)
+    def counts(self) -> tuple[int, int, int, int]:
+        """How often a keyframe arrived, poses moved or a closure was judged; robots came together or fell apart; a map
+        came to lie elsewhere or was drawn anew; a text was read."""
+        return self._graph.changes, self._maps.regroupings, self._maps.changes, sum(self._graph.signs_read)
 
     @property
     def merges_undone(self) -> int:
@@ -328,8 +322,6 @@ class TeamMapper:
 
     def _optimisation_due_step(self) -> float:
         """From when on the groups with new closures are optimised: the later, if none of these is urgent."""
-        if not self._dirty:
-            return math.inf
         periods = 1 if any(self._dirty.values()) else PATIENCE_PERIODS
         return self._last_optimised_step + periods * self._config.pose_graph.period_steps
 

@@ -82,13 +82,14 @@ def _part(is_inside, first, robot_of_node, ends, measured, information, closure_
     return nodes, edges, inner, motions, weights, closures, used
 
 
-class TeamGraph:
+class TeamGraph(GraphArrays):
     """Nodes are keyframes in the order of their arrival, edges odometry and closures; everything is kept in arrays.
 
     With `keeps_refused`, closures that the map contradicts are edges that are not used, so that they can return.
     """
 
     def __init__(self, robot_count: int, beam_count: int, keeps_refused: bool = False):
+        super().__init__(robot_count, beam_count)
         self._keeps_refused = keeps_refused
         self.changes = 0
         """Grows whenever a keyframe arrives, poses move or a closure is believed or refused."""
@@ -100,38 +101,15 @@ class TeamGraph:
         """Every closure that was ever verified, with what became of it."""
         self._waiting: dict[int, LoopClosure] = {}
         """By their numbers, ascending, all closures that are pending; others among them have been judged since."""
-        self._arrays = GraphArrays(robot_count, beam_count)
         self._nodes: list[list[int]] = [[] for _ in range(robot_count)]
         self._readings = SignReadings(robot_count)
+        self.signs_read: list[int] = self._readings.counts
+        """Texts read by each robot so far."""
         self._edge_of_closure: dict[int, int] = {}
-
-    @property
-    def poses(self) -> Array:
-        """(nodes, 3) of all keyframes, each in its group's map frame."""
-        return self._arrays.poses
-
-    @property
-    def robot_of_node(self) -> Array:
-        """(nodes,) whose keyframe each is."""
-        return self._arrays.robot_of_node
-
-    @property
-    def step_of_node(self) -> Array:
-        """(nodes,) the step at which each was taken."""
-        return self._arrays.step_of_node
-
-    @property
-    def travels_m(self) -> Array:
-        """(nodes,) path length of its robot up to each."""
-        return self._arrays.travels_m
-
-    def rows_of(self, nodes: Array | slice) -> tuple[Array, Array]:
-        """Poses (k, 3) and scans (k, beams) of some nodes."""
-        return self._arrays.rows_of(nodes)
 
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) of one robot."""
-        return self.poses[self._arrays.nodes_of(robot)]
+        return self.poses[self.path_of(robot)]
 
     def latest_pose_of(self, robot: int) -> Array:
         """(3,) of the robot's newest keyframe."""
@@ -140,15 +118,15 @@ class TeamGraph:
 
     def scans_of(self, robot: int) -> Array:
         """(keyframes, beams) of one robot [m]."""
-        return self._arrays.scans_of(self._arrays.nodes_of(robot))
+        return self._scans_at(self.path_of(robot))
 
     def steps_of(self, robot: int) -> Array:
         """(keyframes,) the step at which each was taken."""
-        return self.step_of_node[self._arrays.nodes_of(robot)]
+        return self.step_of_node[self.path_of(robot)]
 
     def travels_of(self, robot: int) -> Array:
         """(keyframes,) path length up to each [m]."""
-        return self.travels_m[self._arrays.nodes_of(robot)]
+        return self.travels_m[self.path_of(robot)]
 
     def nodes_of(self, robots: Sequence[int]) -> Array:
         """(k,) nodes of some robots, ascending."""
@@ -168,10 +146,6 @@ class TeamGraph:
         """A robot's keyframe."""
         return self.keyframes[key[0]][key[1]]
 
-    def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
-        """See `GraphArrays.locate`."""
-        self._arrays.locate(robots, others, into)
-
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
         if not self._nodes[robot]:
@@ -182,7 +156,7 @@ class TeamGraph:
         """The node of a new keyframe, put where odometry leads from the robot's last one."""
         robot = keyframe.robot
         self.changes += 1
-        node = self._arrays.add_node(keyframe)
+        node = self.add_node(keyframe)
         self._nodes[robot].append(node)
         self.keyframes[robot].append(keyframe)
         if keyframe.signs:
@@ -211,7 +185,7 @@ class TeamGraph:
         closure.status, closure.reason = "accepted", ""
         self.changes += 1
         for key in (closure.candidate.target, closure.candidate.source):
-            self._arrays.tied[key[0]] = max(self._arrays.tied[key[0]], self.node(key))
+            self.tied[key[0]] = max(self.tied[key[0]], self.node(key))
         self._tie(closure, True)
 
     def refuse(self, closure: LoopClosure, reason: str) -> None:
@@ -223,8 +197,8 @@ class TeamGraph:
             self._tie(closure, False)
         self.changes += 1
         for key in (closure.candidate.target, closure.candidate.source):
-            if self._arrays.tied[key[0]] == self.node(key):
-                self._arrays.tied[key[0]] = self._last_tied(key[0])
+            if self.tied[key[0]] == self.node(key):
+                self.tied[key[0]] = self._last_tied(key[0])
 
     def _last_tied(self, robot: int) -> int:
         """The node of the robot's last keyframe with an accepted closure; its first without any."""
@@ -235,11 +209,11 @@ class TeamGraph:
     def _tie(self, closure: LoopClosure, is_used: bool) -> None:
         number = closure.number
         if number in self._edge_of_closure:
-            self._arrays.is_used[self._edge_of_closure[number]] = is_used
+            self.is_used[self._edge_of_closure[number]] = is_used
             return
-        self._edge_of_closure[number] = self._arrays.edge_count
+        self._edge_of_closure[number] = self.edge_count
         ends = self.node(closure.candidate.target), self.node(closure.candidate.source)
-        self._arrays.add_edge(ends, closure.pose_target_source, closure.covariance, number, is_used)
+        self.add_edge(ends, closure.pose_target_source, closure.covariance, number, is_used)
 
     def disagreement(self, closure: LoopClosure) -> tuple[float, float, float]:
         """How far a closure lies from the estimate [m] and [rad], and the squared error of that by its covariance."""
@@ -259,13 +233,6 @@ class TeamGraph:
                 out.append(closure)
         return out
 
-    def nearest(self, robot: int, pose: Array, travel_max_m: float = math.inf) -> tuple[int, float]:
-        """The robot's keyframe nearest to a pose among those up to a path length, and how far away it is [m].
-
-        (-1, inf) where there is none.
-        """
-        return self._arrays.nearest(robot, pose, travel_max_m)
-
     def place(self, nodes: Sequence[int] | Array, poses: Array) -> None:
         """Move nodes to new poses."""
         self.poses[nodes] = poses
@@ -276,16 +243,15 @@ class TeamGraph:
 
         Of the nodes before `first` only those with edges to later ones, and none of the edges between them.
         """
-        arrays = self._arrays
         nodes, edges, local, measured, information, is_closure, is_used = _part(
-            self._are(robots), first, arrays.robot_of_node, arrays.ends, arrays.measured, arrays.information,
-            arrays.closure_of_edge, arrays.is_used,
+            self._are(robots), first, self.robot_of_node, self.ends, self.measured, self.information,
+            self.closure_of_edge, self.is_used,
         )  # fmt: skip
         return nodes, edges, Graph(local, measured, information, is_closure), is_used
 
     def refused_count(self, robots: Sequence[int]) -> int:
         """How many closures among some robots are edges that are not used."""
-        refused = self._arrays.ends[~self._arrays.is_used]
+        refused = self.ends[~self.is_used]
         return int(np.count_nonzero(self._are(robots)[self.robot_of_node[refused]].all(axis=1)))
 
     def strain(self, robots: Sequence[int]) -> tuple[float, int]:
@@ -299,27 +265,22 @@ class TeamGraph:
         return {
             (robot, index): place
             for robot in robots
-            for index, place in enumerate(np.searchsorted(nodes, self._arrays.nodes_of(robot)).tolist())
+            for index, place in enumerate(np.searchsorted(nodes, self.path_of(robot)).tolist())
         }
 
     def closures_of(self, edges: Array) -> list[LoopClosure]:
         """The closures among some edges (e,)."""
-        numbers = self._arrays.closure_of_edge[edges]
+        numbers = self.closure_of_edge[edges]
         return [self.closures[number] for number in numbers[numbers != ODOMETRY].tolist()]
 
     def mark(self, edges: Array, is_used: Array, reasons: dict[int, str]) -> None:
         """Note which edges (e,) are used now; `reasons` by position in `edges` say why closures are not."""
-        for k in np.flatnonzero(self._arrays.is_used[edges] != is_used).tolist():
-            closure = self.closures[self._arrays.closure_of_edge[edges[k]]]
+        for k in np.flatnonzero(self.is_used[edges] != is_used).tolist():
+            closure = self.closures[self.closure_of_edge[edges[k]]]
             if is_used[k]:
                 self.accept(closure)
             else:
                 self.refuse(closure, reasons[k])
-
-    @property
-    def signs_read(self) -> list[int]:
-        """Texts read by each robot."""
-        return self._readings.counts
 
     def signs(self, robots: Sequence[int]) -> KnownSigns:
         """The texts read by some robots of one group, each once per place."""
@@ -327,15 +288,15 @@ class TeamGraph:
 
     def as_arrays(self) -> dict[str, Array | list[str]]:
         """The graph of what is used: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
-        ids = np.zeros((self._arrays.node_count, 2), np.int64)
+        ids = np.zeros((self.node_count, 2), np.int64)
         for robot, nodes in enumerate(self._nodes):
             ids[nodes] = np.stack([np.full(len(nodes), robot), np.arange(len(nodes))], axis=1)
-        arrays, used = self._arrays, self._arrays.is_used
+        used = self.is_used
         return {
-            "nodes": arrays.poses.copy(),
+            "nodes": self.poses.copy(),
             "node_ids": ids,
-            "edges_ij": arrays.ends[used],
-            "edges_z": arrays.measured[used],
-            "edges_information": arrays.information[used],
-            "edges_kind": ["odometry" if c == ODOMETRY else "closure" for c in arrays.closure_of_edge[used]],
+            "edges_ij": self.ends[used],
+            "edges_z": self.measured[used],
+            "edges_information": self.information[used],
+            "edges_kind": ["odometry" if c == ODOMETRY else "closure" for c in self.closure_of_edge[used]],
         }
