@@ -206,21 +206,20 @@ class TeamBeliefs(_Team[Belief]):
         mate_poses: Array,
         contact_steps: Array,
     ):
-        """Arrays with a row for each robot, made read-only.
+        """Arrays with a row for each robot, not written to afterwards; records show read-only views of them.
 
         poses (robots, 3, 3): `pose_map_robot`, `pose_std` and `pose_odom`. mates (robots, robots - 1) int: the other
         robots of the same map, then `NOBODY`; mate_poses (robots, robots - 1, 3): where these are. contact_steps
         (robots, robots - 1) int: `Belief.contact_steps` of all other robots in their order; `NOBODY`: of none.
         """
         self._records = None
-        poses.setflags(write=False)  # beliefs show them to planners
-        mate_poses.setflags(write=False)
         self.poses, self.since_closure_m, self.grids = poses, since_closure_m, grids
         self.signs, self.mates, self.mate_poses, self.contact_steps = signs, mates, mate_poses, contact_steps
 
     def mates_of(self, robot: int) -> dict[int, Array]:
         """`Belief.mates` of a robot."""
-        return {m: pose for m, pose in zip(self.mates[robot].tolist(), self.mate_poses[robot], strict=True) if m >= 0}
+        mates = zip(self.mates[robot].tolist(), read_only(self.mate_poses[robot]), strict=True)
+        return {mate: pose for mate, pose in mates if mate >= 0}
 
     def contact_steps_of(self, robot: int) -> dict[int, int]:
         """`Belief.contact_steps` of a robot."""

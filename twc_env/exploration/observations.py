@@ -65,7 +65,9 @@ class ObservationBuilder:
         self._signs.know(beliefs.signs)
         first, small = self._small.build()
         # Not before: the map shows where the mates are.
-        blocks: list[tuple[str, Sequence[Array] | Array]] = [(name, make()) for name, make in self._makers]
+        blocks: list[tuple[str, Sequence[Array] | Array]] = []
+        for name, make in self._makers:
+            blocks.append((name, make()))
         if "frontiers" in names:
             slots, lists = self._config.action.frontier_slots, candidates or [NOTHING] * len(beliefs)
             pairs = zip(lists, beliefs, strict=True)
@@ -124,8 +126,5 @@ def first_observations(config: EnvConfig, frames: TeamFrames) -> list[dict[str, 
     """What robots would see after their first frames that have no map yet."""
     engine, builder = DeadReckoning(config, len(frames)), ObservationBuilder(config)
     engine.track(frames)
-    beliefs = engine.beliefs()
-    for array in (beliefs.poses, beliefs.mate_poses):  # as the engine's are: kernels know the difference
-        array.setflags(write=False)
-    builder.notice(frames, beliefs)
+    builder.notice(frames, engine.beliefs())
     return builder.build()

@@ -166,11 +166,11 @@ class CooperativeSlam:
 
         Raises DataError for frames that this team cannot have sensed.
         """
+        self._beliefs = None
         if not isinstance(frames, TeamFrames):
             check_frames(frames, len(self.robots), self._beam_count)
         if not self._has_all_cues:
             frames = [cues.heard(frame, self._cues) for frame in frames]
-        self._beliefs = None
         if isinstance(frames, TeamFrames):
             self._steps, self._ranges_m = [frames.step] * len(frames.signs), frames.ranges_m
         else:
@@ -280,25 +280,25 @@ class CooperativeSlam:
     def beliefs(self) -> TeamBeliefs:
         """What all robots know now."""
         if self._beliefs is None:
+            if self._maps is None or self._radio is not None:
+                self._maps = self._look_up_maps()
             self._beliefs = MapBeliefs(
-                self._poses, self._since_closure_m, self._held_maps(), self._mates, self._mate_poses,
-                self._contact_steps, self._steps, self._ranges_m,
+                self._poses, self._since_closure_m, self._maps, self._mates, self._mate_poses, self._contact_steps,
+                self._steps, self._ranges_m,
             )  # fmt: skip
         return self._beliefs
 
-    def _held_maps(self) -> HeldMaps:
+    def _look_up_maps(self) -> HeldMaps:
         """The maps that the robots believe in."""
-        if self._maps is None or self._radio is not None:
-            rows: list[Any] = [None] * len(self.robots)
-            for view in self.views():
-                mapper, number = view.mapper, view.group
-                group = mapper.groups[number]
-                grid, signs = group.grid.snapshot(), mapper.signs_of(number)
-                for robot in view.viewers:
-                    radio = None if self._radio is None else self._radio_picture(self._radio, mapper, number, robot)
-                    rows[robot] = grid, signs, group.version, radio
-            self._maps = HeldMaps(*map(list, zip(*rows, strict=True)))
-        return self._maps
+        rows: list[Any] = [None] * len(self.robots)
+        for view in self.views():
+            mapper, number = view.mapper, view.group
+            group = mapper.groups[number]
+            grid, signs = group.grid.snapshot(), mapper.signs_of(number)
+            for robot in view.viewers:
+                radio = None if self._radio is None else self._radio_picture(self._radio, mapper, number, robot)
+                rows[robot] = grid, signs, group.version, radio
+        return HeldMaps(*map(list, zip(*rows, strict=True)))
 
     def _radio_picture(self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int) -> RadioPicture | None:
         """What the readings of all robots of the group say; with a mapper on each robot, of its own."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twc_env.messages import Belief, GridMap
 from twc_env.slam.radio_structure import RadioPicture
-from twc_env.team_messages import KnownSigns, TeamBeliefs
+from twc_env.team_messages import KnownSigns, TeamBeliefs, read_only
 
 Array = NDArray
 
@@ -44,13 +44,15 @@ class MapBeliefs(TeamBeliefs):
         steps: Sequence[int],
         ranges_m: Sequence[Array] | Array,
     ):
-        super().__init__(poses, since_closure_m, maps.grids, maps.signs, mates, mate_poses, contact_steps)
-        self._maps, self._steps, self._ranges_m = maps, steps, ranges_m
+        # Instead of the parent's: made in every step.
+        self._records, self._maps, self._steps, self._ranges_m = None, maps, steps, ranges_m
+        self.poses, self.since_closure_m, self.grids, self.signs = poses, since_closure_m, maps.grids, maps.signs
+        self.mates, self.mate_poses, self.contact_steps = mates, mate_poses, contact_steps
 
     def _make(self) -> list[Belief]:
-        beliefs, since_m, maps = [], self.since_closure_m.tolist(), self._maps
+        beliefs, since_m, maps, poses = [], self.since_closure_m.tolist(), self._maps, read_only(self.poses)
         for robot, radio in enumerate(maps.radio):
-            in_map, std, in_odom = self.poses[robot]
+            in_map, std, in_odom = poses[robot]
             belief = Belief(
                 robot,
                 self._steps[robot],

@@ -52,18 +52,14 @@ class FrontEnds:
         return keyframes
 
     def _take_in(self, robots: Array, frames: TeamFrames) -> list[Keyframe]:
-        self._tracker.update(robots, frames)
-        self.poses_odom = self._tracker.poses_odom
-        return self._remember(robots, frames)
-
-    def _remember(self, robots: Array, frames: TeamFrames) -> list[Keyframe]:
-        """Let each robot remember what it read and heard, and the place where that is a new one."""
-        scans = frames.scans
+        """Let each robot find out where it is, and remember what it read and heard, and the place where that is new."""
+        tracker, scans = self._tracker, frames.scans
+        tracker.update(robots, frames)
+        self.poses_odom = tracker.poses_odom
         if len(scans.counts):
             ages_s = ages_of(frames.wifi) if frames.may_repeat_readings else NO_AGES
             receivers = scans.robots if robots is self._everyone else robots[scans.robots]
             self._radio.add(frames.time_s, receivers, scans, ages_s)
-        tracker = self._tracker
         if any(frames.signs):
             for k, signs in zip(robots.tolist(), frames.signs, strict=True):
                 if signs:
