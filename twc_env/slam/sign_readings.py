@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from twc_env.kernels import borrowing_kernel, bound, kernel
 from twc_env.messages import Keyframe
-from twc_env.slam.growing import Growing
+from twc_env.slam.growing import doubled
 from twc_env.team_messages import KnownSigns
 
 Array = NDArray
 
+_ROOM = 64
+"""Rows to begin with; doubled when they are full."""
 SAME_SIGN_M = 1.0
 """Readings of one text nearer to each other than this are of one sign."""
 ENOUGH, ENOUGH_M = 8, 0.5
@@ -23,18 +25,25 @@ passed time and again take no more time and room in the end."""
 
 
 @borrowing_kernel
-def _count_near(within_m, poses, readings, local, robot, node, text, ahead, left):
-    """How many readings (n, 3) of a text by a robot are so near to a place ahead and to the left of a node."""
+def _add(within_m, poses, readings, local, count, robot, node, text, ahead, left):
+    """Put a text that a robot read ahead and to the left of a node behind the `count` readings.
+
+    Not where enough of these are of it and so near. Gives how many readings there are then.
+    """
     c, s = math.cos(poses[node, 2]), math.sin(poses[node, 2])
     x, y = poses[node, 0] + c * ahead - s * left, poses[node, 1] + s * ahead + c * left
-    count = 0
-    for k in range(readings.shape[0]):
+    near = 0
+    for k in range(count):
         if readings[k, 0] == robot and readings[k, 2] == text:
             other = poses[readings[k, 1]]
             c, s = math.cos(other[2]), math.sin(other[2])
             dx, dy = other[0] + c * local[k, 0] - s * local[k, 1] - x, other[1] + s * local[k, 0] + c * local[k, 1] - y
-            count += math.hypot(dx, dy) < within_m
-    return count
+            near += math.hypot(dx, dy) < within_m
+    if near >= ENOUGH:
+        return count
+    readings[count, 0], readings[count, 1], readings[count, 2] = robot, node, text
+    local[count, 0], local[count, 1] = ahead, left
+    return count + 1
 
 
 @kernel
@@ -91,15 +100,15 @@ class SignReadings:
         """Each text that was ever read and its number ..."""
         self._texts: list[str] = []
         """... and these texts in order."""
-        self._readings, self._places = Growing(3, dtype=np.int64), Growing(2)
-        """Robot, node and text of each reading; where it is in the frame of its keyframe."""
+        self._readings, self._places, self._count = np.zeros((_ROOM, 3), np.int64), np.zeros((_ROOM, 2)), 0
+        """Robot, node and text of each reading; where it is in the frame of its keyframe; and how many there are."""
         self._run: Callable[..., int] | None = None
         """`_places_of_signs` of readings that are one sign where they are less than SAME_SIGN_M apart."""
-        self._near: Callable[..., int] | None = None
-        """`_count_near` of those less than ENOUGH_M away."""
+        self._add: Callable[..., int] | None = None
+        """`_add` where those less than ENOUGH_M away are near."""
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None, "_near": None}
+        return self.__dict__ | {"_run": None, "_add": None}
 
     def add(self, keyframe: Keyframe, node: int, poses: Array) -> None:
         """Take in what was read at a keyframe, which is a node of the pose graph; poses (nodes, 3) of all nodes."""
@@ -108,20 +117,19 @@ class SignReadings:
             if text == len(self._texts):
                 self._texts.append(sign.text)
             self.counts[keyframe.robot] += 1
-            held = poses, self._readings.rows, self._places.rows
-            there = *held, keyframe.robot, node, text, *sign.position_m.tolist()
-            if self._near is None:
-                self._near = bound(_count_near, ENOUGH_M, *there)
-            if self._near(*there) < ENOUGH:
-                self._readings.append((keyframe.robot, node, text))
-                self._places.append(sign.position_m)
+            if self._count == len(self._readings):
+                self._readings, self._places = doubled(self._readings), doubled(self._places)
+            held = poses, self._readings, self._places, self._count
+            new = *held, keyframe.robot, node, text, *sign.position_m.tolist()
+            if self._add is None:
+                self._add = bound(_add, ENOUGH_M, *new)
+            self._count = self._add(*new)
 
     def known(self, poses: Array, robots: Sequence[int]) -> KnownSigns:
         """The texts read by some robots of one group, each once per place; poses (nodes, 3) of all nodes."""
-        texts, places = np.empty(self._readings.count, np.int64), np.empty((self._readings.count, 2))
-        now = (
-            poses, self._readings.rows, self._places.rows, np.array(robots, np.int64), len(self._numbers), texts, places
-        )  # fmt: skip
+        readings, local = self._readings[: self._count], self._places[: self._count]
+        texts, places = np.empty(self._count, np.int64), np.empty((self._count, 2))
+        now = poses, readings, local, np.array(robots, np.int64), len(self._numbers), texts, places
         if self._run is None:
             self._run = bound(_places_of_signs, SAME_SIGN_M, *now)
         count, names = self._run(*now), self._texts

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import PlaceRecognitionConfig
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.device_offsets import DeviceOffsets
 from twc_env.slam.growing import doubled
@@ -72,7 +72,7 @@ def _choose(
     spares_deaf,
 ):  # fmt: skip
     """See `SignTable.like`; gives how many rows of the part of the table for it, (places, 6), were written."""
-    places, travels, ends, macs, levels, out, is_deaf, offsets, faintest = parts_of(table)
+    places, travels, ends, macs, levels, out, is_deaf, _, offsets, faintest = parts_of(table)
     count = 0
     for k in range(place_count):
         other, similarity = places[k, 0], likeness[places[k, 1]]
@@ -91,6 +91,18 @@ def _choose(
     return count
 
 
+@borrowing_kernel
+def _put(table, row, robot, text, travel, is_early, macs, levels):
+    """Write a row behind the others."""
+    places, travels, ends, all_macs, all_levels, _, is_deaf, has_heard, _, _ = parts_of(table)
+    first = ends[row - 1] if row > 0 else np.int64(0)
+    for k in range(macs.shape[0]):
+        all_macs[first + k], all_levels[first + k] = macs[k], levels[k]
+    places[row, 0], places[row, 1], travels[row], ends[row] = robot, text, travel, first + macs.shape[0]
+    has_heard[robot] |= macs.shape[0] > 0
+    is_deaf[robot] = not (is_early or has_heard[robot])
+
+
 class SignTable:
     """A row for each place: who read which text there, how far along its path, and what was heard."""
 
@@ -106,11 +118,12 @@ class SignTable:
         self._is_deaf, self._has_heard = np.zeros(0, bool), np.zeros(0, bool)
         self._first_m: dict[int, dict[int, float]] = {}
         """Of each text the path length at which each robot first read it."""
-        self._run: Callable[..., int] | None = None
-        """`_choose` with all of this."""
+        self._choose: Callable[..., int] | None = None
+        self._put: Callable[..., None] | None = None
+        """The kernels of these names with all of this."""
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
+        return self.__dict__ | {"_choose": None, "_put": None}
 
     def append(self, keyframe: Keyframe, text: str, number: int) -> list[int]:
         """Add a row for a text of this number, read at a keyframe.
@@ -118,31 +131,39 @@ class SignTable:
         Gives the robots from which the keyframe's receiver is now known to differ: places may be alike that were not.
         """
         heard, row = keyframe.fingerprint, self._count
-        first, end = self._end, self._end + len(heard.macs)
-        self._make_room(row + 1, end, keyframe.robot)
-        self._has_heard[keyframe.robot] |= end > first
-        self._is_deaf[keyframe.robot] = keyframe.time_s >= MISSING_AFTER_S and not self._has_heard[keyframe.robot]
-        self._macs[first:end], self._rssi_dbm[first:end] = heard.macs, heard.rssi_dbm
-        self._places[row, 0], self._places[row, 1] = keyframe.robot, number
-        self._travels_m[row], self._ends[row] = keyframe.travel_m, end
-        self._count, self._end = row + 1, end
+        self._count, self._end = row + 1, self._end + len(heard.macs)
+        self._make_room(keyframe.robot)
+        is_early = keyframe.time_s < MISSING_AFTER_S
+        new = row, keyframe.robot, number, keyframe.travel_m, is_early, heard.macs, heard.rssi_dbm
+        if self._put is None:
+            self._put = bound(_put, self._all(), *new)
+        self._put(*new)
         self._robots = max(self._robots, keyframe.robot + 1)
         first_m = self._first_m.setdefault(number, {})
         first_m[keyframe.robot] = min(first_m.get(keyframe.robot, math.inf), keyframe.travel_m)
         return self._devices.note(keyframe.robot, text, heard)
 
-    def _make_room(self, rows: int, heard: int, robot: int) -> None:
+    def _make_room(self, robot: int) -> None:
+        """Room for all rows and readings that there are, and for a robot of this number."""
         robots = len(self._devices.offset_db)
+        if robot < robots and self._end <= len(self._macs) and self._count <= len(self._places):
+            return
         if robot >= robots:
             more = max(robot + 1, 2 * robots) - robots
             self._devices.make_room(robots + more)
             self._is_deaf, self._has_heard = np.pad(self._is_deaf, (0, more)), np.pad(self._has_heard, (0, more))
-            self._run = None
-        while heard > len(self._macs):
-            self._macs, self._rssi_dbm, self._run = doubled(self._macs), doubled(self._rssi_dbm), None
-        if rows > len(self._places):
+        while self._end > len(self._macs):
+            self._macs, self._rssi_dbm = doubled(self._macs), doubled(self._rssi_dbm)
+        if self._count > len(self._places):
             self._places, self._travels_m = doubled(self._places), doubled(self._travels_m)
-            self._ends, self._found, self._run = doubled(self._ends), doubled(self._found), None
+            self._ends, self._found = doubled(self._ends), doubled(self._found)
+        held = self._all()
+        self._choose, self._put = rebound(self._choose, held), rebound(self._put, held)
+
+    def _all(self) -> Lent:
+        places = self._places, self._travels_m, self._ends, self._macs, self._rssi_dbm, self._found
+        robots = self._is_deaf, self._has_heard, self._devices.offset_db, self._devices.faintest_dbm
+        return Lent((*places, *robots))
 
     def like(
         self,
@@ -158,7 +179,7 @@ class SignTable:
         keyframe's own those less than apart_m before it along the path. Each comes as its number, the similarity of
         texts, `mac_similarity`, `rssi_similarity`, and distance [dB] and count of `rssi_distance_db`.
         """
-        self._make_room(self._count, self._end, keyframe.robot)
+        self._make_room(keyframe.robot)
         latest_m = keyframe.travel_m - apart_m
         if not self._has_any(alike, keyframe.robot, latest_m, skipped_robots):
             return []
@@ -173,11 +194,9 @@ class SignTable:
         now = (
             self._count, likeness, is_skipped, keyframe.robot, latest_m, heard.macs, heard.rssi_dbm, *radio
         )  # fmt: skip
-        if self._run is None:
-            places = self._places, self._travels_m, self._ends, self._macs, self._rssi_dbm, self._found
-            robots = self._is_deaf, self._devices.offset_db, self._devices.faintest_dbm
-            self._run = bound(_choose, Lent((*places, *robots)), *now)
-        rows: list[list[float]] = self._found[: self._run(*now)].tolist()
+        if self._choose is None:
+            self._choose = bound(_choose, self._all(), *now)
+        rows: list[list[float]] = self._found[: self._choose(*now)].tolist()
         return rows
 
     def _has_any(
