@@ -108,7 +108,7 @@ def test_signs_read_again_and_again_are_known_as_if_all_readings_were_kept(monke
         assert other.robots == group.robots
         assert [s.text for s in known] == [s.text for s in more]
         assert np.array([s.position_m for s in known]) == pytest.approx(np.array([s.position_m for s in more]))
-    assert team._graph._readings._readings.count < every._graph._readings._readings.count
+    assert team._graph._readings._count < every._graph._readings._count
 
 
 @pytest.mark.parametrize("stride", [1, 2, 5])

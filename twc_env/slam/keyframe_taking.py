@@ -14,7 +14,7 @@ from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe, SignObservation
 from twc_env.slam.mate_detection import StillDiscs, unmark
 from twc_env.slam.odometry_filter import motion_covariance
-from twc_env.slam.radio_fingerprint import STD_MODES, ScanWindows, fingerprint_of
+from twc_env.slam.radio_fingerprint import STD_MODES, fingerprint_of
 from twc_env.slam.tracking import Tracker
 from twc_env.slam.wall_cells import LINES_MAX
 from twc_env.slam.wall_drawing import LINES, draw_scans
@@ -79,8 +79,8 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
 class KeyframeTaker:
     """Takes the keyframes of all robots, each from where the tracker has it and from the scans it heard last."""
 
-    def __init__(self, config: EnvConfig, tracker: Tracker, radio: ScanWindows):
-        self._tracker, self._radio = tracker, radio
+    def __init__(self, config: EnvConfig, tracker: Tracker):
+        self._tracker = tracker
         count, noise, rule = len(tracker.poses_odom), config.slam.odometry_filter, config.slam.keyframe
         self._still = StillDiscs(count)
         self._last_travels_m = np.zeros(count)
@@ -100,11 +100,11 @@ class KeyframeTaker:
         """The robot's keyframe of this number, and whether it was drawn: not where its local map must move on first."""
         scan, pose = np.empty((1, self._tracker.marked_m.shape[1])), np.empty((1, 3))
         motion, covariance = np.empty(3), np.empty((3, 3))
-        now = robot, time_s, self._tracker.poses_odom, self._radio.rings, scan, pose, motion, covariance
+        now = robot, time_s, self._tracker.poses_odom, self._tracker.radio.rings, scan, pose, motion, covariance
         if self._run is None:
             self._run = bound(_take, self._packed(), *now)
         heard, travel_m, is_drawn = self._run(*now)
-        fingerprint = self._radio.latest(heard)
+        fingerprint = self._tracker.radio.latest(heard)
         keyframe = Keyframe(
             robot, index, step, time_s, pose[0], motion, covariance, travel_m, scan[0], signs, fingerprint
         )

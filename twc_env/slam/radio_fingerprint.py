@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, kernel, parts_of
 from twc_env.messages import Fingerprint, WifiScan
 from twc_env.team_messages import WifiScans
 
@@ -32,34 +32,23 @@ class ScanWindows:
         self._room = np.empty((3, scans_max), np.int64), np.empty(scans_max)
         """Of each scan, while they are read side by side: its row, place and transmitter; and strengths."""
         self._pack: Lent | None = None
-        self._run: Callable[..., int] | None = None
-        """`_keep` with all of this."""
 
     @property
     def rings(self) -> Lent:
-        """All of it, for `fingerprint_of`."""
+        """All of it, for `keep` and `fingerprint_of`."""
         if self._pack is None:
             kept = self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added
             self._pack = Lent((*kept, *self._found, *self._room))
         return self._pack
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_pack": None, "_run": None}
+        return self.__dict__ | {"_pack": None}
 
-    def add(self, time_s: float, receivers: Array, scans: WifiScans, ages_s: Array = NO_AGES) -> None:
-        """Keep scans of these receivers (k,), a row for each; the oldest of each gives way.
-
-        ages_s: of the readings, as the other fields of `scans`; `NO_AGES` where all are new.
-        """
-        _, macs, rssi_dbm, counts = scans
-        given = time_s, receivers, macs, rssi_dbm, ages_s, counts
-        while True:
-            if self._run is None:
-                self._run = bound(_keep, self.rings, *given)
-            most = self._run(*given)
-            if not most:
-                return
-            self._widen(most)
+    def ready_for(self, scans: WifiScans) -> Lent:
+        """The same, wide enough to `keep` these scans."""
+        if scans.macs.shape[1] > self._macs.shape[2]:
+            self._widen(scans.macs.shape[1])
+        return self.rings
 
     def fingerprint(
         self,
@@ -77,13 +66,13 @@ class ScanWindows:
         macs, levels = self._found
         return Fingerprint(macs[:count].copy(), levels[:count].copy()) if count else EMPTY
 
-    def _widen(self, count: int) -> None:
+    def _widen(self, to: int) -> None:
         receivers, scans, width = self._macs.shape
-        wider = _rings(receivers, scans, 2 * count)
+        wider = _rings(receivers, scans, to)
         for new, old in zip(wider, (self._macs, self._rssi_dbm, self._ages_s), strict=True):
             new[..., :width] = old
         self._macs, self._rssi_dbm, self._ages_s = wider
-        self._found, self._pack, self._run = _found(scans, 2 * count), None, None
+        self._found, self._pack = _found(scans, to), None
 
 
 def _rings(receivers: int, scans: int, width: int) -> tuple[Array, Array, Array]:
@@ -97,23 +86,21 @@ def _found(scans: int, width: int) -> tuple[Array, Array]:
 
 
 @borrowing_kernel
-def _keep(rings, time, receivers, macs, levels, ages, heard):
-    """Write scans to the rings, without ages as all new, and give 0; or nothing, and how many readings need room."""
+def keep(rings, time, receivers, whose, macs, levels, ages, heard):
+    """Keep scans in rings that are wide enough; the oldest of each receiver gives way.
+
+    receivers (n,); whose (k,): to which of these each scan belongs. ages (k, most): of the readings; `NO_AGES` where
+    all are new.
+    """
     kept_macs, kept_levels, kept_ages, counts, times, added, _, _, _, _ = parts_of(rings)
-    most = np.int64(0)
-    for a in range(receivers.shape[0]):
-        most = max(most, heard[a])
-    if most > kept_macs.shape[2]:
-        return most
-    for a in range(receivers.shape[0]):
-        receiver = receivers[a]
+    for a in range(whose.shape[0]):
+        receiver = receivers[whose[a]]
         row = added[receiver] % counts.shape[1]
         for k in range(heard[a]):
             kept_macs[receiver, row, k], kept_levels[receiver, row, k] = macs[a, k], levels[a, k]
             kept_ages[receiver, row, k] = ages[a, k] if ages.shape[0] > 0 else 0.0
         counts[receiver, row], times[receiver, row] = heard[a], time
         added[receiver] += 1
-    return np.int64(0)
 
 
 def fingerprint(
@@ -127,7 +114,8 @@ def fingerprint(
     """
     window, receiver = ScanWindows(1, max(len(scans), 1)), np.zeros(1, np.int64)
     for scan in scans:
-        window.add(0.0, receiver, WifiScans.of([scan]), ages_of([scan]))
+        whose, macs, rssi_dbm, counts = given = WifiScans.of([scan])
+        keep(window.ready_for(given), 0.0, receiver, whose, macs, rssi_dbm, ages_of([scan]), counts)
     return window.fingerprint(0, -1.0, detection_min, std_mode, age_max_s)
 
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.messages import Keyframe, SensorFrame, SignObservation, SignReading
 from twc_env.slam.keyframe_taking import KeyframeTaker
-from twc_env.slam.radio_fingerprint import NO_AGES, ScanWindows, ages_of
 from twc_env.slam.scan_matching import LineField
 from twc_env.slam.tracking import Tracker
 from twc_env.team_messages import TeamFrames
@@ -35,8 +34,7 @@ class FrontEnds:
         self._tracker = Tracker(config, count)
         self.poses_odom = self._tracker.poses_odom
         """(n, 3) the estimates after the latest frames; another array after every update."""
-        self._radio = ScanWindows(count, config.slam.keyframe.fingerprint_scans_max)
-        self._taker = KeyframeTaker(config, self._tracker, self._radio)
+        self._taker = KeyframeTaker(config, self._tracker)
         self._everyone = np.arange(count)
         self.robots = [RobotFrontEnd(config, field) for field in self._tracker.fields.each]
         """What each robot remembers for itself."""
@@ -52,14 +50,10 @@ class FrontEnds:
         return keyframes
 
     def _take_in(self, robots: Array, frames: TeamFrames) -> list[Keyframe]:
-        """Let each robot find out where it is, and remember what it read and heard, and the place where that is new."""
-        tracker, scans = self._tracker, frames.scans
+        """Let each robot find out where it is, and remember what it read, and the place where that is a new one."""
+        tracker = self._tracker
         tracker.update(robots, frames)
         self.poses_odom = tracker.poses_odom
-        if len(scans.counts):
-            ages_s = ages_of(frames.wifi) if frames.may_repeat_readings else NO_AGES
-            receivers = scans.robots if robots is self._everyone else robots[scans.robots]
-            self._radio.add(frames.time_s, receivers, scans, ages_s)
         if any(frames.signs):
             for k, signs in zip(robots.tolist(), frames.signs, strict=True):
                 if signs:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.kernels import borrowing_kernel, bound, kernel
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import doubled
 from twc_env.team_messages import KnownSigns
@@ -25,11 +25,12 @@ passed time and again take no more time and room in the end."""
 
 
 @borrowing_kernel
-def _add(within_m, poses, readings, local, count, robot, node, text, ahead, left):
+def _add(rule, poses, readings, local, count, robot, node, text, ahead, left):
     """Put a text that a robot read ahead and to the left of a node behind the `count` readings.
 
     Not where enough of these are of it and so near. Gives how many readings there are then.
     """
+    enough, within_m = parts_of(rule)
     c, s = math.cos(poses[node, 2]), math.sin(poses[node, 2])
     x, y = poses[node, 0] + c * ahead - s * left, poses[node, 1] + s * ahead + c * left
     near = 0
@@ -39,7 +40,7 @@ def _add(within_m, poses, readings, local, count, robot, node, text, ahead, left
             c, s = math.cos(other[2]), math.sin(other[2])
             dx, dy = other[0] + c * local[k, 0] - s * local[k, 1] - x, other[1] + s * local[k, 0] + c * local[k, 1] - y
             near += math.hypot(dx, dy) < within_m
-    if near >= ENOUGH:
+    if near >= enough:
         return count
     readings[count, 0], readings[count, 1], readings[count, 2] = robot, node, text
     local[count, 0], local[count, 1] = ahead, left
@@ -105,7 +106,7 @@ class SignReadings:
         self._run: Callable[..., int] | None = None
         """`_places_of_signs` of readings that are one sign where they are less than SAME_SIGN_M apart."""
         self._add: Callable[..., int] | None = None
-        """`_add` where those less than ENOUGH_M away are near."""
+        """`_add` where ENOUGH of those less than ENOUGH_M away are enough."""
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None, "_add": None}
@@ -122,7 +123,7 @@ class SignReadings:
             held = poses, self._readings, self._places, self._count
             new = *held, keyframe.robot, node, text, *sign.position_m.tolist()
             if self._add is None:
-                self._add = bound(_add, ENOUGH_M, *new)
+                self._add = bound(_add, Lent((ENOUGH, ENOUGH_M)), *new)
             self._count = self._add(*new)
 
     def known(self, poses: Array, robots: Sequence[int]) -> KnownSigns:

@@ -16,6 +16,7 @@ from twc_env.geometry import beam_directions
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
 from twc_env.slam.odometry_filter import CompiledFilters, believe_match, make_filters, predict_state
+from twc_env.slam.radio_fingerprint import NO_AGES, ScanWindows, ages_of, keep
 from twc_env.slam.scan_matching import LineFields, match_scan, matching_room
 from twc_env.team_messages import TeamFrames
 
@@ -63,8 +64,11 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
 
 
 @borrowing_kernel
-def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses):
-    """A whole step with the compiled filters; whether a robot has come to a new place."""
+def _track(
+    apparatus, robots, ranges, odometry, turn_rates, now_s, poses, rings, whose, macs, levels, ages, heard
+):  # fmt: skip
+    """A whole step with the compiled filters, and what was heard in it; whether a robot has come to a new place."""
+    keep(rings, now_s, robots, whose, macs, levels, ages, heard)
     (
         states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, cells, lines,
         origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
@@ -97,6 +101,8 @@ class Tracker:
     """Where all robots are, each in its own odom frame (it starts at 0, 0, 0), matched against their local maps."""
 
     def __init__(self, config: EnvConfig, count: int):
+        self.radio = ScanWindows(count, config.slam.keyframe.fingerprint_scans_max)
+        """What each robot heard of late."""
         noise, beams, rule = config.slam.odometry_filter, config.lidar.beam_count, config.slam.keyframe
         self._filters = make_filters(noise, count, config.slam.oracle != "poses")
         variance_m2 = noise.match_std_m**2 * noise.match_correlation
@@ -131,12 +137,16 @@ class Tracker:
     def update(self, robots: Array, frames: TeamFrames) -> None:
         """Take in the frames of these robots (k,), a row for each."""
         self.poses_odom = self.poses_odom.copy()
+        whose, macs, rssi_dbm, counts = scans = frames.scans
+        ages_s = ages_of(frames.wifi) if frames.may_repeat_readings else NO_AGES
         now = (
-            robots, frames.ranges_m, frames.odometry, frames.turn_rates_rad_s, frames.time_s, self.poses_odom
+            robots, frames.ranges_m, frames.odometry, frames.turn_rates_rad_s, frames.time_s, self.poses_odom,
+            self.radio.ready_for(scans), whose, macs, rssi_dbm, ages_s, counts,
         )  # fmt: skip
         if self._run is None:
             if not isinstance(self._filters, CompiledFilters):
                 self._update_stepwise(robots, frames)
+                keep(now[6], frames.time_s, robots, *now[7:])
                 return
             self._run = bound(_track, self._packed(self._filters), *now)
         self.has_arrived = self._run(*now)
