@@ -25,7 +25,9 @@ class Stretch:
     path_m: float
     """Of all robots together."""
     keyframes: int
-    """Held by the mapper of robot 0."""
+    """That reached the mapper of robot 0 ..."""
+    held: int
+    """... and were not forgotten."""
     closures: int
     """Verified by it."""
     memory_mb: float
@@ -63,8 +65,9 @@ def _stretch(env: ExplorationEnv, steps: int, took_s: Sequence[float]) -> Stretc
     return Stretch(
         steps,
         float(np.linalg.norm(np.diff(true, axis=0), axis=2).sum()),
-        sum(len(path) for path in mapper.keyframes),
-        len(mapper.closures),
+        sum(len(mapper.keyframe_steps(robot)) for robot in range(true.shape[1])),
+        len(mapper.nodes[0]),
+        mapper.closures_verified,
         resident_mb(),
         float(took_ms.mean()),
         *np.quantile(took_ms, (0.5, 0.99, 1.0)).tolist(),
@@ -73,7 +76,18 @@ def _stretch(env: ExplorationEnv, steps: int, took_s: Sequence[float]) -> Stretc
 
 def long_table(stretches: Sequence[Stretch]) -> str:
     """A line for each stretch."""
-    heads = ("steps", "path m", "keyframes", "closures", "memory MB", "mean ms", "median ms", "p99 ms", "worst ms")
+    heads = (
+        "steps",
+        "path m",
+        "keyframes",
+        "held",
+        "closures",
+        "memory MB",
+        "mean ms",
+        "median ms",
+        "p99 ms",
+        "worst ms",
+    )
     lines = ["".join(f"{head:>11}" for head in heads)]
     for row in stretches:
         values = asdict(row).values()

@@ -145,9 +145,9 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
         "steps": len(steps),
         "filter": config.slam.odometry_filter.backend,
         "groups": [list(group.robots) for group in team.groups],
-        "keyframes": [len(keyframes) for keyframes in team.keyframes],
+        "keyframes": [len(team.keyframe_steps(robot)) for robot in range(len(engine.robots))],
         "closures_accepted": sum(c.status == "accepted" for c in team.closures),
-        "closures_proposed": len(team.closures),
+        "closures_proposed": team.closures_verified,
         "final_poses": [[round(float(v), 6) for v in engine.pose_map_robot(r)] for r in range(len(engine.robots))],
         "config_digest": digest(config),
     }

@@ -95,3 +95,16 @@ def test_nobody_in_touch_costs_nothing(keyframe, topology):
     listeners = 1 if topology == "central" else 3
     radio.deliver(contacts(listeners=listeners), [()] * listeners)
     assert sum(radio.bytes_sent.values()) == 0
+
+
+def test_what_all_hold_is_let_go_and_who_was_away_gets_the_rest(keyframe):
+    radio, got = exchange(topology="peer"), []
+    for index in range(500):
+        radio.add(keyframe(robot=0, index=index))
+        pairs = ((1, 0), (2, 0)) if index < 300 else ((1, 0),)
+        got += names(radio.deliver(contacts(*pairs), NOTHING)[2])
+    assert len(radio._paths[0]) == 200
+    got += names(radio.deliver(contacts((2, 1)), NOTHING)[2])
+    assert got == [(0, index) for index in range(500)]
+    radio.add(keyframe(robot=0, index=500))
+    assert len(radio._paths[0]) == 1

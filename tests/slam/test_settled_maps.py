@@ -10,17 +10,19 @@ from twc_env.bench import wander
 from twc_env.config import EnvConfig, override
 from twc_env.exploration import map_judge
 from twc_env.geometry import compose
-from twc_env.slam import settled_maps, sign_readings
+from twc_env.slam import sign_readings
 from twc_env.slam.settled_maps import GROWN, LARGE_FROM, MOVABLE, SettledMaps
 from twc_env.slam.team import TeamMapper
 
 TEAM, ODD_TEAM = (0, 1), (0, 2)
 
 
-def episode(steps, **settings):
+def episode(steps, settled=(), **settings):
     """The engine after a wandering team's episode."""
     env = parallel_env(config=override(EnvConfig(), {"max_cycles": steps, **settings}))
     env.reset(seed=0)
+    for mapper in env.episode.engine.mappers:
+        mapper.settled_maps = SettledMaps(*settled)
     for action in wander(env, 0):
         env.step(action)
     return env.episode.engine
@@ -141,12 +143,10 @@ def test_part_of_a_graph_has_all_edges_to_later_nodes_and_their_ends(team):
 @pytest.mark.parametrize("robust", ["ours", "dcs"])
 def test_maps_that_are_held_in_part_are_as_good(monkeypatch, robust):
     whole = episode(2500, **{"slam.pose_graph.robust": robust}).team
-    monkeypatch.setattr(settled_maps, "LARGE_FROM", 300)
-    monkeypatch.setattr(settled_maps, "MOVABLE", 100)
     tries = []
     optimise_latest = TeamMapper._optimise_latest
     monkeypatch.setattr(TeamMapper, "_optimise_latest", lambda *a: tries.append(optimise_latest(*a)) or tries[-1])
-    parts = episode(2500, **{"slam.pose_graph.robust": robust}).team
+    parts = episode(2500, (300, 100, False), **{"slam.pose_graph.robust": robust}).team
     assert (sum(tries) > 5) == (robust == "ours")
     assert [g.robots for g in parts.groups] == [g.robots for g in whole.groups]
     assert np.abs(parts.nodes[0] - whole.nodes[0]).max() < 0.05
@@ -167,7 +167,9 @@ def test_mappers_of_several_robots_hold_one_copy_of_each_scan():
 def test_scans_are_those_of_the_keyframes(team):
     graph = team._graph
     for robot, path in enumerate(graph.keyframes):
-        assert team.scans_of(robot).tobytes() == b"".join(keyframe.ranges_m.tobytes() for keyframe in path)
+        steps, scans = team.scans_of(robot)
+        assert scans.tobytes() == b"".join(keyframe.ranges_m.tobytes() for keyframe in path)
+        assert steps.tolist() == [keyframe.step for keyframe in path]
     nodes = np.array([3, 1, 1])
     poses, scans = graph.rows_of(nodes)
     assert np.array_equal(scans[1], scans[2]) and scans.shape == (3, 180)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twc_env.exploration.map_judge import MapJudges
 from twc_env.kernels import borrowing_kernel, bound, kernel, rebound
+from twc_env.slam.growing import grown
 
 Array = NDArray
 
@@ -36,7 +37,7 @@ class EpisodeRecord:
         """Note one step, one row per robot: true poses, front-end poses, measured motions (robots, 3), and contacts."""
         now = self.count, true_poses, odom_poses, motions, contacts
         if self.count == len(self._kept[0]):
-            self._kept = tuple([np.concatenate([kept, np.zeros_like(kept)]) for kept in self._kept])
+            self._kept = tuple([grown(kept) for kept in self._kept])
             self._run = rebound(self._run, self._kept)
         if self._run is None:
             self._run = bound(_note, self._kept, *now)

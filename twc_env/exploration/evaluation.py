@@ -190,9 +190,8 @@ def map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
 
 def _taken(engine: Engine, robots: int) -> tuple[list[Array], Array]:
     """The steps (k,) of each robot's keyframes, and all their scans (keyframes, beams), robot by robot."""
-    mappers = [engine.mapper_of(robot) for robot in range(robots)]
-    steps = [mapper.keyframe_steps(robot) for robot, mapper in enumerate(mappers)]
-    return steps, np.concatenate([mapper.scans_of(robot) for robot, mapper in enumerate(mappers)])
+    steps, scans = zip(*(engine.mapper_of(robot).scans_of(robot) for robot in range(robots)), strict=True)
+    return list(steps), np.concatenate(scans)
 
 
 def _drawn_at(poses: Array, steps: list[Array], scans: Array, config: EnvConfig) -> GridMap:

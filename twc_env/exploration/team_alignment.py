@@ -57,8 +57,7 @@ def _trajectory(mapper: TeamMapper, robot: int, odom: Array) -> Array:
     if len(steps) == 0:
         return odom
     held = np.clip(np.searchsorted(steps, np.arange(len(odom)), side="right") - 1, 0, None)
-    anchors = np.array([k.pose_odom for k in mapper.keyframes[robot]])
-    return compose_rows(mapper.poses_of(robot), held, compose_rows(inverse(anchors), held, odom))
+    return compose_rows(mapper.poses_of(robot), held, compose_rows(inverse(odom[steps]), held, odom))
 
 
 def team_error_m(engine: Engine, odom_poses: Array, true_poses: Array) -> float:

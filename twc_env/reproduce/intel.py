@@ -151,10 +151,9 @@ def place_frames(engine: CooperativeSlam, paths: Sequence[Sequence[SensorFrame]]
 
 def _in_map(engine: CooperativeSlam, robot: int, poses_odom: Array) -> Array:
     """(scans, 3) a robot's path, carried by the keyframes that it took on the way."""
-    keyframes = engine.team.keyframes[robot]
-    last = np.searchsorted([k.step for k in keyframes], np.arange(len(poses_odom)), side="right") - 1
-    kept = np.array([keyframes[k].pose_odom for k in last])
-    return compose(engine.team.poses_of(robot)[last], between(kept, poses_odom))
+    steps = engine.team.keyframe_steps(robot)
+    last = np.searchsorted(steps, np.arange(len(poses_odom)), side="right") - 1
+    return compose(engine.team.poses_of(robot)[last], between(poses_odom[steps[last]], poses_odom))
 
 
 def errors(poses: Array, relations: Relations) -> tuple[Array, Array]:

@@ -10,8 +10,9 @@ from twc_env.config import EnvConfig
 from twc_env.geometry import between
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.group_maps import GroupMaps
+from twc_env.slam.keyframe_paths import is_on
 from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
-from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
+from twc_env.slam.place_recognition import Forgetful, ProposalFilter, make_recogniser
 from twc_env.slam.signless_recogniser import SignlessRecogniser
 from twc_env.slam.team_graph import TeamGraph
 
@@ -96,12 +97,35 @@ class ClosureSearch:
     def note_tie(self, closure: LoopClosure) -> None:
         """A closure was accepted: its robots need no other for a while."""
         for key in (closure.candidate.target, closure.candidate.source):
-            self._tied_m[key[0]] = max(self._tied_m[key[0]], self._graph.keyframe(key).travel_m)
+            self._tied_m[key[0]] = max(self._tied_m[key[0]], float(self._graph.travels_m[self._graph.node(key)]))
 
     def untie(self, robots: tuple[int, ...]) -> None:
         """The ties of these robots were a mistake: look for others at once."""
         for robot in robots:
             self._tied_m[robot] = -np.inf
+
+    @property
+    def can_forget(self) -> bool:
+        """Whether the recogniser can do without keyframes that it has seen."""
+        return isinstance(self._recogniser, Forgetful)
+
+    def forget(self) -> None:
+        """Keyframes have been forgotten: nothing is compared with them, and what they were tried with is no matter."""
+
+        def is_held(key: tuple[int, int]) -> bool:
+            return is_on(self._graph.keyframes[key[0]], key[1])
+
+        for recogniser in (self._recogniser, self._signless):
+            if isinstance(recogniser, Forgetful):
+                recogniser.forget(lambda keyframe: is_held((keyframe.robot, keyframe.index)))
+        latest_m = [path[-1].travel_m if path else 0.0 for path in self._graph.keyframes]
+        for tried in self._filters.values():
+            tried.forget([travel_m - REPEAT_REACH_M for travel_m in latest_m])
+        for queue in self._waiting.values():
+            waiting = [c for c in queue if is_held(c.target) and is_held(c.source)]
+            self.waiting_count += len(waiting) - len(queue)
+            queue.clear()
+            queue += waiting
 
     def next_closure(self) -> LoopClosure | None:
         """Verify the first candidate that is needed and whose scans are here; None when none waits.
@@ -113,7 +137,8 @@ class ClosureSearch:
             self.waiting_count -= 1
             (target, _), (source, index) = candidate.target, candidate.source
             paths = self._graph.keyframes[target], self._graph.keyframes[source]
-            if self._maps.group_of[target] == self._maps.group_of[source] and self._is_tied(paths[1][index]):
+            is_one_map = self._maps.group_of[target] == self._maps.group_of[source]
+            if is_one_map and self._is_tied(self._graph.keyframe((source, index))):
                 continue
             if self._on_request and self._maps.ask_for(self._verifier.compared(candidate, *paths)):
                 self._without_scans.append(candidate)

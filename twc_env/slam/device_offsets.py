@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import insort
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +86,11 @@ class DeviceOffsets:
         held, offset_db = float(self.offset_db[a, b]), offset_of(self.between(a, b))
         self.offset_db[a, b], self.offset_db[b, a] = offset_db, -offset_db
         return held == 0.0 and offset_db != 0.0
+
+    def forget(self, texts: Collection[str]) -> None:
+        """Let go of where all but these texts were first read."""
+        kept = set(texts)
+        self._heard = [{text: heard for text, heard in known.items() if text in kept} for known in self._heard]
 
     def make_room(self, robots: int) -> None:
         """New arrays for so many robots that know what the old ones did."""

@@ -25,6 +25,9 @@ BYTES_PER_REQUEST = 4
 BYTES_PER_COUNT = 2
 """One entry of the list that says how many keyframes of each robot somebody holds."""
 
+KEPT_MAX = 64
+"""From so many keyframes of a robot on it is asked, whenever one more comes, which of them all mappers hold."""
+
 KINDS = ("pose", "text", "fingerprint", "scan", "request", "inventory")
 
 
@@ -48,7 +51,11 @@ class Exchange:
         self._on_request = config.link.scan_on_request
         self._is_central = config.link.topology == "central"
         mappers = 1 if self._is_central else robot_count
+        self._beam_count = config.lidar.beam_count
         self._paths: list[list[Keyframe]] = [[] for _ in range(robot_count)]
+        """Of each robot the keyframes that some mapper may still lack ..."""
+        self._released = [0] * robot_count
+        """... after so many that all mappers hold."""
         self._made = 0
         """Keyframes of all robots ..."""
         self._heard = 0
@@ -67,7 +74,10 @@ class Exchange:
 
     def add(self, keyframe: Keyframe) -> None:
         """A robot made a keyframe."""
-        self._paths[keyframe.robot].append(keyframe)
+        path = self._paths[keyframe.robot]
+        if len(path) >= KEPT_MAX:
+            self._release(keyframe.robot)
+        path.append(keyframe)
         self._made += 1
 
     def deliver(self, contacts: Contacts, wanted: Sequence[Collection[tuple[int, int]]]) -> list[Delivery]:
@@ -81,19 +91,19 @@ class Exchange:
         before = self._held
         if not self._is_central:
             for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
-                self._hand_over(delivery, robot, robot, len(self._paths[robot]))
+                self._hand_over(delivery, robot, robot, self._end_of(robot))
             before = [held.copy() for held in self._held]
         if contacts is not self._pairs_of:
             self._pairs_of = contacts
             self._pairs = [(i, k, bool(contacts.heard[i, k])) for i, k in np.argwhere(contacts.tried).tolist()]
         for listener, sender, is_heard in self._pairs:
             if self._is_central:
-                if self._held[0][sender] < len(self._paths[sender]):
-                    self._tell_keyframes(deliveries[0], 0, sender, len(self._paths[sender]), is_heard)
+                if self._held[0][sender] < self._end_of(sender):
+                    self._tell_keyframes(deliveries[0], 0, sender, self._end_of(sender), is_heard)
             else:
                 self._tell_holdings(listener, sender, is_heard)
                 for robot, count in enumerate(before[sender]):
-                    end = len(self._paths[robot]) if robot == sender else count
+                    end = self._end_of(robot) if robot == sender else count
                     self._tell_keyframes(deliveries[listener], listener, robot, end, is_heard)
             if wanted[listener]:
                 self._tell_scans(deliveries[listener], listener, sender, wanted[listener], is_heard)
@@ -111,7 +121,7 @@ class Exchange:
         """Send what the listener lacks of a robot's keyframes before the one of number `end`."""
         first = self._held[listener][robot]
         if first < end:
-            for keyframe in self._paths[robot][first:end]:
+            for keyframe in self._between(robot, first, end):
                 self._count(keyframe)
             if is_heard:
                 self._hand_over(delivery, listener, robot, end)
@@ -119,18 +129,33 @@ class Exchange:
     def _hand_over(self, delivery: Delivery, listener: int, robot: int, end: int) -> None:
         first = self._held[listener][robot]
         if end > first:
-            delivery.keyframes += self._paths[robot][first:end]
+            delivery.keyframes += self._between(robot, first, end)
             self._held[listener][robot] = end
             self._heard += end - first
 
+    def _end_of(self, robot: int) -> int:
+        """How many keyframes a robot has made."""
+        return self._released[robot] + len(self._paths[robot])
+
+    def _between(self, robot: int, first: int, end: int) -> list[Keyframe]:
+        """A robot's keyframes of these numbers, which some mapper lacks."""
+        released = self._released[robot]
+        return self._paths[robot][first - released : end - released]
+
+    def _release(self, robot: int) -> None:
+        """Let go of what all mappers hold: nobody will ask for it again."""
+        known = min(held[robot] for held in self._held)
+        del self._paths[robot][: known - self._released[robot]]
+        self._released[robot] = known
+
     def _tell_scans(self, delivery: Delivery, listener: int, sender: int, wanted, is_heard: bool) -> None:
         for key in wanted:
-            robot, index = key
+            robot, _ = key
             has_it = robot == sender or (not self._is_central and key in self._scans[sender])
             if not has_it or key in self._scans[listener]:
                 continue
             self.bytes_sent["request"] += BYTES_PER_REQUEST
-            self.bytes_sent["scan"] += BYTES_PER_BEAM * len(self._paths[robot][index].ranges_m)
+            self.bytes_sent["scan"] += BYTES_PER_BEAM * self._beam_count
             if is_heard:
                 self._scans[listener].add(key)
                 delivery.scans.append(key)

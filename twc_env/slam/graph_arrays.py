@@ -8,17 +8,20 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.geometry import between, compose
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.messages import Keyframe
-from twc_env.slam.growing import doubled
+from twc_env.slam.growing import grown
 from twc_env.slam.odometry_filter import invert3
 from twc_env.slam.relative_equations import wrapped
 
 Array = NDArray
 
 ODOMETRY = -1
+NO_SCAN = np.zeros(0)
+"""In place of that of a node that is forgotten."""
 _ROOM = 64
-"""Rows to begin with; doubled when they are full."""
+"""Rows to begin with; more when they are full."""
 
 
 @borrowing_kernel
@@ -53,10 +56,10 @@ def _put_edge(edge, first, second, measurement, covariance, closure, is_used, en
 def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covariance):
     """Write a robot's next node, and the edge of odometry that leads to it; whether there is one."""
     (
-        poses, robots, steps, travels, strains, ends, measured, information, kinds, used, rows, counts, tied,
+        poses, robots, steps, travels, strains, ahead, ends, measured, information, kinds, used, rows, counts, tied,
         latest_odom,
     ) = parts_of(graph)  # fmt: skip
-    count = counts[robot]
+    count, ahead[node] = counts[robot], 1
     previous = rows[robot, count - 1] if count > 0 else np.int64(-1)
     _put_node(node, previous, robot, step, travel, motion, covariance, poses, robots, steps, travels, strains)
     rows[robot, count], counts[robot] = node, count + 1
@@ -74,7 +77,7 @@ def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covarianc
 @borrowing_kernel
 def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
     """See `GraphArrays.locate`."""
-    poses, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom = parts_of(graph)
+    poses, _, steps, travels, strains, _, _, _, _, _, _, rows, counts, tied, latest_odom = parts_of(graph)
     for k in robots:
         for a in range(others.shape[1]):
             other = others[k, a]
@@ -99,20 +102,24 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
 @borrowing_kernel
 def _nearest(graph, robot, pose, travel_max):
     """See `GraphArrays.nearest`."""
-    poses, _, _, travels, _, _, _, _, _, _, rows, counts, _, _ = parts_of(graph)
-    best, best_squared = -1, np.inf
-    for k in range(counts[robot]):
+    poses, _, _, travels, _, ahead, _, _, _, _, _, rows, counts, _, _ = parts_of(graph)
+    best, best_squared, k = -1, np.inf, 0
+    while k < counts[robot]:
         node = rows[robot, k]
         if travels[node] >= travel_max:
             break
         dx, dy = poses[node, 0] - pose[0], poses[node, 1] - pose[1]
         if dx * dx + dy * dy < best_squared:
             best, best_squared = k, dx * dx + dy * dy
+        k += ahead[node]
     return best, math.sqrt(best_squared)
 
 
 class GraphArrays:
-    """Row by row: nodes are keyframes in the order of their arrival, edges odometry and closures."""
+    """Row by row: nodes are keyframes in the order of their arrival, edges odometry and closures.
+
+    Of a node that is forgotten no scan and no edge is left; it only moves with the one that carries it.
+    """
 
     def __init__(self, robot_count: int, beam_count: int):
         self.node_count = self.edge_count = 0
@@ -122,6 +129,7 @@ class GraphArrays:
             np.zeros(_ROOM, np.int64),
             np.zeros(_ROOM),
             np.zeros((_ROOM, 3)),
+            np.zeros(_ROOM, np.int32),
         ]
         self._beam_count = beam_count
         self._scans: list[Array] = []
@@ -138,6 +146,8 @@ class GraphArrays:
         self._counts = np.zeros(robot_count, np.int64)
         self.tied = np.zeros(robot_count, np.int64)
         """(robots,) the node of each robot's last keyframe with a closure that is used; its first without any."""
+        self._carried: tuple[Array, Array, Array] = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3))
+        """Forgotten nodes (f,), the nodes that carry them (f,), and where they are in the frames of these (f, 3)."""
         self._latest_odom = np.zeros((robot_count, 3))
         """Where each robot's odometry has its last keyframe."""
         self._follow: Callable[..., bool] | None = None
@@ -161,8 +171,10 @@ class GraphArrays:
         """A keyframe, put where odometry leads from the robot's last one; gives its node."""
         node = self.node_count
         if node == len(self._node_rows[0]):
-            self._node_rows = [doubled(rows) for rows in self._node_rows]
-            self._rows = doubled(self._rows.T).T.copy()
+            self._node_rows = [grown(rows) for rows in self._node_rows]
+            self._hold_grown()
+        if self._counts[keyframe.robot] == self._rows.shape[1]:
+            self._rows = grown(self._rows.T).T.copy()
             self._hold_grown()
         self._make_room_for_edge()
         new = (
@@ -184,8 +196,42 @@ class GraphArrays:
 
     def _make_room_for_edge(self) -> None:
         if self.edge_count == len(self._edge_rows[0]):
-            self._edge_rows = [doubled(rows) for rows in self._edge_rows]
+            self._edge_rows = [grown(rows) for rows in self._edge_rows]
             self._hold_grown()
+
+    def _let_go(self, nodes: Array, carriers: Array, edges: tuple[Array, Array, Array, Array, Array]) -> None:
+        """Let go of the scans of some nodes (k,), which move from now on with others (k,) that are held.
+
+        edges: all that are left, as `ends`, `measured`, `information`, `closure_of_edge` and `is_used`.
+        """
+        ahead = self._node_rows[5]
+        ahead[nodes] = 0
+        for robot in range(len(self._rows)):
+            own = self.path_of(robot)
+            held = np.flatnonzero(ahead[own])
+            ahead[own[held]] = np.diff(held, append=len(own))
+        carrier_of = np.arange(self.node_count)
+        carrier_of[nodes] = carriers
+        self._carried = self._carried_by(
+            np.concatenate([self._carried[0], nodes]), np.concatenate([carrier_of[self._carried[1]], carriers])
+        )
+        for node in nodes.tolist():
+            self._scans[node] = NO_SCAN
+        self.edge_count = len(edges[0])
+        room = max(2 * self.edge_count, _ROOM)
+        self._edge_rows = [
+            np.concatenate([kept, np.zeros((room - len(kept), *kept.shape[1:]), kept.dtype)]) for kept in edges
+        ]
+        self._hold_grown()
+
+    def _carried_by(self, nodes: Array, carriers: Array) -> tuple[Array, Array, Array]:
+        return nodes, carriers, between(self.poses[carriers], self.poses[nodes])
+
+    def _carry(self) -> None:
+        """Move all forgotten nodes to where those that carry them have moved."""
+        nodes, carriers, relative = self._carried
+        if len(nodes):
+            self.poses[nodes] = compose(self.poses[carriers], relative)
 
     def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
         """Where some robots (k,) are in the maps of their groups; others (robots, robots - 1): all but each.
@@ -240,6 +286,12 @@ class GraphArrays:
     def travels_m(self) -> Array:
         """(nodes,) path length of the robot up to each."""
         return self._node_rows[3][: self.node_count]
+
+    @property
+    def is_held(self) -> Array:
+        """(nodes,) bool: not forgotten."""
+        is_held: Array = self._node_rows[5][: self.node_count] > 0
+        return is_held
 
     @property
     def ends(self) -> Array:

@@ -13,7 +13,7 @@ from twc_env.config import EnvConfig
 from twc_env.geometry import compose
 from twc_env.kernels import borrowing_kernel
 from twc_env.messages import GridMap, Keyframe
-from twc_env.slam.growing import doubled
+from twc_env.slam.growing import grown
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.team_graph import TeamGraph
 
@@ -85,7 +85,7 @@ class GroupMaps:
     def add(self, keyframe: Keyframe, node: int) -> None:
         """A new keyframe: draw its scan, or ask for it where some robot would see it."""
         if node == len(self._drawn):
-            self._drawn, self._scan_here = doubled(self._drawn), doubled(self._scan_here)
+            self._drawn, self._scan_here = grown(self._drawn), grown(self._scan_here)
         self._scan_here[node] = not self._on_request or keyframe.robot == self._home
         poses = self._graph.poses[node : node + 1]
         self._drawn[node] = poses[0]
@@ -157,9 +157,13 @@ class GroupMaps:
         for one in made:
             self.redraw(self.group_of[one.robots[0]])
 
-    def _renumber(self) -> None:
+    def forget(self) -> None:
+        """Let go of what parts of groups have seen; it is drawn anew when it is asked for."""
         self._sides.clear()
         self._settled.clear()
+
+    def _renumber(self) -> None:
+        self.forget()
         self.regroupings += 1
         self.changes += 1
         for index, group in enumerate(self.groups):

@@ -13,6 +13,7 @@ from twc_env.geometry import beam_directions, seen_from
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.global_matching import match_globally
+from twc_env.slam.keyframe_paths import place_on
 from twc_env.slam.odometry_filter import invert_symmetric
 from twc_env.slam.point_matching import PointMatch, match_points
 from twc_env.slam.scan_matching import LineField, Match
@@ -130,7 +131,7 @@ class LoopVerifier:
 
         Gives a closure with status "accepted" or "rejected" (and the reason); the back end may still refuse it.
         """
-        target, source = target_path[candidate.target[1]], source_path[candidate.source[1]]
+        target, source = _ends(candidate, target_path, source_path)
         rule, points = self._config, self._points(source, source_path, SPACING_M)
         match, overlap = self._match(candidate, target, target_path, points)
         reason = ""
@@ -169,8 +170,9 @@ class LoopVerifier:
     ) -> list[tuple[int, int]]:
         """(robot, keyframe index) of every scan that `verify` would look at."""
         reach = self._config.cloud_reach_m
-        near = _neighbours(target_path[candidate.target[1]], target_path, reach)
-        near += _neighbours(source_path[candidate.source[1]], source_path, min(reach, SPACING_M))
+        target, source = _ends(candidate, target_path, source_path)
+        near = _neighbours(target, target_path, reach)
+        near += _neighbours(source, source_path, min(reach, SPACING_M))
         return [(k.robot, k.index) for k in near]
 
     def _refine(self, points: Array, guess: Array) -> tuple[Match, float]:
@@ -224,6 +226,15 @@ class SignVerifier:
         return []
 
 
+def _ends(
+    candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
+) -> tuple[Keyframe, Keyframe]:
+    """The two keyframes of a candidate."""
+    paths = (target_path, candidate.target[1]), (source_path, candidate.source[1])
+    target, source = [path[place_on(path, index)] for path, index in paths]
+    return target, source
+
+
 def _seen(keyframes: Sequence[Keyframe]) -> tuple[Array, Array]:
     """Poses (k, 3) in the odom frame, and scans (k, beams)."""
     poses, scans = np.concatenate([k.pose_odom for k in keyframes]), np.concatenate([k.ranges_m for k in keyframes])
@@ -232,8 +243,8 @@ def _seen(keyframes: Sequence[Keyframe]) -> tuple[Array, Array]:
 
 def _neighbours(keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float) -> list[Keyframe]:
     """The keyframe first, then others of its robot within reach_m of path, about SPACING_M apart."""
-    chosen, here_m = [keyframe], keyframe.travel_m
-    for others in (path[keyframe.index - 1 :: -1] if keyframe.index else (), path[keyframe.index + 1 :]):
+    chosen, here_m, place = [keyframe], keyframe.travel_m, place_on(path, keyframe.index)
+    for others in (path[place - 1 :: -1] if place else (), path[place + 1 :]):
         last_m = here_m
         for other in others:
             if abs(other.travel_m - here_m) > reach_m:

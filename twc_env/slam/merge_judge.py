@@ -83,16 +83,21 @@ class MergeJudge:
     def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
         """Whether places that the merge brings together sound alike; None while too few can be compared."""
         members = [*a, *b]
-        poses = [self._graph.poses_of(robot) for robot in members]
+        nodes = [self._graph.held_of(robot) for robot in members]
+        poses = [self._graph.poses[own] for own in nodes]
         counts = [len(own) for own in poses]
         positions = [(own if k < len(a) else compose(pose_a_b, own))[:, :2] for k, own in enumerate(poses)]
         return map_merging.wifi_agrees(
             np.concatenate(positions),
             np.repeat(members, counts),
-            np.concatenate([self._graph.travels_of(robot) for robot in members]),
+            self._graph.travels_m[np.concatenate(nodes)],
             HeardPlaces.joined([self._heard_by(robot) for robot in members]),
             np.repeat(np.arange(len(members)) >= len(a), counts),
         )
+
+    def forget(self) -> None:
+        """Keyframes have been forgotten."""
+        self._heard.clear()
 
     def _heard_by(self, robot: int) -> HeardPlaces:
         """What a robot heard at each of its keyframes."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from bisect import bisect, insort
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import Keyframe, LoopCandidate
@@ -36,6 +36,14 @@ class Recogniser(Protocol):
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """How much two keyframes look like one place; the larger the more."""
+
+
+@runtime_checkable
+class Forgetful(Protocol):
+    """A recogniser of places that can do without some of them."""
+
+    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+        """Keep what is known of keyframes that are still held, and nothing of the others."""
 
 
 def make_recogniser(config: PlaceRecognitionConfig, range_max_m: float) -> Recogniser:
@@ -76,6 +84,11 @@ class ProposalFilter:
             if abs(b - y) < reach_m:
                 return True
         return False
+
+    def forget(self, until_m: Sequence[float]) -> None:
+        """Let go of what was tried before so many metres of both robots' paths: nothing will come near."""
+        for (a, b), tried in self._tried.items():
+            tried[:] = [(x, y) for x, y in tried if x >= until_m[a] or y >= until_m[b]]
 
 
 def _in_order(a: Keyframe, b: Keyframe) -> tuple[tuple[int, int], tuple[float, float]]:

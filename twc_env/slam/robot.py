@@ -66,8 +66,8 @@ class FrontEnds:
     def _take_keyframe(self, k: int, step: int, time_s: float) -> Keyframe:
         robot = self.robots[k]
         signs = robot.signs_seen_from(self._tracker.poses_odom[k])
-        keyframe, is_drawn = self._taker.take(k, len(robot.keyframes), step, time_s, signs)
-        robot.keyframes.append(keyframe)
+        keyframe, is_drawn = self._taker.take(k, robot.taken, step, time_s, signs)
+        robot.remember(keyframe)
         if not is_drawn:
             self._taker.centres_m[k] = keyframe.pose_odom[:2]
             robot.move_on()
@@ -83,12 +83,15 @@ def of_one_time(frames: Sequence[SensorFrame]) -> list[list[SensorFrame]]:
 
 
 class RobotFrontEnd:
-    """What one robot remembers: keyframes, its local map, and what it read since the last keyframe."""
+    """What one robot remembers: its latest keyframes, its local map, and what it read since the last keyframe."""
 
     def __init__(self, config: EnvConfig, field: LineField):
         """field: of its local map."""
         self._field, self._memory_m = field, config.slam.local_map.memory_m
-        self.keyframes: list[Keyframe] = []
+        self.taken = 0
+        """How many keyframes the robot has taken."""
+        self._recent: list[Keyframe] = []
+        """Those that may still be drawn into the local map, and the latest one."""
         self._readings: list[tuple[str, float, float, float]] = []
         """Text, place [m, m] and facing [rad] in the odom frame of each sign read since the last keyframe."""
 
@@ -117,18 +120,22 @@ class RobotFrontEnd:
         self._readings = []
         return signs
 
+    def remember(self, keyframe: Keyframe) -> None:
+        """The robot has taken a keyframe."""
+        self.taken += 1
+        self._recent.append(keyframe)
+
     def move_on(self) -> None:
         """Put the latest keyframe into the middle of the local map, and draw what was seen around it.
 
         Raises DataError for numbers that are not sound.
         """
-        latest = self.keyframes[-1]
+        latest = self._recent[-1]
         self._field.reset(latest.pose_odom[:2])
         horizon = latest.travel_m - self._memory_m
-        recent = [latest]
-        for old in reversed(self.keyframes[:-1]):
-            if old.travel_m < horizon:
-                break
-            if recent[-1].travel_m - old.travel_m >= REDRAW_SPACING_M:
-                recent.append(old)
-        self._field.add(np.array([k.pose_odom for k in recent]), np.array([k.ranges_m for k in recent]))
+        self._recent = [old for old in self._recent if old.travel_m >= horizon]
+        drawn = [latest]
+        for old in reversed(self._recent[:-1]):
+            if drawn[-1].travel_m - old.travel_m >= REDRAW_SPACING_M:
+                drawn.append(old)
+        self._field.add(np.array([k.pose_odom for k in drawn]), np.array([k.ranges_m for k in drawn]))

@@ -2,7 +2,8 @@
 
 Once a building is known, what comes anew ties the latest keyframes to a map that hardly moves. So the older keyframes
 of a large map are held where they are, until the map has grown by a share of what it was when all of it was last
-optimised: this costs the same for each new keyframe, however many there are.
+optimised: this costs the same for each new keyframe, however many there are. Then keyframes that tell nothing new are
+forgotten (`known_places`), so that maps of one building do not grow for ever.
 """
 
 from __future__ import annotations
@@ -18,22 +19,32 @@ GROWN = 1.25
 class SettledMaps:
     """The first keyframe, counted as they arrived, of each group's map that may move."""
 
-    def __init__(self) -> None:
+    def __init__(self, large_from: int = LARGE_FROM, movable: int = MOVABLE, forgets: bool = True) -> None:
+        """forgets: whether keyframes that tell nothing new are forgotten."""
+        self._large_from, self._movable, self._forgets = large_from, movable, forgets
         self._whole: dict[tuple[int, ...], int] = {}
         self._latest: dict[tuple[int, ...], int] = {}
-        """How many keyframes there were when the map of these robots was optimised, as a whole and at all."""
+        """How many keyframes there were when the map of these robots was optimised: held as a whole, ever at all."""
 
-    def first_movable(self, robots: tuple[int, ...], count: int) -> int:
-        """The first of `count` keyframes that may move in the map of these robots; 0 for all of them."""
-        if count < LARGE_FROM or count >= GROWN * self._whole.get(robots, 0):
+    def first_movable(self, robots: tuple[int, ...], count: int, held: int | None = None) -> int:
+        """The first of `count` keyframes that may move in the map of these robots; 0 for all of them.
+
+        held: so many of them are not forgotten; all of them where none is given.
+        """
+        held = count if held is None else held
+        if count < self._large_from or held >= GROWN * self._whole.get(robots, 0):
             return 0
-        return max(self._latest[robots] - MOVABLE, 0)
+        return max(self._latest[robots] - self._movable, 0)
 
-    def note(self, robots: tuple[int, ...], count: int, is_whole: bool) -> None:
+    def first_unsettled(self, count: int) -> int:
+        """The first of `count` keyframes that may not be forgotten now that all of a map has been optimised."""
+        return count - self._movable if self._forgets and count >= self._large_from else 0
+
+    def note(self, robots: tuple[int, ...], count: int, is_whole: bool, held: int | None = None) -> None:
         """The map of these robots was optimised when there were so many keyframes."""
         self._latest[robots] = count
         if is_whole:
-            self._whole[robots] = count
+            self._whole[robots] = count if held is None else held
 
     def forget(self) -> None:
         """Robots came to share a map or no longer do: nothing is settled."""

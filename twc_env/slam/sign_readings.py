@@ -8,15 +8,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.geometry import compose
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe
-from twc_env.slam.growing import doubled
+from twc_env.slam.growing import grown
 from twc_env.team_messages import KnownSigns
 
 Array = NDArray
 
 _ROOM = 64
-"""Rows to begin with; doubled when they are full."""
+"""Rows to begin with; more when they are full."""
 SAME_SIGN_M = 1.0
 """Readings of one text nearer to each other than this are of one sign."""
 ENOUGH, ENOUGH_M = 8, 0.5
@@ -119,12 +120,34 @@ class SignReadings:
                 self._texts.append(sign.text)
             self.counts[keyframe.robot] += 1
             if self._count == len(self._readings):
-                self._readings, self._places = doubled(self._readings), doubled(self._places)
+                self._readings, self._places = grown(self._readings), grown(self._places)
             held = poses, self._readings, self._places, self._count
             new = *held, keyframe.robot, node, text, *sign.position_m.tolist()
             if self._add is None:
                 self._add = bound(_add, Lent((ENOUGH, ENOUGH_M)), *new)
             self._count = self._add(*new)
+
+    def forget(self, is_gone: Array, poses: Array) -> None:
+        """Let go of readings at nodes that are forgotten (nodes,) bool, but the first of those that no other repeats.
+
+        A text that was read once only, and at a forgotten node, was misread: others were read there more often.
+        """
+        readings, local = self._readings[: self._count], self._places[: self._count]
+        at_node = np.concatenate([local, np.zeros((len(local), 1))], axis=1)
+        places = compose(poses[readings[:, 1]], at_node)[:, :2]
+        stays = ~is_gone[readings[:, 1]]
+        for k in np.flatnonzero(~stays).tolist():
+            is_same = (readings[:, 0] == readings[k, 0]) & (readings[:, 2] == readings[k, 2])
+            is_same &= np.hypot(*(places - places[k]).T) < SAME_SIGN_M
+            stays[k] = np.count_nonzero(is_same) > 1 and not stays[is_same].any()
+        numbers, texts = np.unique(readings[stays, 2], return_inverse=True)
+        self._texts = [self._texts[number] for number in numbers.tolist()]
+        self._numbers = {text: number for number, text in enumerate(self._texts)}
+        self._count = len(texts)
+        room = max(2 * self._count, _ROOM)
+        self._readings, self._places = np.zeros((room, 3), np.int64), np.zeros((room, 2))
+        self._readings[: self._count], self._places[: self._count] = readings[stays], local[stays]
+        self._readings[: self._count, 2] = texts
 
     def known(self, poses: Array, robots: Sequence[int]) -> KnownSigns:
         """The texts read by some robots of one group, each once per place; poses (nodes, 3) of all nodes."""

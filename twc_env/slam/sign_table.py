@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,13 +13,13 @@ from twc_env.config import PlaceRecognitionConfig
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.device_offsets import DeviceOffsets
-from twc_env.slam.growing import doubled
+from twc_env.slam.growing import grown
 from twc_env.slam.radio_fingerprint import rssi_similarity
 
 Array = NDArray
 
 _ROOM = 1024
-"""Rows and readings to begin with; doubled when they are full."""
+"""Rows and readings to begin with; more when they are full."""
 MISSING_AFTER_S = 20.0
 """A robot that has read, or heard, nothing for so long since the episode began has no use of that cue."""
 UNLIKE = -1.0
@@ -143,6 +143,16 @@ class SignTable:
         first_m[keyframe.robot] = min(first_m.get(keyframe.robot, math.inf), keyframe.travel_m)
         return self._devices.note(keyframe.robot, text, heard)
 
+    def clear(self, texts: Collection[str]) -> None:
+        """Take out all rows; what is known of the robots' receivers stays, and of texts where these were first read."""
+        self._places, self._travels_m = self._places[:_ROOM].copy(), self._travels_m[:_ROOM].copy()
+        self._ends, self._found = self._ends[:_ROOM].copy(), self._found[:_ROOM].copy()
+        self._macs, self._rssi_dbm = self._macs[:_ROOM].copy(), self._rssi_dbm[:_ROOM].copy()
+        self._count = self._end = 0
+        self._choose = self._put = None
+        self._first_m.clear()
+        self._devices.forget(texts)
+
     def _make_room(self, robot: int) -> None:
         """Room for all rows and readings that there are, and for a robot of this number."""
         robots = len(self._devices.offset_db)
@@ -153,10 +163,10 @@ class SignTable:
             self._devices.make_room(robots + more)
             self._is_deaf, self._has_heard = np.pad(self._is_deaf, (0, more)), np.pad(self._has_heard, (0, more))
         while self._end > len(self._macs):
-            self._macs, self._rssi_dbm = doubled(self._macs), doubled(self._rssi_dbm)
+            self._macs, self._rssi_dbm = grown(self._macs), grown(self._rssi_dbm)
         if self._count > len(self._places):
-            self._places, self._travels_m = doubled(self._places), doubled(self._travels_m)
-            self._ends, self._found = doubled(self._ends), doubled(self._found)
+            self._places, self._travels_m = grown(self._places), grown(self._travels_m)
+            self._ends, self._found = grown(self._ends), grown(self._found)
         held = self._all()
         self._choose, self._put = rebound(self._choose, held), rebound(self._put, held)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import Keyframe, LoopCandidate
@@ -45,3 +45,8 @@ class SignlessRecogniser:
             candidates += self._wifi.propose(kept, [*skipped_robots, *others])
         self._kept.clear()
         return candidates
+
+    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+        """See `Forgetful`."""
+        self._wifi.forget(is_held)
+        self._kept = [keyframe for keyframe in self._kept if is_held(keyframe)]

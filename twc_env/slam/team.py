@@ -13,6 +13,7 @@ from twc_env.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam import robust_backend
 from twc_env.slam.closure_search import ClosureSearch
 from twc_env.slam.group_maps import Group, GroupMaps
+from twc_env.slam.known_places import carriers_of
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import MergeReview
 from twc_env.slam.radio_ties import RadioTies
@@ -51,9 +52,9 @@ class TeamMapper:
         self.groups: list[Group] = self._maps.groups
         """Robots that share a map."""
         self.keyframes: list[list[Keyframe]] = self._graph.keyframes
-        """Of each robot, as far as they have arrived."""
+        """Of each robot, as far as they have arrived and are not forgotten."""
         self.closures: list[LoopClosure] = self._graph.closures
-        """Every closure that was ever verified, with what became of it."""
+        """The closures that were verified, with what became of them, but those between keyframes that are forgotten."""
         self.wanted: Collection[tuple[int, int]] = self._maps.wanted
         """(robot, keyframe index) of scans to ask for, as they are now."""
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
@@ -62,7 +63,10 @@ class TeamMapper:
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
         self._radio = RadioTies(radio, robot_count) if radio.online else None
-        self._settled_maps, self._may_hold_poses = SettledMaps(), self._radio is None and is_ours
+        self.settled_maps = SettledMaps()
+        """What becomes of large maps, and from when on they are large."""
+        self._may_hold_poses = self._radio is None and is_ours
+        self._may_forget = self._may_hold_poses and not self._on_request and self._search.can_forget
         self._no_case: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
         """Two groups, by their robots, and how many closures between them were no case for a merge when last tried."""
         self._refused_heard: dict[tuple[int, ...], int] = {}
@@ -155,13 +159,21 @@ class TeamMapper:
         return self._maps.group_of[robot]
 
     def poses_of(self, robot: int) -> Array:
-        """(keyframes, 3) of one robot in its group's map frame."""
+        """(keyframes, 3) of one robot in its group's map frame, with those that are forgotten."""
         return self._graph.poses_of(robot)
 
     @property
     def nodes(self) -> tuple[Array, Array, Array]:
-        """Of all keyframes as they arrived: poses (n, 3) in the maps of their groups, robots and steps (n,)."""
-        return self._graph.poses, self._graph.robot_of_node, self._graph.step_of_node
+        """Of all keyframes as they arrived: poses (n, 3) in the maps of their groups, robots and steps (n,).
+
+        Of a map that has become large without those that are forgotten.
+        """
+        graph = self._graph
+        every = graph.poses, graph.robot_of_node, graph.step_of_node
+        if graph.held_count == len(graph.poses):
+            return every
+        held = graph.held
+        return every[0][held], every[1][held], every[2][held]
 
     def latest_pose_of(self, robot: int) -> Array:
         """(3,) of the robot's newest keyframe in its group's map frame."""
@@ -171,9 +183,14 @@ class TeamMapper:
         """(keyframes,) the step at which each was taken."""
         return self._graph.steps_of(robot)
 
-    def scans_of(self, robot: int) -> Array:
-        """(keyframes, beams) the scan of each [m]."""
-        return self._graph.scans_of(robot)
+    def scans_of(self, robot: int) -> tuple[Array, Array]:
+        """Steps (k,) and scans (k, beams) [m] of the keyframes that are held."""
+        return self._graph.step_of_node[self._graph.held_of(robot)], self._graph.scans_of(robot)
+
+    @property
+    def closures_verified(self) -> int:
+        """How many closures were verified, with those that are forgotten."""
+        return self._graph.closures_verified
 
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
@@ -242,9 +259,10 @@ class TeamMapper:
 
     def _travel_between(self, candidate: LoopCandidate) -> float:
         """Path length over which drift could have gathered: between the keyframes, or since the robots' last tie."""
-        target, source = self._graph.keyframe(candidate.target), self._graph.keyframe(candidate.source)
-        if target.robot == source.robot:
-            return min(abs(source.travel_m - target.travel_m), 40.0)
+        (target, _), (source, _) = candidate.target, candidate.source
+        if target == source:
+            first, last = [self._graph.travels_m[self._graph.node(key)] for key in (candidate.target, candidate.source)]
+            return min(abs(float(last) - float(first)), 40.0)
         return 20.0
 
     # --- merging ---
@@ -276,7 +294,7 @@ class TeamMapper:
         if self._judge.walls_disagree(*grids, pose_a_b):
             return False
         self._maps.merge(a, b, pose_a_b)
-        self._settled_maps.forget()
+        self.settled_maps.forget()
         self._review.note(robots_a, robots_b, self._step)
         merged = self.group_index(robots_a[0])
         self._soil(merged, True)
@@ -312,7 +330,7 @@ class TeamMapper:
         self._graph.let_wait(rivals)
         self._review.forget(merge, (a, b))
         self._maps.split(self.group_index(a[0]), (a, b))
-        self._settled_maps.forget()
+        self.settled_maps.forget()
         self._search.untie(a + b)
         for side in (a, b):
             self._optimise(self.group_index(side[0]))
@@ -326,13 +344,35 @@ class TeamMapper:
         return self._last_optimised_step + periods * self._config.pose_graph.period_steps
 
     def _optimise(self, group: int, is_thorough: bool = False) -> None:
-        robots, count = self.groups[group].robots, len(self._graph.poses)
-        first = self._settled_maps.first_movable(robots, count) if self._may_hold_poses and not is_thorough else 0
+        robots, count, held = self.groups[group].robots, len(self._graph.poses), self._graph.held_count
+        may_hold = self._may_hold_poses and not is_thorough
+        first = self.settled_maps.first_movable(robots, count, held) if may_hold else 0
         if first > 0 and self._optimise_latest(group, first):
-            self._settled_maps.note(robots, count, is_whole=False)
+            self.settled_maps.note(robots, count, is_whole=False)
             return
         self._optimise_whole(group, is_thorough)
-        self._settled_maps.note(robots, count, is_whole=True)
+        if self._may_forget and not is_thorough:
+            self._forget(robots, self.settled_maps.first_unsettled(count))
+        self.settled_maps.note(robots, count, is_whole=True, held=self._graph.held_count)
+
+    def _forget(self, robots: tuple[int, ...], end: int) -> None:
+        """Let go of those nodes before `end` in the map of some robots that tell nothing that others do not."""
+        if end <= 0:
+            return
+        nodes = self._graph.nodes_of(robots)
+        may_go = self._graph.may_go(nodes, end)
+        if not may_go.any():
+            return
+        poses, scans = self._graph.rows_of(nodes)
+        carriers = carriers_of(
+            poses, scans, self._graph.robot_of_node[nodes], may_go, *self._graph.sightings(nodes)
+        )  # fmt: skip
+        gone = np.flatnonzero(carriers >= 0)
+        if not len(gone):
+            return
+        self._graph.forget(nodes[gone], nodes[carriers[gone]])
+        for knower in (self._search, self._judge, self._maps):
+            knower.forget()
 
     def _optimise_latest(self, group: int, first: int) -> bool:
         """Optimise the nodes from `first` on and leave the others; False where closures should be weighed anew."""

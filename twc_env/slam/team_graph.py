@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from array import array
+from bisect import bisect_left
+from collections.abc import MutableSequence, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +14,18 @@ from twc_env.geometry import compose, inverse
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe, LoopClosure
 from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays
+from twc_env.slam.graph_thinning import Edges, thinned
+from twc_env.slam.keyframe_paths import place_on
+from twc_env.slam.known_places import Sightings
 from twc_env.slam.odometry_filter import squared_error
 from twc_env.slam.pose_graph import Graph
 from twc_env.slam.sign_readings import SignReadings
 from twc_env.team_messages import KnownSigns
 
 Array = NDArray
+
+LATEST, TIES = 30, 12
+"""Of each robot so many of its latest keyframes, and of two robots' first accepted closures, are never forgotten."""
 
 
 @borrowing_kernel
@@ -45,11 +53,11 @@ def _is_of_part(ends, is_inside, first, robot_of_node):
 
 
 @kernel
-def _part(is_inside, first, robot_of_node, ends, measured, information, closure_of_edge, is_used):
+def _part(is_inside, first, robot_of_node, is_held, ends, measured, information, closure_of_edge, is_used):
     """See `TeamGraph.part`; is_inside (robots,) bool."""
     is_kept = np.zeros(robot_of_node.shape[0], np.bool_)
     for n in range(first, robot_of_node.shape[0]):
-        is_kept[n] = is_inside[robot_of_node[n]]
+        is_kept[n] = is_held[n] and is_inside[robot_of_node[n]]
     edge_count = 0
     for e in range(ends.shape[0]):
         if _is_of_part(ends[e], is_inside, first, robot_of_node):
@@ -97,11 +105,14 @@ class TeamGraph(GraphArrays):
         """How often a well measured closure was refused."""
         self._sound: set[int] = set()
         self.keyframes: list[list[Keyframe]] = [[] for _ in range(robot_count)]
+        """Of each robot those that are held."""
         self.closures: list[LoopClosure] = []
-        """Every closure that was ever verified, with what became of it."""
+        """The closures that were verified, with what became of them, but those between keyframes that are forgotten."""
+        self.closures_verified = 0
+        """How many there ever were."""
         self._waiting: dict[int, LoopClosure] = {}
         """By their numbers, ascending, all closures that are pending; others among them have been judged since."""
-        self._nodes: list[list[int]] = [[] for _ in range(robot_count)]
+        self._nodes: list[MutableSequence[int]] = [array("q") for _ in range(robot_count)]
         self._readings = SignReadings(robot_count)
         self.signs_read: list[int] = self._readings.counts
         """Texts read by each robot so far."""
@@ -117,20 +128,31 @@ class TeamGraph(GraphArrays):
         return pose
 
     def scans_of(self, robot: int) -> Array:
-        """(keyframes, beams) of one robot [m]."""
-        return self._scans_at(self.path_of(robot))
+        """(k, beams) of one robot's keyframes that are held [m]."""
+        return self._scans_at(self.held_of(robot))
+
+    def held_of(self, robot: int) -> Array:
+        """(k,) the nodes of one robot's keyframes that are held, ascending."""
+        nodes = self.path_of(robot)
+        return nodes[self.is_held[nodes]]
+
+    @property
+    def held_count(self) -> int:
+        """How many keyframes are not forgotten."""
+        return sum(map(len, self.keyframes))
+
+    @property
+    def held(self) -> Array:
+        """(k,) all nodes that are held, ascending."""
+        return np.flatnonzero(self.is_held)
 
     def steps_of(self, robot: int) -> Array:
         """(keyframes,) the step at which each was taken."""
         return self.step_of_node[self.path_of(robot)]
 
-    def travels_of(self, robot: int) -> Array:
-        """(keyframes,) path length up to each [m]."""
-        return self.travels_m[self.path_of(robot)]
-
     def nodes_of(self, robots: Sequence[int]) -> Array:
-        """(k,) nodes of some robots, ascending."""
-        return np.flatnonzero(self._are(robots)[self.robot_of_node])
+        """(k,) nodes of some robots that are held, ascending."""
+        return np.flatnonzero(self._are(robots)[self.robot_of_node] & self.is_held)
 
     def _are(self, robots: Sequence[int]) -> Array:
         """(robots,) bool: which of all robots these are."""
@@ -143,8 +165,9 @@ class TeamGraph(GraphArrays):
         return self._nodes[key[0]][key[1]]
 
     def keyframe(self, key: tuple[int, int]) -> Keyframe:
-        """A robot's keyframe."""
-        return self.keyframes[key[0]][key[1]]
+        """A robot's keyframe, one that is held."""
+        path = self.keyframes[key[0]]
+        return path[place_on(path, key[1])]
 
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
@@ -165,6 +188,7 @@ class TeamGraph(GraphArrays):
 
     def add_closure(self, closure: LoopClosure) -> None:
         """Note a verified closure."""
+        self.closures_verified += 1
         closure.number = len(self.closures)
         self.closures.append(closure)
         self._waiting[closure.number] = closure
@@ -233,9 +257,63 @@ class TeamGraph(GraphArrays):
                 out.append(closure)
         return out
 
+    def may_go(self, nodes: Array, end: int) -> Array:
+        """(k,) bool: which of some held nodes may be forgotten: none from `end` on, nor each robot's first and latest.
+
+        Nor those by which two robots were first tied to each other, so that merges can still be judged and undone.
+        """
+        may_go = nodes < end
+        stay = [node for own in self._nodes for node in (*own[:1], *own[-LATEST:])]
+        ties: dict[tuple[int, int], int] = {}
+        for closure in self.closures:
+            ends = closure.candidate.target, closure.candidate.source
+            pair = min(ends)[0], max(ends)[0]
+            if closure.status == "accepted" and pair[0] != pair[1] and ties.get(pair, 0) < TIES:
+                ties[pair] = ties.get(pair, 0) + 1
+                stay += [self.node(key) for key in ends]
+        return may_go & ~np.isin(nodes, stay)
+
+    def sightings(self, nodes: Array) -> Sightings:
+        """The signs that were read at some nodes (k,)."""
+        ends, places = [], []
+        for node, robot in zip(nodes.tolist(), self.robot_of_node[nodes].tolist(), strict=True):
+            keyframe = self.keyframe((robot, bisect_left(self._nodes[robot], node)))
+            places += [compose(self.poses[node], [*sign.position_m, 0.0])[:2] for sign in keyframe.signs]
+            ends.append(len(places))
+        return Sightings(np.array(ends, np.int64), np.array(places, float).reshape(-1, 2))
+
+    def forget(self, nodes: Array, carriers: Array) -> None:
+        """Let go of keyframes (k,), each of which moves from now on with another one (k,) that is held.
+
+        Closures go with them, but those that the nodes that stay take over; so do those that failed verification.
+        """
+        is_gone = np.zeros(self.node_count, bool)
+        is_gone[nodes] = True
+        before = Edges(self.ends, self.measured, self.information, self.closure_of_edge, self.is_used)
+        edges = thinned(before, is_gone)
+        tying = set(edges.closure.tolist())
+        stay = [c for c in self.closures if c.number in tying or c.status == "pending"]
+        number_of = {closure.number: number for number, closure in enumerate(stay)}
+        self._sound = {number_of[number] for number in self._sound if number in number_of}
+        self._waiting = {number_of[number]: closure for number, closure in self._waiting.items() if number in number_of}
+        for closure in stay:
+            closure.number = number_of[closure.number]
+        self.closures[:] = stay
+        closure_of_edge = np.array([n if n == ODOMETRY else number_of[n] for n in edges.closure.tolist()], np.int64)
+        self._edge_of_closure = {n: e for e, n in enumerate(closure_of_edge.tolist()) if n != ODOMETRY}
+        self._let_go(
+            nodes, carriers, (edges.ends, edges.measured, edges.information, closure_of_edge, edges.is_used)
+        )  # fmt: skip
+        for robot, path in enumerate(self.keyframes):
+            own = self._nodes[robot]
+            path[:] = [keyframe for keyframe in path if not is_gone[own[keyframe.index]]]
+        self._readings.forget(~self.is_held, self.poses)
+        self.changes += 1
+
     def place(self, nodes: Sequence[int] | Array, poses: Array) -> None:
-        """Move nodes to new poses."""
+        """Move nodes to new poses, and with them those that they carry."""
         self.poses[nodes] = poses
+        self._carry()
         self.changes += 1
 
     def part(self, robots: Sequence[int], first: int = 0) -> tuple[Array, Array, Graph, Array]:
@@ -244,7 +322,7 @@ class TeamGraph(GraphArrays):
         Of the nodes before `first` only those with edges to later ones, and none of the edges between them.
         """
         nodes, edges, local, measured, information, is_closure, is_used = _part(
-            self._are(robots), first, self.robot_of_node, self.ends, self.measured, self.information,
+            self._are(robots), first, self.robot_of_node, self.is_held, self.ends, self.measured, self.information,
             self.closure_of_edge, self.is_used,
         )  # fmt: skip
         return nodes, edges, Graph(local, measured, information, is_closure), is_used
@@ -291,11 +369,11 @@ class TeamGraph(GraphArrays):
         ids = np.zeros((self.node_count, 2), np.int64)
         for robot, nodes in enumerate(self._nodes):
             ids[nodes] = np.stack([np.full(len(nodes), robot), np.arange(len(nodes))], axis=1)
-        used = self.is_used
+        used, held = self.is_used, self.held
         return {
-            "nodes": self.poses.copy(),
-            "node_ids": ids,
-            "edges_ij": self.ends[used],
+            "nodes": self.poses[held],
+            "node_ids": ids[held],
+            "edges_ij": np.searchsorted(held, self.ends[used]),
             "edges_z": self.measured[used],
             "edges_information": self.information[used],
             "edges_kind": ["odometry" if c == ODOMETRY else "closure" for c in self.closure_of_edge[used]],

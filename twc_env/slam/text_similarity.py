@@ -45,6 +45,10 @@ class AlikeTexts:
         self._alike.append([*found, (number, own)] if own >= self._similarity_min else found)
         return number
 
+    def has(self, text: str) -> bool:
+        """Whether the text has a number."""
+        return text in self._number_of
+
     def alike(self, text: str) -> list[tuple[int, float]]:
         """(number, similarity) of the numbered texts that are at least as similar as the minimum."""
         held = self._number_of.get(text)

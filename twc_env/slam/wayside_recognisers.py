@@ -34,6 +34,12 @@ class PlacesOnTheWay:
         self._keys: list[Array] = []
         self._last_m: dict[int, float] = {}
 
+    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+        """See `Forgetful`."""
+        kept = [k for k, keyframe in enumerate(self.keyframes) if is_held(keyframe)]
+        self.keyframes = [self.keyframes[k] for k in kept]
+        self._descriptors, self._keys = [self._descriptors[k] for k in kept], [self._keys[k] for k in kept]
+
     def is_due(self, keyframe: Keyframe) -> bool:
         """Whether the robot has gone far enough since its last remembered place."""
         return keyframe.travel_m - self._last_m.get(keyframe.robot, -math.inf) >= STEP_M
@@ -116,6 +122,13 @@ class WifiRecogniser:
         self._table.append(keyframe, "", 0)
         return candidates
 
+    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+        """See `Forgetful`."""
+        self._places.forget(is_held)
+        self._table.clear([])
+        for keyframe in self._places.keyframes:
+            self._table.append(keyframe, "", 0)
+
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """The smaller of the two similarities."""
         cues = similarities(target, source, self._config)
@@ -150,6 +163,10 @@ class ScanRecogniser:
                     candidates.append(_candidate(self._places.keyframes[k], keyframe, guess, self.name))
         self._places.add(keyframe, descriptor)
         return candidates
+
+    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+        """See `Forgetful`."""
+        self._places.forget(is_held)
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """Similarity of the two scans at the best turn."""

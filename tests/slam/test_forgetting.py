@@ -1,0 +1,301 @@
+"""Of a large map those keyframes are forgotten that tell nothing new; what the map is for still works."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from twc_env import parallel_env
+from twc_env.bench import wander
+from twc_env.config import EnvConfig, override
+from twc_env.exploration.team_alignment import team_error_m
+from twc_env.geometry import between, compose
+from twc_env.messages import SignObservation
+from twc_env.slam import pose_graph
+from twc_env.slam.device_offsets import DeviceOffsets
+from twc_env.slam.graph_arrays import ODOMETRY
+from twc_env.slam.graph_thinning import Edges, thinned
+from twc_env.slam.known_places import VIEWS_ENOUGH, carriers_of
+from twc_env.slam.place_recognition import ProposalFilter
+from twc_env.slam.settled_maps import SettledMaps
+from twc_env.slam.sign_readings import SignReadings
+
+STEPS, SMALL = 3000, (300, 100)
+"""Maps of so few keyframes count as large in these tests, the last hundred as not settled."""
+
+
+def started(steps=STEPS, forgets=True, **settings):
+    """An environment of three robots, and its wandering driver."""
+    env = parallel_env(config=override(EnvConfig(), {"max_cycles": steps, "map": "twin-02", **settings}))
+    env.reset(seed=1)
+    for mapper in env.episode.engine.mappers:
+        mapper.settled_maps = SettledMaps(*SMALL, forgets)
+    return env, wander(env, 1)
+
+
+def error_m(env) -> float:
+    record = env.episode.record
+    return team_error_m(env.episode.engine, record.odom_poses, record.true_poses)
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """The same long walk with and without forgetting, before its last step."""
+    envs = []
+    for forgets in (True, False):
+        env, actions = started(forgets=forgets)
+        for _ in range(STEPS - 1):
+            env.step(next(actions))
+        envs.append(env)
+    return envs
+
+
+def mappers_of(walked):
+    return [env.episode.engine.team for env in walked]
+
+
+def test_a_map_that_forgets_stays_small_and_is_as_good(walked):
+    forgetful, other = mappers_of(walked)
+    assert len(other.nodes[0]) > 900 and len(forgetful.nodes[0]) < 0.6 * len(other.nodes[0])
+    assert [group.robots for group in forgetful.groups] == [group.robots for group in other.groups] == [(0, 1, 2)]
+    errors = [error_m(env) for env in walked]
+    assert errors[0] < max(1.1 * errors[1], 0.02)
+
+
+def test_every_step_of_the_way_is_still_known(walked):
+    for forgetful, other in [mappers_of(walked)]:
+        for robot in range(3):
+            assert np.array_equal(forgetful.keyframe_steps(robot), other.keyframe_steps(robot))
+            assert np.abs(forgetful.poses_of(robot) - other.poses_of(robot))[:, :2].max() < 0.15
+
+
+def test_what_is_held_belongs_together(walked):
+    graph = mappers_of(walked)[0]._graph
+    numbers = [closure.number for closure in graph.closures]
+    assert numbers == list(range(len(numbers))) and graph.closures_verified > len(numbers)
+    assert graph.is_held[graph.ends].all()
+    tying = graph.closure_of_edge[graph.closure_of_edge != ODOMETRY]
+    assert {graph._edge_of_closure[number] for number in tying} == set(np.flatnonzero(graph.closure_of_edge >= 0))
+    for robot, path in enumerate(graph.keyframes):
+        nodes = graph.held_of(robot)
+        assert [graph.node((robot, keyframe.index)) for keyframe in path] == nodes.tolist()
+        assert all(graph.keyframe((robot, keyframe.index)) is keyframe for keyframe in path)
+        chain = graph.ends[(graph.closure_of_edge == ODOMETRY) & (graph.robot_of_node[graph.ends[:, 0]] == robot)]
+        assert sorted(chain.tolist()) == list(map(list, itertools.pairwise(nodes)))
+
+
+def test_loops_are_closed_with_keyframes_that_stayed(walked):
+    team = mappers_of(walked)[0]
+    late = [c for c in team.closures if c.status == "accepted" and c.candidate.recogniser == "twc"]
+    assert any(len(team.keyframes[c.candidate.source[0]]) and c.candidate.source[1] > 250 for c in late)
+
+
+def test_a_map_that_forgets_is_reported_as_any():
+    env, actions = started(1500)
+    for action in actions:
+        env.step(action)
+    figures = env.result().figures
+    assert figures["wrong_merges"] == 0 and figures["team_ate_m"] < 0.1 and figures["wall_iou"] > 0.5
+
+
+def test_a_snapshot_of_a_map_that_forgets_goes_on_as_it_would_have():
+    env, actions = started(1600, **{"map": "twin-01"})
+    for _ in range(1200):
+        env.step(next(actions))
+    assert len(env.episode.engine.team.nodes[0]) < len(env.episode.record.true_poses)
+    moment, rest = env.snapshot(), [next(actions) for _ in range(1)]
+    ends = []
+    for _ in range(2):
+        env.restore(moment)
+        for _ in range(300):
+            env.step(rest[0])
+        ends.append(env.episode.engine.team.nodes[0].tobytes())
+    assert ends[0] == ends[1]
+
+
+def test_peers_that_were_away_get_what_they_lack_and_each_forgets_for_itself():
+    env, actions = started(2500, **{"link.topology": "peer", "link.range_max_m": 6.0})
+    for action in actions:
+        env.step(action)
+    mappers = env.episode.engine.mappers
+    assert any(len(m.nodes[0]) < sum(len(m.keyframe_steps(r)) for r in range(3)) for m in mappers)
+    for robot, mapper in enumerate(mappers):
+        for other in range(3):
+            steps = mapper.keyframe_steps(other)
+            assert np.array_equal(steps, mappers[other].keyframe_steps(other)[: len(steps)])
+            assert other != robot or len(steps) > 100
+    assert not env.episode.record.wrong_pairs
+
+
+def test_a_merge_of_a_map_that_forgot_is_undone_whole():
+    env, actions = started(2500)
+    for _ in range(2499):
+        env.step(next(actions))
+    team, truth = env.episode.engine.team, env.episode.record.true_poses
+    assert team.groups[0].robots == (0, 1, 2) and len(team.nodes[0]) < 700
+    merge = team._review.merges[-1]
+    team._review.wrong = lambda step: (merge, "it is said to be")
+    team._retry_merges = lambda: None
+    team._undo_wrong_merge()
+    assert len(team.groups) == 2
+    for group in team.groups:
+        for robot in group.robots:
+            own, true = team.poses_of(robot), truth[team.keyframe_steps(robot), robot]
+            away = between(own[0], own) - between(true[0], true)
+            assert np.abs(away[:, :2]).max() < 0.5
+        assert (team.grid_of(team.group_index(group.robots[0])).log_odds != 0).sum() > 1000
+
+
+# --- which keyframes go
+
+
+def open_scans(count, reach_m=5.0):
+    return np.full((count, 36), reach_m)
+
+
+def carriers(poses, scans=None, robots=None, signs=None, may_go=None):
+    count = len(poses)
+    poses = np.array([[*place, 0.3] for place in poses])
+    read = [[] for _ in poses] if signs is None else signs
+    return carriers_of(
+        poses, open_scans(count) if scans is None else scans, np.array(robots or [0] * count),
+        np.ones(count, bool) if may_go is None else may_go, np.cumsum([len(own) for own in read]),
+        np.array([place for own in read for place in own], float).reshape(-1, 2),
+    ).tolist()  # fmt: skip
+
+
+def test_a_keyframe_goes_where_an_earlier_one_of_its_robot_sees_the_same():
+    assert carriers([(0, 0), (3, 0), (0.5, 0.5), (2.8, 0)]) == [-1, -1, 0, 1]
+    assert carriers([(0, 0), (0.5, 0), (1.2, 0)]) == [-1, 0, -1]  # what went itself carries nothing
+    assert carriers([(0, 0), (0.5, 0)], robots=[0, 1]) == [-1, -1]
+    assert carriers([(0, 0), (0.5, 0)], may_go=np.array([True, False])) == [-1, -1]
+
+
+def test_a_keyframe_stays_behind_a_wall():
+    scans = open_scans(2)
+    scans[1] = 0.2
+    assert carriers([(0, 0), (0.5, 0)], scans) == [-1, -1]
+
+
+def test_a_keyframe_stays_until_its_signs_were_read_often():
+    often, sign = VIEWS_ENOUGH, [(4.0, 0.0)]
+    places = [(0.01 * k, 0) for k in range(often + 2)]
+    assert carriers(places, signs=[sign] * len(places)) == [-1] * often + [often - 1] * 2
+    assert carriers(places, signs=[[]] + [[(4.0 * k, 0.0)] for k in range(1, often + 2)]) == [-1] * len(places)
+
+
+# --- what becomes of the graph
+
+
+def chain(motions, std):
+    """Edges of odometry along these motions (k, 3), and the poses that they lead to."""
+    poses = np.zeros((len(motions) + 1, 3))
+    for k, motion in enumerate(motions):
+        poses[k + 1] = compose(poses[k], motion)
+    information = np.repeat(np.diag(1 / np.square(std))[None], len(motions), axis=0)
+    ends = np.array([(k, k + 1) for k in range(len(motions))])
+    return Edges(ends, motions, information, np.full(len(motions), ODOMETRY), np.ones(len(motions), bool)), poses
+
+
+def with_closures(edges, closures, std):
+    ends = np.array([ends for ends, _ in closures])
+    information = np.repeat(np.diag(1 / np.square(std))[None], len(closures), axis=0)
+    parts = (
+        ends,
+        np.array([z for _, z in closures]),
+        information,
+        np.arange(len(closures)),
+        np.ones(len(closures), bool),
+    )
+    return Edges(*(np.concatenate(pair) for pair in zip(edges.parts, parts, strict=True)))
+
+
+def fitted(edges, poses):
+    return pose_graph.weighted(poses, edges.ends, edges.measured, edges.information, np.ones(len(edges.ends)), 100)
+
+
+def without(count, *nodes):
+    is_gone = np.zeros(count, bool)
+    is_gone[list(nodes)] = True
+    return is_gone
+
+
+def test_odometry_past_what_is_gone_says_what_its_parts_said_together():
+    random = np.random.default_rng(0)
+    motions = random.normal((0.7, 0.0, 0.2), (0.1, 0.1, 0.3), (6, 3))
+    edges, poses = chain(motions, (0.02, 0.02, 0.01))
+    left = thinned(edges, without(7, 1, 2, 4, 5))
+    assert left.ends.tolist() == [[0, 3], [3, 6]]
+    assert left.measured == pytest.approx(between(poses[[0, 3]], poses[[3, 6]]))
+    many = np.zeros((20000, 3))
+    for motion in motions[:3]:
+        many = compose(many, compose(motion, random.normal(0, (0.02, 0.02, 0.01), (20000, 3))))
+    spread = np.cov(between(left.measured[0], many).T)
+    assert np.linalg.inv(left.information[0]) == pytest.approx(spread, abs=4e-5)
+
+
+def test_a_closure_handed_on_holds_the_rest_where_it_was():
+    random = np.random.default_rng(1)
+    motions = random.normal((0.7, 0.0, 0.2), (0.02, 0.02, 0.01), (8, 3))
+    edges, poses = chain(motions, (0.02, 0.02, 0.01))
+    met = compose(between(poses[0], poses[5]), (0.1, -0.05, 0.03))
+    whole = with_closures(edges, [((0, 5), met)], (0.01, 0.01, 0.005))
+    best = fitted(whole, poses)
+    for gone in ((5,), (4, 5), (5, 6), (1, 2, 5)):
+        left = thinned(whole, without(9, *gone))
+        handed = left.of(left.closure >= 0)
+        assert handed.closure.tolist() == [0] and not np.isin(left.ends, gone).any()
+        kept = [k for k in range(9) if k not in gone]
+        assert np.abs(fitted(left, poses) - best)[kept, :2].max() < 0.03 < np.abs(poses - best)[kept, :2].max()
+
+
+def test_a_node_with_a_closure_of_its_own_takes_over_no_other():
+    motions = np.tile((0.7, 0.0, 0.0), (8, 1))
+    edges, poses = chain(motions, (0.02, 0.02, 0.01))
+    pairs = [(0, 4), (1, 5), (0, 6)]
+    graph = with_closures(edges, [(pair, between(*poses[list(pair)])) for pair in pairs], (0.01, 0.01, 0.005))
+    left = thinned(graph, without(9, 5))
+    assert left.closure[left.closure >= 0].tolist() == [0, 2, 1]  # the node at 1 has no other
+    assert thinned(graph, without(9)).closure.tolist() == graph.closure.tolist()
+    graph = with_closures(edges, [(pair, between(*poses[list(pair)])) for pair in [(0, 4), (0, 5)]], (1e-2,) * 3)
+    assert thinned(graph, without(9, 5)).closure.max() == 0
+
+
+def test_a_closure_that_would_say_nothing_is_not_handed_on():
+    motions = np.tile((0.7, 0.0, 0.0), (8, 1))
+    edges, poses = chain(motions, (2.0, 2.0, 0.01))
+    graph = with_closures(edges, [((0, 4), between(poses[0], poses[4]))], (0.01, 0.01, 0.005))
+    assert thinned(graph, without(9, 3, 4, 5)).closure.max() == ODOMETRY
+
+
+# --- what else was known of forgotten keyframes
+
+
+def test_proposals_far_back_are_let_go_and_later_ones_still_known(keyframe):
+    tried, reach_m = ProposalFilter(), 2.0
+    ends = [(keyframe(robot=0, travel_m=a), keyframe(robot=1, travel_m=b)) for a, b in ((5, 5), (50, 5), (5, 50))]
+    assert all(tried.is_new(*pair, reach_m) for pair in ends)
+    tried.forget([40.0, 40.0])
+    assert [tried.was_tried(*pair, reach_m) for pair in ends] == [False, True, True]
+
+
+def test_readings_at_forgotten_keyframes_go_unless_only_they_tell(keyframe):
+    readings, poses = SignReadings(1), np.zeros((6, 3))
+    texts = ["exit", "exit", "exlt", "lift", "lift", "room"]
+    for node, text in enumerate(texts):
+        readings.add(
+            keyframe(robot=0, index=node, signs=(SignObservation(text, np.array([1.0, 0.0]), 0.0),)), node, poses
+        )
+    readings.forget(np.array([False, True, True, True, True, False]), poses)
+    assert readings._readings[: readings._count, 1].tolist() == [0, 3, 5]
+    assert sorted(s.text for s in readings.known(poses, [0])) == ["exit", "lift", "room"]
+    readings.add(keyframe(robot=0, index=6, signs=(SignObservation("exit", np.array([1.0, 0.0]), 0.0),)), 0, poses)
+    assert readings.counts == [7] and len(readings.known(poses, [0])) == 3
+
+
+def test_receivers_told_apart_stay_so_without_the_texts():
+    devices = DeviceOffsets()
+    devices.make_room(2)
+    devices.offset_db[0, 1] = 8.0
+    devices.forget([])
+    assert devices.offset_db[0, 1] == 8.0
