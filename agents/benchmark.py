@@ -53,11 +53,11 @@ def passes(report: dict[str, Any]) -> bool:
 
 
 def run_jobs(jobs: Iterable[Job], processes: int = 1) -> Iterator[tuple[Job, dict[str, Any], bool]]:
-    """Run what has not been run yet; gives (job, report, whether it was there before) as each is done."""
+    """(job, report, whether it was there before) as each is done; what was run without pictures now asked for runs."""
     waiting = []
     for job in jobs:
         report = report_of(job)
-        if report is None:
+        if report is None or (job.pictures and not (job.folder / "map.png").is_file()):
             waiting.append(job)
         else:
             yield job, report, True

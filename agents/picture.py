@@ -91,7 +91,7 @@ def _title(result: EpisodeResult) -> str:
     f = result.figures
     return (
         f"{Path(str(f['map'])).name}, seed {f['seed']}: {f['merged_robots']} of {f['robots']} robots in one map, "
-        f"{f['wrong_merges']} wrong merges\nteam ATE {f['team_ate_m']:.2f} m (odometry {f['odometry_ate_m']:.2f} m), "
+        f"{f['wrong_merges']} wrong merges\nteam ATE {f['team_ate_m']:.3f} m (odometry {f['odometry_ate_m']:.3f} m), "
         f"{100 * f['coverage_correct']:.1f} % mapped correctly in {f['sim_time_s']:.0f} s"
     )
 
@@ -143,8 +143,8 @@ def _draw_paths(axes, result: EpisodeResult) -> None:
         axes.plot(*odometry, ":", lw=0.6, color=colour, alpha=0.7, zorder=2, label="odometry alone")
         axes.plot(*true, lw=2.6, color=colour, alpha=0.35, zorder=2.5, label=f"{name}, true")
         axes.plot(*placed[:, robot, :2].T, lw=0.9, color=colour, zorder=3, label=f"{name}, estimated")
-        axes.plot(*true[:, 0], "o", ms=5, mfc="white", mec=colour, zorder=5)
-        axes.plot(*true[:, -1], "o", ms=6, color=colour, zorder=5)
+        axes.plot(*true[:, 0], "o", ms=5, mfc="white", mec=colour, zorder=5, label="start")
+        axes.plot(*true[:, -1], "o", ms=6, color=colour, zorder=5, label="end")
 
 
 def _in_building(result: EpisodeResult) -> Array:

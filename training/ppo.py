@@ -213,6 +213,7 @@ def train(
             write_settings(folder, "ppo", task, asdict(settings))
             if resume:
                 model = load_model(model_path, ChoicePolicy, teams.observation_space, teams.action_space, teams)
+                model.tensorboard_log = str(folder / "tensorboard")  # the folder may have moved
                 teams.seed(settings.seed + model.num_timesteps)
                 model.set_random_seed(settings.seed + model.num_timesteps)
             else:

@@ -98,6 +98,17 @@ def test_a_finished_run_is_not_run_again_but_one_with_other_settings_is(tmp_path
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
 
 
+def test_a_run_without_the_pictures_that_are_now_asked_for_is_run_again(tmp_path, capsys):
+    pytest.importorskip("matplotlib", reason="pictures need the viz extra")
+    arguments = f"benchmark --maps twin-01 --seeds 0 --robots 1 --steps 3 --out {tmp_path}".split()
+    picture = tmp_path / "twin-01" / "seed-0" / "map.png"
+    assert main([*arguments, "--no-pictures"]) == 0 and not picture.exists()
+    assert main(arguments) == 0 and picture.exists()
+    assert "was there" not in capsys.readouterr().err
+    assert main([*arguments, "--no-pictures"]) == 0 and picture.exists()
+    assert "was there" in capsys.readouterr().err
+
+
 def test_files_of_one_name_in_two_folders_have_a_run_each(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for folder, name in (("a", "sfw-e1"), ("b", "sfw-e2")):

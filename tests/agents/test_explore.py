@@ -77,6 +77,22 @@ def test_the_picture_shows_more_than_paper(run_folder):
     assert frames >= 10
 
 
+def test_the_legend_of_the_picture_names_every_mark_once(tmp_path, monkeypatch):
+    figure_module = pytest.importorskip("matplotlib.figure", reason="pictures need the viz extra")
+    named = []
+    legend = figure_module.Figure.legend
+
+    def noted(figure, handles, labels, **options):
+        named.extend(labels)
+        return legend(figure, handles, labels, **options)
+
+    monkeypatch.setattr(figure_module.Figure, "legend", noted)
+    arguments = f"explore --robots 2 --steps 20 --no-gif --out {tmp_path}".split()
+    assert main(arguments) == 0
+    assert len(set(named)) == len(named)
+    assert {"true walls", "access points", "signs", "start", "end", "robot 1, true", "robot 1, estimated"} <= set(named)
+
+
 def test_the_same_seed_gives_the_same_figures():
     config = EnvConfig(map="twin-01", robots=2, max_cycles=80)
     reports = [explore(config, "nearest-frontier", 1).report for _ in range(2)]

@@ -122,6 +122,18 @@ def test_training_resumes_where_it_stopped_and_keeps_the_learning_curve(tmp_path
 
 
 @needs_torch
+def test_a_run_folder_that_was_moved_keeps_its_curves_together_when_it_resumes(tmp_path):
+    from training.ppo import train
+
+    train(small_task(), small_settings(), 64, tmp_path / "first", show_progress=False)
+    (tmp_path / "first").rename(tmp_path / "moved")
+    before = list((tmp_path / "moved").rglob("events.*"))
+    train(small_task(), small_settings(), 128, tmp_path / "moved", resume=True, show_progress=False)
+    assert not (tmp_path / "first").exists()
+    assert len(list((tmp_path / "moved").rglob("events.*"))) == len(before) + 1
+
+
+@needs_torch
 def test_a_line_ahead_of_its_model_is_dropped_when_a_killed_training_resumes(tmp_path):
     from training.ppo import train
 
