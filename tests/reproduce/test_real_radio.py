@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import os
 
@@ -6,6 +7,9 @@ import pytest
 
 from twc_env.__main__ import main
 from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.datasets.step_heading import WalkerTrace
+from twc_env.messages import Fingerprint
+from twc_env.reproduce import real_radio_oracle
 from twc_env.reproduce.real_radio import drifted
 
 KEYS = ["floor", "method", "traces_joined", "error_mean_m", "error_std_m"]
@@ -17,8 +21,8 @@ def test_the_command_writes_its_rows(tmp_path):
     options = ["--floors", "site2_F6,uw_floor", "--traces", "8", "--seeds", "1"]
     main(["reproduce", "real-radio", *options, "--json", str(path), "--cache", str(tmp_path)])
     rows = json.loads(path.read_text())
-    assert [list(row) for row in rows] == [KEYS] * 6
-    odometry, _, ours = rows[3:]
+    assert [list(row) for row in rows] == [KEYS] * 8
+    odometry, _, ours = rows[5:]
     assert ours["error_mean_m"] < odometry["error_mean_m"]
 
 
@@ -30,3 +34,35 @@ def test_drift_leaves_the_scans_alone_and_moves_the_path():
     log = drifted(survey, 1)
     assert len(log.fingerprints) == 60 and log.fingerprints[3].rssi_dbm.tolist() == [-50.0]
     assert np.linalg.norm(log.odometry[-1, :2] - position[-1]) > 0.5
+
+
+def _walk(start_m, step_m, turned_rad=0.0):
+    """Ten scans on a line in a hall of nine transmitters that fade by half a decibel per metre."""
+    true = np.asarray(start_m, float) + np.arange(10.0)[:, None] * step_m
+    senders = np.stack(np.meshgrid([0.0, 20.0, 40.0], [0.0, 20.0, 40.0]), axis=-1).reshape(-1, 2)
+    away = np.linalg.norm(true[:, None] - senders[None], axis=2)
+    prints = tuple(Fingerprint(np.arange(9, dtype=np.int64), -40.0 - 2.0 * row) for row in away)
+    c, s = np.cos(turned_rad), np.sin(turned_rad)
+    reckoned = np.column_stack([(true - true[0]) @ np.array([[c, s], [-s, c]]), np.zeros(10)])
+    return WalkerTrace("walk", np.arange(10.0), reckoned, np.zeros(9), prints, true)
+
+
+def _hall(turned_rad=0.0):
+    """Nine parallel lines, each walked twice; the compass of those on the middle line may be turned."""
+    return [_walk((0.0, y), (4.0, 0.0), turned_rad if y == 20 else 0.0) for y in range(0, 41, 5) for _ in range(2)]
+
+
+@pytest.mark.parametrize("is_shape_told", [True, False])
+def test_a_walk_is_found_where_another_heard_the_same(is_shape_told):
+    assert real_radio_oracle.sought(_hall(), is_shape_told).max() < 2.5  # nearer to its own line than to the next
+
+
+def test_a_walk_is_not_found_by_its_own_scans():
+    loud = Fingerprint(np.array([100], np.int64), np.array([-40.0]))
+    alone = dataclasses.replace(_walk((40.0, 40.0), (1.0, 0.0)), fingerprints=(loud,) * 10)
+    assert real_radio_oracle.sought([*_hall(), alone], is_shape_told=True)[-10:].min() > 20.0
+
+
+def test_a_shape_that_is_told_is_not_taken_from_a_turned_compass():
+    told, reckoned = (real_radio_oracle.sought(_hall(1.5), is_told)[80:100].max() for is_told in (True, False))
+    assert told < 2.5 < reckoned

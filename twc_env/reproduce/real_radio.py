@@ -3,21 +3,34 @@
 Rows of a mall: every trace of a floor of indoor20 is a robot that knows neither where it starts nor where the others
 are; its odometry is steps and compass. `uw_floor`: the surveyed path of one robot, as odometry that reads scale and
 heading wrong (stated in `method`). Errors are those of all scans that are in the common frame, after one rigid
-alignment of the whole; the similarity model never sees a surveyed position. `odometry` of a mall aligns every walk by
-itself: it says how good dead reckoning is, and no method could know that much.
+alignment of the whole; the similarity model never sees a surveyed position.
 
-What bounds the malls is not the walkers' steps and headings (`odometry` tells how good they are, and compasses are good
-enough where places are right) but what radio tells of places. These were tried once and are no part of the table:
+Three rows of a mall are no methods but say where its error comes from. `odometry` aligns every walk by itself: how good
+dead reckoning is. `oracle: others told` looks for one walk at a time while all others lie where they truly are, on the
+map that they span (`real_radio_oracle`); in `oracle: others, shape and heading told` only the walk's place is unknown.
+So most of the error is what radio tells of places, not steps and compass. Errors of the scans of one walk go the same
+way, so more scans hardly help: a scan by itself is 8.0 m off on F6; on B1, every sixth walk, 6.8 m as its walk is.
 
-- With all other walks where they truly lie, one walk that is looked for everywhere on a map of their levels and
-  silences is found about five metres off on B1 and more on F6, by the best of a dozen likelihoods.
+These were tried once and are no part of the table. Of B1 the oracle's figures beside them are those of every third walk
+(5.8 m off by `real_radio_oracle`, where F6 is 6.4 m off):
+
+- A likelihood of distance learnt from 27 measures of a pair of scans by a small network, on the surveyed positions of
+  one floor and used on the other: added up over pairs it finds a walk 8 m off on F6, since pairs repeat each other.
+  Learnt without surveyed positions, within walks and against scans of other walks, it is a hundred metres off: scans of
+  one walk are alike for reasons that two walks never share.
+- The likeness of a scan to the map in 16 measures, weighed by a network that surveyed positions of the other floor
+  trained: 6.2 to 6.7 m on F6, 5.0 to 5.2 m on B1. Likelihoods of levels and silences: 4.9 m on B1, 7.3 m on F6.
+- Walks laid at the mean of all places they could have on the map of the others, in turns: 8.8 m on F6 after eight and
+  10.4 m after twenty, on B1 8.5 m after eight. It swells the map; from the truth F6 is 7.5 m off after eight.
+- Scans moved ahead of where they were taken, or only compared with those of like heading: no better. Errors have no
+  part that points outwards (0.2 and 0.3 m of 5 and 6).
 - Started where the walks truly lie, the fit of `trace_joining` leaves them. So do, by more, likelihoods by likeness
   over all pairs, Gaussian processes, transmitters as landmarks with path loss, and levels told from the other walks.
   Their valleys are flat: a descent that is stopped early flatters.
 - Links from each walk's end to where the same phone's next one begins do not help, nor those where the scans of two
   walks repeat the very same readings.
 
-Settings of `phone_hearing` and `trace_joining` were chosen on these floors.
+Settings of `phone_hearing`, `trace_joining` and `real_radio_oracle` were chosen on these floors.
 """
 
 from __future__ import annotations
@@ -36,6 +49,7 @@ from twc_env.datasets.uw_floor import read_uw_floor
 from twc_env.geometry import align_rigidly, between, transform_points, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.random_streams import random_stream
+from twc_env.reproduce import real_radio_oracle
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.slam import radio_slam, trace_joining
 
@@ -80,6 +94,10 @@ def _mall(floor: str, walks: list[WalkerTrace], recorded: int) -> list[dict]:
     own = [_apart_m([walk.reckoned[:, :2]], [walk.surveyed_m]) for walk in walks]
     table = [_row(floor, "odometry, each walk aligned", f"0 / {recorded}", np.concatenate(own))]
     traces = [trace_joining.Trace(walk.reckoned, walk.fingerprints) for walk in walks]
+    for told, is_shape_told in (("others", False), ("others, shape and heading", True)):
+        table.append(
+            _row(floor, f"oracle: {told} told", f"0 / {recorded}", real_radio_oracle.sought(walks, is_shape_told))
+        )
     for weighting in WEIGHTINGS:
         joined = trace_joining.join(traces, RadioSlamConfig(weighting=weighting))
         chosen = np.flatnonzero(joined.is_joined)
