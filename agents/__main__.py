@@ -137,6 +137,8 @@ def _benchmark(options: argparse.Namespace) -> int:
             print(f"[{done}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {verdict}{origin}", file=sys.stderr)
     except KeyboardInterrupt:
         was_interrupted = True
+        finished = sum(map(len, reports.values()))
+        print(f"interrupted after {finished} of {len(jobs)} runs; the same command goes on from there", file=sys.stderr)
     summaries = {name: benchmark.summary_of(rows) | {"reports": rows} for name, rows in reports.items() if rows}
     write_json(options.out / "summary.json", summaries)
     write_json(options.json, summaries)

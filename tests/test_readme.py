@@ -1,6 +1,8 @@
 import re
 import subprocess
 import sys
+from dataclasses import fields, is_dataclass
+from functools import reduce
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,7 @@ from twc_env import EnvConfig
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+PAGES = sorted(str(path.relative_to(ROOT)) for place in (".", "docs", "maps") for path in (ROOT / place).glob("*.md"))
 
 
 def example() -> str:
@@ -25,12 +28,36 @@ def test_the_example_of_the_readme_has_ten_lines_at_most_and_runs(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["README.md", "CONTRIBUTING.md", "docs/figures.md", "docs/results.md", "maps/README.md"]
+    "name",
+    [path.relative_to(ROOT).as_posix() for folder in ("", "docs", "maps") for path in (ROOT / folder).glob("*.md")],
 )
-def test_links_to_files_lead_somewhere(name):
+def test_links_lead_to_files_and_headings_that_are_there(name):
     text = (ROOT / name).read_text()
-    targets = [target for target in re.findall(r"\]\(([^)#]+)", text) if "://" not in target]
-    assert [target for target in targets if not (ROOT / name).parent.joinpath(target).exists()] == []
+    for target in re.findall(r"\]\(([^)]+)\)", text):
+        if "://" in target:
+            continue
+        file, _, heading = target.partition("#")
+        path = (ROOT / name).parent / file if file else ROOT / name
+        assert path.exists(), target
+        assert not heading or heading in headings(path.read_text()), target
+
+
+def headings(text: str) -> set[str]:
+    """What links call the headings of a text."""
+    return {
+        re.sub(r"[^\w -]", "", line.lower()).replace(" ", "-") for line in re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    }
+
+
+def test_every_setting_that_a_document_names_is_there():
+    config = EnvConfig()
+    sections = "|".join(field.name for field in fields(config) if is_dataclass(getattr(config, field.name)))
+    for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+        for name in re.findall(rf"`((?:{sections})\.[a-z_0-9.]+)[`= ]", path.read_text()):
+            folder, _, module = f"twc_env/{name.replace('.', '/')}".rpartition("/")
+            is_code = (ROOT / folder / f"{module}.py").exists() or (ROOT / f"{folder}.py").exists()
+            is_setting = reduce(lambda at, part: getattr(at, part, None), name.split("."), config) is not None
+            assert is_code or is_setting or name == "radio.preset", f"{path.name} names {name}"
 
 
 def test_the_commands_of_the_readme_are_targets_of_the_makefile():

@@ -169,7 +169,7 @@ def test_two_processes_give_the_reports_of_one(tmp_path):
     assert reports[0] == reports[1]
 
 
-def test_an_interrupted_benchmark_still_writes_its_summary(tmp_path, monkeypatch):
+def test_an_interrupted_benchmark_still_writes_its_summary(tmp_path, monkeypatch, capsys):
     real, calls = benchmark.run_job, []
 
     def impatient(job):
@@ -182,4 +182,6 @@ def test_an_interrupted_benchmark_still_writes_its_summary(tmp_path, monkeypatch
     code = main(f"benchmark --maps twin-01 --seeds 0-2 --steps 12 --no-pictures --out {tmp_path}".split())
     assert code == 130
     assert calls == [0, 1]
+    *_, last = capsys.readouterr().err.splitlines()
+    assert last == "interrupted after 1 of 3 runs; the same command goes on from there"
     assert json.loads((tmp_path / "summary.json").read_text())["twin-01"]["seeds"] == 1
