@@ -25,30 +25,39 @@ class ScanWindows:
     """The latest scans of several receivers, side by side in arrays, of which fingerprints are made."""
 
     def __init__(self, receivers: int, scans_max: int):
-        self._macs, self._rssi_dbm, self._ages_s = _rings(receivers, scans_max, 32)
+        self.width = 32
+        """For how many transmitters in a scan there is room."""
+        self._macs, self._rssi_dbm, self._ages_s = _rings(receivers, scans_max, self.width)
         self._counts, self._times_s = np.zeros((receivers, scans_max), np.int64), np.zeros((receivers, scans_max))
         self._added = np.zeros(receivers, np.int64)
-        self._found = _found(scans_max, 32)
+        self._found = _found(scans_max, self.width)
         self._room = np.empty((3, scans_max), np.int64), np.empty(scans_max)
         """Of each scan, while they are read side by side: its row, place and transmitter; and strengths."""
         self._pack: Lent | None = None
 
     @property
     def rings(self) -> Lent:
-        """All of it, for `keep` and `fingerprint_of`."""
+        """All of it, for `fingerprint_of`."""
         if self._pack is None:
-            kept = self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added
-            self._pack = Lent((*kept, *self._found, *self._room))
+            self._pack = Lent((*self.kept, *self._found, *self._room))
         return self._pack
+
+    @property
+    def kept(self) -> tuple[Array, ...]:
+        """The scans, for `keep`."""
+        return self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_pack": None}
 
-    def ready_for(self, scans: WifiScans) -> Lent:
-        """The same, wide enough to `keep` these scans."""
-        if scans.macs.shape[1] > self._macs.shape[2]:
-            self._widen(scans.macs.shape[1])
-        return self.rings
+    def widen(self, to: int) -> None:
+        """Make room for scans of so many transmitters; what is `kept` stands elsewhere then."""
+        receivers, scans, width = self._macs.shape
+        wider = _rings(receivers, scans, to)
+        for new, old in zip(wider, (self._macs, self._rssi_dbm, self._ages_s), strict=True):
+            new[..., :width] = old
+        self._macs, self._rssi_dbm, self._ages_s = wider
+        self._found, self._pack, self.width = _found(scans, to), None, to
 
     def fingerprint(
         self,
@@ -66,14 +75,6 @@ class ScanWindows:
         macs, levels = self._found
         return Fingerprint(macs[:count].copy(), levels[:count].copy()) if count else EMPTY
 
-    def _widen(self, to: int) -> None:
-        receivers, scans, width = self._macs.shape
-        wider = _rings(receivers, scans, to)
-        for new, old in zip(wider, (self._macs, self._rssi_dbm, self._ages_s), strict=True):
-            new[..., :width] = old
-        self._macs, self._rssi_dbm, self._ages_s = wider
-        self._found, self._pack = _found(scans, to), None
-
 
 def _rings(receivers: int, scans: int, width: int) -> tuple[Array, Array, Array]:
     shape = receivers, scans, width
@@ -86,13 +87,13 @@ def _found(scans: int, width: int) -> tuple[Array, Array]:
 
 
 @borrowing_kernel
-def keep(rings, time, receivers, whose, macs, levels, ages, heard):
-    """Keep scans in rings that are wide enough; the oldest of each receiver gives way.
+def keep(kept, time, receivers, whose, macs, levels, ages, heard):
+    """Keep scans in `ScanWindows.kept`, which has room for them; the oldest of each receiver gives way.
 
     receivers (n,); whose (k,): to which of these each scan belongs. ages (k, most): of the readings; `NO_AGES` where
     all are new.
     """
-    kept_macs, kept_levels, kept_ages, counts, times, added, _, _, _, _ = parts_of(rings)
+    kept_macs, kept_levels, kept_ages, counts, times, added = kept
     for a in range(whose.shape[0]):
         receiver = receivers[whose[a]]
         row = added[receiver] % counts.shape[1]
@@ -114,8 +115,9 @@ def fingerprint(
     """
     window, receiver = ScanWindows(1, max(len(scans), 1)), np.zeros(1, np.int64)
     for scan in scans:
-        whose, macs, rssi_dbm, counts = given = WifiScans.of([scan])
-        keep(window.ready_for(given), 0.0, receiver, whose, macs, rssi_dbm, ages_of([scan]), counts)
+        whose, macs, rssi_dbm, counts = WifiScans.of([scan])
+        window.widen(max(window.width, macs.shape[1]))
+        keep(window.kept, 0.0, receiver, whose, macs, rssi_dbm, ages_of([scan]), counts)
     return window.fingerprint(0, -1.0, detection_min, std_mode, age_max_s)
 
 

@@ -65,15 +65,15 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
 
 @borrowing_kernel
 def _track(
-    apparatus, robots, ranges, odometry, turn_rates, now_s, poses, rings, whose, macs, levels, ages, heard
+    apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose, macs, levels, ages, heard
 ):  # fmt: skip
     """A whole step with the compiled filters, and what was heard in it; whether a robot has come to a new place."""
-    keep(rings, now_s, robots, whose, macs, levels, ages, heard)
     (
         states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, cells, lines,
         origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
-        dts, matched, is_matched, is_clear, explained,
+        dts, matched, is_matched, is_clear, explained, kept_scans,
     ) = parts_of(apparatus)  # fmt: skip
+    keep(kept_scans, now_s, robots, whose, macs, levels, ages, heard)
     for a in range(robots.shape[0]):
         k = robots[a]
         dts[a] = now_s - times[k]
@@ -137,16 +137,19 @@ class Tracker:
     def update(self, robots: Array, frames: TeamFrames) -> None:
         """Take in the frames of these robots (k,), a row for each."""
         self.poses_odom = self.poses_odom.copy()
-        whose, macs, rssi_dbm, counts = scans = frames.scans
+        whose, macs, rssi_dbm, counts = frames.scans
+        if macs.shape[1] > self.radio.width:
+            self.radio.widen(macs.shape[1])
+            self._run = None
         ages_s = ages_of(frames.wifi) if frames.may_repeat_readings else NO_AGES
         now = (
             robots, frames.ranges_m, frames.odometry, frames.turn_rates_rad_s, frames.time_s, self.poses_odom,
-            self.radio.ready_for(scans), whose, macs, rssi_dbm, ages_s, counts,
+            whose, macs, rssi_dbm, ages_s, counts,
         )  # fmt: skip
         if self._run is None:
             if not isinstance(self._filters, CompiledFilters):
                 self._update_stepwise(robots, frames)
-                keep(now[6], frames.time_s, robots, *now[7:])
+                keep(self.radio.kept, frames.time_s, robots, *now[6:])
                 return
             self._run = bound(_track, self._packed(self._filters), *now)
         self.has_arrived = self._run(*now)
@@ -159,7 +162,7 @@ class Tracker:
         parts = (
             filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
             *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
-            self.travels_m, self.steps, self.is_new, *room,
+            self.travels_m, self.steps, self.is_new, *room, self.radio.kept,
         )  # fmt: skip
         return Lent(parts)
 
