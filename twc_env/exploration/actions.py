@@ -26,8 +26,6 @@ def velocity_space() -> spaces.Box:
 
 def check_agents(actions: Any, agents: Sequence[str]) -> None:
     """Raises ActionError unless there is one action for each agent, and none for anybody else."""
-    if type(actions) is dict and list(actions) == agents:  # as most send them
-        return
     if not isinstance(actions, Mapping):
         raise ActionError(
             f"step() needs a dict with one action for each of {list(agents)}; got {type(actions).__name__} {actions!r}"

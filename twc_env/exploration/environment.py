@@ -196,7 +196,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         episode, agents = self._begun, self.agents
         if episode is None or not agents:
             raise TwcError("step() was called after the episode's end: call reset() first")
-        action_blocks.check_agents(actions, agents)
+        if type(actions) is not dict or list(actions) != agents:  # most send them as they are
+            action_blocks.check_agents(actions, agents)
         began = episode.steps
         values = episode.step(actions, agents, self._watch)
         observations = self._by_agent(episode.observe())

@@ -71,7 +71,6 @@ class Episode:
         if FIRST_START.is_helped:  # it is with the engine: no need to wait for it yet
             first_observations(config, frames)
         self._think(frames)
-        self._notice()
         self._bytes_judged = self.bytes_sent
 
     @property
@@ -157,15 +156,12 @@ class Episode:
             self._world.anchor(np.flatnonzero(~is_alive))
             commands = commands * is_alive[:, None]
         self.steps += 1
+        self.is_over = self.steps == self.config.max_cycles
         self._think(self._world.tick(commands))
-        if self.steps == self.config.max_cycles:
-            self.is_over = True
-            self.engine.finish()
-        self._notice()
         return self._judge()
 
     def _think(self, frames: TeamFrames) -> None:
-        """Front ends, link and mappers take in one set of frames."""
+        """Front ends, link and mappers take in one set of frames; what observations must remember of it is noted."""
         world, engine, failures = self._world, self.engine, self._failures
         self._frames, self._shown = frames, frames
         self._contacts = self._link.constant or self._link.contacts(world.poses_home)
@@ -181,10 +177,9 @@ class Episode:
         engine.absorb(self.steps, self._contacts)
         self._touching = world.contacts
         self.record.append(world.poses, engine.poses_odom, frames.odometry, self._touching)
-
-    def _notice(self) -> None:
-        """What the robots believe now, and what their observations must remember of it."""
-        self._beliefs = self.engine.beliefs()
+        if self.is_over:
+            engine.finish()
+        self._beliefs = engine.beliefs()
         self._builder.notice(self._shown, self._beliefs)
 
     def _judge(self) -> list[dict[str, float]]:

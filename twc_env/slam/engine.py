@@ -79,6 +79,8 @@ class CooperativeSlam:
         config = cues.needed(config)
         self._front_ends = FrontEnds(config, robot_count)
         self.robots = self._front_ends.robots
+        self.poses_odom = self._front_ends.poses_odom
+        """(robots, 3) front-end estimates of all robots, each in its own odom frame."""
         self._beam_count = config.lidar.beam_count
         self._is_central = config.link.topology == "central"
         homes = [None] if self._is_central else range(robot_count)
@@ -173,12 +175,14 @@ class CooperativeSlam:
             frames = [cues.heard(frame, self._cues) for frame in frames]
         if isinstance(frames, TeamFrames):
             self._steps, self._ranges_m = [frames.step] * len(frames.signs), frames.ranges_m
+            keyframes = self._front_ends.update_together(frames)
         else:
             steps, ranges_m = list(self._steps), list(self._ranges_m)  # beliefs hold the old ones
             for frame in frames:
                 steps[frame.robot], ranges_m[frame.robot] = frame.step, frame.ranges_m
             self._steps, self._ranges_m = steps, ranges_m
-        keyframes = self._front_ends.update(frames)
+            keyframes = self._front_ends.update(frames)
+        self.poses_odom = self._front_ends.poses_odom
         if self._radio is not None:
             for frame in frames:
                 self._radio.add(frame, self.poses_odom[frame.robot])
@@ -204,7 +208,7 @@ class CooperativeSlam:
         """Where the robots are in the maps, by what their front ends say now."""
         self._poses, self._mate_poses = next(self._rooms, None) or self._make_room()
         self._beliefs = None
-        now = self._front_ends.poses_odom, self._mates, self._poses, self._mate_poses
+        now = self.poses_odom, self._mates, self._poses, self._mate_poses
         if self._run is None:
             held = self._poses_map_odom, self._std, self._is_central, self._heard_poses
             self._run = bound(_believed_poses, Lent(held), *now)
@@ -254,11 +258,6 @@ class CooperativeSlam:
         """`track` and `absorb` at once."""
         self.track(frames)
         self.absorb(frames[0].step, contacts)
-
-    @property
-    def poses_odom(self) -> Array:
-        """(robots, 3) front-end estimates of all robots, each in its own odom frame."""
-        return self._front_ends.poses_odom
 
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) estimate of a robot in its group's map frame, as of the last `absorb`."""

@@ -176,7 +176,8 @@ class GraphArrays:
         if self._counts[keyframe.robot] == self._rows.shape[1]:
             self._rows = grown(self._rows.T).T.copy()
             self._hold_grown()
-        self._make_room_for_edge()
+        if self.edge_count == len(self._edge_rows[0]):
+            self._make_room_for_edges()
         new = (
             node, self.edge_count, keyframe.robot, keyframe.step, keyframe.travel_m, keyframe.pose_odom,
             keyframe.motion, keyframe.motion_covariance,
@@ -190,14 +191,14 @@ class GraphArrays:
 
     def add_edge(self, ends: tuple[int, int], measured: Array, covariance: Array, closure: int, is_used: bool) -> None:
         """A measured pose (3,) of the second end in the frame of the first; `closure` is the closure's number."""
-        self._make_room_for_edge()
+        if self.edge_count == len(self._edge_rows[0]):
+            self._make_room_for_edges()
         _put_edge(self.edge_count, *ends, measured, covariance, closure, is_used, *self._edge_rows)
         self.edge_count += 1
 
-    def _make_room_for_edge(self) -> None:
-        if self.edge_count == len(self._edge_rows[0]):
-            self._edge_rows = [grown(rows) for rows in self._edge_rows]
-            self._hold_grown()
+    def _make_room_for_edges(self) -> None:
+        self._edge_rows = [grown(rows) for rows in self._edge_rows]
+        self._hold_grown()
 
     def _let_go(self, nodes: Array, carriers: Array, edges: tuple[Array, Array, Array, Array, Array]) -> None:
         """Let go of the scans of some nodes (k,), which move from now on with others (k,) that are held.

@@ -42,16 +42,15 @@ class FrontEnds:
     def update(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Take in at most one frame per robot; gives a keyframe of each that came to a new place."""
         if isinstance(frames, TeamFrames):
-            return self._take_in(self._everyone, frames)
+            return self.update_together(frames)
         keyframes = []
         for together in of_one_time(frames):
-            robots, team = np.array([frame.robot for frame in together]), TeamFrames.of(together)
-            keyframes += self._take_in(robots, team)
+            keyframes += self.update_together(TeamFrames.of(together), np.array([frame.robot for frame in together]))
         return keyframes
 
-    def _take_in(self, robots: Array, frames: TeamFrames) -> list[Keyframe]:
-        """Let each robot find out where it is, and remember what it read, and the place where that is a new one."""
-        tracker = self._tracker
+    def update_together(self, frames: TeamFrames, robots: Array | None = None) -> list[Keyframe]:
+        """The same for frames of one time; robots (k,): whose they are, None for everyone's."""
+        tracker, robots = self._tracker, self._everyone if robots is None else robots
         tracker.update(robots, frames)
         self.poses_odom = tracker.poses_odom
         if any(frames.signs):

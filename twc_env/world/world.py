@@ -82,6 +82,8 @@ class World:
         self.start_poses = self._in_building(start_poses_home) if self._is_moved else start_poses_home
         self._walls = self._home.wall_index.buckets()
         self._dynamics = Dynamics(config.dynamics, self._home.wall_index, start_poses_home)
+        self.contacts = self._dynamics.contacts
+        """(n,) whether each robot touches something."""
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
         radius = config.dynamics.robot_radius_m
         self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
@@ -123,11 +125,6 @@ class World:
         places = np.array([p.position_m for p in points], float).reshape(-1, 2)
         return self._radio.macs[is_ours], places[self._radio.access_point_of[is_ours]]
 
-    @property
-    def contacts(self) -> Array:
-        """(n,) whether each robot touches something."""
-        return self._dynamics.contacts
-
     def anchor(self, robots: Iterable[int]) -> None:
         """From now on these robots cannot be pushed."""
         self._dynamics.anchor(robots)
@@ -142,19 +139,18 @@ class World:
         if not is_fit:
             raise ActionError(f"commands must be finite and of shape ({self.config.robots}, 2); got {commands!r}")
         self._dynamics.step(commands)
+        self.contacts = self._dynamics.contacts
         self._step += 1
 
     def sense(self) -> TeamFrames:
         """One frame per robot: all that leaves the world. Its arrays are read-only."""
-        return self._read(None)
+        return self.tick(None)
 
-    def tick(self, commands: Array) -> TeamFrames:
-        """`step`, then `sense`: where nobody touches anything, in one compiled call."""
-        self._step += 1
-        return self._read(np.asarray(commands, _FLOAT, "C"))
-
-    def _read(self, commands: Array | None) -> TeamFrames:
-        """What all sensors read, once the robots have followed the commands of this step, if there are any."""
+    def tick(self, commands: Array | None) -> TeamFrames:
+        """`step`, then `sense`: where nobody touches anything, in one compiled call. Without commands `sense` alone."""
+        if commands is not None:
+            commands = np.asarray(commands, _FLOAT, "C")
+            self._step += 1
         step, dynamics = self._step, self._dynamics
         if step // STEPS != self._noise_block:
             self._draw_noise()
@@ -179,6 +175,7 @@ class World:
                 if self._held_crossings is not self._radio.crossings.arrays:
                     run = self._bind(arguments)
             sighted = run(_NO_COMMANDS, *arguments)
+        self.contacts = dynamics.contacts
         if not self._lidar.is_plain:
             ranges = self._lidar.scan(poses)
         if step == 0:
