@@ -244,9 +244,10 @@ def _seen(keyframes: Sequence[Keyframe]) -> tuple[Array, Array]:
 def _neighbours(keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float) -> list[Keyframe]:
     """The keyframe first, then others of its robot within reach_m of path, about SPACING_M apart."""
     chosen, here_m, place = [keyframe], keyframe.travel_m, place_on(path, keyframe.index)
-    for others in (path[place - 1 :: -1] if place else (), path[place + 1 :]):
+    for places in (range(place - 1, -1, -1), range(place + 1, len(path))):
         last_m = here_m
-        for other in others:
+        for k in places:
+            other = path[k]
             if abs(other.travel_m - here_m) > reach_m:
                 break
             if abs(other.travel_m - last_m) >= SPACING_M:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import extract
 
@@ -9,6 +11,7 @@ ROUNDING, SLACK = 1e-9, 0.01
 """A similarity this little below the minimum meets it; the library cuts off above equality, so it is asked for more."""
 
 
+@lru_cache(maxsize=4096)
 def normalise(text: str) -> str:
     """Upper case, no spaces at the ends, single spaces between words."""
     return " ".join(text.upper().split())
