@@ -161,7 +161,7 @@ class Episode:
         return self._judge()
 
     def _think(self, frames: TeamFrames) -> None:
-        """Front ends, link and mappers take in one set of frames; what observations must remember of it is noted."""
+        """Front ends, link, mappers and what remembers for observations take in one set of frames."""
         world, engine, failures = self._world, self.engine, self._failures
         self._frames, self._shown = frames, frames
         self._contacts = self._link.constant or self._link.contacts(world.poses_home)
@@ -179,7 +179,11 @@ class Episode:
         self.record.append(world.poses, engine.poses_odom, frames.odometry, self._touching)
         if self.is_over:
             engine.finish()
-        self._beliefs = engine.beliefs()
+        self._notice()
+
+    def _notice(self) -> None:
+        """What the robots believe now, and what their observations must remember of it."""
+        self._beliefs = self.engine.beliefs()
         self._builder.notice(self._shown, self._beliefs)
 
     def _judge(self) -> list[dict[str, float]]:
