@@ -249,16 +249,27 @@ def test_a_closure_handed_on_holds_the_rest_where_it_was():
         assert np.abs(fitted(left, poses) - best)[kept, :2].max() < 0.03 < np.abs(poses - best)[kept, :2].max()
 
 
-def test_a_node_with_a_closure_of_its_own_takes_over_no_other():
-    motions = np.tile((0.7, 0.0, 0.0), (8, 1))
-    edges, poses = chain(motions, (0.02, 0.02, 0.01))
-    pairs = [(0, 4), (1, 5), (0, 6)]
-    graph = with_closures(edges, [(pair, between(*poses[list(pair)])) for pair in pairs], (0.01, 0.01, 0.005))
-    left = thinned(graph, without(9, 5))
-    assert left.closure[left.closure >= 0].tolist() == [0, 2, 1]  # the node at 1 has no other
-    assert thinned(graph, without(9)).closure.tolist() == graph.closure.tolist()
-    graph = with_closures(edges, [(pair, between(*poses[list(pair)])) for pair in [(0, 4), (0, 5)]], (1e-2,) * 3)
-    assert thinned(graph, without(9, 5)).closure.max() == 0
+def test_nodes_with_closures_enough_take_over_no_other():
+    edges, poses = chain(np.tile((0.7, 0.0, 0.0), (20, 1)), (0.02, 0.02, 0.01))
+    pairs = [(0, 10), (1, 10), (2, 10), (5, 14), (5, 16), (5, 18), (5, 11)]
+    for first, left in ((0, range(6)), (1, range(6))):  # without the first of them the node at 10 has two
+        graph = with_closures(
+            edges, [(pair, between(*poses[list(pair)])) for pair in pairs[first:]], (0.01, 0.01, 0.005)
+        )
+        assert thinned(graph, without(21)).closure.tolist() == graph.closure.tolist()
+        thin = thinned(graph, without(21, 11))
+        assert sorted(thin.closure[thin.closure >= 0].tolist()) == list(left)
+
+
+def test_what_is_said_again_of_two_nodes_is_put_into_one():
+    edges, poses = chain(np.tile((0.7, 0.0, 0.0), (20, 1)), (0.001, 0.001, 0.001))
+    first, second = between(poses[0], poses[10]), between(poses[11], poses[0])
+    graph = with_closures(edges, [((0, 10), compose(first, (0.1, 0.0, 0.0))), ((11, 0), second)], (0.1, 0.1, 0.05))
+    left = thinned(graph, without(21, 11))
+    assert left.closure[left.closure >= 0].tolist() == [0]
+    tie = left.of(left.closure >= 0)
+    assert tie.measured[0] == pytest.approx(compose(first, (0.05, 0.0, 0.0)), abs=1e-3)
+    assert np.linalg.inv(tie.information[0])[2, 2] < 0.51 * 0.05**2
 
 
 def test_a_closure_that_would_say_nothing_is_not_handed_on():

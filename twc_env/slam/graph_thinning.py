@@ -2,22 +2,26 @@
 
 Exact marginalisation would tie all neighbours of a node to each other. Kept is what joins them along the path, as by
 the trees of Kretzschmar and Stachniss (2012): odometry from one node that stays to the next, with the covariance of the
-whole stretch, and of the closures of the stretch the best one for each node at its ends that has none of its own.
+whole stretch, and of the closures of the stretch the best for nodes at its ends that have few. What is said again of
+two nodes is put into one.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.geometry import compose, inverse
+from twc_env.geometry import between, compose, inverse
 from twc_env.slam.graph_arrays import ODOMETRY
 from twc_env.slam.twists import adjoint, turned
 
 Array = NDArray
 
+CLOSURES_MAX = 3
+"""A node that has so many closures takes over no other."""
 LOOSE_M = 1.0
 """A closure that is known no better than this where it is handed to says too little to be kept."""
 
@@ -58,6 +62,12 @@ class _Way:
     def reversed(self) -> _Way:
         return _Way(inverse(self.motion), turned(adjoint(self.motion), self.covariance))
 
+    def also(self, other: _Way) -> _Way:
+        """The mean of two ways between the same nodes, each as it is known."""
+        says = np.linalg.inv(other.covariance)
+        covariance = np.linalg.inv(np.linalg.inv(self.covariance) + says)
+        return _Way(compose(self.motion, covariance @ says @ between(self.motion, other.motion)), covariance)
+
     @property
     def spread_m2(self) -> float:
         return float(self.covariance[0, 0] + self.covariance[1, 1])
@@ -74,9 +84,11 @@ def thinned(edges: Edges, is_gone: Array) -> Edges:
     is_touched = is_gone[edges.ends].any(axis=1)
     is_odometry = edges.closure == ODOMETRY
     joined, ways = _joined(edges.of(is_touched & is_odometry), is_gone)
-    own = np.unique(edges.ends[~is_touched & ~is_odometry & edges.is_used])
-    handed = _handed(edges.of(is_touched & ~is_odometry & edges.is_used), is_gone, ways, set(own.tolist()))
+    is_tie = ~is_odometry & edges.is_used
+    own, handed = _handed(edges.of(is_tie & ~is_touched), edges.of(is_tie & is_touched), is_gone, ways)
     kept = edges.of(~is_touched)
+    is_own = is_tie[~is_touched]
+    kept.measured[is_own], kept.information[is_own] = own.measured, own.information
     return Edges(*(np.concatenate(parts) for parts in zip(kept.parts, joined.parts, handed.parts, strict=True)))
 
 
@@ -115,10 +127,46 @@ def _joined(edges: Edges, is_gone: Array) -> tuple[Edges, dict[int, tuple[int, _
     return joined, nearer
 
 
-def _handed(edges: Edges, is_gone: Array, ways: dict[int, tuple[int, _Way]], own: set[int]) -> Edges:
-    """Closures with ends that are gone, as ones of the nodes that stay; the best for each that has none of its own."""
-    moved: list[tuple[tuple[int, int], _Way]] = []
-    for (i, j), motion, information in zip(edges.ends.tolist(), edges.measured, edges.information, strict=True):
+def _handed(own: Edges, edges: Edges, is_gone: Array, ways: dict[int, tuple[int, _Way]]) -> tuple[Edges, Edges]:
+    """Closures of nodes that stay, with what those of nodes that are gone say of them; and the best of these."""
+    said: dict[tuple[int, int], tuple[int, _Way]] = {}
+    counts: Counter[int] = Counter(own.ends.ravel().tolist())
+    for k, (ends, motion, information) in enumerate(zip(own.ends.tolist(), own.measured, own.information, strict=True)):
+        said[ends[0], ends[1]] = k, _Way(motion, np.linalg.inv(information))
+    new: list[tuple[int, int]] = []
+    numbers: list[int] = []
+    for spread_m2, k, (i, j), way in sorted(_moved(edges, is_gone, ways), key=lambda entry: entry[:2]):
+        if i == j or spread_m2 > LOOSE_M**2:
+            continue
+        if (j, i) in said:
+            i, j, way = j, i, way.reversed
+        if (i, j) in said:
+            place, before = said[i, j]
+            said[i, j] = place, before.also(way)
+        elif min(counts[i], counts[j]) < CLOSURES_MAX:
+            said[i, j] = len(own.ends) + len(new), way
+            new.append((i, j))
+            numbers.append(k)
+            counts.update((i, j))
+    for place, way in said.values():
+        if place < len(own.ends):
+            own.measured[place], own.information[place] = way.motion, np.linalg.inv(way.covariance)
+    handed = edges.of(np.array(numbers, np.int64))
+    for place, pair in enumerate(new):
+        way = said[pair][1]
+        handed.ends[place], handed.measured[place] = pair, way.motion
+        handed.information[place] = np.linalg.inv(way.covariance)
+    return own, handed
+
+
+def _moved(
+    edges: Edges, is_gone: Array, ways: dict[int, tuple[int, _Way]]
+) -> list[tuple[float, int, tuple[int, int], _Way]]:
+    """Closures with ends that are gone as ones of the nodes that stay: how loose, their places, ends and ways."""
+    moved = []
+    for k, ((i, j), motion, information) in enumerate(
+        zip(edges.ends.tolist(), edges.measured, edges.information, strict=True)
+    ):
         way = _Way(motion, np.linalg.inv(information))
         if is_gone[i]:
             i, to = ways[i]
@@ -126,18 +174,5 @@ def _handed(edges: Edges, is_gone: Array, ways: dict[int, tuple[int, _Way]], own
         if is_gone[j]:
             j, to = ways[j]
             way = way.then(to.reversed)
-        moved.append(((i, j), way))
-    best: dict[int, int] = {}
-    for k, ((i, j), way) in enumerate(moved):
-        if i == j or way.spread_m2 > LOOSE_M**2:
-            continue
-        for node in (i, j):
-            if node not in own and (node not in best or way.spread_m2 < moved[best[node]][1].spread_m2):
-                best[node] = k
-    chosen = sorted(set(best.values()))
-    if not chosen:
-        return edges.of(np.zeros(len(edges.ends), bool))
-    return Edges(
-        np.array([moved[k][0] for k in chosen], np.int64), np.array([moved[k][1].motion for k in chosen]),
-        np.linalg.inv(np.array([moved[k][1].covariance for k in chosen])), edges.closure[chosen], edges.is_used[chosen],
-    )  # fmt: skip
+        moved.append((way.spread_m2, k, (i, j), way))
+    return moved
