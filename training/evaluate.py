@@ -14,9 +14,10 @@ from stable_baselines3 import PPO
 import twc_env
 from agents.policy import make_policy
 from training.model_file import load_model
-from training.ppo import ChoicePolicy, clock_of, clocked
+from training.ppo import ChoicePolicy
 from training.progress import progress_bar
 from training.run_folder import Task, read_settings, task_of
+from training.team_notes import TeamNotes
 from twc_env.config import override
 
 Choose = Callable[[dict, int], dict]
@@ -94,7 +95,7 @@ def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True)
     torch.set_num_threads(1)
     task = task_of(read_settings(model_path.parent))
     env = twc_env.parallel_env(config=task.config)
-    model = load_model(model_path, ChoicePolicy, clocked(env.observation_space("robot_0")), env.action_space("robot_0"))
+    model = load_model(model_path, ChoicePolicy, TeamNotes.space(env.observation_space("robot_0")), env.action_space("robot_0"))
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
     for seed in progress_bar(seeds, unit="building", disable=not show_progress):
         choosers = {"trained": _trained(model, task, seed), "random": _random(seed), "nearest": _nearest}
@@ -107,10 +108,17 @@ def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True)
 def _trained(model: PPO, task: Task, seed: int) -> Choose:
     """Draws as in training: two robots that always take their likeliest choice may wait for each other for good."""
     torch.manual_seed(seed)
+    notes = TeamNotes(1, task.config.robots, task.max_cycles)
+    elapsed_before = 0
 
     def choose(seen: dict, elapsed: int) -> dict:
-        clock = clock_of([elapsed], task.max_cycles)
-        return {a: int(model.predict({**o, "clock": clock}, deterministic=False)[0]) for a, o in seen.items()}
+        nonlocal elapsed_before
+        rows = {name: np.stack([o[name] for o in seen.values()]) for name in next(iter(seen.values()))}
+        notes.note_outcome(elapsed - elapsed_before)
+        elapsed_before = elapsed
+        actions = model.predict(notes.beside(rows), deterministic=False)[0]
+        notes.note_choices(rows, actions)
+        return dict(zip(seen, actions.tolist(), strict=True))
 
     return choose
 

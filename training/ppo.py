@@ -11,7 +11,6 @@ import math
 import time
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from operator import mul
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +26,7 @@ from torch import nn
 from training.model_file import load_model, save_model
 from training.progress import progress_bar
 from training.run_folder import Task, read_settings, write_settings
+from training.team_notes import TeamNotes
 from twc_env.command_line import alone_in
 from twc_env.errors import DataError
 from twc_env.sb3 import TeamVecEnv
@@ -65,26 +65,28 @@ class Settings:
 class ChoiceFeatures(BaseFeaturesExtractor):
     """A row per choice beside what the robot knows about itself and its team, in one vector.
 
-    Rows: the six figures of a frontier (zeros for the other choices), then what kind of choice it is. Pictures are left
-    out: a frontier's figures sum up what matters of the map, and learn in minutes.
+    Rows: the figures of a frontier and how near it is to goals (zeros for the other choices), then what kind of choice
+    it is. Pictures are left out: a frontier's figures sum up what matters of the map, and learn in minutes.
     """
 
     def __init__(self, observation_space: spaces.Dict):
         shapes = {key: tuple(space.shape or ()) for key, space in observation_space.items()}
         self.choices = math.prod(shapes.pop("action_mask"))
         self.slots, figures = shapes.pop("frontiers")
+        figures += shapes.pop("goals")[1]
+        shapes.pop("gained")
         self.row = figures + 1 + self.choices - self.slots
         self.others = sorted(key for key, shape in shapes.items() if len(shape) < 3)
         self.context = sum(math.prod(shapes[key]) for key in self.others)
-        super().__init__(observation_space, self.choices * (self.row + 1) + self.context)
+        super().__init__(observation_space, self.choices * (self.row + 1) + self.context + 1)
         kinds = torch.zeros(self.choices, self.row - figures)
         kinds[: self.slots, 0] = 1.0
         kinds[self.slots :, 1:] = torch.eye(self.choices - self.slots)
         self.register_buffer("kinds", kinds)
 
     def forward(self, seen: dict[str, torch.Tensor]) -> torch.Tensor:
-        """(batch, choices * row), (batch, choices) mask and (batch, context), side by side."""
-        frontiers = seen["frontiers"]
+        """(batch, choices * row), (batch, choices) mask, (batch, context) and (batch, 1) gain, side by side."""
+        frontiers = torch.cat([seen["frontiers"], seen["goals"]], 2)
         count = len(frontiers)
         rows = torch.cat([frontiers, frontiers.new_zeros(count, self.choices - self.slots, frontiers.shape[2])], 1)
         rows = torch.cat([rows, self.kinds.expand(count, -1, -1)], 2)
@@ -92,20 +94,41 @@ class ChoiceFeatures(BaseFeaturesExtractor):
         for key in self.others:
             block = seen[key].reshape(count, -1).float()
             parts.append(torch.sign(block) * torch.log1p(torch.abs(block)))  # metres reach far
-        return torch.cat(parts, 1)
+        return torch.cat([*parts, seen["gained"]], 1)
+
+
+class Look(nn.Module):
+    """Reads every choice with one network, and the robot's situation with another."""
+
+    def __init__(self, features: ChoiceFeatures, width: int):
+        super().__init__()
+        self.sizes = [features.choices * features.row, features.choices, features.context, 1]
+        self.row = features.row
+        self.choice = nn.Sequential(nn.Linear(features.row, width), nn.Tanh())
+        self.situation = nn.Sequential(nn.Linear(features.context, width), nn.Tanh())
+
+    def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """(batch, choices, width), the best of each figure of those allowed, the situation, which are allowed, gain."""
+        rows, mask, context, gained = torch.split(features, self.sizes, 1)
+        allowed = mask > 0
+        choices = self.choice(rows.reshape(len(rows), -1, self.row))
+        best = choices.masked_fill(~allowed[..., None], -1.0).amax(1)
+        return choices, best, self.situation(context), allowed, gained
 
 
 class ChoiceScorer(nn.Module):
-    """Scores every choice with one network, in view of the best of the others and of the robot's situation."""
+    """Scores every choice with one network, in view of the best of the others and of the robot's situation.
+
+    The value has a network of its own, which also knows what the team has gained so far: what is still to come is told
+    with half the error, and learning is the steadier. Whoever chooses does not know it, nor is it needed to play.
+    """
 
     def __init__(self, features: ChoiceFeatures, width: int = 64):
         super().__init__()
-        self.choices, self.row = features.choices, features.row
         self.latent_dim_pi, self.latent_dim_vf = features.choices, width
-        self.situation = nn.Sequential(nn.Linear(features.context, width), nn.Tanh())
-        self.choice = nn.Sequential(nn.Linear(self.row, width), nn.Tanh())
+        self.look, self.judge = Look(features, width), Look(features, width)
         self.score = nn.Sequential(nn.Linear(3 * width, width), nn.Tanh(), nn.Linear(width, 1))
-        self.worth = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh())
+        self.worth = nn.Sequential(nn.Linear(2 * width + 1, width), nn.Tanh())
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Logits of the choices, and what the value is read from."""
@@ -113,23 +136,15 @@ class ChoiceScorer(nn.Module):
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
         """(batch, choices) logits; a choice that the mask rules out gets no probability."""
-        choices, best, situation, allowed = self._look(features)
-        around = torch.cat([best, situation], 1)[:, None].expand(-1, self.choices, -1)
+        choices, best, situation, allowed, _ = self.look(features)
+        around = torch.cat([best, situation], 1)[:, None].expand(-1, choices.shape[1], -1)
         logits = self.score(torch.cat([choices, around], 2))[..., 0]
         return logits.masked_fill(~allowed, -1e9)
 
     def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
         """(batch, width)."""
-        _, best, situation, _ = self._look(features)
-        return self.worth(torch.cat([best, situation], 1))
-
-    def _look(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        sizes = [self.choices * self.row, self.choices, features.shape[1] - self.choices * (self.row + 1)]
-        rows, mask, context = torch.split(features, sizes, 1)
-        allowed = mask > 0
-        choices = self.choice(rows.reshape(-1, self.choices, self.row))
-        best = choices.masked_fill(~allowed[..., None], -1.0).amax(1)
-        return choices, best, self.situation(context), allowed
+        _, best, situation, _, gained = self.judge(features)
+        return self.worth(torch.cat([best, situation, gained], 1))
 
 
 class ChoicePolicy(MultiInputActorCriticPolicy):
@@ -148,44 +163,33 @@ class ChoicePolicy(MultiInputActorCriticPolicy):
 
 
 class FixedHorizon(VecEnvWrapper):
-    """Shows the share of time that is left as `clock`, and makes time's end the end.
+    """Shows the notes of the teams beside what is observed, and makes time's end the end.
 
     What is mapped then is the score, and nothing is to be expected beyond it. Without a clock a choice that passes the
     time would seem to cost nothing.
     """
 
     def __init__(self, teams: TeamVecEnv, max_cycles: int):
-        super().__init__(teams, clocked(teams.observation_space))
-        self.max_cycles = max_cycles
-        self.elapsed = np.zeros(self.num_envs)
+        super().__init__(teams, TeamNotes.space(teams.observation_space))
+        self._new_notes = partial(TeamNotes, teams.num_envs // teams.robots, teams.robots, max_cycles)
 
     def reset(self):
-        """As the teams do, all time left."""
-        self.elapsed[:] = 0.0
-        return self._with_clock(self.venv.reset())
+        """As the teams do, with new notes."""
+        self.notes, self.seen = self._new_notes(), self.venv.reset()
+        return self.notes.beside(self.seen)
+
+    def step_async(self, actions):
+        """As the teams do, who note where they go."""
+        self.notes.note_choices(self.seen, actions)
+        self.venv.step_async(actions)
 
     def step_wait(self):
         """As the teams do, without the mark that asks for the value of going on."""
-        observations, rewards, dones, infos = self.venv.step_wait()
-        self.elapsed += [info["time_steps"] for info in infos]
-        self.elapsed[dones] = 0.0
+        self.seen, rewards, dones, infos = self.venv.step_wait()
+        self.notes.note_outcome(np.array([info["time_steps"] for info in infos]), rewards, dones)
         for info in infos:
             info.pop("TimeLimit.truncated", None)
-        return self._with_clock(observations), rewards, dones, infos
-
-    def _with_clock(self, observations: dict) -> dict:
-        return {**observations, "clock": clock_of(self.elapsed, self.max_cycles)[:, None]}
-
-
-def clocked(space: spaces.Space) -> spaces.Dict:
-    """What is seen, with the clock."""
-    assert isinstance(space, spaces.Dict)
-    return spaces.Dict({**space.spaces, "clock": spaces.Box(0.0, 1.0, (1,), np.float32)})
-
-
-def clock_of(elapsed, max_cycles: int) -> np.ndarray:
-    """Share of the time steps that are left."""
-    return (1.0 - np.asarray(elapsed) / max_cycles).astype(np.float32)
+        return self.notes.beside(self.seen), rewards, dones, infos
 
 
 def train(
@@ -235,13 +239,18 @@ def _new_model(teams: VecEnv, settings: Settings, folder: Path) -> PPO:
         n_steps=settings.rollout_steps,
         batch_size=settings.batch_size,
         n_epochs=settings.epochs,
-        learning_rate=partial(mul, settings.learning_rate),  # of the share of decisions still to come
+        learning_rate=partial(falling, settings.learning_rate),
         gamma=settings.discount,
         ent_coef=settings.entropy_weight,
         tensorboard_log=str(folder / "tensorboard"),
         stats_window_size=EPISODES_SHOWN,
         device="cpu",
     )
+
+
+def falling(first: float, left: float) -> float:
+    """A step size that falls in a line with the share of decisions still to come; the last rollout may pass the end."""
+    return first * max(left, 0.0)
 
 
 def _check_same_run(folder: Path, task: Task, settings: Settings) -> None:

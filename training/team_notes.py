@@ -1,0 +1,116 @@
+"""What teams note down while they act, beyond what is observed: the time left, what was gained, where each is bound for.
+
+Nothing here is told by the world: the rewards apart, which only help to learn, it follows from the robots' own
+observations and choices. Robots of one group tell each other their goals, as the scripted teams do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+Array = NDArray
+
+HALF_WAY_M = 10.0
+"""Observations show a distance d as d / (d + this)."""
+HALF_NEAR_M = 2.0
+"""A choice d away from a goal is shown as this / (d + this)."""
+
+
+class TeamNotes:
+    """Notes of some teams, a row per robot: row k * robots + r is robot r of team k.
+
+    | block | shape | meaning |
+    |---|---|---|
+    | `clock` | (1,) | share of the time steps that are left |
+    | `gained` | (1,) | rewards since the episode began; for judging only: whoever chooses does not know it |
+    | `goals` | (slots, 2) | how near each frontier is to the robot's last goal, and to the nearest goal of its group's |
+    """
+
+    def __init__(self, teams: int, robots: int, max_cycles: int):
+        self._shape, self._max_cycles = (teams, robots), max_cycles
+        self._elapsed = np.zeros(teams * robots)
+        self._gained = np.zeros(teams * robots)
+        self._goals_m = np.full((teams * robots, 2), np.nan)
+        """In the robot's map."""
+        self._group_sizes = np.zeros(teams * robots)
+
+    @staticmethod
+    def space(observed: spaces.Space) -> spaces.Dict:
+        """What is observed, with the notes."""
+        assert isinstance(observed, spaces.Dict)
+        slots = (observed["frontiers"].shape or ())[0]
+        return spaces.Dict(
+            {
+                **observed.spaces,
+                "clock": spaces.Box(0.0, 1.0, (1,), np.float32),
+                "gained": spaces.Box(-np.inf, np.inf, (1,), np.float32),
+                "goals": spaces.Box(0.0, 1.0, (slots, 2), np.float32),
+            }
+        )
+
+    def note_choices(self, seen: dict[str, Array], actions: Array) -> None:
+        """Where the robots head for from now on; who can only stay is busy and keeps its goal."""
+        slots = seen["frontiers"].shape[1]
+        chosen = np.flatnonzero(seen["action_mask"].sum(axis=1) > 1)
+        self._goals_m[chosen] = np.nan
+        bound = chosen[np.asarray(actions)[chosen] < slots]
+        offsets_m = places_m(seen["frontiers"][bound, np.asarray(actions)[bound]])
+        pose = seen["pose"][bound].astype(float)
+        self._goals_m[bound] = pose[:, :2] + turned(offsets_m, pose[:, 2], pose[:, 3])
+
+    def note_outcome(self, time_steps: Array | int, rewards: Array | float = 0.0, ended: Array | bool = False) -> None:
+        """How long a step took and what it paid; notes of ended episodes are thrown away."""
+        self._elapsed += time_steps
+        self._gained += rewards
+        self._elapsed[ended] = self._gained[ended] = 0.0
+        self._goals_m[ended] = np.nan
+        self._group_sizes[ended] = 0.0
+
+    def beside(self, seen: dict[str, Array]) -> dict[str, Array]:
+        """Observations with the notes."""
+        clock = 1.0 - self._elapsed / self._max_cycles
+        blocks = {"clock": clock[:, None].astype(np.float32), "gained": self._gained[:, None].astype(np.float32)}
+        return {**seen, **blocks, "goals": self._nearness(seen)}
+
+    def _nearness(self, seen: dict[str, Array]) -> Array:
+        """The block `goals`."""
+        sizes = seen["team"][:, :, 0].sum(axis=1)
+        self._goals_m[sizes != self._group_sizes] = np.nan  # the map is another one
+        self._group_sizes = sizes
+        pose, teams, robots = seen["pose"].astype(float), *self._shape
+        own_m = turned(self._goals_m - pose[:, :2], pose[:, 2], -pose[:, 3])  # in each robot's own frame
+        choices_m = places_m(seen["frontiers"])  # (rows, slots, 2)
+        present = seen["frontiers"][:, :, 0] > 0
+        nearness = np.zeros((*present.shape, 2), np.float32)
+        nearness[:, :, 0] = near(choices_m, own_m[:, None])
+        for robot in range(robots):
+            rows = np.arange(teams) * robots + robot
+            for mate in (mate for mate in range(robots) if mate != robot):
+                told = seen["team"][rows, mate if mate < robot else mate - 1].astype(float)
+                heading = np.pi * told[:, 3]
+                goals_m = places_m(told) + turned(own_m[rows - robot + mate], np.cos(heading), np.sin(heading))
+                goals_m[told[:, 0] == 0] = np.nan
+                nearness[rows, :, 1] = np.maximum(nearness[rows, :, 1], near(choices_m[rows], goals_m[:, None]))
+        nearness[~present] = 0.0
+        return nearness
+
+
+def places_m(rows: Array) -> Array:
+    """(..., 2) places in the robot's frame, of rows (..., k) that hold bearing / pi and d / (d + 10 m) after one figure."""
+    bearing, share = np.pi * rows[..., 1].astype(float), np.minimum(rows[..., 2].astype(float), 0.999)
+    away = HALF_WAY_M * share / (1.0 - share)
+    return np.stack([away * np.cos(bearing), away * np.sin(bearing)], axis=-1)
+
+
+def turned(offsets: Array, cosine: Array, sine: Array) -> Array:
+    """(n, 2) offsets, each turned by its own angle."""
+    x, y = offsets[:, 0], offsets[:, 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+
+
+def near(places: Array, goals: Array) -> Array:
+    """How near places (..., 2) are to goals, in [0, 1]; 0 where there is no goal."""
+    away = np.hypot(places[..., 0] - goals[..., 0], places[..., 1] - goals[..., 1])
+    return np.nan_to_num(HALF_NEAR_M / (HALF_NEAR_M + away))
