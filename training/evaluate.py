@@ -95,7 +95,9 @@ def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True)
     torch.set_num_threads(1)
     task = task_of(read_settings(model_path.parent))
     env = twc_env.parallel_env(config=task.config)
-    model = load_model(model_path, ChoicePolicy, TeamNotes.space(env.observation_space("robot_0")), env.action_space("robot_0"))
+    model = load_model(
+        model_path, ChoicePolicy, TeamNotes.space(env.observation_space("robot_0")), env.action_space("robot_0")
+    )
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
     for seed in progress_bar(seeds, unit="building", disable=not show_progress):
         choosers = {"trained": _trained(model, task, seed), "random": _random(seed), "nearest": _nearest}

@@ -20,13 +20,13 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from training.model_file import load_model, save_model
 from training.progress import progress_bar
 from training.run_folder import Task, read_settings, write_settings
-from training.team_notes import TeamNotes
+from training.team_notes import NotedTeams
 from twc_env.command_line import alone_in
 from twc_env.errors import DataError
 from twc_env.sb3 import TeamVecEnv
@@ -162,36 +162,6 @@ class ChoicePolicy(MultiInputActorCriticPolicy):
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-class FixedHorizon(VecEnvWrapper):
-    """Shows the notes of the teams beside what is observed, and makes time's end the end.
-
-    What is mapped then is the score, and nothing is to be expected beyond it. Without a clock a choice that passes the
-    time would seem to cost nothing.
-    """
-
-    def __init__(self, teams: TeamVecEnv, max_cycles: int):
-        super().__init__(teams, TeamNotes.space(teams.observation_space))
-        self._new_notes = partial(TeamNotes, teams.num_envs // teams.robots, teams.robots, max_cycles)
-
-    def reset(self):
-        """As the teams do, with new notes."""
-        self.notes, self.seen = self._new_notes(), self.venv.reset()
-        return self.notes.beside(self.seen)
-
-    def step_async(self, actions):
-        """As the teams do, who note where they go."""
-        self.notes.note_choices(self.seen, actions)
-        self.venv.step_async(actions)
-
-    def step_wait(self):
-        """As the teams do, without the mark that asks for the value of going on."""
-        self.seen, rewards, dones, infos = self.venv.step_wait()
-        self.notes.note_outcome(np.array([info["time_steps"] for info in infos]), rewards, dones)
-        for info in infos:
-            info.pop("TimeLimit.truncated", None)
-        return self.notes.beside(self.seen), rewards, dones, infos
-
-
 def train(
     task: Task, settings: Settings, steps: int, folder: Path, resume: bool = False, show_progress: bool = True
 ) -> Path:
@@ -203,15 +173,18 @@ def train(
     when another process trains in it.
     """
     torch.set_num_threads(1)
-    if (task.config.action.kind, task.config.observation.kind) != ("frontier", "dict"):
+    action, observation = task.config.action, task.config.observation
+    if (action.kind, observation.kind) != ("frontier", "dict"):
         raise DataError("this policy chooses among frontiers: leave action.kind=frontier and observation.kind=dict")
+    if not (observation.pose and observation.team):
+        raise DataError("robots tell each other where they go: leave observation.pose=true and observation.team=true")
     model_path = folder / "model.zip"
     if resume:
         _check_same_run(folder, task, settings)
     elif model_path.exists():
         raise DataError(f"{folder} already holds a model; go on with --resume or name another folder with --out")
     raw = TeamVecEnv(settings.environments, task.config, settings.workers, task.training_maps, settings.seed)
-    teams = FixedHorizon(raw, task.max_cycles)
+    teams = NotedTeams(raw, task.max_cycles)
     try:
         with alone_in(folder, patience_s=0.0):
             write_settings(folder, "ppo", task, asdict(settings))

@@ -1,14 +1,19 @@
-"""What teams note down while they act, beyond what is observed: the time left, what was gained, where each is bound for.
+"""What teams note down while they act: the time that is left, what was gained, where each robot is bound for.
 
-Nothing here is told by the world: the rewards apart, which only help to learn, it follows from the robots' own
-observations and choices. Robots of one group tell each other their goals, as the scripted teams do.
+It follows from the robots' own observations and choices, but for the gain, which is of use to learn and not to act.
+Robots of one group tell each other their goals, as those of the scripted teams do.
 """
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnvWrapper
+
+from twc_env.sb3 import TeamVecEnv
 
 Array = NDArray
 
@@ -25,7 +30,7 @@ class TeamNotes:
     |---|---|---|
     | `clock` | (1,) | share of the time steps that are left |
     | `gained` | (1,) | rewards since the episode began; for judging only: whoever chooses does not know it |
-    | `goals` | (slots, 2) | how near each frontier is to the robot's last goal, and to the nearest goal of its group's |
+    | `goals` | (slots, 2) | how near each frontier is to the robot's own last goal, and to the nearest of its group |
     """
 
     def __init__(self, teams: int, robots: int, max_cycles: int):
@@ -97,8 +102,38 @@ class TeamNotes:
         return nearness
 
 
+class NotedTeams(VecEnvWrapper):
+    """Shows the notes of the teams beside what is observed, and makes time's end the end.
+
+    What is mapped then is the score, and nothing is to be expected beyond it. Without a clock a choice that passes the
+    time would seem to cost nothing.
+    """
+
+    def __init__(self, teams: TeamVecEnv, max_cycles: int):
+        super().__init__(teams, TeamNotes.space(teams.observation_space))
+        self._new_notes = partial(TeamNotes, teams.num_envs // teams.robots, teams.robots, max_cycles)
+
+    def reset(self):
+        """As the teams do, with new notes."""
+        self.notes, self.seen = self._new_notes(), self.venv.reset()
+        return self.notes.beside(self.seen)
+
+    def step_async(self, actions):
+        """As the teams do, who note where they go."""
+        self.notes.note_choices(self.seen, actions)
+        self.venv.step_async(actions)
+
+    def step_wait(self):
+        """As the teams do, without the mark that asks for the value of going on."""
+        self.seen, rewards, dones, infos = self.venv.step_wait()
+        self.notes.note_outcome(np.array([info["time_steps"] for info in infos]), rewards, dones)
+        for info in infos:
+            info.pop("TimeLimit.truncated", None)
+        return self.notes.beside(self.seen), rewards, dones, infos
+
+
 def places_m(rows: Array) -> Array:
-    """(..., 2) places in the robot's frame, of rows (..., k) that hold bearing / pi and d / (d + 10 m) after one figure."""
+    """(..., 2) in the robot's frame, of rows (..., k) with bearing / pi and d / (d + 10 m) as figures 1 and 2."""
     bearing, share = np.pi * rows[..., 1].astype(float), np.minimum(rows[..., 2].astype(float), 0.999)
     away = HALF_WAY_M * share / (1.0 - share)
     return np.stack([away * np.cos(bearing), away * np.sin(bearing)], axis=-1)

@@ -282,6 +282,9 @@ def test_another_kind_of_action_or_observation_is_refused(tmp_path, capsys):
     for setting in ("action.kind=velocity", "observation.kind=flat"):
         assert main(["ppo", "--steps", "8", "--out", str(tmp_path / "run"), "--set", setting]) == 2
         assert "action.kind=frontier" in capsys.readouterr().err
+    for block in ("pose", "team"):
+        assert main(["ppo", "--out", str(tmp_path / "run"), "--set", f"observation.{block}=false"]) == 2
+        assert "leave observation.pose=true and observation.team=true" in capsys.readouterr().err
 
 
 @needs_torch
@@ -305,3 +308,18 @@ def test_the_policy_scores_each_choice_by_its_own_figures_and_never_takes_a_mask
     swapped = {**seen, "frontiers": seen["frontiers"].copy()}
     swapped["frontiers"][0, [0, 5]] = seen["frontiers"][0, [5, 0]]
     assert torch.allclose(chances(swapped)[[5, 0]], first[[0, 5]], atol=1e-6)
+
+
+@needs_torch
+def test_who_chooses_does_not_know_what_was_gained_but_the_value_does(run):
+    import numpy as np
+    import torch
+    from stable_baselines3 import PPO
+
+    policy = PPO.load(run / "model.zip", device="cpu").policy
+    seen = {k: np.zeros((1, *s.shape), s.dtype) for k, s in policy.observation_space.items()}
+    seen["action_mask"][:] = 1
+    poor, rich = (policy.obs_to_tensor({**seen, "gained": np.array([[x]], np.float32)})[0] for x in (0.0, 0.8))
+    logits = [policy.get_distribution(tensors).distribution.logits for tensors in (poor, rich)]
+    assert torch.equal(*logits)
+    assert not torch.equal(policy.predict_values(poor), policy.predict_values(rich))
