@@ -53,7 +53,12 @@ def _parser() -> argparse.ArgumentParser:
         "--area", type=float, default=250.0, help="floor of generated buildings [m2] (default %(default)s)"
     )
     ppo.add_argument("--robots", type=int, default=2, help="robots per team (default %(default)s)")
-    ppo.add_argument("--steps", type=int, default=60_000, help="decisions of all robots (default %(default)s)")
+    ppo.add_argument(
+        "--steps",
+        type=int,
+        default=181_000,
+        help="decisions of all robots, a busy one's to go on among them (default %(default)s)",
+    )
     ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode (default %(default)s)")
     ppo.add_argument("--workers", type=natural, default=2, help="processes (default %(default)s; 0: this one)")
     ppo.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes (default %(default)s)")

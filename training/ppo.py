@@ -47,7 +47,8 @@ class Settings:
     workers: int = 2
     """Processes that run them; 0: this one."""
     rollout_steps: int = 64
-    """Decisions of each robot between two updates (stable-baselines3: 2048 of one environment)."""
+    """Decisions of each robot between two updates, a busy one's to go on among them (stable-baselines3: 2048 of one
+    environment)."""
     batch_size: int = 256
     """Samples per gradient step (stable-baselines3: 64)."""
     epochs: int = 10
@@ -259,6 +260,9 @@ class Progress(BaseCallback):
         with self.path.open("w", newline="") as file:
             csv.writer(file).writerows([COLUMNS, *rows])
 
+    def _on_rollout_start(self) -> None:
+        self.logger.dump(self.num_timesteps)  # what the last update came to stands at the decisions that it learnt from
+
     def _on_step(self) -> bool:
         self.bar.update(self.training_env.num_envs)
         self.episodes += int(np.sum(self.locals["dones"])) // self.training_env.get_attr("robots")[0]
@@ -277,4 +281,5 @@ class Progress(BaseCallback):
             save_model(self.model, self.folder / "model.zip")
 
     def _on_training_end(self) -> None:
+        self.logger.dump(self.num_timesteps)
         self.bar.close()

@@ -68,6 +68,30 @@ def test_a_short_training_leaves_a_complete_run_folder(run):
 
 
 @needs_torch
+def test_tensorboard_shows_the_learning_curve_and_every_update_at_the_decisions_it_learnt_from(run):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    (folder,) = (run / "tensorboard").iterdir()
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    curve = {tag: [(event.step, event.value) for event in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+    for tag, column, digits in (("rollout/ep_rew_mean", "mean_return", 4), ("rollout/ep_len_mean", "mean_length", 1)):
+        shown = [(step, f"{value:.{digits}f}") for step, value in curve[tag]]
+        assert shown == [(int(row["steps"]), row[column]) for row in metrics_of(run)]
+    assert curve["train/learning_rate"] == [(64, pytest.approx(5e-4)), (128, 0.0)]
+    assert {tag: [step for step, _ in values] for tag, values in curve.items() if tag.startswith("train/")} == {
+        tag: [64, 128] for tag in curve if tag.startswith("train/")
+    }
+
+
+@needs_torch
+def test_the_step_size_falls_to_nothing_and_no_further():
+    from training.ppo import falling
+
+    assert [falling(1e-3, left) for left in (1.0, 0.25, 0.0, -0.01)] == [1e-3, 2.5e-4, 0.0, 0.0]
+
+
+@needs_torch
 def test_a_trained_model_is_evaluated_against_random_actions(run, tmp_path, capsys):
     figures = tmp_path / "figures.json"
     assert main(["evaluate", "--model", str(run / "model.zip"), "--seeds", "0-1", "--json", str(figures)]) == 0
