@@ -51,13 +51,15 @@ class ClosureSearch:
     def propose(self, keyframe: Keyframe) -> None:
         """Queue what a new keyframe looks like."""
         is_tied = self._is_tied(keyframe)
-        mates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots if is_tied else ()
+        mates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots
         tried = self._filters[self._recogniser.name]
         candidates = self._recogniser.propose(
-            keyframe, mates, lambda target: not tried.was_tried(target, keyframe, self._reach_m(target, keyframe))
+            keyframe,
+            mates if is_tied else (),
+            lambda target: not tried.was_tried(target, keyframe, self._reach_m(target, keyframe)),
         )
         if self._signless is not None:
-            candidates += self._signless.propose(keyframe, mates)
+            candidates += self._signless.propose(keyframe, mates, is_tied)
         near = None if is_tied else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)

@@ -18,6 +18,10 @@ from twc_env.slam.team_graph import TeamGraph
 
 Array = NDArray
 
+OTHERS_MAX = 0.5
+"""Closures between places that only sound alike are believed where at most so many, for each that agrees, do not: along
+rows of shelves scans fit each other a shelf aside, too."""
+
 
 class MergeJudge:
     """Asks closures, fingerprints and walls about a merge of robots `a` with robots `b`."""
@@ -28,7 +32,17 @@ class MergeJudge:
         """What each robot heard at its keyframes, as far as anybody asked."""
 
     def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
-        """Where the robots that are not in `a` lie in the map of `a`, by closures between the two."""
+        """Where the robots that are not in `a` lie in the map of `a`, by closures between the two.
+
+        By those of signs alone where too many of all disagree.
+        """
+        found, by_signs = self._agreement(closures, a), [c for c in closures if c.candidate.recogniser != "wifi"]
+        if found is None or len(by_signs) == len(closures):
+            return found
+        agree = np.count_nonzero(found.support)
+        return found if len(closures) - agree <= OTHERS_MAX * agree else self._agreement(by_signs, a)
+
+    def _agreement(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
         if len(closures) < self._rule.closures_min:
             return None
         return map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)

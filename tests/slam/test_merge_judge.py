@@ -1,0 +1,53 @@
+"""Where one group lies in another's map, by closures of which some are false."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from twc_env.config import MergingConfig
+from twc_env.geometry import between, compose
+from twc_env.messages import LoopCandidate, LoopClosure
+from twc_env.slam.merge_judge import MergeJudge
+
+PLACES = 12
+PATH = np.stack([2.0 * np.arange(PLACES), np.zeros(PLACES), np.zeros(PLACES)], axis=1)
+"""Both robots went the same way, a keyframe every 2 m, each in its own map."""
+TRUE, A_SHELF_ASIDE, ELSEWHERE = (5.0, 1.0, 0.0), (5.0, 3.2, 0.0), (9.0, -4.0, 0.0)
+GRAPH = SimpleNamespace(poses=np.concatenate([PATH, PATH]), node=lambda key: PLACES * key[0] + key[1])
+
+
+def say(count: int, pose_a_b: tuple, recogniser: str) -> list[LoopClosure]:
+    """Closures that put robot 1 at a pose in the map of robot 0."""
+    made = []
+    for k in range(count):
+        pose = between(PATH[k], compose(np.array(pose_a_b), PATH[k]))
+        sign = {"sign_m": np.zeros(2), "text_similarity": 1.0} if recogniser == "twc" else {}
+        candidate = LoopCandidate((0, k), (1, k), pose, recogniser, **sign)
+        made.append(LoopClosure(candidate, pose, np.diag([0.01, 0.01, 0.002]), 0.9, "pending"))
+    return made
+
+
+def place_said(closures: list[LoopClosure]):
+    found = MergeJudge(MergingConfig(), GRAPH).proposal(closures, (0,))
+    return None if found is None else pytest.approx(tuple(found.pose_a_b), abs=1e-6)
+
+
+@pytest.mark.parametrize("others", [0, 2])
+def test_places_that_sound_alike_are_enough_where_they_agree(others):
+    assert place_said(say(4, TRUE, "wifi") + say(others, ELSEWHERE, "wifi")) == TRUE
+
+
+def test_places_that_sound_alike_say_nothing_where_too_many_disagree():
+    closures = say(4, A_SHELF_ASIDE, "wifi") + say(2, TRUE, "wifi") + say(1, ELSEWHERE, "wifi")
+    assert place_said(closures) is None
+
+
+def test_signs_speak_alone_where_places_that_sound_alike_disagree():
+    false = say(6, A_SHELF_ASIDE, "wifi") + say(5, ELSEWHERE, "wifi")
+    assert place_said(false + say(3, TRUE, "twc")) == TRUE
+    assert place_said(false + say(2, TRUE, "twc")) is None
+
+
+def test_signs_may_disagree_among_themselves():
+    assert place_said(say(4, TRUE, "twc") + say(3, ELSEWHERE, "twc")) == TRUE
