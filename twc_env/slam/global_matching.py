@@ -30,6 +30,11 @@ POINTS_MAX = 160
 
 WINDOW_MAX_M = 1000.0
 
+WALL_STEP_M, WALL_RAD, SQUARE_SHARE_MIN = 0.5, 0.06, 0.5
+"""Neighbouring points so near each other lie on one wall; where walls meet at right angles, their direction is known up
+to so much and to quarter turns, and so large a part of all speaks for it: 1 where all are square, 0 where they run
+anyhow."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GlobalMatch:
@@ -44,12 +49,18 @@ class GlobalMatch:
 
 
 def match_globally(
-    target_points: Array, source_points: Array, window_m: float, score_min: float = 0.4, points_max: int = POINTS_MAX
+    target_points: Array,
+    source_points: Array,
+    window_m: float,
+    score_min: float = 0.4,
+    points_max: int = POINTS_MAX,
+    lays_walls_along: bool = False,
 ) -> GlobalMatch | None:
     """The pose of the source at which most of its points (n, 2) lie on the target's (m, 2), with no guess.
 
-    Searched: every heading, and every shift of at most `window_m` along x and y. None when nothing scores `score_min`.
-    Raises DataError for points or a window that cannot be meant.
+    Searched: every heading, or with `lays_walls_along` those of `headings_along_walls`, and every shift of at most
+    `window_m` along x and y. None when nothing scores `score_min`. Raises DataError for points or a window that cannot
+    be meant.
     """
     for points in (target_points, source_points):
         if np.ndim(points) != 2 or np.shape(points)[1] != 2 or not np.isfinite(points).all():
@@ -61,6 +72,8 @@ def match_globally(
     fields, origin_m = score_fields(np.ascontiguousarray(target_points, float))
     chosen = thinned(np.ascontiguousarray(source_points, float), points_max)
     headings = lattice_headings(chosen)
+    if lays_walls_along:
+        headings = headings_along_walls(headings, target_points, source_points)
     reach = max(int(round(window_m / CELL_M)), 1)
     best = np.zeros(3, np.int64)
     score, evaluated = _branch_and_bound(
@@ -84,6 +97,36 @@ def lattice_headings(points: Array) -> Array:
     reach_m = max(float(np.sqrt(np.mean(np.sum(points**2, axis=1)))), 10 * CELL_M)
     count = math.ceil(2 * math.pi * reach_m / CELL_M)
     return (np.arange(count) - count // 2) * (2 * math.pi / count)
+
+
+def headings_along_walls(headings: Array, target_points: Array, source_points: Array) -> Array:
+    """Those of the headings at which most walls of the source run along or across most walls of the target.
+
+    All of them where one of the two has no such directions. Points are in the order of beams.
+    """
+    (target_rad, target_share), (source_rad, source_share) = (
+        _walls_run(np.ascontiguousarray(points, float), WALL_STEP_M) for points in (target_points, source_points)
+    )
+    if min(target_share, source_share) < SQUARE_SHARE_MIN:
+        return headings
+    off = (headings - target_rad + source_rad + math.pi / 4) % (math.pi / 2) - math.pi / 4
+    along: Array = headings[np.abs(off) <= WALL_RAD]
+    return along
+
+
+@kernel
+def _walls_run(points, step_max):
+    """The direction, up to quarter turns, along and across which the ways from point to point run; their share."""
+    across = along = total = 0.0
+    for k in range(points.shape[0] - 1):
+        dx, dy = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
+        squared = dx * dx + dy * dy
+        if 0.0 < squared < step_max * step_max:
+            angle = 4.0 * math.atan2(dy, dx)
+            along += squared * math.cos(angle)
+            across += squared * math.sin(angle)
+            total += squared
+    return math.atan2(across, along) / 4.0, math.hypot(along, across) / max(total, 1e-9)
 
 
 def score_fields(points: Array) -> tuple[Array, Array]:

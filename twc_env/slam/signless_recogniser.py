@@ -9,6 +9,9 @@ from twc_env.messages import Keyframe, LoopCandidate
 from twc_env.slam.sign_table import MISSING_AFTER_S
 from twc_env.slam.wayside_recognisers import WifiRecogniser
 
+CANDIDATES_MAX = 3
+"""Most candidates of one keyframe."""
+
 
 class SignlessRecogniser:
     """Compares by WiFi robots that share no map; inside one, those that have read no sign for long with all others.
@@ -18,7 +21,7 @@ class SignlessRecogniser:
     """
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float, robot_count: int):
-        self._wifi = WifiRecogniser(config, range_max_m)
+        self._wifi = WifiRecogniser(config, range_max_m, CANDIDATES_MAX, guesses_turn=False)
         self._unread, self._signless = set(range(robot_count)), set[int]()
         """Robots that have read no sign yet, and those of them that have not for long."""
 
