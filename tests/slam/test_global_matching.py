@@ -10,6 +10,8 @@ from twc_env.slam.global_matching import (
     CELL_M,
     FULL,
     LEVELS,
+    WALL_RAD,
+    headings_along_walls,
     lattice_headings,
     match_globally,
     score_fields,
@@ -75,14 +77,32 @@ def test_branch_and_bound_finds_what_looking_everywhere_finds(seed):
     assert found.evaluated < 0.5 * len(lattice_headings(source)) * 15 * 15
 
 
+@pytest.mark.parametrize("lays_walls_along", [False, True])
 @pytest.mark.parametrize("seed", range(6))
-def test_a_scan_is_found_however_it_is_turned(seed):
+def test_a_scan_is_found_however_it_is_turned(seed, lays_walls_along):
     random = np.random.default_rng(seed)
     pose = np.array([*random.uniform(-2.5, 2.5, 2), random.uniform(-math.pi, math.pi)])
     source = transform_points(inverse(pose), room()) + random.normal(0, 0.01, room().shape)
-    found = match_globally(room(), source, window_m=3.0)
+    found = match_globally(room(), source, window_m=3.0, lays_walls_along=lays_walls_along)
     error = between(pose, found.pose)
     assert math.hypot(*error[:2]) < 0.15 and abs(wrap_angle(error[2])) < 0.05
+
+
+def test_few_headings_lay_walls_along_walls_and_they_lie_about_quarter_turns():
+    source = transform_points(np.array([0.0, 0.0, 0.7]), room())
+    headings = lattice_headings(source)
+    chosen = headings_along_walls(headings, room(), source)
+    assert 4 <= len(chosen) < len(headings) / 8
+    assert np.abs(wrap_angle(4 * (chosen + 0.7))).max() < 4 * (WALL_RAD + 0.01)
+
+
+def test_where_walls_run_anyhow_every_heading_is_tried():
+    turn = np.arange(0, 6.28, 0.02)
+    circle = 3.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    headings = lattice_headings(circle)
+    assert np.array_equal(headings_along_walls(headings, room(), circle), headings)
+    assert np.array_equal(headings_along_walls(headings, circle, room()), headings)
+    assert np.array_equal(headings_along_walls(headings, room(), circle[:1]), headings)
 
 
 def test_every_level_bounds_all_shifts_of_its_box():

@@ -102,8 +102,8 @@ class PlaceRecognitionConfig(Checked):
     proximity_m: float = number(2.5, 0.0, 50.0)
     """Keyframes this near in the present estimate are tried too (0: never)."""
     spares_missing_cues: bool = True
-    """With `twc`: robots that share no map, or read no sign for long, are also compared by WiFi alone, and one that long
-    heard nothing by signs alone. Without it, and in TWC-SLAM, never."""
+    """With `twc`: robots that share no map, or that long read no sign, are also compared by WiFi alone, and one that
+    long heard nothing by signs alone. Without it, and in TWC-SLAM, never."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
