@@ -198,8 +198,8 @@ class LoopVerifier:
         """A better guess: from around the candidate's own, or from anywhere near where that says nothing."""
         rule = self._config
         if candidate.recogniser in ANYWHERE:
-            target_points = self._points(target, target_path, SPACING_M)
-            found = match_globally(target_points, points, WIDE_WINDOW_M, lays_walls_along=True)
+            target_points, is_hasty = self._points(target, target_path, SPACING_M), candidate.recogniser == "wifi"
+            found = match_globally(target_points, points, WIDE_WINDOW_M, lays_walls_along=is_hasty)
             return candidate.guess if found is None else found.pose
         window = rule.window_m, rule.window_rad
         return self._field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)[0]

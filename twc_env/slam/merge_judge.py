@@ -18,9 +18,9 @@ from twc_env.slam.team_graph import TeamGraph
 
 Array = NDArray
 
-OTHERS_MAX = 0.5
-"""Closures between places that only sound alike are believed where at most so many, for each that agrees, do not: along
-rows of shelves scans fit each other a shelf aside, too."""
+OTHERS_WEIGHT = 2
+"""Where places count that only sound alike, more than `closures_min` closures must agree, and so many more for each
+that does not: along rows of shelves scans fit each other a shelf aside, too."""
 
 
 class MergeJudge:
@@ -34,13 +34,14 @@ class MergeJudge:
     def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
         """Where the robots that are not in `a` lie in the map of `a`, by closures between the two.
 
-        By those of signs alone where too many of all disagree.
+        By those of signs alone where too few of all agree, or too many disagree.
         """
         found, by_signs = self._agreement(closures, a), [c for c in closures if c.candidate.recogniser != "wifi"]
         if found is None or len(by_signs) == len(closures):
             return found
         agree = np.count_nonzero(found.support)
-        return found if len(closures) - agree <= OTHERS_MAX * agree else self._agreement(by_signs, a)
+        is_clear = agree - OTHERS_WEIGHT * (len(closures) - agree) > self._rule.closures_min
+        return found if is_clear else self._agreement(by_signs, a)
 
     def _agreement(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
         if len(closures) < self._rule.closures_min:
