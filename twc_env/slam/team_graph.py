@@ -260,7 +260,8 @@ class TeamGraph(GraphArrays):
     def may_go(self, nodes: Array, end: int) -> Array:
         """(k,) bool: which of some held nodes may be forgotten: none from `end` on, nor each robot's first and latest.
 
-        Nor those by which two robots were first tied to each other, so that merges can still be judged and undone.
+        Nor those by which two robots were first tied to each other, so that merges can still be judged and undone, or
+        whose closures wait for a merge.
         """
         may_go = nodes < end
         stay = [node for own in self._nodes for node in (*own[:1], *own[-LATEST:])]
@@ -268,8 +269,9 @@ class TeamGraph(GraphArrays):
         for closure in self.closures:
             ends = closure.candidate.target, closure.candidate.source
             pair = min(ends)[0], max(ends)[0]
-            if closure.status == "accepted" and pair[0] != pair[1] and ties.get(pair, 0) < TIES:
-                ties[pair] = ties.get(pair, 0) + 1
+            is_tie = closure.status == "accepted" and pair[0] != pair[1] and ties.get(pair, 0) < TIES
+            ties[pair] = ties.get(pair, 0) + is_tie
+            if is_tie or closure.status == "pending":
                 stay += [self.node(key) for key in ends]
         return may_go & ~np.isin(nodes, stay)
 
