@@ -56,6 +56,8 @@ class Exchange:
         """Of each robot the keyframes that some mapper may still lack ..."""
         self._released = [0] * robot_count
         """... after so many that all mappers hold."""
+        self._ends = [0] * robot_count
+        """How many keyframes each robot has made."""
         self._made = 0
         """Keyframes of all robots ..."""
         self._heard = 0
@@ -78,6 +80,7 @@ class Exchange:
         if len(path) >= KEPT_MAX:
             self._release(keyframe.robot)
         path.append(keyframe)
+        self._ends[keyframe.robot] += 1
         self._made += 1
 
     def deliver(self, contacts: Contacts, wanted: Sequence[Collection[tuple[int, int]]]) -> list[Delivery]:
@@ -91,19 +94,19 @@ class Exchange:
         before = self._held
         if not self._is_central:
             for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
-                self._hand_over(delivery, robot, robot, self._end_of(robot))
+                self._hand_over(delivery, robot, robot, self._ends[robot])
             before = [held.copy() for held in self._held]
         if contacts is not self._pairs_of:
             self._pairs_of = contacts
             self._pairs = [(i, k, bool(contacts.heard[i, k])) for i, k in np.argwhere(contacts.tried).tolist()]
         for listener, sender, is_heard in self._pairs:
             if self._is_central:
-                if self._held[0][sender] < self._end_of(sender):
-                    self._tell_keyframes(deliveries[0], 0, sender, self._end_of(sender), is_heard)
+                if self._held[0][sender] < self._ends[sender]:
+                    self._tell_keyframes(deliveries[0], 0, sender, self._ends[sender], is_heard)
             else:
                 self._tell_holdings(listener, sender, is_heard)
                 for robot, count in enumerate(before[sender]):
-                    end = self._end_of(robot) if robot == sender else count
+                    end = self._ends[robot] if robot == sender else count
                     self._tell_keyframes(deliveries[listener], listener, robot, end, is_heard)
             if wanted[listener]:
                 self._tell_scans(deliveries[listener], listener, sender, wanted[listener], is_heard)
@@ -132,10 +135,6 @@ class Exchange:
             delivery.keyframes += self._between(robot, first, end)
             self._held[listener][robot] = end
             self._heard += end - first
-
-    def _end_of(self, robot: int) -> int:
-        """How many keyframes a robot has made."""
-        return self._released[robot] + len(self._paths[robot])
 
     def _between(self, robot: int, first: int, end: int) -> list[Keyframe]:
         """A robot's keyframes of these numbers, which some mapper lacks."""

@@ -166,8 +166,9 @@ class TeamGraph(GraphArrays):
 
     def keyframe(self, key: tuple[int, int]) -> Keyframe:
         """A robot's keyframe, one that is held."""
-        path = self.keyframes[key[0]]
-        return path[place_on(path, key[1])]
+        path, index = self.keyframes[key[0]], key[1]
+        is_whole = index < len(path) and path[index].index == index  # as nearly all are
+        return path[index if is_whole else place_on(path, index)]
 
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
