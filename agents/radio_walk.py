@@ -37,7 +37,8 @@ HUG = 0.8
 HELD_UP_TICKS, HELD_UP_M = 5, 0.5
 """A robot that came no nearer to its goal in this time, so near to it, goes elsewhere."""
 IDLE_TICKS = 30
-ARRIVAL_M = 0.15
+ARRIVAL_M = 0.08
+"""Corners of rooms are walked into: a ray clears floor no further than the robot goes."""
 
 
 class RadioWalk:
@@ -56,6 +57,7 @@ class RadioWalk:
         self._turns_m: dict[str, Array] = {agent: np.zeros((0, 2)) for agent in agents}
         self._given_up_m: dict[str, list[Array]] = {agent: [] for agent in agents}
         self._walked_m: dict[str, list[Array]] = {agent: [] for agent in agents}
+        self._stretch_m: dict[str, Array] = {agent: np.zeros((0, 2)) for agent in agents}
         self._nearest: dict[str, tuple[float, int]] = {}
         self._idle = dict.fromkeys(agents, 0)
 
@@ -74,6 +76,8 @@ class RadioWalk:
         if driver.status == "failed" or (driver.status == "driving" and self._is_held_up(agent, here)):
             self._given_up_m[agent].append(self._goals_m[agent])
             driver.stop()
+        if driver.status == "arrived":  # what is told no nearer than a robot gets to walls is not tried for again
+            walked += list(self._stretch_m[agent])
         if driver.status != "driving":
             goal = self._choose(agent, belief)
             self._idle[agent] = 0 if goal is not None else self._idle[agent] + 1
@@ -130,6 +134,7 @@ class RadioWalk:
             last += 1
         lengths_m = graph.lengths_m[turns[:-1], turns[1:]]
         self._turns_m[agent] = graph.places_m[turns[1:][np.cumsum(lengths_m) > along_m[last] + 1e-6]]
+        self._stretch_m[agent] = way_m[: last + 1]
         return way_m[last]
 
 
