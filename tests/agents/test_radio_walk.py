@@ -6,7 +6,7 @@ import pytest
 from agents import radio_survey
 from agents.radio_bound import shortest_known_walk_m
 from agents.radio_survey import Comparison, Walked
-from agents.radio_walk import RadioWalk
+from agents.radio_walk import ARRIVAL_M, RadioWalk
 from agents.ray_gain import RayGain
 from agents.wall_follower import STANDOFF_M, WallFollower, nearest_wall
 from twc_env.config import EnvConfig
@@ -73,6 +73,17 @@ def test_the_agent_walks_on_where_rays_would_tell_and_is_done_where_all_is_told(
             action = agent.act({"robot_0": belief})["robot_0"]
         assert agent.finished({"robot_0": belief}) == is_done
         assert np.any(action != 0.0)
+
+
+def test_floor_that_is_told_no_nearer_than_the_robot_gets_is_not_tried_for_again():
+    agent, radio, here = RadioWalk(EnvConfig()), grid(np.zeros((40, 60), np.int16)), np.array([1.0, 2.0])
+    agent.reset(0, ["robot_0"])
+    for _ in range(60):
+        belief = Belief(0, 0, np.append(here, 0.0), grid(room()), radio_map=radio, transmitter_m=np.array([[0.5, 2.0]]))
+        agent.act({"robot_0": belief})
+        goal = agent._goals_m["robot_0"]
+        here = goal + (here - goal) * min(0.9 * ARRIVAL_M / max(math.dist(here, goal), 1e-9), 1.0)
+    assert agent.finished({"robot_0": belief})
 
 
 def test_walks_are_compared_by_the_path_that_an_iou_takes():
