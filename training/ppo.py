@@ -197,8 +197,11 @@ def train(
             else:
                 model = _new_model(teams, settings, folder)
             if steps > model.num_timesteps:
-                progress = Progress(folder, steps, show_progress)
-                model.learn(steps - model.num_timesteps, progress, tb_log_name="ppo", reset_num_timesteps=False)
+                progress = Progress(folder, steps, model.num_timesteps, show_progress)
+                try:
+                    model.learn(steps - model.num_timesteps, progress, tb_log_name="ppo", reset_num_timesteps=False)
+                finally:
+                    progress.bar.close()
                 save_model(model, model_path)
     finally:
         teams.close()
@@ -242,14 +245,14 @@ def _check_same_run(folder: Path, task: Task, settings: Settings) -> None:
 class Progress(BaseCallback):
     """After each rollout: a line in metrics.csv, a saved model, and the progress bar moves."""
 
-    def __init__(self, folder: Path, steps: int, show: bool):
+    def __init__(self, folder: Path, steps: int, taken: int, show: bool):
         super().__init__()
-        self.folder, self.steps, self.show = folder, steps, show
+        self.folder = folder
         self.episodes = 0
+        self.bar = progress_bar(total=steps, initial=taken, unit="decision", disable=not show)
 
     def _on_training_start(self) -> None:
         self.started, self.steps_before = time.perf_counter(), self.num_timesteps
-        self.bar = progress_bar(total=self.steps, initial=self.num_timesteps, unit="decision", disable=not self.show)
         self.path = self.folder / "metrics.csv"
         rows: list[list[str]] = []
         if self.num_timesteps > 0 and self.path.exists():
@@ -282,4 +285,3 @@ class Progress(BaseCallback):
 
     def _on_training_end(self) -> None:
         self.logger.dump(self.num_timesteps)
-        self.bar.close()

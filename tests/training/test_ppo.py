@@ -158,6 +158,19 @@ def test_a_run_folder_that_was_moved_keeps_its_curves_together_when_it_resumes(t
 
 
 @needs_torch
+def test_an_interrupted_training_says_so_on_a_line_of_its_own(tmp_path, monkeypatch, capsys):
+    from twc_env.sb3 import TeamVecEnv
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(TeamVecEnv, "step_wait", interrupt)
+    assert main(["ppo", "--workers", "0", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 130
+    *_, last = capsys.readouterr().err.splitlines()
+    assert last == "interrupted; --resume goes on from the last model that was saved, if any"
+
+
+@needs_torch
 def test_a_line_ahead_of_its_model_is_dropped_when_a_killed_training_resumes(tmp_path):
     from training.ppo import train
 
