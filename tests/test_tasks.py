@@ -7,16 +7,16 @@ from twc_env.config import digest, override
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "4905877e8405",
-    "twc/ExploreTwin01-v0": "4905877e8405",
-    "twc/ExploreTwin02-v0": "54d599e032ed",
-    "twc/ExploreOffice-v0": "125ec092897e",
-    "twc/ExploreFrontier-v0": "93274cdc5df0",
-    "twc/ExploreFrontierAsync-v0": "8618163c0e8f",
-    "twc/ExploreHard-v0": "5540e71e3e6e",
-    "twc/ExploreKnownStarts-v0": "783c11bcefa7",
-    "twc/ExploreTruePoses-v0": "f39b66405bcd",
-    "twc/ExploreNoMerging-v0": "b5c196baade1",
+    "twc/Explore-v0": "401ce26c3849",
+    "twc/ExploreTwin01-v0": "401ce26c3849",
+    "twc/ExploreTwin02-v0": "4a5aa19e2f67",
+    "twc/ExploreOffice-v0": "a8586eb8b120",
+    "twc/ExploreFrontier-v0": "63de61519a78",
+    "twc/ExploreFrontierAsync-v0": "82c984f928bc",
+    "twc/ExploreHard-v0": "a799a24bdbf9",
+    "twc/ExploreKnownStarts-v0": "fcf4de8403c9",
+    "twc/ExploreTruePoses-v0": "bf80e103683a",
+    "twc/ExploreNoMerging-v0": "9fda4645b74b",
 }
 
 

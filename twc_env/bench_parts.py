@@ -57,7 +57,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
     from twc_env.slam.exchange import Exchange
     from twc_env.slam.group_maps import GroupMaps
     from twc_env.slam.loop_verification import LoopVerifier
-    from twc_env.slam.robot import FrontEnds
+    from twc_env.slam.robot import FrontEnds, RobotFrontEnd
     from twc_env.slam.team import TeamMapper
     from twc_env.slam.team_graph import TeamGraph
     from twc_env.slam.tracking import Tracker
@@ -66,7 +66,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
     return [
         ("world: motion and sensors", False, World, "tick"),
         ("front end: tracking", True, Tracker, "update"),
-        ("front end: signs and radio", True, FrontEnds, "_remember"),
+        ("front end: signs", True, RobotFrontEnd, "read_signs"),
         ("keyframe: making, local map", True, FrontEnds, "_take_keyframe"),
         ("front end: the rest", True, CooperativeSlam, "track"),
         ("messages", True, Exchange, "deliver"),

@@ -10,7 +10,6 @@ from twc_env.config import override
 from twc_env.slam.engine import CooperativeSlam
 
 LACKS = {"signs": {"signs": ()}, "WiFi": {"wifi": None}}
-AS_PRINTED = {"slam.place_recognition.spares_missing_cues": False}
 
 
 def groups_of(recorded, lack: str, robots: tuple[int, ...], **settings) -> list[tuple[int, ...]]:
@@ -31,7 +30,7 @@ def groups_of(recorded, lack: str, robots: tuple[int, ...], **settings) -> list[
 @pytest.mark.parametrize("robots", [(0, 1, 2), (2,)])
 @pytest.mark.parametrize("lack", LACKS)
 def test_robots_without_a_cue_are_merged_by_the_others(recorded, lack, robots):
-    with_all_cues = groups_of(recorded, lack, (), **AS_PRINTED)
+    with_all_cues = groups_of(recorded, lack, ())
     assert max(map(len, with_all_cues)) > 1
     groups = groups_of(recorded, lack, robots)
     assert all(any(set(merged) <= set(group) for group in groups) for merged in with_all_cues)
@@ -39,9 +38,11 @@ def test_robots_without_a_cue_are_merged_by_the_others(recorded, lack, robots):
 
 @pytest.mark.parametrize("lack", LACKS)
 def test_algorithm_1_as_printed_never_compares_them(recorded, lack):
-    assert groups_of(recorded, lack, (0, 1, 2), **AS_PRINTED) == [(0,), (1,), (2,)]
+    rule = {"slam.place_recognition.spares_missing_cues": False}
+    assert groups_of(recorded, lack, (0, 1, 2), **rule) == [(0,), (1,), (2,)]
 
 
 def test_robots_that_heard_the_same_share_a_map_before_they_read_the_same(recorded):
-    as_printed, groups = groups_of(recorded, "signs", (), **AS_PRINTED), groups_of(recorded, "signs", ())
-    assert max(map(len, groups)) > max(map(len, as_printed)) > 1
+    by_signs = groups_of(recorded, "signs", ())
+    groups = groups_of(recorded, "signs", (), **{"slam.place_recognition.meets_by_wifi": True})
+    assert max(map(len, groups)) > max(map(len, by_signs)) > 1

@@ -108,8 +108,7 @@ def test_an_unknown_name_is_refused_with_the_nearest_one():
 @pytest.mark.parametrize("name", NAMES)
 def test_the_engine_verifies_what_any_recogniser_proposes(recorded, name):
     config, frames, _ = recorded
-    rule = {"slam.place_recognition.recogniser": name, "slam.place_recognition.spares_missing_cues": False}
-    engine = CooperativeSlam(override(config, rule), config.robots)
+    engine = CooperativeSlam(override(config, {"slam.place_recognition.recogniser": name}), config.robots)
     for step in frames[:250]:
         engine.update(step)
     engine.finish()

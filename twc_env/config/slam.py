@@ -102,8 +102,11 @@ class PlaceRecognitionConfig(Checked):
     proximity_m: float = number(2.5, 0.0, 50.0)
     """Keyframes this near in the present estimate are tried too (0: never)."""
     spares_missing_cues: bool = True
-    """With `twc`: robots that share no map, or that long read no sign, are also compared by WiFi alone, and one that
-    long heard nothing by signs alone. Without it, and in TWC-SLAM, never."""
+    """With `twc`: a robot that long read no sign is compared by WiFi alone, one that long heard nothing by signs alone.
+    Without it, and in TWC-SLAM, never."""
+    meets_by_wifi: bool = False
+    """With `twc`: robots that share no map are compared by WiFi alone too, wherever they are, and not only where both
+    read a sign. They share one sooner; places that sound alike and are not the same cost time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

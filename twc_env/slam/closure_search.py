@@ -15,6 +15,7 @@ from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
 from twc_env.slam.place_recognition import Forgetful, ProposalFilter, make_recogniser
 from twc_env.slam.signless_recogniser import SignlessRecogniser
 from twc_env.slam.team_graph import TeamGraph
+from twc_env.slam.wayside_recognisers import WifiRecogniser
 
 REPEAT_REACH_M = 2.0
 """Proposals nearer than this, along both paths, to an earlier one of the same kind are not tried again ..."""
@@ -24,6 +25,9 @@ PROXIMITY_PERIOD_M = 1.5
 """Path length between two searches for near keyframes."""
 TIED_M = 3.0
 """Inside one map, a robot whose last closure is nearer than this along its path needs no other yet."""
+
+STRANGERS_MAX = 3
+"""So many places of robots that share no map, those that sound most alike, are tried for a keyframe by WiFi alone."""
 
 
 class ClosureSearch:
@@ -35,8 +39,14 @@ class ClosureSearch:
         self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
         self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "wifi", "proximity")}
         self._signless: SignlessRecogniser | None = None
-        if self._rule.spares_missing_cues and self._recogniser.name == "twc" and config.slam.cues.lidar:
-            self._signless = SignlessRecogniser(self._rule, config.lidar.range_max_m, robot_count)
+        self._strangers: WifiRecogniser | None = None
+        if self._recogniser.name == "twc" and config.slam.cues.lidar:
+            if self._rule.spares_missing_cues:
+                self._signless = SignlessRecogniser(self._rule, config.lidar.range_max_m, robot_count)
+            if self._rule.meets_by_wifi:
+                self._strangers = WifiRecogniser(
+                    self._rule, config.lidar.range_max_m, STRANGERS_MAX, guesses_turn=False
+                )
         self._verifier: LoopVerifier | SignVerifier = SignVerifier()
         if config.slam.cues.lidar:
             noise, range_max_m = config.slam.odometry_filter, config.lidar.range_max_m
@@ -52,14 +62,17 @@ class ClosureSearch:
         """Queue what a new keyframe looks like."""
         is_tied = self._is_tied(keyframe)
         mates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots
+        not_compared = mates if is_tied else ()
         tried = self._filters[self._recogniser.name]
         candidates = self._recogniser.propose(
             keyframe,
-            mates if is_tied else (),
+            not_compared,
             lambda target: not tried.was_tried(target, keyframe, self._reach_m(target, keyframe)),
         )
         if self._signless is not None:
-            candidates += self._signless.propose(keyframe, mates, is_tied)
+            candidates += self._signless.propose(keyframe, not_compared)
+        if self._strangers is not None:
+            candidates += self._strangers.propose(keyframe, mates)
         near = None if is_tied else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)
@@ -117,7 +130,7 @@ class ClosureSearch:
         def is_held(key: tuple[int, int]) -> bool:
             return is_on(self._graph.keyframes[key[0]], key[1])
 
-        for recogniser in (self._recogniser, self._signless):
+        for recogniser in (self._recogniser, self._signless, self._strangers):
             if isinstance(recogniser, Forgetful):
                 recogniser.forget(lambda keyframe: is_held((keyframe.robot, keyframe.index)))
         latest_m = [path[-1].travel_m if path else 0.0 for path in self._graph.keyframes]

@@ -26,17 +26,20 @@ that does not: along rows of shelves scans fit each other a shelf aside, too."""
 class MergeJudge:
     """Asks closures, fingerprints and walls about a merge of robots `a` with robots `b`."""
 
-    def __init__(self, config: MergingConfig, graph: TeamGraph, spares_deaf: bool = False):
-        self._rule, self._graph, self._spares_deaf = config, graph, spares_deaf
+    def __init__(self, config: MergingConfig, graph: TeamGraph, spares_deaf: bool = False, doubts_sounds: bool = False):
+        """doubts_sounds: robots are also compared where places only sound alike, which takes more of such to agree."""
+        self._rule, self._graph, self._spares_deaf, self._doubts_sounds = config, graph, spares_deaf, doubts_sounds
         self._heard: dict[int, HeardPlaces] = {}
         """What each robot heard at its keyframes, as far as anybody asked."""
 
     def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
         """Where the robots that are not in `a` lie in the map of `a`, by closures between the two.
 
-        By those of signs alone where too few of all agree, or too many disagree.
+        By those of signs alone where places that only sound alike are doubted and too few of all agree, or too many
+        disagree.
         """
-        found, by_signs = self._agreement(closures, a), [c for c in closures if c.candidate.recogniser != "wifi"]
+        found = self._agreement(closures, a)
+        by_signs = [c for c in closures if c.candidate.recogniser != "wifi"] if self._doubts_sounds else closures
         if found is None or len(by_signs) == len(closures):
             return found
         agree = np.count_nonzero(found.support)

@@ -58,8 +58,8 @@ class TeamMapper:
         self.wanted: Collection[tuple[int, int]] = self._maps.wanted
         """(robot, keyframe index) of scans to ask for, as they are now."""
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
-        spares_deaf = config.slam.place_recognition.spares_missing_cues
-        self._judge = MergeJudge(config.slam.merging, self._graph, spares_deaf)
+        places = config.slam.place_recognition
+        self._judge = MergeJudge(config.slam.merging, self._graph, places.spares_missing_cues, places.meets_by_wifi)
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
         self._radio = RadioTies(radio, robot_count) if radio.online else None
