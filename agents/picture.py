@@ -132,7 +132,7 @@ def _draw_building(axes, result: EpisodeResult) -> None:
         places = np.array([sign.position_m for sign in plan.signs])
         axes.scatter(*places.T, marker="s", s=10, color="#b8860b", lw=0, zorder=4, label="signs")
     for sign in plan.signs[:80]:
-        name_sign(axes, sign.text, sign.position_m, sign.facing_rad, 4.0, fontsize=4, color="#6b5210", zorder=4)
+        name_sign(axes, sign.text, sign.position_m, sign.facing_rad, 4.0, fontsize=5, color="#6b5210")
 
 
 def _draw_paths(axes, result: EpisodeResult) -> None:

@@ -113,13 +113,16 @@ def name_rooms(axes, rooms: Sequence[Room], points_per_m: float) -> None:
 
 
 def name_sign(axes, text: str, place_m: Array, facing_rad: float, points: float = 9.0, **style) -> None:
-    """Write a sign's text before its face; above and below walls at a slant, as texts of neighbours would overlap."""
+    """Write a sign's text before its face, over all lines; along walls at a slant, as texts of neighbours would overlap."""
+    from matplotlib.patheffects import withStroke
+
     u, v = np.cos(facing_rad), np.sin(facing_rad)
     is_beside = abs(u) > abs(v)
     axes.annotate(
         text, place_m, (points * u, points * v), textcoords="offset points",
         rotation=0.0 if is_beside else 35.0, rotation_mode="anchor",
-        ha="left" if (u if is_beside else v) > 0 else "right", va="center", parse_math=False, **style,
+        ha="left" if (u if is_beside else v) > 0 else "right", va="center", parse_math=False, zorder=6,
+        path_effects=[withStroke(linewidth=2.0, foreground="white")], **style,
     )  # fmt: skip
 
 
