@@ -113,7 +113,7 @@ def name_rooms(axes, rooms: Sequence[Room], points_per_m: float) -> None:
 
 
 def name_sign(axes, text: str, place_m: Array, facing_rad: float, points: float = 9.0, **style) -> None:
-    """Write a sign's text before its face, over all lines; along walls at a slant, as texts of neighbours would overlap."""
+    """Write a sign's text before its face, over all lines; along walls at a slant: neighbours would overlap."""
     from matplotlib.patheffects import withStroke
 
     u, v = np.cos(facing_rad), np.sin(facing_rad)
