@@ -120,8 +120,8 @@ class Look(nn.Module):
 class ChoiceScorer(nn.Module):
     """Scores every choice with one network, in view of the best of the others and of the robot's situation.
 
-    The value has a network of its own, which also knows what the team has gained so far: it tells what is still to come
-    with a third of the squared error. Whoever chooses does not know it, nor is it needed to play.
+    The value has a network of its own, which also knows what the team has gained so far: so it tells better what is
+    still to come. Whoever chooses does not know it, nor is it needed to play.
     """
 
     def __init__(self, features: ChoiceFeatures, width: int = 64):

@@ -9,21 +9,21 @@ Three rows of a mall are no methods but say where its error comes from. `odometr
 dead reckoning is. `oracle: others told` looks for one walk at a time while all others lie where they truly are, on the
 map that they span (`real_radio_oracle`); in `oracle: others, shape and heading told` only the walk's place is unknown.
 So most of the error is what radio tells of places, not steps and compass. Errors of the scans of one walk go the same
-way, so more scans hardly help: a scan by itself is 8.0 m off on F6; on B1, every sixth walk, 6.8 m as its walk is.
+way, so more scans hardly help.
 
-These were tried once and are no part of the table. Of B1 the oracle's figures beside them are those of every third walk
-(5.8 m off by `real_radio_oracle`, where F6 is 6.4 m off):
+These were tried once and are no part of the table:
 
-- A likelihood of distance learnt from 27 measures of a pair of scans by a small network, on the surveyed positions of
-  one floor and used on the other: added up over pairs it finds a walk 8 m off on F6, since pairs repeat each other.
-  Learnt without surveyed positions, within walks and against scans of other walks, it is a hundred metres off: scans of
-  one walk are alike for reasons that two walks never share.
-- The likeness of a scan to the map in 16 measures, weighed by a network that surveyed positions of the other floor
-  trained: 6.2 to 6.7 m on F6, 5.0 to 5.2 m on B1. Likelihoods of levels and silences: 4.9 m on B1, 7.3 m on F6.
-- Walks laid at the mean of all places they could have on the map of the others, in turns: 8.8 m on F6 after eight and
-  10.4 m after twenty, on B1 8.5 m after eight. It swells the map; from the truth F6 is 7.5 m off after eight.
-- Scans moved ahead of where they were taken, or only compared with those of like heading: no better. Errors have no
-  part that points outwards (0.2 and 0.3 m of 5 and 6).
+- A likelihood of distance learnt from measures of a pair of scans by a small network, on the surveyed positions of one
+  floor and used on the other: added up over pairs it misleads, since pairs repeat each other. Learnt without surveyed
+  positions, within walks and against scans of other walks, it finds nothing: scans of one walk are alike for reasons
+  that two walks never share.
+- The likeness of a scan to the map in many measures, weighed by a network that surveyed positions of the other floor
+  trained: little better than the oracle's one cosine, and it needs the truth. Nor are likelihoods of levels and
+  silences better on both floors.
+- Walks laid at the mean of all places they could have on the map of the others, in turns: nearer at first, then
+  further, as that swells the map. It also leaves the truth where it starts there.
+- Scans moved ahead of where they were taken, or only compared with those of like heading: no better. Errors have hardly
+  a part that points outwards.
 - Started where the walks truly lie, the fit of `trace_joining` leaves them. So do, by more, likelihoods by likeness
   over all pairs, Gaussian processes, transmitters as landmarks with path loss, and levels told from the other walks.
   Their valleys are flat: a descent that is stopped early flatters.
