@@ -57,6 +57,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
     from twc_env.slam.exchange import Exchange
     from twc_env.slam.group_maps import GroupMaps
     from twc_env.slam.loop_verification import LoopVerifier
+    from twc_env.slam.map_optimiser import MapOptimiser
     from twc_env.slam.robot import FrontEnds, RobotFrontEnd
     from twc_env.slam.team import TeamMapper
     from twc_env.slam.team_graph import TeamGraph
@@ -76,7 +77,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("team: verification", True, LoopVerifier, "verify"),
         ("team: merging", True, TeamMapper, "_try_merge"),
         ("team: doubting merges", True, TeamMapper, "_undo_wrong_merge"),
-        ("team: pose graph", True, TeamMapper, "_optimise"),
+        ("team: pose graph", True, MapOptimiser, "optimise"),
         ("team: redrawing", True, GroupMaps, "redraw"),
         ("team: the rest", True, CooperativeSlam, "absorb"),
         ("beliefs", False, CooperativeSlam, "beliefs"),

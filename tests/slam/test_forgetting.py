@@ -29,7 +29,7 @@ def started(steps=STEPS, forgets=True, **settings):
     env = parallel_env(config=override(EnvConfig(), {"max_cycles": steps, "map": "twin-02", **settings}))
     env.reset(seed=1)
     for mapper in env.episode.engine.mappers:
-        mapper.settled_maps = SettledMaps(*SMALL, forgets)
+        mapper.optimiser.settled_maps = SettledMaps(*SMALL, forgets)
     return env, wander(env, 1)
 
 

@@ -158,7 +158,7 @@ def test_many_sightings_of_two_signs_do_not_outvote_a_merge_by_more_signs(record
     for closure in closures(team, true_poses, ROOM_M, count, signs_m=[spot, spot + 3.0]):
         team._graph.add_closure(closure)
         team._judge_inside_map(closure)
-    team._optimise(team.group_index(0), is_thorough=True)
+    team.optimiser.optimise(team.group_index(0), is_thorough=True)
     for step in range(PLANTED_STEP + 1, PLANTED_STEP + 4):
         team.update(step, [])
     assert wrong_pairs(team, true_poses) == []
@@ -195,7 +195,7 @@ def test_the_back_end_is_told_that_fewer_signs_may_not_replace_more(recorded, mo
         return real(poses, graph, is_used, config, fixed, is_thorough, may_replace)
 
     monkeypatch.setattr(robust_backend, "revise", revise)
-    team._optimise(team.group_index(0))
+    team.optimiser.optimise(team.group_index(0))
     assert asked == [(False, True)]
 
 

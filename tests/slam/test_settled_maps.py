@@ -11,8 +11,8 @@ from twc_env.config import EnvConfig, override
 from twc_env.exploration import map_judge
 from twc_env.geometry import compose
 from twc_env.slam import sign_readings
+from twc_env.slam.map_optimiser import MapOptimiser
 from twc_env.slam.settled_maps import GROWN, LARGE_FROM, MOVABLE, SettledMaps
-from twc_env.slam.team import TeamMapper
 
 TEAM, ODD_TEAM = (0, 1), (0, 2)
 
@@ -22,7 +22,7 @@ def episode(steps, settled=(), **settings):
     env = parallel_env(config=override(EnvConfig(), {"max_cycles": steps, **settings}))
     env.reset(seed=0)
     for mapper in env.episode.engine.mappers:
-        mapper.settled_maps = SettledMaps(*settled)
+        mapper.optimiser.settled_maps = SettledMaps(*settled)
     for action in wander(env, 0):
         env.step(action)
     return env.episode.engine
@@ -144,8 +144,8 @@ def test_part_of_a_graph_has_all_edges_to_later_nodes_and_their_ends(team):
 def test_maps_that_are_held_in_part_are_as_good(monkeypatch, robust):
     whole = episode(2500, **{"slam.pose_graph.robust": robust}).team
     tries = []
-    optimise_latest = TeamMapper._optimise_latest
-    monkeypatch.setattr(TeamMapper, "_optimise_latest", lambda *a: tries.append(optimise_latest(*a)) or tries[-1])
+    optimise_latest = MapOptimiser._optimise_latest
+    monkeypatch.setattr(MapOptimiser, "_optimise_latest", lambda *a: tries.append(optimise_latest(*a)) or tries[-1])
     parts = episode(2500, (300, 100, False), **{"slam.pose_graph.robust": robust}).team
     assert (sum(tries) > 5) == (robust == "ours")
     assert [g.robots for g in parts.groups] == [g.robots for g in whole.groups]

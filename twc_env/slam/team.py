@@ -4,32 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import between
 from twc_env.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
-from twc_env.slam import robust_backend
 from twc_env.slam.closure_search import ClosureSearch
+from twc_env.slam.forgetting import Forgetting
 from twc_env.slam.group_maps import Group, GroupMaps
-from twc_env.slam.known_places import carriers_of
+from twc_env.slam.map_optimiser import MapOptimiser
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import MergeReview
 from twc_env.slam.radio_ties import RadioTies
-from twc_env.slam.settled_maps import SettledMaps
 from twc_env.slam.team_graph import TeamGraph
 from twc_env.team_messages import KnownSigns
 
 Array = NDArray
 
 URGENT_SQUARED_ERROR = 1.0
-"""A closure that the estimate already meets this well can wait for the next optimisation but `patience` ones."""
-PATIENCE_PERIODS = 16
+"""A closure that the estimate already meets this well is not urgent."""
 DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
 """A closure inside one map may disagree with the present estimate by this much."""
-REFUSED_MIN = 3
-"""From so many refused closures on, and half as many again each time, all of a map are weighed anew."""
 MORE_PART = 16
 """Of the closures between two maps that were no case for a merge, this part must come anew for another try."""
 RETRY_STEPS = 50
@@ -46,8 +41,7 @@ class TeamMapper:
 
     def __init__(self, config: EnvConfig, robot_count: int, home: int | None = None):
         self._config, self._on_request = config.slam, config.link.scan_on_request
-        is_ours = config.slam.pose_graph.robust == "ours"
-        self._graph = TeamGraph(robot_count, config.lidar.beam_count, is_ours)
+        self._graph = TeamGraph(robot_count, config.lidar.beam_count, config.slam.pose_graph.robust == "ours")
         self._maps = GroupMaps(config, self._graph, home, robot_count)
         self.groups: list[Group] = self._maps.groups
         """Robots that share a map."""
@@ -63,23 +57,26 @@ class TeamMapper:
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
         self._radio = RadioTies(radio, robot_count) if radio.online else None
-        self.settled_maps = SettledMaps()
-        """What becomes of large maps, and from when on they are large."""
-        self._may_hold_poses = self._radio is None and is_ours
-        self._may_forget = self._may_hold_poses and not self._on_request and self._search.can_forget
+        self.optimiser = MapOptimiser(
+            config.slam.pose_graph, self._graph, self._maps, self._judge, self._radio, self._forgetting(config)
+        )
+        """When the maps of groups are optimised, and how much of them."""
         self._no_case: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
         """Two groups, by their robots, and how many closures between them were no case for a merge when last tried."""
-        self._refused_heard: dict[tuple[int, ...], int] = {}
-        """How many closures of a group were refused when all of them were last weighed anew."""
-        self._dirty: dict[int, bool] = {}
-        """Groups, by their first robot, with closures that came since the last optimisation; True: one is urgent."""
         self._seeks_closures = config.slam.oracle != "poses"
         self._given_starts: Array | None = None
-        self._step = self._last_optimised_step = self._last_retried_step = 0
+        self._step = self._last_retried_step = 0
         self._due_step: float = 0
         self._settled = -1
         """Before this step, and while the graph has changed so often, there is nothing to do if nothing arrives."""
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], KnownSigns]] = {}
+
+    def _forgetting(self, config: EnvConfig) -> Forgetting | None:
+        """What lets go of keyframes; None where something looks back at all of them."""
+        may_forget = self._radio is None and config.slam.pose_graph.robust == "ours" and not self._on_request
+        if not may_forget or not self._search.can_forget:
+            return None
+        return Forgetting(self._graph, (self._search, self._judge, self._maps))
 
     def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> bool:
         """Take in keyframes and wanted scans; verify, merge and optimise as far as this step's budget goes.
@@ -97,7 +94,7 @@ class TeamMapper:
             if self._seeks_closures:
                 self._search.propose(keyframe)
             if self._radio is not None and self._radio.add(keyframe):
-                self._soil(self.group_index(keyframe.robot), True)
+                self.optimiser.soil(self.group_index(keyframe.robot), True)
         if self._given_starts is not None:
             self._merge_given(self._given_starts)
         self._step = step
@@ -110,11 +107,8 @@ class TeamMapper:
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
-        if self._dirty and step >= self._optimisation_due_step():
-            self._last_optimised_step = step
-            for group in sorted({self.group_index(robot) for robot in self._dirty}):
-                self._optimise(group)
-            self._dirty.clear()
+        if self.optimiser.is_soiled and step >= self.optimiser.due_step:
+            self.optimiser.optimise_soiled(step)
         self._due_step, self._settled = self._next_due_step(), self._graph.changes
         return True
 
@@ -123,7 +117,7 @@ class TeamMapper:
         if self._search.waiting_count or self._given_starts is not None:
             return self._step + 1
         due_step = min(self._review.due_step, self._last_retried_step + RETRY_STEPS)
-        return min(due_step, self._optimisation_due_step()) if self._dirty else due_step
+        return min(due_step, self.optimiser.due_step) if self.optimiser.is_soiled else due_step
 
     def give_starts(self, poses: Array) -> None:
         """Tell the mapper where all robots started (robots, 3), in any one frame: an oracle, for comparison only."""
@@ -134,9 +128,7 @@ class TeamMapper:
         while self._verify_one():
             pass
         self._retry_merges()
-        for group in range(len(self.groups)):
-            self._optimise(group, is_thorough=True)
-        self._dirty.clear()
+        self.optimiser.finish()
         self._settled = -1
 
     @property
@@ -251,11 +243,7 @@ class TeamMapper:
             return
         self._graph.accept(closure)
         self._search.note_tie(closure)
-        self._soil(self._groups_of(closure)[0], squared > URGENT_SQUARED_ERROR)
-
-    def _soil(self, group: int, is_urgent: bool) -> None:
-        robot = self.groups[group].robots[0]
-        self._dirty[robot] = self._dirty.get(robot, False) or is_urgent
+        self.optimiser.soil(self._groups_of(closure)[0], squared > URGENT_SQUARED_ERROR)
 
     def _travel_between(self, candidate: LoopCandidate) -> float:
         """Path length over which drift could have gathered: between the keyframes, or since the robots' last tie."""
@@ -294,13 +282,13 @@ class TeamMapper:
         if self._judge.walls_disagree(*grids, pose_a_b):
             return False
         self._maps.merge(a, b, pose_a_b)
-        self.settled_maps.forget()
+        self.optimiser.unsettle()
         self._review.note(robots_a, robots_b, self._step)
         merged = self.group_index(robots_a[0])
-        self._soil(merged, True)
+        self.optimiser.soil(merged, True)
         for closure in pending:
             self._judge_inside_map(closure)
-        self._optimise(merged)
+        self.optimiser.optimise(merged)
         return True
 
     def _merge_given(self, starts: Array) -> None:
@@ -330,87 +318,8 @@ class TeamMapper:
         self._graph.let_wait(rivals)
         self._review.forget(merge, (a, b))
         self._maps.split(self.group_index(a[0]), (a, b))
-        self.settled_maps.forget()
+        self.optimiser.unsettle()
         self._search.untie(a + b)
         for side in (a, b):
-            self._optimise(self.group_index(side[0]))
+            self.optimiser.optimise(self.group_index(side[0]))
         self._retry_merges()
-
-    # --- optimisation ---
-
-    def _optimisation_due_step(self) -> float:
-        """From when on the groups with new closures are optimised: the later, if none of these is urgent."""
-        periods = 1 if any(self._dirty.values()) else PATIENCE_PERIODS
-        return self._last_optimised_step + periods * self._config.pose_graph.period_steps
-
-    def _optimise(self, group: int, is_thorough: bool = False) -> None:
-        robots, count, held = self.groups[group].robots, len(self._graph.poses), self._graph.held_count
-        may_hold = self._may_hold_poses and not is_thorough
-        first = self.settled_maps.first_movable(robots, count, held) if may_hold else 0
-        if first > 0 and self._optimise_latest(group, first):
-            self.settled_maps.note(robots, count, is_whole=False)
-            return
-        self._optimise_whole(group, is_thorough)
-        if self._may_forget and not is_thorough:
-            self._forget(robots, self.settled_maps.first_unsettled(count))
-        self.settled_maps.note(robots, count, is_whole=True, held=self._graph.held_count)
-
-    def _forget(self, robots: tuple[int, ...], end: int) -> None:
-        """Let go of those nodes before `end` in the map of some robots that tell nothing that others do not."""
-        if end <= 0:
-            return
-        nodes = self._graph.nodes_of(robots)
-        may_go = self._graph.may_go(nodes, end)
-        if not may_go.any():
-            return
-        poses, scans = self._graph.rows_of(nodes)
-        carriers = carriers_of(
-            poses, scans, self._graph.robot_of_node[nodes], may_go, *self._graph.sightings(nodes)
-        )  # fmt: skip
-        gone = np.flatnonzero(carriers >= 0)
-        if not len(gone):
-            return
-        self._graph.forget(nodes[gone], nodes[carriers[gone]])
-        for knower in (self._search, self._judge, self._maps):
-            knower.forget()
-
-    def _optimise_latest(self, group: int, first: int) -> bool:
-        """Optimise the nodes from `first` on and leave the others; False where closures should be weighed anew."""
-        robots = self.groups[group].robots
-        if self._is_refused_often(robots, self._graph.refused_count(robots)):
-            return False
-        nodes, _, graph, is_used = self._graph.part(robots, first)
-        held = np.arange(np.searchsorted(nodes, first))
-        result = robust_backend.second_thoughts(
-            self._graph.poses[nodes], graph, is_used, self._config.pose_graph, held
-        )  # fmt: skip
-        if not np.array_equal(result.accepted, is_used):
-            return False
-        self._graph.place(nodes, result.poses)
-        self._maps.redraw_if_moved(group, first)
-        return True
-
-    def _is_refused_often(self, robots: tuple[int, ...], refused: int) -> bool:
-        return refused >= max(REFUSED_MIN, 1.5 * self._refused_heard.get(robots, 0))
-
-    def _optimise_whole(self, group: int, is_thorough: bool) -> None:
-        robots = self.groups[group].robots
-        nodes, edges, graph, is_used = self._graph.part(robots)
-        if len(nodes) < 2:
-            return
-        fixed = int(np.searchsorted(nodes, self._graph.node((robots[0], 0)))) if self.keyframes[robots[0]] else 0
-        refused = int(np.count_nonzero(~is_used))
-        is_thorough |= self._is_refused_often(robots, refused)
-        result = robust_backend.revise(
-            self._graph.poses[nodes], graph, is_used, self._config.pose_graph, fixed, is_thorough and refused > 0,
-            lambda *sides: self._judge.may_replace(robots, *[self._graph.closures_of(edges[used]) for used in sides]),
-        )  # fmt: skip
-        if is_thorough:
-            self._refused_heard[robots] = refused
-        self._graph.mark(edges, result.accepted, {r.edge: r.reason for r in result.rejections})
-        poses = result.poses
-        if self._radio is not None:
-            local = self._graph.places_among(robots, nodes)
-            poses = self._radio.fit(robots, graph.of(result.accepted), poses, local, fixed)
-        self._graph.place(nodes, poses)
-        self._maps.redraw_if_moved(group)

@@ -16,16 +16,12 @@ from twc_env.messages import Keyframe, LoopClosure
 from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays
 from twc_env.slam.graph_thinning import Edges, thinned
 from twc_env.slam.keyframe_paths import place_on
-from twc_env.slam.known_places import Sightings
 from twc_env.slam.odometry_filter import squared_error
 from twc_env.slam.pose_graph import Graph
 from twc_env.slam.sign_readings import SignReadings
 from twc_env.team_messages import KnownSigns
 
 Array = NDArray
-
-LATEST, TIES = 30, 12
-"""Of each robot so many of its latest keyframes, and of two robots' first accepted closures, are never forgotten."""
 
 
 @borrowing_kernel
@@ -166,15 +162,18 @@ class TeamGraph(GraphArrays):
 
     def keyframe(self, key: tuple[int, int]) -> Keyframe:
         """A robot's keyframe, one that is held."""
-        path, index = self.keyframes[key[0]], key[1]
-        is_whole = index < len(path) and path[index].index == index  # as nearly all are
-        return path[index if is_whole else place_on(path, index)]
+        path = self.keyframes[key[0]]
+        return path[place_on(path, key[1])]
 
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
         if not self._nodes[robot]:
             return np.zeros(3)
         return compose(self.poses[self._nodes[robot][-1]], inverse(self.keyframes[robot][-1].pose_odom))
+
+    def index_of(self, node: int) -> int:
+        """Which of its robot's keyframes a node is."""
+        return bisect_left(self._nodes[int(self.robot_of_node[node])], node)
 
     def add_keyframe(self, keyframe: Keyframe) -> int:
         """The node of a new keyframe, put where odometry leads from the robot's last one."""
@@ -257,33 +256,6 @@ class TeamGraph(GraphArrays):
             if closure.joins(a, b):
                 out.append(closure)
         return out
-
-    def may_go(self, nodes: Array, end: int) -> Array:
-        """(k,) bool: which of some held nodes may be forgotten: none from `end` on, nor each robot's first and latest.
-
-        Nor those by which two robots were first tied to each other, so that merges can still be judged and undone, or
-        whose closures wait for a merge.
-        """
-        may_go = nodes < end
-        stay = [node for own in self._nodes for node in (*own[:1], *own[-LATEST:])]
-        ties: dict[tuple[int, int], int] = {}
-        for closure in self.closures:
-            ends = closure.candidate.target, closure.candidate.source
-            pair = min(ends)[0], max(ends)[0]
-            is_tie = closure.status == "accepted" and pair[0] != pair[1] and ties.get(pair, 0) < TIES
-            ties[pair] = ties.get(pair, 0) + is_tie
-            if is_tie or closure.status == "pending":
-                stay += [self.node(key) for key in ends]
-        return may_go & ~np.isin(nodes, stay)
-
-    def sightings(self, nodes: Array) -> Sightings:
-        """The signs that were read at some nodes (k,)."""
-        ends, places = [], []
-        for node, robot in zip(nodes.tolist(), self.robot_of_node[nodes].tolist(), strict=True):
-            keyframe = self.keyframe((robot, bisect_left(self._nodes[robot], node)))
-            places += [compose(self.poses[node], [*sign.position_m, 0.0])[:2] for sign in keyframe.signs]
-            ends.append(len(places))
-        return Sightings(np.array(ends, np.int64), np.array(places, float).reshape(-1, 2))
 
     def forget(self, nodes: Array, carriers: Array) -> None:
         """Let go of keyframes (k,), each of which moves from now on with another one (k,) that is held.

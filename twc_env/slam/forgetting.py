@@ -1,0 +1,77 @@
+"""What one mapper lets go of once its map is large: keyframes that tell nothing that others do not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.geometry import compose
+from twc_env.slam.known_places import Sightings, carriers_of
+from twc_env.slam.team_graph import TeamGraph
+
+Array = NDArray
+
+LATEST, TIES = 30, 12
+"""Of each robot so many of its latest keyframes, and of two robots' first accepted closures, are never forgotten."""
+
+
+class Knower(Protocol):
+    """What holds things about keyframes by the graph's numbers or names."""
+
+    def forget(self) -> None:
+        """Let go of what is about keyframes that the graph no longer holds."""
+
+
+class Forgetting:
+    """Lets go of keyframes of one graph, and of what others know about them."""
+
+    def __init__(self, graph: TeamGraph, knowers: Sequence[Knower]):
+        self._graph, self._knowers = graph, knowers
+
+    def forget(self, robots: tuple[int, ...], end: int) -> None:
+        """Let go of those nodes before `end` in the map of some robots that tell nothing that others do not."""
+        if end <= 0:
+            return
+        nodes = self._graph.nodes_of(robots)
+        may_go = self._may_go(nodes, end)
+        if not may_go.any():
+            return
+        poses, scans = self._graph.rows_of(nodes)
+        carriers = carriers_of(poses, scans, self._graph.robot_of_node[nodes], may_go, *self._sightings(nodes))
+        gone = np.flatnonzero(carriers >= 0)
+        if not len(gone):
+            return
+        self._graph.forget(nodes[gone], nodes[carriers[gone]])
+        for knower in self._knowers:
+            knower.forget()
+
+    def _may_go(self, nodes: Array, end: int) -> Array:
+        """(k,) bool: which of some held nodes may be forgotten: none from `end` on, nor each robot's first and latest.
+
+        Nor those by which two robots were first tied to each other, so that merges can still be judged and undone, or
+        whose closures wait for a merge.
+        """
+        graph = self._graph
+        paths = [graph.path_of(robot).tolist() for robot in range(len(graph.keyframes))]
+        stay = [node for own in paths for node in (*own[:1], *own[-LATEST:])]
+        ties: dict[tuple[int, int], int] = {}
+        for closure in graph.closures:
+            ends = closure.candidate.target, closure.candidate.source
+            pair = min(ends)[0], max(ends)[0]
+            is_tie = closure.status == "accepted" and pair[0] != pair[1] and ties.get(pair, 0) < TIES
+            ties[pair] = ties.get(pair, 0) + is_tie
+            if is_tie or closure.status == "pending":
+                stay += [graph.node(key) for key in ends]
+        return (nodes < end) & ~np.isin(nodes, stay)
+
+    def _sightings(self, nodes: Array) -> Sightings:
+        """The signs that were read at some nodes (k,)."""
+        graph, ends, places = self._graph, list[int](), list[Array]()
+        for node, robot in zip(nodes.tolist(), graph.robot_of_node[nodes].tolist(), strict=True):
+            keyframe = graph.keyframe((robot, graph.index_of(node)))
+            places += [compose(graph.poses[node], [*sign.position_m, 0.0])[:2] for sign in keyframe.signs]
+            ends.append(len(places))
+        return Sightings(np.array(ends, np.int64), np.array(places, float).reshape(-1, 2))
