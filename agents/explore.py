@@ -121,7 +121,7 @@ def _clock_s(compiling: TimingListener) -> float:
 def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
     frame = env.render()
     if frame is not None:
-        film.add(step, frame)
+        film.add(step, frame, env.episode.caption())
 
 
 def write_run(run: Run, folder: Path, pictures: bool = True) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env import ConfigError, EpisodeResult
+from twc_env.film import film_frame, write_film
 from twc_env.geometry import compose
 from twc_env.map_picture import name_sign
 
@@ -41,14 +42,9 @@ class Film:
         """Whether the frame of this step should be added."""
         return step % self.every == 0
 
-    def add(self, step: int, frame: Array) -> None:
-        """Keep a frame (height, width, 3) uint8."""
-        from PIL import Image
-
-        image = Image.fromarray(frame)
-        if image.width > GIF_WIDTH_PX:
-            image = image.resize((GIF_WIDTH_PX, round(image.height * GIF_WIDTH_PX / image.width)), Image.Resampling.BOX)
-        self._frames.append(image.quantize(64, dither=Image.Dither.NONE))
+    def add(self, step: int, frame: Array, caption: str) -> None:
+        """Keep a frame (height, width, 3) uint8 with a line of text under it."""
+        self._frames.append(film_frame(frame, caption, GIF_WIDTH_PX))
         self._steps.append(step)
         if len(self._frames) > FRAME_COUNT_MAX:
             self.every *= 2
@@ -59,8 +55,7 @@ class Film:
         """Save as an endless GIF that rests on its last frame."""
         if not self._frames:
             return
-        durations_ms = [80] * (len(self._frames) - 1) + [2000]
-        self._frames[0].save(path, save_all=True, append_images=self._frames[1:], duration=durations_ms, loop=0)
+        write_film(path, self._frames, [80] * (len(self._frames) - 1) + [2000])
 
 
 def draw_map(result: EpisodeResult, path: Path) -> None:

@@ -141,6 +141,45 @@ def test_a_team_is_filmed_one_file_for_each_episode(tmp_path):
         assert film.info["duration"] == 200  # two time steps of a tenth of a second
 
 
+def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeypatch):
+    pytest.importorskip("PIL", reason="needs the extra 'viz'")
+    from twc_env import film, video
+
+    captions, heights = [], []
+
+    def seen(picture, caption, width_max_px):
+        frame = film.film_frame(picture, caption, width_max_px)
+        captions.append(caption)
+        heights.append((picture.shape[0] * frame.width / picture.shape[1], frame.height))
+        strip = np.asarray(frame.convert("L"))[-2 * film.TEXT_PX :]
+        assert strip.min() < 80 and strip[:, -8:].min() == 255  # ink, and none cut off at the right
+        return frame
+
+    monkeypatch.setattr(video, "film_frame", seen)
+    env = video.RecordEpisodes(
+        twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL, render_mode="rgb_array"), tmp_path, every=4
+    )
+    env.reset(seed=0)
+    while env.agents:
+        env.step({agent: np.array([0.9, 0.5], np.float32) for agent in env.agents})
+    figures = env.unwrapped.result().figures
+    assert [caption.split("   ")[0] for caption in captions] == ["0.0 s", "0.4 s", "0.8 s"]
+    assert captions[-1].split("   ")[1:] == [
+        f"{figures['merged_robots']} of 2 robots in one map",
+        f"{figures['coverage_correct']:.0%} of the floor mapped rightly",
+    ]
+    assert all(height > round(picture) for picture, height in heights)
+
+
+def test_a_long_caption_under_a_narrow_picture_is_made_small_enough():
+    pytest.importorskip("PIL", reason="needs the extra 'viz'")
+    from twc_env.film import film_frame
+
+    frame = film_frame(np.zeros((40, 260, 3), np.uint8), "33.5 s   2 of 3 robots in one map   32% of the floor", 560)
+    strip = np.asarray(frame.convert("L"))[41:]
+    assert strip.min() < 80 and strip[:, -4:].min() == 255
+
+
 def test_filming_needs_pictures_and_changes_nothing(tmp_path, same_last=("lidar", "map")):
     from twc_env.video import RecordEpisodes
 

@@ -17,14 +17,15 @@ from pettingzoo.utils import BaseParallelWrapper
 from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.film import film_frame, write_film
 
 WIDTH_MAX_PX = 560
-COLOURS = 64
 
 
 class RecordEpisodes(BaseParallelWrapper):
     """Writes `episode-0.gif`, `episode-1.gif`, ... into a folder, each when its episode ends.
 
+    Under each picture stand the time, how many robots share a map and how much of the floor is mapped rightly.
     Every `every`-th step is filmed and shown for as long as these steps last, where every step is one time step. An
     episode that is left before its first step leaves no film; one that is left in the middle a shorter one.
     """
@@ -64,15 +65,9 @@ class RecordEpisodes(BaseParallelWrapper):
         super().close()
 
     def _shoot(self) -> None:
-        from PIL import Image
-
         picture = self._team.render()
         assert picture is not None
-        image = Image.fromarray(picture)
-        if image.width > WIDTH_MAX_PX:
-            height = max(1, round(image.height * WIDTH_MAX_PX / image.width))
-            image = image.resize((WIDTH_MAX_PX, height), Image.Resampling.BOX)
-        self._frames.append(image.quantize(COLOURS, dither=Image.Dither.NONE))
+        self._frames.append(film_frame(picture, self._team.episode.caption(), WIDTH_MAX_PX))
 
     def _write(self) -> None:
         frames, self._frames = self._frames, []
@@ -83,6 +78,6 @@ class RecordEpisodes(BaseParallelWrapper):
         duration_ms = round(1000 * self._every * self._team.config.dynamics.time_step_s)
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration_ms, loop=0)
         except OSError as error:
-            raise DataError(f"cannot write {path}: {error.strerror}; choose another folder") from error
+            raise DataError(f"cannot make the folder {self._folder}: {error.strerror}; choose another") from error
+        write_film(path, frames, duration_ms)

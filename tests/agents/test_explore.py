@@ -244,7 +244,7 @@ def test_a_film_of_any_length_keeps_a_bounded_number_of_even_frames():
     film = Film(every=1)
     for step in range(1000):
         if film.wants(step):
-            film.add(step, np.full((8, 8, 3), step % 250, np.uint8))
+            film.add(step, np.full((8, 8, 3), step % 250, np.uint8), "")
     assert 80 <= len(film._steps) <= 161
     assert len(set(np.diff(film._steps))) == 1
 

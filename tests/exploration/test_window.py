@@ -80,6 +80,7 @@ def test_every_time_step_is_shown_once_at_the_frame_rate(pygame, monkeypatch):
     while env.agents:
         step(env)
         assert env.render() is None  # already there
+        assert pygame.display.get_caption()[0].startswith(env.episode.caption())
     assert len(flips) == 1 + SMALL["max_cycles"]
     assert flips[-1] - flips[1] >= 0.9 * 1000 * (len(flips) - 2) / 25
     env.close()

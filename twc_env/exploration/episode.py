@@ -149,6 +149,12 @@ class Episode:
             self.config, self.seed, self.floorplan, self.engine, self.record, self.engine.bytes_sent
         )
 
+    def caption(self) -> str:
+        """One line on where the team stands, judged against the truth, for under a picture of it."""
+        cells, robots = self.floorplan.cells(), self.config.robots
+        judged = verdicts.verdicts_of(self.engine, self.record, cells)
+        return verdicts.told(judged, cells, robots, self.steps * self.config.dynamics.time_step_s)
+
     def _tick(self, commands: Array) -> list[dict[str, float]]:
         """One time step: the reward terms of each robot."""
         if not (self._failures.is_nothing or self._failures.are_all_alive(self.steps)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -52,6 +53,15 @@ def verdicts_of(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[Gro
     """Every map that some robot believes in, that with most robots (then most area) first; leaves no mark."""
     verdicts = [judge_view(view, record, cells) for view in engine.views()]
     return sorted(verdicts, key=lambda v: (-len(v.robots), -v.correct_area_m2))
+
+
+def told(verdicts: Sequence[GroupVerdict], cells: Cells, robots: int, time_s: float) -> str:
+    """One line on how a team of so many robots stands: what is written under a film."""
+    best = verdicts[0]
+    wrong = ", merged wrongly" if any(verdict.wrong_pairs for verdict in verdicts) else ""
+    share = best.correct_area_m2 / floor_m2(cells)
+    merged = f"{len(best.robots)} of {robots} robots in one map{wrong}"
+    return f"{time_s:.1f} s   {merged}   {share:.0%} of the floor mapped rightly"
 
 
 def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:

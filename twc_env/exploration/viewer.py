@@ -25,7 +25,7 @@ class Viewer:
 
     def __init__(self, mode: str, frames_per_s: float, with_signal: bool):
         """Raises ConfigError where "human" cannot be shown for want of pygame."""
-        self._window = Window(f"twc_env    {HELP}", frames_per_s) if mode == "human" else None
+        self._window = Window("twc_env", frames_per_s) if mode == "human" else None
         self._layers = Layers(signal=with_signal)
         self._signal: tuple[Floorplan, SignalLayer] | None = None
         self._seen = SeenClosures()
@@ -46,7 +46,7 @@ class Viewer:
                 layers = layers.after(key)
             if step != self._shown_step or layers != self._layers:
                 self._layers, self._shown_step = layers, step
-                self._window.show(self._picture(episode))
+                self._window.show(self._picture(episode), f"{episode.caption()}    {HELP}")
             elif self._window.is_paused:
                 self._window.wait()
             if not self._window.is_paused:

@@ -34,8 +34,10 @@ class Window:
         self.is_paused = False
         """The user pressed space: whoever draws should wait until it is pressed again."""
 
-    def show(self, picture: Array) -> None:
+    def show(self, picture: Array, title: str = "") -> None:
         """Put a picture (height, width, 3) uint8 on the screen once the last one was there for 1 / rate seconds.
+
+        title: what the window's bar says from now on; empty keeps it.
 
         Raises ConfigError where there is no display.
         """
@@ -46,6 +48,8 @@ class Window:
         height, width = picture.shape[:2]
         if self._screen is None or self._screen.get_size() != (width, height):
             self._open(width, height)
+        if title:
+            pygame.display.set_caption(title)
         self._screen.blit(pygame.surfarray.make_surface(np.swapaxes(picture, 0, 1)), (0, 0))
         self._clock.tick(self._frames_per_s)
         pygame.display.flip()
