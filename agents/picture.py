@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env import ConfigError, EpisodeResult
-from twc_env.film import film_frame, write_film
 from twc_env.geometry import compose
 from twc_env.map_picture import name_sign
+from twc_env.video import film_frame, write_film
 
 Array = NDArray
 

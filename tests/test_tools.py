@@ -143,15 +143,17 @@ def test_a_team_is_filmed_one_file_for_each_episode(tmp_path):
 
 def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeypatch):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
-    from twc_env import film, video
+    from twc_env import video
 
     captions, heights = [], []
 
+    made = video.film_frame
+
     def seen(picture, caption, width_max_px):
-        frame = film.film_frame(picture, caption, width_max_px)
+        frame = made(picture, caption, width_max_px)
         captions.append(caption)
         heights.append((picture.shape[0] * frame.width / picture.shape[1], frame.height))
-        strip = np.asarray(frame.convert("L"))[-2 * film.TEXT_PX :]
+        strip = np.asarray(frame.convert("L"))[-2 * video.TEXT_PX :]
         assert strip.min() < 80 and strip[:, -8:].min() == 255  # ink, and none cut off at the right
         return frame
 
@@ -173,7 +175,7 @@ def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeyp
 
 def test_a_long_caption_under_a_narrow_picture_is_made_small_enough():
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
-    from twc_env.film import film_frame
+    from twc_env.video import film_frame
 
     frame = film_frame(np.zeros((40, 260, 3), np.uint8), "33.5 s   2 of 3 robots in one map   32% of the floor", 560)
     strip = np.asarray(frame.convert("L"))[41:]
