@@ -8,15 +8,17 @@ two nodes is put into one.
 
 from __future__ import annotations
 
-from collections import Counter
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.geometry import between, compose, inverse
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam.graph_arrays import ODOMETRY
-from twc_env.slam.twists import adjoint, turned
+from twc_env.slam.odometry_filter import invert3
+from twc_env.slam.relative_equations import wrapped
 
 Array = NDArray
 
@@ -47,33 +49,167 @@ class Edges:
         return Edges(*(part[kept] for part in self.parts))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Way:
-    """The motion along odometry from one node to a later one, and its covariance in the frame of the later one."""
+class _Ways(NamedTuple):
+    """From where a node that is gone can be found along odometry."""
 
-    motion: Array
-    covariance: Array
-
-    def then(self, other: _Way) -> _Way:
-        back = adjoint(inverse(other.motion))
-        return _Way(compose(self.motion, other.motion), turned(back, self.covariance) + other.covariance)
-
-    @property
-    def reversed(self) -> _Way:
-        return _Way(inverse(self.motion), turned(adjoint(self.motion), self.covariance))
-
-    def also(self, other: _Way) -> _Way:
-        """The mean of two ways between the same nodes, each as it is known."""
-        says = np.linalg.inv(other.covariance)
-        covariance = np.linalg.inv(np.linalg.inv(self.covariance) + says)
-        return _Way(compose(self.motion, covariance @ says @ between(self.motion, other.motion)), covariance)
-
-    @property
-    def spread_m2(self) -> float:
-        return float(self.covariance[0, 0] + self.covariance[1, 1])
+    starts: Array
+    """(nodes,) the nearer end of the stretch that each was on; -1 for nodes that stay."""
+    motions: Array
+    """(nodes, 3) from there."""
+    covariances: Array
+    """(nodes, 3, 3) of the motion, in the frame of the node that is gone; so for every way here."""
 
 
-_NOWHERE = _Way(np.zeros(3), np.zeros((3, 3)))
+@borrowing_kernel
+def _turn(x, y, heading, covariance):
+    """Covariance (3, 3) of twists, in place, as seen from another frame, in which its own is at this pose."""
+    c, s = math.cos(heading), math.sin(heading)
+    for j in range(3):
+        first, second, third = covariance[0, j], covariance[1, j], covariance[2, j]
+        covariance[0, j], covariance[1, j] = c * first - s * second + y * third, s * first + c * second - x * third
+    for i in range(3):
+        first, second, third = covariance[i, 0], covariance[i, 1], covariance[i, 2]
+        covariance[i, 0], covariance[i, 1] = c * first - s * second + y * third, s * first + c * second - x * third
+
+
+@borrowing_kernel
+def _go_on(motion, covariance, further, further_covariance):
+    """Make a way, in place, the one that goes on by another."""
+    c, s = math.cos(further[2]), math.sin(further[2])
+    x, y = -c * further[0] - s * further[1], s * further[0] - c * further[1]
+    _turn(x, y, -further[2], covariance)
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] += further_covariance[i, j]
+    c, s = math.cos(motion[2]), math.sin(motion[2])
+    motion[0] += c * further[0] - s * further[1]
+    motion[1] += s * further[0] + c * further[1]
+    motion[2] = wrapped(motion[2] + further[2])
+
+
+@borrowing_kernel
+def _reverse(motion, covariance):
+    """Make a way, in place, the one back."""
+    _turn(motion[0], motion[1], motion[2], covariance)
+    c, s = math.cos(motion[2]), math.sin(motion[2])
+    motion[0], motion[1] = -c * motion[0] - s * motion[1], s * motion[0] - c * motion[1]
+    motion[2] = wrapped(-motion[2])
+
+
+@kernel
+def _agree(motion, covariance, other, other_covariance):
+    """Make a way, in place, the mean of itself and another one between the same nodes, each as it is known."""
+    says, other_says = np.empty((3, 3)), np.empty((3, 3))
+    invert3(covariance, says)
+    invert3(other_covariance, other_says)
+    invert3(says + other_says, covariance)
+    c, s = math.cos(motion[2]), math.sin(motion[2])
+    dx, dy = other[0] - motion[0], other[1] - motion[1]
+    away, pull, step = np.empty(3), np.zeros(3), np.zeros(3)
+    away[0], away[1], away[2] = c * dx + s * dy, c * dy - s * dx, wrapped(other[2] - motion[2])
+    for i in range(3):
+        for j in range(3):
+            pull[i] += other_says[i, j] * away[j]
+    for i in range(3):
+        for j in range(3):
+            step[i] += covariance[i, j] * pull[j]
+    motion[0] += c * step[0] - s * step[1]
+    motion[1] += s * step[0] + c * step[1]
+    motion[2] = wrapped(motion[2] + step[2])
+
+
+@borrowing_kernel
+def _spread_m2(covariance):
+    return covariance[0, 0] + covariance[1, 1]
+
+
+@kernel
+def _inverted(matrices):
+    out = np.empty_like(matrices)
+    for k in range(matrices.shape[0]):
+        invert3(matrices[k], out[k])
+    return out
+
+
+@kernel
+def _past(ends, measured, covariances, is_gone):
+    """The stretches of odometry between nodes that stay: their ends (k, 2) and ways; and `_Ways` of the other nodes."""
+    count, edge_from = 0, np.full(is_gone.shape[0], -1)
+    for e in range(ends.shape[0]):
+        edge_from[ends[e, 0]] = e
+    stretches, whole, whole_covariances = np.empty_like(ends), np.zeros_like(measured), np.zeros_like(covariances)
+    starts, passed = np.full(is_gone.shape[0], -1), np.empty(is_gone.shape[0], np.int64)
+    motions, spreads = np.zeros((is_gone.shape[0], 3)), np.zeros((is_gone.shape[0], 3, 3))
+    back, back_spread, further, further_spread = np.empty(3), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    for start in range(is_gone.shape[0]):
+        if is_gone[start] or edge_from[start] < 0:
+            continue
+        node, length = start, 0
+        while edge_from[node] >= 0 and (node == start or is_gone[node]):
+            edge = edge_from[node]
+            _go_on(whole[count], whole_covariances[count], measured[edge], covariances[edge])
+            node = ends[edge, 1]
+            if is_gone[node]:
+                passed[length] = node
+                length += 1
+                starts[node], motions[node], spreads[node] = start, whole[count], whole_covariances[count]
+        stretches[count, 0], stretches[count, 1] = start, node
+        count += 1
+        further[:], further_spread[:] = 0.0, 0.0
+        for k in range(length - 1, -1, -1):  # from the other end
+            edge = edge_from[passed[k]]
+            back[:], back_spread[:] = measured[edge], covariances[edge]
+            _go_on(back, back_spread, further, further_spread)
+            further[:], further_spread[:] = back, back_spread
+            if _spread_m2(back_spread) < _spread_m2(spreads[passed[k]]):
+                _reverse(back, back_spread)
+                starts[passed[k]], motions[passed[k]], spreads[passed[k]] = node, back, back_spread
+    return stretches[:count], whole[:count], whole_covariances[:count], starts, motions, spreads
+
+
+@kernel
+def _move(ends, measured, covariances, starts, motions, spreads):
+    """Make of closures, in place, ones of the nodes that stay, by `_Ways`; gives how loose each is then [m2]."""
+    loose, back, back_spread = np.empty(ends.shape[0]), np.empty(3), np.empty((3, 3))
+    for e in range(ends.shape[0]):
+        i, j = ends[e, 0], ends[e, 1]
+        if starts[i] >= 0:
+            ends[e, 0] = starts[i]
+            back[:], back_spread[:] = motions[i], spreads[i]
+            _go_on(back, back_spread, measured[e], covariances[e])
+            measured[e], covariances[e] = back, back_spread
+        if starts[j] >= 0:
+            ends[e, 1] = starts[j]
+            back[:], back_spread[:] = motions[j], spreads[j]
+            _reverse(back, back_spread)
+            _go_on(measured[e], covariances[e], back, back_spread)
+        loose[e] = _spread_m2(covariances[e])
+    return loose
+
+
+@kernel
+def _choose(order, own, pairs, ends, measured, covariances, counts):
+    """Which closures (e,) stay, of which the first `own` do: those that come after in this order, the best first, where
+    both nodes have few. Others between the same two nodes, which `pairs` (e,) numbers, are put into one, in place.
+
+    counts (nodes,) of the closures at each node.
+    """
+    stays, said = np.zeros(ends.shape[0], np.bool_), np.full(ends.shape[0], -1)
+    for e in range(own):
+        stays[e], said[pairs[e]] = True, e
+    for e in order:
+        i, j, other = ends[e, 0], ends[e, 1], said[pairs[e]]
+        if i == j or _spread_m2(covariances[e]) > LOOSE_M**2:
+            continue
+        if other >= 0:
+            if ends[other, 0] != i:
+                _reverse(measured[e], covariances[e])
+            _agree(measured[other], covariances[other], measured[e], covariances[e])
+        elif min(counts[i], counts[j]) < CLOSURES_MAX:
+            stays[e], said[pairs[e]] = True, e
+            counts[i] += 1
+            counts[j] += 1
+    return stays
 
 
 def thinned(edges: Edges, is_gone: Array) -> Edges:
@@ -85,94 +221,28 @@ def thinned(edges: Edges, is_gone: Array) -> Edges:
     is_odometry = edges.closure == ODOMETRY
     joined, ways = _joined(edges.of(is_touched & is_odometry), is_gone)
     is_tie = ~is_odometry & edges.is_used
-    own, handed = _handed(edges.of(is_tie & ~is_touched), edges.of(is_tie & is_touched), is_gone, ways)
-    kept = edges.of(~is_touched)
-    is_own = is_tie[~is_touched]
-    kept.measured[is_own], kept.information[is_own] = own.measured, own.information
-    return Edges(*(np.concatenate(parts) for parts in zip(kept.parts, joined.parts, handed.parts, strict=True)))
+    ties = _handed(edges.of(is_tie & ~is_touched), edges.of(is_tie & is_touched), ways)
+    rest = edges.of(~is_touched & ~is_tie)
+    return Edges(*(np.concatenate(parts) for parts in zip(rest.parts, joined.parts, ties.parts, strict=True)))
 
 
-def _joined(edges: Edges, is_gone: Array) -> tuple[Edges, dict[int, tuple[int, _Way]]]:
-    """Odometry past the nodes that are gone, and of each of these the nearer end of its stretch and the way from it."""
-    steps = dict(zip(edges.ends[:, 0].tolist(), range(len(edges.ends)), strict=True))
-    covariances = np.linalg.inv(edges.information)
-    ends: list[tuple[int, int]] = []
-    whole: list[_Way] = []
-    nearer: dict[int, tuple[int, _Way]] = {}
-    for start in sorted(n for n in steps if not is_gone[n]):
-        passed, node, way = list[tuple[int, _Way]](), start, _NOWHERE
-        while node == start or is_gone[node]:
-            step = steps[node]
-            way = way.then(_Way(edges.measured[step], covariances[step]))
-            node = int(edges.ends[step, 1])
-            passed.append((node, way))
-        ends.append((start, node))
-        whole.append(way)
-        for other, there in passed[:-1]:
-            nearer[other] = start, there
-        back = _NOWHERE
-        for k in range(len(passed) - 2, -1, -1):
-            other, there = passed[k]
-            step = steps[other]
-            back = _Way(edges.measured[step], covariances[step]).then(back)
-            if back.spread_m2 < there.spread_m2:
-                nearer[other] = node, back.reversed
-    if not ends:
-        return edges, nearer
-    joined = Edges(
-        np.array(ends, np.int64), np.array([way.motion for way in whole]),
-        np.linalg.inv(np.array([way.covariance for way in whole])), np.full(len(ends), ODOMETRY, np.int64),
-        np.ones(len(ends), bool),
-    )  # fmt: skip
-    return joined, nearer
+def _joined(edges: Edges, is_gone: Array) -> tuple[Edges, _Ways]:
+    """Odometry past the nodes that are gone, and where these are along it."""
+    ends, motions, covariances, *ways = _past(edges.ends, edges.measured, _inverted(edges.information), is_gone)
+    count = len(ends)
+    joined = Edges(ends, motions, _inverted(covariances), np.full(count, ODOMETRY, np.int64), np.ones(count, bool))
+    return joined, _Ways(*ways)
 
 
-def _handed(own: Edges, edges: Edges, is_gone: Array, ways: dict[int, tuple[int, _Way]]) -> tuple[Edges, Edges]:
+def _handed(own: Edges, edges: Edges, ways: _Ways) -> Edges:
     """Closures of nodes that stay, with what those of nodes that are gone say of them; and the best of these."""
-    said: dict[tuple[int, int], tuple[int, _Way]] = {}
-    counts: Counter[int] = Counter(own.ends.ravel().tolist())
-    for k, (ends, motion, information) in enumerate(zip(own.ends.tolist(), own.measured, own.information, strict=True)):
-        said[ends[0], ends[1]] = k, _Way(motion, np.linalg.inv(information))
-    new: list[tuple[int, int]] = []
-    numbers: list[int] = []
-    for spread_m2, k, (i, j), way in sorted(_moved(edges, is_gone, ways), key=lambda entry: entry[:2]):
-        if i == j or spread_m2 > LOOSE_M**2:
-            continue
-        if (j, i) in said:
-            i, j, way = j, i, way.reversed
-        if (i, j) in said:
-            place, before = said[i, j]
-            said[i, j] = place, before.also(way)
-        elif min(counts[i], counts[j]) < CLOSURES_MAX:
-            said[i, j] = len(own.ends) + len(new), way
-            new.append((i, j))
-            numbers.append(k)
-            counts.update((i, j))
-    for place, way in said.values():
-        if place < len(own.ends):
-            own.measured[place], own.information[place] = way.motion, np.linalg.inv(way.covariance)
-    handed = edges.of(np.array(numbers, np.int64))
-    for place, pair in enumerate(new):
-        way = said[pair][1]
-        handed.ends[place], handed.measured[place] = pair, way.motion
-        handed.information[place] = np.linalg.inv(way.covariance)
-    return own, handed
-
-
-def _moved(
-    edges: Edges, is_gone: Array, ways: dict[int, tuple[int, _Way]]
-) -> list[tuple[float, int, tuple[int, int], _Way]]:
-    """Closures with ends that are gone as ones of the nodes that stay: how loose, their places, ends and ways."""
-    moved = []
-    for k, ((i, j), motion, information) in enumerate(
-        zip(edges.ends.tolist(), edges.measured, edges.information, strict=True)
-    ):
-        way = _Way(motion, np.linalg.inv(information))
-        if is_gone[i]:
-            i, to = ways[i]
-            way = to.then(way)
-        if is_gone[j]:
-            j, to = ways[j]
-            way = way.then(to.reversed)
-        moved.append((way.spread_m2, k, (i, j), way))
-    return moved
+    count = len(own.ends)
+    ends, measured = (np.concatenate(parts) for parts in ((own.ends, edges.ends), (own.measured, edges.measured)))
+    covariances = _inverted(np.concatenate([own.information, edges.information]))
+    loose_m2 = _move(ends[count:], measured[count:], covariances[count:], *ways)
+    pairs = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)[1].ravel()
+    order = count + np.argsort(loose_m2, kind="stable")
+    counts = np.bincount(own.ends.ravel(), minlength=len(ways.starts))
+    stays = _choose(order, count, pairs, ends, measured, covariances, counts)
+    numbers, is_used = np.concatenate([own.closure, edges.closure]), np.ones(len(ends), bool)
+    return Edges(ends, measured, _inverted(covariances), numbers, is_used).of(stays)
