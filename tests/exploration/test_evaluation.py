@@ -207,13 +207,13 @@ def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore, settings
     def agree(targets, *_):
         return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), (9, 9, 9))
 
-    def wrong(review, step):
+    def wrong(review, step, one_by_one):
         if review.merges and not merged_at:
             merged_at.append(step)
         if merged_at and step >= merged_at[0] + 40:
             for name, honest in told.items():
                 monkeypatch.setattr(map_merging, name, honest)
-        return review_of(review, step)
+        return review_of(review, step, one_by_one)
 
     lies = {"largest_agreement": agree, "wall_contradiction": lambda *_: 0.0, "wifi_agrees": lambda *_: True}
     told, review_of = {name: getattr(map_merging, name) for name in lies}, merge_review.MergeReview.wrong

@@ -1,6 +1,7 @@
 """Of a large map those keyframes are forgotten that tell nothing new; what the map is for still works."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from twc_env.slam.device_offsets import DeviceOffsets
 from twc_env.slam.graph_arrays import ODOMETRY
 from twc_env.slam.graph_thinning import Edges, thinned
 from twc_env.slam.known_places import VIEWS_ENOUGH, carriers_of
+from twc_env.slam.map_optimiser import MapOptimiser
 from twc_env.slam.place_recognition import ProposalFilter
 from twc_env.slam.settled_maps import SettledMaps
 from twc_env.slam.sign_readings import SignReadings
@@ -127,6 +129,35 @@ def test_peers_that_were_away_get_what_they_lack_and_each_forgets_for_itself():
     assert not env.episode.record.wrong_pairs
 
 
+def test_mappers_of_large_maps_take_turns_with_what_takes_long(monkeypatch):
+    busy, run = [], MapOptimiser.optimise_soiled
+
+    def noting(self, step):
+        if self._graph.node_count >= SMALL[0]:
+            busy.append((self, step))
+        run(self, step)
+
+    monkeypatch.setattr(MapOptimiser, "optimise_soiled", noting)
+    env, actions = started(1600, **{"link.topology": "peer"})
+    for _ in range(1599):
+        env.step(next(actions))
+    for home, mapper in enumerate(env.episode.engine.mappers):
+        steps = [step for who, step in busy if who is mapper.optimiser]
+        assert len(steps) > 2 and {step % 3 for step in steps} == {home}
+
+
+def test_merges_of_large_maps_are_looked_at_one_by_one():
+    env, actions = started(900)
+    for _ in range(899):
+        env.step(next(actions))
+    review, step = env.episode.engine.team._review, 10000
+    review.merges.append(replace(review.merges[0]))
+    for due in (1, 0):
+        assert review.wrong(step, one_by_one=True) is None
+        assert sum(merge.due_step <= step for merge in review.merges) == due and review.due_step <= step
+    assert review.wrong(step, one_by_one=True) is None and review.due_step > step
+
+
 def test_a_merge_of_a_map_that_forgot_is_undone_whole():
     env, actions = started(2500)
     for _ in range(2499):
@@ -134,7 +165,7 @@ def test_a_merge_of_a_map_that_forgot_is_undone_whole():
     team, truth = env.episode.engine.team, env.episode.record.true_poses
     assert team.groups[0].robots == (0, 1, 2) and len(team.nodes[0]) < 700
     merge = team._review.merges[-1]
-    team._review.wrong = lambda step: (merge, "it is said to be")
+    team._review.wrong = lambda *_: (merge, "it is said to be")
     team._retry_merges = lambda: None
     team._undo_wrong_merge()
     assert len(team.groups) == 2

@@ -114,7 +114,7 @@ def test_undoing_is_the_same_every_time(recorded, undone):
 
 def test_steps_without_news_in_which_nothing_is_due_are_left_out_and_no_others(recorded, monkeypatch):
     looked = []
-    monkeypatch.setattr(MergeReview, "wrong", lambda review, step: looked.append(("merges", step)))
+    monkeypatch.setattr(MergeReview, "wrong", lambda review, step, one_by_one: looked.append(("merges", step)))
     monkeypatch.setattr(TeamMapper, "_retry_merges", lambda team: looked.append(("pending", team._step)))
     found = []
     for is_always_asked in (False, True):

@@ -53,3 +53,33 @@ def test_the_table_finds_what_a_comparison_pair_by_pair_finds(make, radio, skipp
         assert np.array(found) == pytest.approx(np.array(expected), abs=1e-9)
         in_all += len(found)
     assert in_all > 18
+
+
+def test_a_table_of_which_rows_were_taken_out_is_one_that_never_had_them(make):
+    places, random = [make() for _ in range(PLACES)], np.random.default_rng(6)
+    texts, is_kept = random.integers(0, 9, PLACES), random.random(PLACES) < 0.4
+    is_kept &= texts != 4
+    number_of = np.array([0, 1, 2, 3, -1, 4, 5, 6, 7])
+    table, fresh = SignTable(), SignTable()
+    for k, (place, text) in enumerate(zip(places, texts.tolist(), strict=True)):
+        table.append(place, f"text {text}", text)
+        if is_kept[k]:
+            fresh.append(place, f"text {text}", int(number_of[text]))
+    table.keep(is_kept, number_of, {f"text {text}" for text in texts[is_kept].tolist()})
+    for place, text in zip(places, texts.tolist(), strict=True):  # it goes on as well
+        if text != 4:
+            for one in (table, fresh):
+                one.append(place, f"text {text}", int(number_of[text]))
+    radio = RadioRule(0.2, -math.inf, 8.0)
+    for _ in range(20):
+        here = make()
+        found = [one.like([(0, 1.0), (5, 0.9)], here, (), APART_M, radio) for one in (table, fresh)]
+        assert found[0] == found[1]
+
+
+def test_a_table_of_which_everything_was_taken_out_is_empty(make):
+    table = SignTable()
+    table.keep(np.zeros(0, bool), np.zeros(0, np.int64), ())
+    table.append(make(), "EXIT", 0)
+    table.keep(np.zeros(1, bool), np.array([-1]), ())
+    assert table.like([], make(), (), APART_M, RadioRule(0.2, -math.inf, 8.0)) == []

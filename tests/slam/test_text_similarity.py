@@ -84,6 +84,18 @@ def test_alike_texts_are_those_that_a_comparison_with_all_would_find():
         assert dict(alike.alike(text)) == {k: pytest.approx(s) for k, s in expected.items() if s >= 0.8}
 
 
+def test_texts_that_are_kept_are_numbered_anew_and_alike_as_before():
+    texts, kept = ["ROOM 101", "ROOM 102", "TOILET", "R00M 101", "EXIT"], ["ROOM 102", "R00M 101", "EXIT"]
+    alike, fresh = AlikeTexts(0.7), AlikeTexts(0.7)
+    for text in texts:
+        alike.number_of(text)
+    for text in kept:
+        fresh.number_of(text)
+    assert alike.keep(set(kept)).tolist() == [-1, 0, -1, 1, 2]
+    for text in [*texts, "ROOM 10"]:
+        assert sorted(alike.alike(text)) == sorted(fresh.alike(text)) and alike.has(text) == fresh.has(text)
+
+
 def test_a_similarity_that_equals_the_minimum_meets_it():
     alike = AlikeTexts(0.8)
     for text in ("A1013", "ENTRANCE 1"):

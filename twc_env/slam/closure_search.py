@@ -10,7 +10,6 @@ from twc_env.config import EnvConfig
 from twc_env.geometry import between
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.group_maps import GroupMaps
-from twc_env.slam.keyframe_paths import is_on
 from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
 from twc_env.slam.place_recognition import Forgetful, ProposalFilter, make_recogniser
 from twc_env.slam.signless_recogniser import SignlessRecogniser
@@ -127,8 +126,10 @@ class ClosureSearch:
     def forget(self) -> None:
         """Keyframes have been forgotten: nothing is compared with them, and what they were tried with is no matter."""
 
+        held = [{keyframe.index for keyframe in path} for path in self._graph.keyframes]
+
         def is_held(key: tuple[int, int]) -> bool:
-            return is_on(self._graph.keyframes[key[0]], key[1])
+            return key[1] in held[key[0]]
 
         for recogniser in (self._recogniser, self._signless, self._strangers):
             if isinstance(recogniser, Forgetful):

@@ -55,8 +55,8 @@ class Forgetting:
         whose closures wait for a merge.
         """
         graph = self._graph
-        paths = [graph.path_of(robot).tolist() for robot in range(len(graph.keyframes))]
-        stay = [node for own in paths for node in (*own[:1], *own[-LATEST:])]
+        paths = map(graph.path_of, range(len(graph.keyframes)))
+        stay = [node for own in paths for part in (own[:1], own[-LATEST:]) for node in part.tolist()]
         ties: dict[tuple[int, int], int] = {}
         for closure in graph.closures:
             ends = closure.candidate.target, closure.candidate.source
@@ -68,10 +68,11 @@ class Forgetting:
         return (nodes < end) & ~np.isin(nodes, stay)
 
     def _sightings(self, nodes: Array) -> Sightings:
-        """The signs that were read at some nodes (k,)."""
-        graph, ends, places = self._graph, list[int](), list[Array]()
-        for node, robot in zip(nodes.tolist(), graph.robot_of_node[nodes].tolist(), strict=True):
-            keyframe = graph.keyframe((robot, graph.index_of(node)))
-            places += [compose(graph.poses[node], [*sign.position_m, 0.0])[:2] for sign in keyframe.signs]
-            ends.append(len(places))
-        return Sightings(np.array(ends, np.int64), np.array(places, float).reshape(-1, 2))
+        """The signs that were read at all nodes (k,) of some robots that are held, ascending."""
+        paths = [iter(path) for path in self._graph.keyframes]
+        keyframes = [next(paths[robot]) for robot in self._graph.robot_of_node[nodes].tolist()]
+        counts = [len(keyframe.signs) for keyframe in keyframes]
+        local = np.zeros((sum(counts), 3))
+        local[:, :2] = np.reshape([sign.position_m for keyframe in keyframes for sign in keyframe.signs], (-1, 2))
+        places = compose(np.repeat(self._graph.poses[nodes], counts, axis=0), local)[:, :2]
+        return Sightings(np.cumsum(counts), np.ascontiguousarray(places))

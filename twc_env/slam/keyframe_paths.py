@@ -16,9 +16,3 @@ def place_on(path: Sequence[Keyframe], index: int) -> int:
     if index < len(path) and path[index].index == index:
         return index
     return bisect_left(path, index, key=_index)
-
-
-def is_on(path: Sequence[Keyframe], index: int) -> bool:
-    """Whether a keyframe is held."""
-    place = place_on(path, index)
-    return place < len(path) and path[place].index == index

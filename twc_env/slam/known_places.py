@@ -70,12 +70,13 @@ def carriers_of(poses, scans, robots, may_go, sign_ends, sign_places):
             owner[k] = n
         if not may_go[n]:
             continue
-        nearest = SAME_PLACE_M
+        nearest_m2 = SAME_PLACE_M**2
         for m in range(n):
-            away = math.hypot(poses[m, 0] - poses[n, 0], poses[m, 1] - poses[n, 1])
-            is_near = away < nearest and is_kept[m] and robots[m] == robots[n]
-            if is_near and _is_open(poses[m], scans[m], poses[n]) and _is_open(poses[n], scans[n], poses[m]):
-                nearest, carriers[n] = away, m
+            dx, dy = poses[m, 0] - poses[n, 0], poses[m, 1] - poses[n, 1]
+            if dx * dx + dy * dy >= nearest_m2 or not is_kept[m] or robots[m] != robots[n]:
+                continue
+            if _is_open(poses[m], scans[m], poses[n]) and _is_open(poses[n], scans[n], poses[m]):
+                nearest_m2, carriers[n] = dx * dx + dy * dy, m
         if carriers[n] >= 0:
             if _adds_sign(sign_places, first, sign_ends[n], first, robots, owner, robots[n], is_kept):
                 carriers[n] = -1

@@ -88,13 +88,20 @@ class MergeReview:
             return math.inf
         return self._next_step if self._graph.refusals == self._refusals_seen else 0
 
-    def wrong(self, step: int) -> tuple[Merge, str] | None:
-        """The first merge that turns out to be wrong, and why; None while all stand."""
+    def wrong(self, step: int, one_by_one: bool = False) -> tuple[Merge, str] | None:
+        """The first merge that turns out to be wrong, and why; None while all stand.
+
+        one_by_one: look at one merge whose time has come, and at the others the next time.
+        """
         for merge in self.merges:
+            is_due = step >= merge.due_step
             why = self._objection(merge, step)
             if why:
                 self._next_step = step  # the others have not been looked at
                 return merge, why
+            if is_due and one_by_one:
+                self._next_step = step
+                return None
         self._next_step = min((merge.due_step for merge in self.merges), default=0)
         self._refusals_seen = self._graph.refusals
         return None

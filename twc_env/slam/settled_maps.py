@@ -26,19 +26,23 @@ class SettledMaps:
         self._latest: dict[tuple[int, ...], int] = {}
         """How many keyframes there were when the map of these robots was optimised: held as a whole, ever at all."""
 
+    def is_large(self, count: int) -> bool:
+        """Whether a map of so many keyframes is."""
+        return count >= self._large_from
+
     def first_movable(self, robots: tuple[int, ...], count: int, held: int | None = None) -> int:
         """The first of `count` keyframes that may move in the map of these robots; 0 for all of them.
 
         held: so many of them are not forgotten; all of them where none is given.
         """
         held = count if held is None else held
-        if count < self._large_from or held >= GROWN * self._whole.get(robots, 0):
+        if not self.is_large(count) or held >= GROWN * self._whole.get(robots, 0):
             return 0
         return max(self._latest[robots] - self._movable, 0)
 
     def first_unsettled(self, count: int) -> int:
         """The first of `count` keyframes that may not be forgotten now that all of a map has been optimised."""
-        return count - self._movable if self._forgets and count >= self._large_from else 0
+        return count - self._movable if self._forgets and self.is_large(count) else 0
 
     def note(self, robots: tuple[int, ...], count: int, is_whole: bool, held: int | None = None) -> None:
         """The map of these robots was optimised when there were so many keyframes."""

@@ -92,6 +92,25 @@ def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, 
     return count
 
 
+@kernel
+def _not_repeated(readings, places, is_gone):
+    """(n,) bool: which readings stay of those at places (n, 2), see `SignReadings.forget`."""
+    stays = np.empty(readings.shape[0], np.bool_)
+    for k in range(readings.shape[0]):
+        stays[k] = not is_gone[readings[k, 1]]
+    for k in range(readings.shape[0]):
+        if stays[k]:
+            continue
+        count, is_said = 0, False
+        for j in range(readings.shape[0]):
+            if readings[j, 2] != readings[k, 2] or readings[j, 0] != readings[k, 0]:
+                continue
+            if math.hypot(places[j, 0] - places[k, 0], places[j, 1] - places[k, 1]) < SAME_SIGN_M:
+                count, is_said = count + 1, is_said or stays[j]
+        stays[k] = count > 1 and not is_said
+    return stays
+
+
 class SignReadings:
     """The readings of all robots, in the order of their arrival."""
 
@@ -135,11 +154,7 @@ class SignReadings:
         readings, local = self._readings[: self._count], self._places[: self._count]
         at_node = np.concatenate([local, np.zeros((len(local), 1))], axis=1)
         places = compose(poses[readings[:, 1]], at_node)[:, :2]
-        stays = ~is_gone[readings[:, 1]]
-        for k in np.flatnonzero(~stays).tolist():
-            is_same = (readings[:, 0] == readings[k, 0]) & (readings[:, 2] == readings[k, 2])
-            is_same &= np.hypot(*(places - places[k]).T) < SAME_SIGN_M
-            stays[k] = np.count_nonzero(is_same) > 1 and not stays[is_same].any()
+        stays = _not_repeated(readings, places, is_gone)
         numbers, texts = np.unique(readings[stays, 2], return_inverse=True)
         self._texts = [self._texts[number] for number in numbers.tolist()]
         self._numbers = {text: number for number, text in enumerate(self._texts)}

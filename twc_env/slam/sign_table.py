@@ -103,6 +103,12 @@ def _put(table, row, robot, text, travel, is_early, macs, levels):
     is_deaf[robot] = not (is_early or has_heard[robot])
 
 
+def _only(rows: Array, is_kept: Array) -> Array:
+    """Some of the rows, with room for more."""
+    kept = rows[is_kept]
+    return np.concatenate([kept, np.zeros((max(len(kept), _ROOM), *kept.shape[1:]), kept.dtype)])
+
+
 class SignTable:
     """A row for each place: who read which text there, how far along its path, and what was heard."""
 
@@ -139,19 +145,32 @@ class SignTable:
             self._put = bound(_put, self._all(), *new)
         self._put(*new)
         self._robots = max(self._robots, keyframe.robot + 1)
-        first_m = self._first_m.setdefault(number, {})
-        first_m[keyframe.robot] = min(first_m.get(keyframe.robot, math.inf), keyframe.travel_m)
+        self._note_first(keyframe.robot, number, keyframe.travel_m)
         return self._devices.note(keyframe.robot, text, heard)
 
-    def clear(self, texts: Collection[str]) -> None:
-        """Take out all rows; what is known of the robots' receivers stays, and of texts where these were first read."""
-        self._places, self._travels_m = self._places[:_ROOM].copy(), self._travels_m[:_ROOM].copy()
-        self._ends, self._found = self._ends[:_ROOM].copy(), self._found[:_ROOM].copy()
-        self._macs, self._rssi_dbm = self._macs[:_ROOM].copy(), self._rssi_dbm[:_ROOM].copy()
-        self._count = self._end = 0
+    def keep(self, is_kept: Array, number_of: Array, texts: Collection[str]) -> None:
+        """Of all rows (rows,) bool only some, with new numbers of their texts, by the old ones; `texts` are all of
+        these. What is known of the robots' receivers stays.
+        """
+        count, end = self._count, self._end
+        of_row = np.repeat(is_kept, np.diff(self._ends[:count], prepend=0))
+        self._places[:count, 1] = number_of[self._places[:count, 1]]
+        self._places, self._travels_m = _only(self._places[:count], is_kept), _only(self._travels_m[:count], is_kept)
+        self._macs, self._rssi_dbm = _only(self._macs[:end], of_row), _only(self._rssi_dbm[:end], of_row)
+        ends = np.append(0, np.cumsum(of_row))[self._ends[:count]]
+        self._ends, self._found = _only(ends, is_kept), np.zeros((len(self._travels_m), 6))
+        self._count, self._end = int(np.count_nonzero(is_kept)), int(np.count_nonzero(of_row))
         self._choose = self._put = None
         self._first_m.clear()
+        for (robot, text), travel_m in zip(
+            self._places[: self._count].tolist(), self._travels_m[: self._count].tolist(), strict=True
+        ):
+            self._note_first(robot, text, travel_m)
         self._devices.forget(texts)
+
+    def _note_first(self, robot: int, text: int, travel_m: float) -> None:
+        first_m = self._first_m.setdefault(text, {})
+        first_m[robot] = min(first_m.get(robot, math.inf), travel_m)
 
     def _make_room(self, robot: int) -> None:
         """Room for all rows and readings that there are, and for a robot of this number."""

@@ -41,6 +41,8 @@ class TeamMapper:
 
     def __init__(self, config: EnvConfig, robot_count: int, home: int | None = None):
         self._config, self._on_request = config.slam, config.link.scan_on_request
+        self._turns, self._turn = (1, 0) if home is None else (robot_count, home)
+        """Of so many steps the one in which this mapper, and no other, does what takes long with large maps."""
         self._graph = TeamGraph(robot_count, config.lidar.beam_count, config.slam.pose_graph.robust == "ours")
         self._maps = GroupMaps(config, self._graph, home, robot_count)
         self.groups: list[Group] = self._maps.groups
@@ -102,12 +104,14 @@ class TeamMapper:
             for _ in range(self._config.verification.backlog_per_step):
                 if not self._verify_one():
                     break
-        if step >= self._review.due_step and self._given_starts is None:
-            self._undo_wrong_merge()
+        is_large = self.optimiser.settled_maps.is_large(len(self._graph.poses))
+        is_turn = not is_large or step % self._turns == self._turn
+        if is_turn and step >= self._review.due_step and self._given_starts is None:
+            self._undo_wrong_merge(one_by_one=is_large)
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
-        if self.optimiser.is_soiled and step >= self.optimiser.due_step:
+        if is_turn and self.optimiser.is_soiled and step >= self.optimiser.due_step:
             self.optimiser.optimise_soiled(step)
         self._due_step, self._settled = self._next_due_step(), self._graph.changes
         return True
@@ -305,9 +309,9 @@ class TeamMapper:
             if not any(self._try_merge(a, b) for a, b in sorted(pairs)):
                 return
 
-    def _undo_wrong_merge(self) -> None:
+    def _undo_wrong_merge(self, one_by_one: bool = False) -> None:
         """Take a group apart where its merge turned out to be wrong; its closures do not speak for a merge again."""
-        found = self._review.wrong(self._step)
+        found = self._review.wrong(self._step, one_by_one)
         if found is None:
             return
         merge, why = found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from bisect import bisect_left
 from collections.abc import MutableSequence, Sequence
 
 import numpy as np
@@ -170,10 +169,6 @@ class TeamGraph(GraphArrays):
         if not self._nodes[robot]:
             return np.zeros(3)
         return compose(self.poses[self._nodes[robot][-1]], inverse(self.keyframes[robot][-1].pose_odom))
-
-    def index_of(self, node: int) -> int:
-        """Which of its robot's keyframes a node is."""
-        return bisect_left(self._nodes[int(self.robot_of_node[node])], node)
 
     def add_keyframe(self, keyframe: Keyframe) -> int:
         """The node of a new keyframe, put where odometry leads from the robot's last one."""

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import lru_cache
 
+import numpy as np
+from numpy.typing import NDArray
 from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import extract
+
+Array = NDArray
 
 ROUNDING, SLACK = 1e-9, 0.01
 """A similarity this little below the minimum meets it; the library cuts off above equality, so it is asked for more."""
@@ -47,6 +52,21 @@ class AlikeTexts:
         own = 1.0 if text else 0.0
         self._alike.append([*found, (number, own)] if own >= self._similarity_min else found)
         return number
+
+    def keep(self, texts: Collection[str]) -> Array:
+        """Only some of the texts, in their order; gives the new number of each old one, -1 where there is none."""
+        kept = [number for number, text in enumerate(self._texts) if text in texts]
+        number_of = np.full(len(self._texts), -1)
+        number_of[kept] = np.arange(len(kept))
+        now = number_of.tolist()
+        self._alike = [
+            [(now[other], similarity) for other, similarity in self._alike[number] if now[other] >= 0]
+            for number in kept
+        ]
+        self._texts = [self._texts[number] for number in kept]
+        self._number_of = {text: number for number, text in enumerate(self._texts)}
+        self._compared = "", 0, []
+        return number_of
 
     def has(self, text: str) -> bool:
         """Whether the text has a number."""

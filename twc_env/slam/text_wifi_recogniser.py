@@ -35,7 +35,7 @@ class TextWifiRecogniser:
 
     def __init__(self, config: PlaceRecognitionConfig):
         self._config = config
-        self._texts = self._new_texts()
+        self._texts = AlikeTexts(config.text_similarity_min - 1e-9)
         self._radio = RadioRule.of(config, config.spares_missing_cues)
         self._recent: dict[tuple[int, str], deque[tuple[float, tuple[float, float]]]] = {}
         self._places: list[tuple[Keyframe, SignObservation]] = []
@@ -157,16 +157,11 @@ class TextWifiRecogniser:
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Forgetful`."""
-        self._places = [place for place in self._places if is_held(place[0])]
-        self._texts = self._new_texts()
-        texts = [self._key(sign.text) for _, sign in self._places]
-        self._table.clear(texts)
-        for text, (keyframe, _) in zip(texts, self._places, strict=True):
-            self._table.append(keyframe, text, self._texts.number_of(text))
+        is_kept = np.array([is_held(keyframe) for keyframe, _ in self._places], bool)
+        self._places = [place for place, stays in zip(self._places, is_kept.tolist(), strict=True) if stays]
+        texts = {self._key(sign.text) for _, sign in self._places}
+        self._table.keep(is_kept, self._texts.keep(texts), texts)
         self._recent = {key: recent for key, recent in self._recent.items() if self._texts.has(key[1])}
-
-    def _new_texts(self) -> AlikeTexts:
-        return AlikeTexts(self._config.text_similarity_min - 1e-9)
 
     def _key(self, text: str) -> str:
         return normalise(text) if self._config.normalise_text else text

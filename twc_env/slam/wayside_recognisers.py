@@ -34,11 +34,13 @@ class PlacesOnTheWay:
         self._keys: list[Array] = []
         self._last_m: dict[int, float] = {}
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
-        """See `Forgetful`."""
-        kept = [k for k, keyframe in enumerate(self.keyframes) if is_held(keyframe)]
+    def forget(self, is_held: Callable[[Keyframe], bool]) -> Array:
+        """See `Forgetful`; (places,) bool: those that stay."""
+        is_kept = np.array([is_held(keyframe) for keyframe in self.keyframes], bool)
+        kept = np.flatnonzero(is_kept).tolist()
         self.keyframes = [self.keyframes[k] for k in kept]
         self._descriptors, self._keys = [self._descriptors[k] for k in kept], [self._keys[k] for k in kept]
+        return is_kept
 
     def is_due(self, keyframe: Keyframe) -> bool:
         """Whether the robot has gone far enough since its last remembered place."""
@@ -130,10 +132,7 @@ class WifiRecogniser:
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Forgetful`."""
-        self._places.forget(is_held)
-        self._table.clear([])
-        for keyframe in self._places.keyframes:
-            self._table.append(keyframe, "", 0)
+        self._table.keep(self._places.forget(is_held), np.zeros(1, np.int64), ())
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """The smaller of the two similarities."""
