@@ -192,8 +192,8 @@ class GridMap:
     kinds: Array | None = None
     """(rows, columns) uint8, what stands there in short (`slam.cell_kinds`); None: whoever needs it works it out."""
     touched: Array | None = None
-    """(blocks, blocks) int64, of each block of `BLOCK_SHAPE` cells another number when it may have changed; None: any
-    may have."""
+    """(blocks, blocks) int64, of each block of `BLOCK_SHAPE` cells another number when one of them may have become
+    free, unknown or wall; None: any may have."""
 
     def cell_of(self, points_m: Array) -> Array:
         """(..., 2) points in the map frame -> (..., 2) integer (row, column); may lie outside."""

@@ -113,14 +113,37 @@ def _lower(levels, first, last):
 
 
 @borrowing_kernel
+def _find_news(levels, first, last, span):
+    """Widen a span of columns by the blocks of a row in which lowering cells first..last - 1 makes one free or unknown.
+
+    In most there is none: what was seen through before is seen through again.
+    """
+    end = levels.shape[0] - RUN_CELLS
+    if end < 0:
+        span[0], span[1] = 0, levels.shape[0] - 1
+        return
+    at = first
+    while at < last:
+        start = min(at, end)
+        low, high = np.int16(at - start), np.int16(min(last - start, RUN_CELLS))
+        block, is_new = levels[start : start + RUN_CELLS], False
+        for j in range(RUN_CELLS):
+            inside = (_PLACES[j] >= low) & (_PLACES[j] < high)
+            is_new |= inside & (block[j] >= np.int16(0)) & (block[j] <= np.int16(-LOG_ODDS_FREE))
+        if is_new:
+            span[0], span[1] = min(span[0], at), max(span[1], start + high - 1)
+        at = start + RUN_CELLS
+
+
+@borrowing_kernel
 def _integrate_scan(
     log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, crossings, counts, spans, corners,
     edges, rows, cells,
 ):  # fmt: skip
     """Lower what the scan saw through and raise what it met.
 
-    Gives the first and last row that it can touch; spans (rows, 2) gets the first and last column touched in each,
-    where it has rows.
+    Gives the first and last row that it can touch; spans (rows, 2) gets, where it has rows, the first and last column
+    in each between which some cell has become free, unknown or wall.
     """
     height, width = log_odds.shape
     beams, has_spans = ranges.shape[0], spans.shape[0] > 0
@@ -141,11 +164,12 @@ def _integrate_scan(
     for row in range(row_low, row_high + 1):
         ends = counts[row - row_low] // 2 * 2
         if has_spans:
-            spans[row - row_low, 0] = crossings[0, row - row_low] if ends else width
-            spans[row - row_low, 1] = crossings[ends - 1, row - row_low] - 1 if ends else -1
+            spans[row - row_low, 0], spans[row - row_low, 1] = width, -1
         for p in range(ends // 2):
             first, last = crossings[2 * p, row - row_low], crossings[2 * p + 1, row - row_low]
             if first < last:
+                if has_spans:
+                    _find_news(log_odds[row], first, last, spans[row - row_low])
                 _lower(log_odds[row], first, last)
     last_row = last_column = -1
     for i in range(beams):
@@ -153,9 +177,9 @@ def _integrate_scan(
         if row < 0 or column < 0 or row >= height or column >= width:
             continue
         raised = LOG_ODDS_HIT if (row != last_row) | (column != last_column) else 0  # hard to foresee: no branch
-        last_row, last_column = row, column
-        log_odds[row, column] = min(log_odds[row, column] + raised, LOG_ODDS_MAX)
-        if has_spans:
+        last_row, last_column, before = row, column, log_odds[row, column]
+        log_odds[row, column] = min(before + raised, LOG_ODDS_MAX)
+        if has_spans and -LOG_ODDS_HIT <= before <= 0:  # else it stays free, or a wall
             at = min(max(row - row_low, 0), row_high - row_low)
             spans[at, 0], spans[at, 1] = min(spans[at, 0], column), max(spans[at, 1], column)
     return row_low, row_high
