@@ -7,9 +7,9 @@ of cells that scans touched since the last time. One compiled call does all of i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.messages import GridMap
 from twc_env.metrics.mapping import recount_free
 from twc_env.metrics.merging import WRONG_M, WRONG_RAD, find_frames, find_wrong
-from twc_env.metrics.trajectory import HEADING_LEVER_M, align
+from twc_env.metrics.trajectory import align
 from twc_env.world.floor_cells import Cells
 
 Array = NDArray
@@ -37,14 +37,9 @@ Nodes = tuple[Array, Array, Array]
 Pairs = tuple[tuple[int, int], ...]
 
 
-class Judgement(NamedTuple):
-    """A map against the truth."""
-
-    pose_building_map: list[float]
-    """x, y, heading: the one rigid alignment that lays the map on the building."""
-    wrong_pairs: Pairs
-    """Of its robots, whose relative frame is off by more than 1 m or 10 degrees."""
-    correct_area_m2: float
+Judgement = tuple[list[float], Pairs, float]
+"""A map against the truth: x, y, heading of the one rigid alignment that lays it on the building; the pairs of its
+robots whose relative frame is off by more than 1 m or 10 degrees; and how much floor it shows rightly [m2]."""
 
 
 def lay(robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> tuple[Array, Pairs] | None:
@@ -66,20 +61,23 @@ def _numbers(robots: tuple[int, ...]) -> Array:
 
 
 def _room_for(nodes: int, robots: int) -> tuple[Array, ...]:
-    """What `_lay_paths` works in: estimated and true poses, whose they are, frames, and which pairs are wrong."""
+    """What `_lay_paths` works in: estimated and true poses, turns between these, whose they are, frames; of every node
+    the turn that it had last, with its cosine and sine; and which pairs are wrong."""
     return (
-        np.empty((nodes, 3)), np.empty((nodes, 3)), np.empty(nodes, np.int64),
-        np.empty((robots, 3)), np.zeros((robots, robots), bool),
+        np.empty((nodes, 3)), np.empty((nodes, 3)), np.empty((nodes, 2)), np.empty(nodes, np.int64),
+        np.empty((robots, 3)), np.full((nodes, 3), math.nan), np.zeros((robots, robots), bool),
     )  # fmt: skip
 
 
 @borrowing_kernel
-def _collect(robots, poses, robot_of_node, step_of_node, truth, stride, estimated, true, owner):
+def _collect(robots, poses, robot_of_node, step_of_node, truth, stride, estimated, true, turns, owner, latest):
     """Estimated and true poses of some robots' keyframes, robot by robot, and whose they are; count and mean place.
 
     Of each robot the first, and every so manyth after it.
 
-    truth (steps, robots, 3); poses, estimated, true (nodes, 3); owner (nodes,): the robot's number among `robots`.
+    truth (steps, robots, 3); poses, estimated, true (nodes, 3); turns (nodes, 2) as `turns_between` gives them; owner
+    (nodes,): the robot's number among `robots`; latest (nodes, 3): a node's turn, cosine and sine, worked out anew only
+    for a node that has turned.
     """
     count, x, y = 0, 0.0, 0.0
     for a in range(robots.shape[0]):
@@ -92,6 +90,10 @@ def _collect(robots, poses, robot_of_node, step_of_node, truth, stride, estimate
                 left_out, step = 0, step_of_node[k]
                 for axis in range(3):
                     estimated[count, axis], true[count, axis] = poses[k, axis], truth[step, robots[a], axis]
+                turned = true[count, 2] - estimated[count, 2]
+                if latest[k, 0] != turned:
+                    latest[k, 0], latest[k, 1], latest[k, 2] = turned, math.cos(turned), math.sin(turned)
+                turns[count, 0], turns[count, 1] = latest[k, 1], latest[k, 2]
                 owner[count] = a
                 x += poses[k, 0]
                 y += poses[k, 1]
@@ -102,15 +104,17 @@ def _collect(robots, poses, robot_of_node, step_of_node, truth, stride, estimate
 @borrowing_kernel
 def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, stride, room, pose):
     """See `lay`, by every so manyth keyframe; marks wrong pairs in the last array of the room, gives their number."""
-    estimated, true, owner, frames, is_wrong = room
-    count, x, y = _collect(robots, poses, robot_of_node, step_of_node, truth, stride, estimated, true, owner)
+    estimated, true, turns, owner, frames, latest, is_wrong = room
+    count, x, y = _collect(
+        robots, poses, robot_of_node, step_of_node, truth, stride, estimated, true, turns, owner, latest
+    )  # fmt: skip
     if count == 0:
         return NOT_KNOWN
-    align(estimated[:count], true[:count], HEADING_LEVER_M, pose)
+    align(estimated[:count], true[:count], turns[:count], pose)
     if robots.shape[0] == 1:
         return 0.0
     own = frames[: robots.shape[0]]
-    find_frames(estimated[:count], true[:count], owner[:count], own)
+    find_frames(estimated[:count], true[:count], turns[:count], owner[:count], own)
     return float(find_wrong(own, x, y, WRONG_M, WRONG_RAD, is_wrong))
 
 
@@ -182,10 +186,10 @@ class MapJudges:
             if laid is None:
                 return None
             pose, wrong_pairs = laid[0].tolist(), laid[1]
-            return Judgement(pose, wrong_pairs, self.correct_area_m2(owner, grid, pose, cells))
-        *pose, _, count = said
+            return pose, wrong_pairs, self.correct_area_m2(owner, grid, pose, cells)
+        pose, count = said[:3], said[4]
         area_m2 = self.correct_area_m2(owner, grid, pose, cells) if count == NOT_KNOWN else count * grid.resolution_m**2
-        return Judgement(pose, (), area_m2)
+        return pose, (), area_m2
 
     def _judge_again(self, held: _Held, robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> list[float]:
         """What `_judge` says of a map that is kept."""

@@ -97,8 +97,8 @@ def terms(transition: Transition, sharing: str) -> list[dict[str, float]]:
     return each
 
 
-def _gains(before: list[float], after: list[float]) -> list[float]:
-    return [new - old for old, new in zip(before, after, strict=True)]
+def _gains(before: list[float], after: list[float]) -> tuple[float, float, float]:
+    return after[0] - before[0], after[1] - before[1], after[2] - before[2]
 
 
 def weights_of(config: RewardConfig) -> tuple[tuple[str, float], ...]:
@@ -130,5 +130,9 @@ def standing_of(maps: Sequence[JudgedMap], errors_m: Sequence[float] | Array) ->
         if judged.is_right:
             for viewer in judged.viewers:
                 own[viewer][:2] = min(float(judged.share), 1.0), (judged.robot_count - 1) / max(count - 1, 1)
-    best = max(own, key=lambda potentials: potentials[0])
-    return Standing([best[0], best[1], sum([row[2] for row in own]) / count], own)
+    best, right = own[0], 0.0
+    for potentials in own:
+        right += potentials[2]
+        if potentials[0] > best[0]:
+            best = potentials
+    return Standing([best[0], best[1], right / count], own)

@@ -80,12 +80,12 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool 
     errors_m = [0.0] * len(true)
     for view in engine.views():
         x, y, c, s = 0.0, 0.0, 1.0, 0.0
-        viewers, robots, mapper = view.viewers, view.robots, view.mapper
+        viewers, mapper = view.viewers, view.mapper
+        group = mapper.groups[view.group]
+        robots, grid = group.robots, group.grid.snapshot()
         if mapper not in nodes:  # mappers have several maps
             nodes[mapper] = mapper.nodes
-        judged = record.map_judges.judge(
-            viewers[0], robots, nodes[mapper], true_poses, mapper.grid_of(view.group), cells
-        )  # fmt: skip
+        judged = record.map_judges.judge(viewers[0], robots, nodes[mapper], true_poses, grid, cells)
         if judged is not None:
             (x, y, turn), wrong, area_m2 = judged
             record.wrong_pairs.update(wrong)

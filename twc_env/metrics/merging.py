@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twc_env.errors import DataError
 from twc_env.kernels import borrowing_kernel
+from twc_env.metrics.trajectory import turns_between
 
 Array = NDArray
 
@@ -27,21 +28,20 @@ def implied_frames(estimated_poses: Array, true_poses: Array, robot_of: Array) -
     if estimated.shape != true.shape or true.ndim != 2 or true.shape[1] != 3 or len(true) == 0:
         raise DataError(f"need two arrays of equal shape (poses, 3); got {estimated.shape} and {true.shape}")
     frames = np.empty((int(np.max(robot_of)) + 1, 3))
-    find_frames(estimated, true, np.asarray(robot_of), frames)
+    find_frames(estimated, true, turns_between(estimated, true), np.asarray(robot_of), frames)
     return frames
 
 
 @borrowing_kernel
-def find_frames(estimated, true, robot_of, frames):
-    """`implied_frames`, written to frames (n, 3)."""
+def find_frames(estimated, true, turns, robot_of, frames):
+    """`implied_frames`, written to frames (n, 3); turns as `turns_between` gives them."""
     for robot in range(frames.shape[0]):
         count = 0
         c = s = ex = ey = tx = ty = 0.0
         for k in range(len(robot_of)):
             if robot_of[k] == robot:
-                turned = true[k, 2] - estimated[k, 2]
-                c += math.cos(turned)
-                s += math.sin(turned)
+                c += turns[k, 0]
+                s += turns[k, 1]
                 ex += estimated[k, 0]
                 ey += estimated[k, 1]
                 tx += true[k, 0]

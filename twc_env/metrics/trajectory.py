@@ -15,6 +15,7 @@ Array = NDArray
 
 HEADING_LEVER_M = 1.0
 """In `lay_map` an error of heading counts like one of position this far ahead."""
+NO_TURNS = np.zeros((0, 2))
 
 
 def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
@@ -24,7 +25,7 @@ def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
     for the team as a whole. Raises DataError for unequal shapes or no positions.
     """
     pose = np.empty(3)
-    align(*_position_pairs(estimated, true), 0.0, pose)
+    align(*_position_pairs(estimated, true), NO_TURNS, pose)
     return pose
 
 
@@ -38,13 +39,31 @@ def lay_map(estimated: ArrayLike, true: ArrayLike) -> Array:
     _check_pairs(estimated, true)
     if estimated.shape[-1:] != (3,) or true.shape[-1:] != (3,):
         raise DataError(f"a map is laid by poses (..., 3); got {estimated.shape} and {true.shape}")
-    align(estimated.reshape(-1, 3), true.reshape(-1, 3), HEADING_LEVER_M, pose)
+    estimated, true = estimated.reshape(-1, 3), true.reshape(-1, 3)
+    align(estimated, true, turns_between(estimated, true), pose)
     return pose
 
 
+def turns_between(estimated: Array, true: Array) -> Array:
+    """(n, 2) cosine and sine of the angles between the headings of poses (n, 3)."""
+    turns = np.empty((len(true), 2))
+    _measure_turns(estimated, true, turns)
+    return turns
+
+
 @borrowing_kernel
-def align(a, b, lever, pose):
-    """`geometry.align_rigidly` of points (n, 2), or of poses (n, 3), with headings that count like points ahead."""
+def _measure_turns(estimated, true, turns):
+    for i in range(turns.shape[0]):
+        turned = true[i, 2] - estimated[i, 2]
+        turns[i, 0], turns[i, 1] = math.cos(turned), math.sin(turned)
+
+
+@borrowing_kernel
+def align(a, b, turns, pose):
+    """`geometry.align_rigidly` of points (n, 2), or of poses (n, 3) with the turns (n, 2) between their headings.
+
+    These are given as cosines and sines, and count like points HEADING_LEVER_M ahead; `NO_TURNS` count nothing.
+    """
     count = a.shape[0]
     ax = ay = bx = by = 0.0
     for i in range(count):
@@ -58,11 +77,9 @@ def align(a, b, lever, pose):
         px, py, qx, qy = a[i, 0] - ax, a[i, 1] - ay, b[i, 0] - bx, b[i, 1] - by
         along += px * qx + py * qy
         across += px * qy - py * qx
-    if lever > 0.0:
-        for i in range(count):
-            turn = b[i, 2] - a[i, 2]
-            along += lever * lever * math.cos(turn)
-            across += lever * lever * math.sin(turn)
+    for i in range(turns.shape[0]):
+        along += HEADING_LEVER_M * HEADING_LEVER_M * turns[i, 0]
+        across += HEADING_LEVER_M * HEADING_LEVER_M * turns[i, 1]
     pose[2] = math.atan2(across, along)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     pose[0], pose[1] = bx - c * ax + s * ay, by - s * ax - c * ay
