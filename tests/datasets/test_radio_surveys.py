@@ -59,6 +59,7 @@ def test_relations_belong_to_two_different_scans(tmp_path):
     pairs = read_relations(relations, found)
     assert (pairs.first.tolist(), pairs.second.tolist()) == ([0], [1])
     assert pairs.pose_first_second.tolist() == [[1.0, 0.0, 0.2]]
+    assert pairs.away_s == pytest.approx([0.001])
 
 
 SCAN = '{"range": [1, 2], "x": 3, "y": 0, "theta": 0}'

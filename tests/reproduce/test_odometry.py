@@ -21,7 +21,7 @@ def test_dead_reckoning_without_drift_is_the_path():
 def test_errors_are_those_of_the_relative_pose():
     poses = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 2.0, np.pi / 2]])
     measured = np.array([[1.0, 0.5, 0.0], [0.0, 2.0, np.pi / 2 - 0.1]])
-    relations = Relations(np.array([0, 1]), np.array([1, 2]), measured)
+    relations = Relations(np.array([0, 1]), np.array([1, 2]), measured, np.zeros(2))
     found = figures(poses, relations, {"all": np.array([True, True]), "late": np.array([False, True])})
     assert found["all: translation_m"] == pytest.approx(0.25)
     assert found["late: rotation_deg"] == pytest.approx(np.degrees(0.1))

@@ -55,6 +55,8 @@ class Relations:
     """(relations,) scan numbers, of other scans."""
     pose_first_second: Array
     """(relations, 3)."""
+    away_s: Array
+    """(relations,) how far a stamp lies from that of its scan, at the worse end; 0 where both are theirs."""
 
 
 def read_scan_log(path: str | Path) -> ScanLog:
@@ -144,12 +146,13 @@ def read_relations(path: str | Path, log: ScanLog, tolerance_s: float = TIME_TOL
     except (ValueError, IndexError) as error:
         raise DataError(f"{path} holds no relations: {_short(error)}; expected lines of 8 numbers") from error
     scans = np.stack([_nearest(log.times_s, times[:, end]) for end in (0, 1)])
-    found = np.all(np.abs(log.times_s[scans] - times.T) <= tolerance_s, axis=0) & (scans[0] != scans[1])
+    away_s = np.abs(log.times_s[scans] - times.T).max(axis=0)
+    found = (away_s <= tolerance_s) & (scans[0] != scans[1])
     if not found.any():
         raise DataError(
             f"none of the {len(rows)} relations of {path} belongs to a scan of the log; wrong pair of files"
         )
-    return Relations(scans[0][found], scans[1][found], values[found])
+    return Relations(scans[0][found], scans[1][found], values[found], away_s[found])
 
 
 def _nearest(times_s: Array, wanted_s: Array) -> Array:
