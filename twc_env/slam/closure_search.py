@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import between
@@ -15,6 +16,8 @@ from twc_env.slam.place_recognition import Forgetful, ProposalFilter, make_recog
 from twc_env.slam.signless_recogniser import SignlessRecogniser
 from twc_env.slam.team_graph import TeamGraph
 from twc_env.slam.wayside_recognisers import WifiRecogniser
+
+Array = NDArray
 
 REPEAT_REACH_M = 2.0
 """Proposals nearer than this, along both paths, to an earlier one of the same kind are not tried again ..."""
@@ -102,7 +105,7 @@ class ClosureSearch:
             latest_m = keyframe.travel_m - self._rule.revisit_travel_m if robot == keyframe.robot else np.inf
             nearest, away_m = self._graph.nearest(robot, here, latest_m)
             if away_m < best_m:
-                best, best_m = (robot, nearest), away_m
+                best, best_m = (robot, self._graph.keyframes[robot][nearest].index), away_m
         if best is None:
             return None
         guess = between(self._graph.poses[self._graph.node(best)], here)
@@ -123,7 +126,7 @@ class ClosureSearch:
         """Whether the recogniser can do without keyframes that it has seen."""
         return isinstance(self._recogniser, Forgetful)
 
-    def forget(self) -> None:
+    def forget(self, _: Array) -> None:
         """Keyframes have been forgotten: nothing is compared with them, and what they were tried with is no matter."""
 
         held = [{keyframe.index for keyframe in path} for path in self._graph.keyframes]

@@ -21,8 +21,8 @@ LATEST, TIES = 30, 12
 class Knower(Protocol):
     """What holds things about keyframes by the graph's numbers or names."""
 
-    def forget(self) -> None:
-        """Let go of what is about keyframes that the graph no longer holds."""
+    def forget(self, kept: Array) -> None:
+        """Let go of what is about keyframes that the graph holds no more; kept (k,): the old numbers of its nodes."""
 
 
 class Forgetting:
@@ -31,32 +31,35 @@ class Forgetting:
     def __init__(self, graph: TeamGraph, knowers: Sequence[Knower]):
         self._graph, self._knowers = graph, knowers
 
-    def forget(self, robots: tuple[int, ...], end: int) -> None:
-        """Let go of those nodes before `end` in the map of some robots that tell nothing that others do not."""
-        if end <= 0:
-            return
+    def forget(self, robots: tuple[int, ...], end: int) -> Array:
+        """Let go of those nodes before `end` in the map of some robots that tell nothing that others do not.
+
+        (k,): the nodes that stay, of all robots, by their numbers until now.
+        """
         nodes = self._graph.nodes_of(robots)
-        may_go = self._may_go(nodes, end)
+        may_go = self._may_go(nodes, end) if end > 0 else np.zeros(len(nodes), bool)
         if not may_go.any():
-            return
+            return np.arange(self._graph.node_count)
         poses, scans = self._graph.rows_of(nodes)
         carriers = carriers_of(poses, scans, self._graph.robot_of_node[nodes], may_go, *self._sightings(nodes))
         gone = np.flatnonzero(carriers >= 0)
         if not len(gone):
-            return
-        self._graph.forget(nodes[gone], nodes[carriers[gone]])
+            return np.arange(self._graph.node_count)
+        kept = self._graph.forget(nodes[gone], nodes[carriers[gone]])
         for knower in self._knowers:
-            knower.forget()
+            knower.forget(kept)
+        return kept
 
     def _may_go(self, nodes: Array, end: int) -> Array:
-        """(k,) bool: which of some held nodes may be forgotten: none from `end` on, nor each robot's first and latest.
+        """(k,) bool: which of some nodes may be forgotten: none from `end` on.
 
-        Nor those by which two robots were first tied to each other, so that merges can still be judged and undone, or
-        whose closures wait for a merge.
+        Nor each robot's first and latest and its last one with a closure. Nor those by which two robots were
+        first tied to each other, so that merges can still be judged and undone, or whose closures wait for a merge.
         """
         graph = self._graph
         paths = map(graph.path_of, range(len(graph.keyframes)))
         stay = [node for own in paths for part in (own[:1], own[-LATEST:]) for node in part.tolist()]
+        stay += graph.tied.tolist()
         ties: dict[tuple[int, int], int] = {}
         for closure in graph.closures:
             ends = closure.candidate.target, closure.candidate.source
@@ -68,7 +71,7 @@ class Forgetting:
         return (nodes < end) & ~np.isin(nodes, stay)
 
     def _sightings(self, nodes: Array) -> Sightings:
-        """The signs that were read at all nodes (k,) of some robots that are held, ascending."""
+        """The signs that were read at all nodes (k,) of some robots, ascending."""
         paths = [iter(path) for path in self._graph.keyframes]
         keyframes = [next(paths[robot]) for robot in self._graph.robot_of_node[nodes].tolist()]
         counts = [len(keyframe.signs) for keyframe in keyframes]

@@ -8,20 +8,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.geometry import between, compose
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.messages import Keyframe
-from twc_env.slam.growing import grown
+from twc_env.slam.growing import ROOM, grown, only
 from twc_env.slam.odometry_filter import invert3
 from twc_env.slam.relative_equations import wrapped
 
 Array = NDArray
 
 ODOMETRY = -1
-NO_SCAN = np.zeros(0)
-"""In place of that of a node that is forgotten."""
-_ROOM = 64
-"""Rows to begin with; more when they are full."""
 
 
 @borrowing_kernel
@@ -56,10 +51,10 @@ def _put_edge(edge, first, second, measurement, covariance, closure, is_used, en
 def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covariance):
     """Write a robot's next node, and the edge of odometry that leads to it; whether there is one."""
     (
-        poses, robots, steps, travels, strains, ahead, ends, measured, information, kinds, used, rows, counts, tied,
+        poses, robots, steps, travels, strains, ends, measured, information, kinds, used, rows, counts, tied,
         latest_odom,
     ) = parts_of(graph)  # fmt: skip
-    count, ahead[node] = counts[robot], 1
+    count = counts[robot]
     previous = rows[robot, count - 1] if count > 0 else np.int64(-1)
     _put_node(node, previous, robot, step, travel, motion, covariance, poses, robots, steps, travels, strains)
     rows[robot, count], counts[robot] = node, count + 1
@@ -77,7 +72,7 @@ def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covarianc
 @borrowing_kernel
 def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
     """See `GraphArrays.locate`."""
-    poses, _, steps, travels, strains, _, _, _, _, _, _, rows, counts, tied, latest_odom = parts_of(graph)
+    poses, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom = parts_of(graph)
     for k in robots:
         for a in range(others.shape[1]):
             other = others[k, a]
@@ -102,52 +97,45 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
 @borrowing_kernel
 def _nearest(graph, robot, pose, travel_max):
     """See `GraphArrays.nearest`."""
-    poses, _, _, travels, _, ahead, _, _, _, _, _, rows, counts, _, _ = parts_of(graph)
-    best, best_squared, k = -1, np.inf, 0
-    while k < counts[robot]:
+    poses, _, _, travels, _, _, _, _, _, _, rows, counts, _, _ = parts_of(graph)
+    best, best_squared = -1, np.inf
+    for k in range(counts[robot]):
         node = rows[robot, k]
         if travels[node] >= travel_max:
             break
         dx, dy = poses[node, 0] - pose[0], poses[node, 1] - pose[1]
         if dx * dx + dy * dy < best_squared:
             best, best_squared = k, dx * dx + dy * dy
-        k += ahead[node]
     return best, math.sqrt(best_squared)
 
 
 class GraphArrays:
-    """Row by row: nodes are keyframes in the order of their arrival, edges odometry and closures.
-
-    Of a node that is forgotten no scan and no edge is left; it only moves with the one that carries it.
-    """
+    """Row by row: nodes are keyframes in the order of their arrival, edges odometry and closures."""
 
     def __init__(self, robot_count: int, beam_count: int):
         self.node_count = self.edge_count = 0
         self._node_rows: list[Array] = [
-            np.zeros((_ROOM, 3)),
-            np.zeros(_ROOM, np.int64),
-            np.zeros(_ROOM, np.int64),
-            np.zeros(_ROOM),
-            np.zeros((_ROOM, 3)),
-            np.zeros(_ROOM, np.int32),
+            np.zeros((ROOM, 3)),
+            np.zeros(ROOM, np.int64),
+            np.zeros(ROOM, np.int64),
+            np.zeros(ROOM),
+            np.zeros((ROOM, 3)),
         ]
         self._beam_count = beam_count
         self._scans: list[Array] = []
         """(beams,) of each node: the keyframes' own, which the mappers of other robots hold too."""
         self._edge_rows: list[Array] = [
-            np.zeros((_ROOM, 2), np.int64),
-            np.zeros((_ROOM, 3)),
-            np.zeros((_ROOM, 3, 3)),
-            np.zeros(_ROOM, np.int64),
-            np.zeros(_ROOM, bool),
+            np.zeros((ROOM, 2), np.int64),
+            np.zeros((ROOM, 3)),
+            np.zeros((ROOM, 3, 3)),
+            np.zeros(ROOM, np.int64),
+            np.zeros(ROOM, bool),
         ]
-        self._rows = np.zeros((robot_count, _ROOM), np.int64)
+        self._rows = np.zeros((robot_count, ROOM), np.int64)
         """The nodes of each robot, of which there are `_counts`."""
         self._counts = np.zeros(robot_count, np.int64)
         self.tied = np.zeros(robot_count, np.int64)
         """(robots,) the node of each robot's last keyframe with a closure that is used; its first without any."""
-        self._carried: tuple[Array, Array, Array] = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3))
-        """Forgotten nodes (f,), the nodes that carry them (f,), and where they are in the frames of these (f, 3)."""
         self._latest_odom = np.zeros((robot_count, 3))
         """Where each robot's odometry has its last keyframe."""
         self._follow: Callable[..., bool] | None = None
@@ -200,39 +188,25 @@ class GraphArrays:
         self._edge_rows = [grown(rows) for rows in self._edge_rows]
         self._hold_grown()
 
-    def _let_go(self, nodes: Array, carriers: Array, edges: tuple[Array, Array, Array, Array, Array]) -> None:
-        """Let go of the scans of some nodes (k,), which move from now on with others (k,) that are held.
+    def _keep(self, kept: Array, edges: tuple[Array, Array, Array, Array, Array]) -> Array:
+        """Only some nodes (k,), ascending, which are numbered anew; gives these numbers by the old ones, -1 for others.
 
-        edges: all that are left, as `ends`, `measured`, `information`, `closure_of_edge` and `is_used`.
+        Each robot's first and last node and those in `tied` must be among them. edges: all that are left, by the old
+        numbers of their ends, as `ends`, `measured`, `information`, `closure_of_edge` and `is_used`.
         """
-        ahead = self._node_rows[5]
-        ahead[nodes] = 0
-        for robot in range(len(self._rows)):
-            own = self.path_of(robot)
-            held = np.flatnonzero(ahead[own])
-            ahead[own[held]] = np.diff(held, append=len(own))
-        carrier_of = np.arange(self.node_count)
-        carrier_of[nodes] = carriers
-        self._carried = self._carried_by(
-            np.concatenate([self._carried[0], nodes]), np.concatenate([carrier_of[self._carried[1]], carriers])
-        )
-        for node in nodes.tolist():
-            self._scans[node] = NO_SCAN
-        self.edge_count = len(edges[0])
-        room = max(2 * self.edge_count, _ROOM)
-        self._edge_rows = [
-            np.concatenate([kept, np.zeros((room - len(kept), *kept.shape[1:]), kept.dtype)]) for kept in edges
-        ]
+        number_of = np.full(self.node_count, -1)
+        number_of[kept] = np.arange(len(kept))
+        for robot, count in enumerate(self._counts.tolist()):
+            own = number_of[self._rows[robot, :count]]
+            own = own[own >= 0]
+            self._rows[robot, : len(own)], self._counts[robot] = own, len(own)
+        self.tied[:] = np.where(self._counts > 0, number_of[self.tied], 0)
+        self._node_rows = [only(rows, kept) for rows in self._node_rows]
+        self._scans = [self._scans[node] for node in kept.tolist()]
+        self.node_count, self.edge_count = len(kept), len(edges[0])
+        self._edge_rows = [only(rows, slice(None)) for rows in (number_of[edges[0]], *edges[1:])]
         self._hold_grown()
-
-    def _carried_by(self, nodes: Array, carriers: Array) -> tuple[Array, Array, Array]:
-        return nodes, carriers, between(self.poses[carriers], self.poses[nodes])
-
-    def _carry(self) -> None:
-        """Move all forgotten nodes to where those that carry them have moved."""
-        nodes, carriers, relative = self._carried
-        if len(nodes):
-            self.poses[nodes] = compose(self.poses[carriers], relative)
+        return number_of
 
     def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
         """Where some robots (k,) are in the maps of their groups; others (robots, robots - 1): all but each.
@@ -247,7 +221,7 @@ class GraphArrays:
         self._locate(robots, others, *into)
 
     def nearest(self, robot: int, pose: Array, travel_max_m: float = math.inf) -> tuple[int, float]:
-        """The robot's keyframe nearest to a pose among those up to a path length, and how far away it is [m].
+        """Which of the robot's nodes up to a path length is nearest to a pose, and how far away it is [m].
 
         (-1, inf) where there is none.
         """
@@ -287,12 +261,6 @@ class GraphArrays:
     def travels_m(self) -> Array:
         """(nodes,) path length of the robot up to each."""
         return self._node_rows[3][: self.node_count]
-
-    @property
-    def is_held(self) -> Array:
-        """(nodes,) bool: not forgotten."""
-        is_held: Array = self._node_rows[5][: self.node_count] > 0
-        return is_held
 
     @property
     def ends(self) -> Array:

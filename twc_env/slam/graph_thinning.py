@@ -9,7 +9,7 @@ two nodes is put into one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +43,12 @@ class Edges:
     def parts(self) -> tuple[Array, Array, Array, Array, Array]:
         """Its arrays, in the order of `GraphArrays`."""
         return self.ends, self.measured, self.information, self.closure, self.is_used
+
+    def numbered(self, number_of: Array) -> Edges:
+        """The same edges where closures have other numbers (closures,)."""
+        now = self.closure.copy()
+        now[now != ODOMETRY] = number_of[now[now != ODOMETRY]]
+        return replace(self, closure=now)
 
     def of(self, kept: Array) -> Edges:
         """Some of the edges: (e,) bool or indices."""

@@ -13,7 +13,7 @@ from twc_env.config import EnvConfig
 from twc_env.geometry import compose
 from twc_env.kernels import borrowing_kernel
 from twc_env.messages import GridMap, Keyframe
-from twc_env.slam.growing import grown
+from twc_env.slam.growing import ROOM, grown, only
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.team_graph import TeamGraph
 
@@ -71,9 +71,9 @@ class GroupMaps:
         """Grows whenever robots come to share a map or no longer do."""
         self.changes = 0
         """Grows with it, and whenever a map is drawn anew or its cells lie elsewhere, as they must to become more."""
-        self._drawn = np.zeros((64, 3))
+        self._drawn = np.zeros((ROOM, 3))
         """Where each node stands in the map as drawn."""
-        self._scan_here = np.zeros(64, bool)
+        self._scan_here = np.zeros(ROOM, bool)
         """Which nodes' scans have come; the others may be drawn by their own robot only."""
         self._sides: dict[tuple[int, ...], Side] = {}
         """Robots of a part of a group -> what they have seen."""
@@ -157,13 +157,18 @@ class GroupMaps:
         for one in made:
             self.redraw(self.group_of[one.robots[0]])
 
-    def forget(self) -> None:
+    def forget(self, kept: Array) -> None:
+        """Of all nodes only some are left (k,), in this order."""
+        self._drawn, self._scan_here = only(self._drawn, kept), only(self._scan_here, kept)
+        self._forget_parts()
+
+    def _forget_parts(self) -> None:
         """Let go of what parts of groups have seen; it is drawn anew when it is asked for."""
         self._sides.clear()
         self._settled.clear()
 
     def _renumber(self) -> None:
-        self.forget()
+        self._forget_parts()
         self.regroupings += 1
         self.changes += 1
         for index, group in enumerate(self.groups):

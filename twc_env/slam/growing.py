@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray
 
-
+ROOM = 64
+"""Rows to begin with."""
 MANY = 4096
 """From so many rows on arrays grow by a quarter at a time."""
 
@@ -21,3 +22,9 @@ def grown(rows: Array) -> Array:
     out = np.zeros((2 * count if count < MANY else count + count // 4, *rows.shape[1:]), rows.dtype)
     out[:count] = rows
     return out
+
+
+def only(rows: Array, kept: Array | slice) -> Array:
+    """Some of the rows, by indices or bool, with as many empty ones behind them, `ROOM` at least."""
+    chosen = rows[kept]
+    return np.concatenate([chosen, np.zeros((max(len(chosen), ROOM), *rows.shape[1:]), rows.dtype)])

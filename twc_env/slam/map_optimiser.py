@@ -78,16 +78,17 @@ class MapOptimiser:
 
     def optimise(self, group: int, is_thorough: bool = False) -> None:
         """Optimise a group's map, of a large one the part that may still move; thoroughly: all of any."""
-        robots, count, held = self._maps.groups[group].robots, len(self._graph.poses), self._graph.held_count
+        robots, count, arrived = self._maps.groups[group].robots, self._graph.node_count, self._graph.arrived_count
         may_hold = self._may_hold_poses and not is_thorough
-        first = self.settled_maps.first_movable(robots, count, held) if may_hold else 0
+        first = self.settled_maps.first_movable(robots, count, arrived) if may_hold else 0
         if first > 0 and self._optimise_latest(group, first):
             self.settled_maps.note(robots, count, is_whole=False)
             return
         self._optimise_whole(group, is_thorough)
         if self._forgetting is not None and not is_thorough:
-            self._forgetting.forget(robots, self.settled_maps.first_unsettled(count))
-        self.settled_maps.note(robots, count, is_whole=True, held=self._graph.held_count)
+            kept = self._forgetting.forget(robots, self.settled_maps.first_unsettled(count, arrived))
+            self.settled_maps.renumber(kept)
+        self.settled_maps.note(robots, self._graph.node_count, is_whole=True)
 
     def _optimise_latest(self, group: int, first: int) -> bool:
         """Optimise the nodes from `first` on and leave the others; False where closures should be weighed anew."""

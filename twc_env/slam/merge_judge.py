@@ -101,7 +101,7 @@ class MergeJudge:
     def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
         """Whether places that the merge brings together sound alike; None while too few can be compared."""
         members = [*a, *b]
-        nodes = [self._graph.held_of(robot) for robot in members]
+        nodes = [self._graph.path_of(robot) for robot in members]
         poses = [self._graph.poses[own] for own in nodes]
         counts = [len(own) for own in poses]
         positions = [(own if k < len(a) else compose(pose_a_b, own))[:, :2] for k, own in enumerate(poses)]
@@ -113,7 +113,7 @@ class MergeJudge:
             np.repeat(np.arange(len(members)) >= len(a), counts),
         )
 
-    def forget(self) -> None:
+    def forget(self, _: Array) -> None:
         """Keyframes have been forgotten."""
         self._heard.clear()
 

@@ -8,6 +8,11 @@ forgotten (`known_places`), so that maps of one building do not grow for ever.
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray
+
 LARGE_FROM = 2500
 """Smaller maps are optimised as a whole."""
 MOVABLE = 1000
@@ -24,31 +29,34 @@ class SettledMaps:
         self._large_from, self._movable, self._forgets = large_from, movable, forgets
         self._whole: dict[tuple[int, ...], int] = {}
         self._latest: dict[tuple[int, ...], int] = {}
-        """How many keyframes there were when the map of these robots was optimised: held as a whole, ever at all."""
+        """How many keyframes there were when the map of these robots was optimised as a whole, and at all."""
 
     def is_large(self, count: int) -> bool:
-        """Whether a map of so many keyframes is."""
+        """Whether a map is to which so many keyframes ever came."""
         return count >= self._large_from
 
-    def first_movable(self, robots: tuple[int, ...], count: int, held: int | None = None) -> int:
+    def first_movable(self, robots: tuple[int, ...], count: int, arrived: int | None = None) -> int:
         """The first of `count` keyframes that may move in the map of these robots; 0 for all of them.
 
-        held: so many of them are not forgotten; all of them where none is given.
+        arrived: so many ever came; as many as are held where none is given.
         """
-        held = count if held is None else held
-        if not self.is_large(count) or held >= GROWN * self._whole.get(robots, 0):
+        if not self.is_large(arrived or count) or count >= GROWN * self._whole.get(robots, 0):
             return 0
         return max(self._latest[robots] - self._movable, 0)
 
-    def first_unsettled(self, count: int) -> int:
+    def first_unsettled(self, count: int, arrived: int) -> int:
         """The first of `count` keyframes that may not be forgotten now that all of a map has been optimised."""
-        return count - self._movable if self._forgets and self.is_large(count) else 0
+        return count - self._movable if self._forgets and self.is_large(arrived) else 0
 
-    def note(self, robots: tuple[int, ...], count: int, is_whole: bool, held: int | None = None) -> None:
+    def note(self, robots: tuple[int, ...], count: int, is_whole: bool) -> None:
         """The map of these robots was optimised when there were so many keyframes."""
         self._latest[robots] = count
         if is_whole:
-            self._whole[robots] = count if held is None else held
+            self._whole[robots] = count
+
+    def renumber(self, kept: Array) -> None:
+        """Of all keyframes only some are left (k,), in this order."""
+        self._latest = {robots: int(np.searchsorted(kept, latest)) for robots, latest in self._latest.items()}
 
     def forget(self) -> None:
         """Robots came to share a map or no longer do: nothing is settled."""

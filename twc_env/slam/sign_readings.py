@@ -8,16 +8,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.geometry import compose
+from twc_env.geometry import between, compose
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe
-from twc_env.slam.growing import grown
+from twc_env.slam.growing import ROOM, grown, only
 from twc_env.team_messages import KnownSigns
 
 Array = NDArray
 
-_ROOM = 64
-"""Rows to begin with; more when they are full."""
 SAME_SIGN_M = 1.0
 """Readings of one text nearer to each other than this are of one sign."""
 ENOUGH, ENOUGH_M = 8, 0.5
@@ -94,10 +92,10 @@ def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, 
 
 @kernel
 def _not_repeated(readings, places, is_gone):
-    """(n,) bool: which readings stay of those at places (n, 2), see `SignReadings.forget`."""
+    """(n,) bool: which readings at places (n, 2) stay, see `SignReadings.forget`; is_gone (n,): their nodes."""
     stays = np.empty(readings.shape[0], np.bool_)
     for k in range(readings.shape[0]):
-        stays[k] = not is_gone[readings[k, 1]]
+        stays[k] = not is_gone[k]
     for k in range(readings.shape[0]):
         if stays[k]:
             continue
@@ -121,7 +119,7 @@ class SignReadings:
         """Each text that was ever read and its number ..."""
         self._texts: list[str] = []
         """... and these texts in order."""
-        self._readings, self._places, self._count = np.zeros((_ROOM, 3), np.int64), np.zeros((_ROOM, 2)), 0
+        self._readings, self._places, self._count = np.zeros((ROOM, 3), np.int64), np.zeros((ROOM, 2)), 0
         """Robot, node and text of each reading; where it is in the frame of its keyframe; and how many there are."""
         self._run: Callable[..., int] | None = None
         """`_places_of_signs` of readings that are one sign where they are less than SAME_SIGN_M apart."""
@@ -146,22 +144,25 @@ class SignReadings:
                 self._add = bound(_add, Lent((ENOUGH, ENOUGH_M)), *new)
             self._count = self._add(*new)
 
-    def forget(self, is_gone: Array, poses: Array) -> None:
-        """Let go of readings at nodes that are forgotten (nodes,) bool, but the first of those that no other repeats.
+    def forget(self, carrier_of: Array, number_of: Array, poses: Array) -> None:
+        """Let go of readings at nodes that are forgotten, but the first of those that no other repeats.
 
         A text that was read once only, and at a forgotten node, was misread: others were read there more often.
+        carrier_of (nodes,): which node keeps what was read at each, itself unless that is forgotten; number_of
+        (nodes,): their numbers from now on; poses (nodes, 3).
         """
         readings, local = self._readings[: self._count], self._places[: self._count]
-        at_node = np.concatenate([local, np.zeros((len(local), 1))], axis=1)
-        places = compose(poses[readings[:, 1]], at_node)[:, :2]
+        places = compose(poses[readings[:, 1]], np.pad(local, ((0, 0), (0, 1))))
+        carriers = carrier_of[readings[:, 1]]
+        is_gone = carriers != readings[:, 1]
         stays = _not_repeated(readings, places, is_gone)
+        local[is_gone] = between(poses[carriers[is_gone]], places[is_gone])[:, :2]
+        readings[:, 1] = number_of[carriers]
         numbers, texts = np.unique(readings[stays, 2], return_inverse=True)
         self._texts = [self._texts[number] for number in numbers.tolist()]
         self._numbers = {text: number for number, text in enumerate(self._texts)}
         self._count = len(texts)
-        room = max(2 * self._count, _ROOM)
-        self._readings, self._places = np.zeros((room, 3), np.int64), np.zeros((room, 2))
-        self._readings[: self._count], self._places[: self._count] = readings[stays], local[stays]
+        self._readings, self._places = only(readings, stays), only(local, stays)
         self._readings[: self._count, 2] = texts
 
     def known(self, poses: Array, robots: Sequence[int]) -> KnownSigns:

@@ -13,7 +13,7 @@ from twc_env.config import PlaceRecognitionConfig
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.device_offsets import DeviceOffsets
-from twc_env.slam.growing import grown
+from twc_env.slam.growing import grown, only
 from twc_env.slam.radio_fingerprint import rssi_similarity
 
 Array = NDArray
@@ -103,12 +103,6 @@ def _put(table, row, robot, text, travel, is_early, macs, levels):
     is_deaf[robot] = not (is_early or has_heard[robot])
 
 
-def _only(rows: Array, is_kept: Array) -> Array:
-    """Some of the rows, with room for more."""
-    kept = rows[is_kept]
-    return np.concatenate([kept, np.zeros((max(len(kept), _ROOM), *kept.shape[1:]), kept.dtype)])
-
-
 class SignTable:
     """A row for each place: who read which text there, how far along its path, and what was heard."""
 
@@ -155,10 +149,10 @@ class SignTable:
         count, end = self._count, self._end
         of_row = np.repeat(is_kept, np.diff(self._ends[:count], prepend=0))
         self._places[:count, 1] = number_of[self._places[:count, 1]]
-        self._places, self._travels_m = _only(self._places[:count], is_kept), _only(self._travels_m[:count], is_kept)
-        self._macs, self._rssi_dbm = _only(self._macs[:end], of_row), _only(self._rssi_dbm[:end], of_row)
+        self._places, self._travels_m = only(self._places[:count], is_kept), only(self._travels_m[:count], is_kept)
+        self._macs, self._rssi_dbm = only(self._macs[:end], of_row), only(self._rssi_dbm[:end], of_row)
         ends = np.append(0, np.cumsum(of_row))[self._ends[:count]]
-        self._ends, self._found = _only(ends, is_kept), np.zeros((len(self._travels_m), 6))
+        self._ends, self._found = only(ends, is_kept), np.zeros((len(self._travels_m), 6))
         self._count, self._end = int(np.count_nonzero(is_kept)), int(np.count_nonzero(of_row))
         self._choose = self._put = None
         self._first_m.clear()

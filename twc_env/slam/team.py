@@ -104,7 +104,7 @@ class TeamMapper:
             for _ in range(self._config.verification.backlog_per_step):
                 if not self._verify_one():
                     break
-        is_large = self.optimiser.settled_maps.is_large(len(self._graph.poses))
+        is_large = self.optimiser.settled_maps.is_large(self._graph.arrived_count)
         is_turn = not is_large or step % self._turns == self._turn
         if is_turn and step >= self._review.due_step and self._given_starts is None:
             self._undo_wrong_merge(one_by_one=is_large)
@@ -165,11 +165,7 @@ class TeamMapper:
         Of a map that has become large without those that are forgotten.
         """
         graph = self._graph
-        every = graph.poses, graph.robot_of_node, graph.step_of_node
-        if graph.held_count == len(graph.poses):
-            return every
-        held = graph.held
-        return every[0][held], every[1][held], every[2][held]
+        return graph.poses, graph.robot_of_node, graph.step_of_node
 
     def latest_pose_of(self, robot: int) -> Array:
         """(3,) of the robot's newest keyframe in its group's map frame."""
@@ -181,7 +177,7 @@ class TeamMapper:
 
     def scans_of(self, robot: int) -> tuple[Array, Array]:
         """Steps (k,) and scans (k, beams) [m] of the keyframes that are held."""
-        return self._graph.step_of_node[self._graph.held_of(robot)], self._graph.scans_of(robot)
+        return self._graph.step_of_node[self._graph.path_of(robot)], self._graph.scans_of(robot)
 
     @property
     def closures_verified(self) -> int:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import MutableSequence, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.geometry import compose, inverse
+from twc_env.geometry import between, compose, inverse
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe, LoopClosure
+from twc_env.slam.forgotten_paths import ForgottenPaths
 from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays
+from twc_env.slam.graph_parts import part_of
 from twc_env.slam.graph_thinning import Edges, thinned
 from twc_env.slam.keyframe_paths import place_on
-from twc_env.slam.odometry_filter import squared_error
+from twc_env.slam.odometry_filter import invert_symmetric, squared_error
 from twc_env.slam.pose_graph import Graph
 from twc_env.slam.sign_readings import SignReadings
 from twc_env.team_messages import KnownSigns
@@ -41,50 +44,6 @@ def _disagreement(poses, target, source, measured, covariance):
     return math.hypot(error[0], error[1]), abs(error[2]), squared_error(error, covariance)
 
 
-@kernel
-def _is_of_part(ends, is_inside, first, robot_of_node):
-    a, b = ends[0], ends[1]
-    return max(a, b) >= first and is_inside[robot_of_node[a]] and is_inside[robot_of_node[b]]
-
-
-@kernel
-def _part(is_inside, first, robot_of_node, is_held, ends, measured, information, closure_of_edge, is_used):
-    """See `TeamGraph.part`; is_inside (robots,) bool."""
-    is_kept = np.zeros(robot_of_node.shape[0], np.bool_)
-    for n in range(first, robot_of_node.shape[0]):
-        is_kept[n] = is_held[n] and is_inside[robot_of_node[n]]
-    edge_count = 0
-    for e in range(ends.shape[0]):
-        if _is_of_part(ends[e], is_inside, first, robot_of_node):
-            is_kept[ends[e, 0]] = is_kept[ends[e, 1]] = True
-            edge_count += 1
-    local = np.full(robot_of_node.shape[0], -1)
-    count = 0
-    for n in range(robot_of_node.shape[0]):
-        if is_kept[n]:
-            local[n] = count
-            count += 1
-    nodes, edges, inner = np.empty(count, np.int64), np.empty(edge_count, np.int64), np.empty((edge_count, 2), np.int64)
-    motions, weights = np.empty((edge_count, 3)), np.empty((edge_count, 3, 3))
-    closures, used = np.empty(edge_count, np.bool_), np.empty(edge_count, np.bool_)
-    for n in range(robot_of_node.shape[0]):
-        if local[n] >= 0:
-            nodes[local[n]] = n
-    k = 0
-    for e in range(ends.shape[0]):
-        if not _is_of_part(ends[e], is_inside, first, robot_of_node):
-            continue
-        a, b = local[ends[e, 0]], local[ends[e, 1]]
-        edges[k], inner[k, 0], inner[k, 1] = e, a, b
-        closures[k], used[k] = closure_of_edge[e] != ODOMETRY, is_used[e]
-        for i in range(3):
-            motions[k, i] = measured[e, i]
-            for j in range(3):
-                weights[k, i, j] = information[e, i, j]
-        k += 1
-    return nodes, edges, inner, motions, weights, closures, used
-
-
 class TeamGraph(GraphArrays):
     """Nodes are keyframes in the order of their arrival, edges odometry and closures; everything is kept in arrays.
 
@@ -108,14 +67,35 @@ class TeamGraph(GraphArrays):
         self._waiting: dict[int, LoopClosure] = {}
         """By their numbers, ascending, all closures that are pending; others among them have been judged since."""
         self._nodes: list[MutableSequence[int]] = [array("q") for _ in range(robot_count)]
+        """Of each of these keyframes its node."""
+        self._forgotten = ForgottenPaths()
         self._readings = SignReadings(robot_count)
         self.signs_read: list[int] = self._readings.counts
         """Texts read by each robot so far."""
         self._edge_of_closure: dict[int, int] = {}
 
     def poses_of(self, robot: int) -> Array:
-        """(keyframes, 3) of one robot."""
-        return self.poses[self.path_of(robot)]
+        """(keyframes, 3) of one robot, with those that are forgotten."""
+        poses = self.poses[self.path_of(robot)]
+        if not len(self._forgotten):
+            return poses
+        return self._forgotten.poses_among(robot, self._indices_of(robot), poses, self.poses)
+
+    def steps_of(self, robot: int) -> Array:
+        """(keyframes,) the step at which each was taken."""
+        steps = self.step_of_node[self.path_of(robot)]
+        if not len(self._forgotten):
+            return steps
+        return self._forgotten.steps_among(robot, self._indices_of(robot), steps)
+
+    def _indices_of(self, robot: int) -> Array:
+        """(k,) which of all its keyframes a robot's held ones are."""
+        return np.array([keyframe.index for keyframe in self.keyframes[robot]], np.int64)
+
+    @property
+    def arrived_count(self) -> int:
+        """How many keyframes ever came."""
+        return self.node_count + len(self._forgotten)
 
     def latest_pose_of(self, robot: int) -> Array:
         """(3,) of the robot's newest keyframe."""
@@ -124,30 +104,11 @@ class TeamGraph(GraphArrays):
 
     def scans_of(self, robot: int) -> Array:
         """(k, beams) of one robot's keyframes that are held [m]."""
-        return self._scans_at(self.held_of(robot))
-
-    def held_of(self, robot: int) -> Array:
-        """(k,) the nodes of one robot's keyframes that are held, ascending."""
-        nodes = self.path_of(robot)
-        return nodes[self.is_held[nodes]]
-
-    @property
-    def held_count(self) -> int:
-        """How many keyframes are not forgotten."""
-        return sum(map(len, self.keyframes))
-
-    @property
-    def held(self) -> Array:
-        """(k,) all nodes that are held, ascending."""
-        return np.flatnonzero(self.is_held)
-
-    def steps_of(self, robot: int) -> Array:
-        """(keyframes,) the step at which each was taken."""
-        return self.step_of_node[self.path_of(robot)]
+        return self._scans_at(self.path_of(robot))
 
     def nodes_of(self, robots: Sequence[int]) -> Array:
-        """(k,) nodes of some robots that are held, ascending."""
-        return np.flatnonzero(self._are(robots)[self.robot_of_node] & self.is_held)
+        """(k,) nodes of some robots, ascending."""
+        return np.flatnonzero(self._are(robots)[self.robot_of_node])
 
     def _are(self, robots: Sequence[int]) -> Array:
         """(robots,) bool: which of all robots these are."""
@@ -156,8 +117,8 @@ class TeamGraph(GraphArrays):
         return chosen
 
     def node(self, key: tuple[int, int]) -> int:
-        """The node of a robot's keyframe."""
-        return self._nodes[key[0]][key[1]]
+        """The node of a robot's keyframe, one that is held."""
+        return self._nodes[key[0]][place_on(self.keyframes[key[0]], key[1])]
 
     def keyframe(self, key: tuple[int, int]) -> Keyframe:
         """A robot's keyframe, one that is held."""
@@ -223,7 +184,7 @@ class TeamGraph(GraphArrays):
         """The node of the robot's last keyframe with an accepted closure; its first without any."""
         used = [c.candidate for c in self.closures if c.status == "accepted"]
         last = max((i for c in used for r, i in (c.target, c.source) if r == robot), default=0)
-        return self._nodes[robot][last]
+        return self.node((robot, last))
 
     def _tie(self, closure: LoopClosure, is_used: bool) -> None:
         number = closure.number
@@ -252,38 +213,67 @@ class TeamGraph(GraphArrays):
                 out.append(closure)
         return out
 
-    def forget(self, nodes: Array, carriers: Array) -> None:
+    def forget(self, nodes: Array, carriers: Array) -> Array:
         """Let go of keyframes (k,), each of which moves from now on with another one (k,) that is held.
 
         Closures go with them, but those that the nodes that stay take over; so do those that failed verification.
+        Gives those nodes that stay, by their numbers until now.
         """
-        is_gone = np.zeros(self.node_count, bool)
-        is_gone[nodes] = True
-        before = Edges(self.ends, self.measured, self.information, self.closure_of_edge, self.is_used)
-        edges = thinned(before, is_gone)
+        carrier_of, indices = np.arange(self.node_count), np.empty(self.node_count, np.int64)
+        carrier_of[nodes] = carriers
+        for robot in range(len(self.keyframes)):
+            indices[self.path_of(robot)] = self._indices_of(robot)
+        gone = self.robot_of_node[nodes], indices[nodes], self.step_of_node[nodes]
+        self._forgotten.add(gone, nodes, carrier_of, self.poses)
+        is_gone = carrier_of != np.arange(self.node_count)
+        edges = thinned(Edges(self.ends, self.measured, self.information, self.closure_of_edge, self.is_used), is_gone)
+        self._hand_over(edges, indices)
+        edges = edges.numbered(self._keep_closures(edges))
+        for robot, path in enumerate(self.keyframes):
+            own = ~is_gone[self.path_of(robot)]
+            path[:] = [keyframe for keyframe, stays in zip(path, own.tolist(), strict=True) if stays]
+        poses, kept = self.poses, np.flatnonzero(~is_gone)
+        number_of = self._keep(kept, edges.parts)
+        self._nodes[:] = [array("q", self.path_of(robot).tolist()) for robot in range(len(self.keyframes))]
+        self._forgotten.renumber(number_of)
+        self._readings.forget(carrier_of, number_of, poses)
+        self.changes += 1
+        return kept
+
+    def _hand_over(self, edges: Edges, indices: Array) -> None:
+        """Closures of which other nodes are the ends from now on are told of these; indices (nodes,) of keyframes."""
+        tying = np.flatnonzero(edges.closure != ODOMETRY)
+        before = self.ends[[self._edge_of_closure[number] for number in edges.closure[tying].tolist()]]
+        for k in np.flatnonzero((edges.ends[tying] != before).any(axis=1)).tolist():
+            closure, edge, (target, _) = self.closures[edges.closure[tying[k]]], tying[k], before[k]
+            sign_m, ends = closure.candidate.sign_m, edges.ends[edge]
+            if sign_m is not None:
+                sign_m = between(self.poses[ends[0]], compose(self.poses[target], [*sign_m, 0.0]))[:2]
+            first, second = zip(self.robot_of_node[ends].tolist(), indices[ends].tolist(), strict=True)
+            measured = edges.measured[edge].copy()
+            closure.candidate = replace(
+                closure.candidate, target=first, source=second, guess=measured, sign_m=sign_m
+            )  # fmt: skip
+            closure.pose_target_source, closure.covariance = measured, invert_symmetric(edges.information[edge])
+
+    def _keep_closures(self, edges: Edges) -> Array:
+        """Only those closures that are edges or wait for a merge, which are numbered anew; the numbers (closures,)."""
         tying = set(edges.closure.tolist())
         stay = [c for c in self.closures if c.number in tying or c.status == "pending"]
-        number_of = {closure.number: number for number, closure in enumerate(stay)}
-        self._sound = {number_of[number] for number in self._sound if number in number_of}
-        self._waiting = {number_of[number]: closure for number, closure in self._waiting.items() if number in number_of}
+        number_of = np.full(len(self.closures), -1)
+        number_of[[closure.number for closure in stay]] = np.arange(len(stay))
+        now: list[int] = number_of.tolist()
+        self._sound = {now[number] for number in self._sound if now[number] >= 0}
+        self._waiting = {now[number]: closure for number, closure in self._waiting.items() if now[number] >= 0}
         for closure in stay:
-            closure.number = number_of[closure.number]
+            closure.number = now[closure.number]
         self.closures[:] = stay
-        closure_of_edge = np.array([n if n == ODOMETRY else number_of[n] for n in edges.closure.tolist()], np.int64)
-        self._edge_of_closure = {n: e for e, n in enumerate(closure_of_edge.tolist()) if n != ODOMETRY}
-        self._let_go(
-            nodes, carriers, (edges.ends, edges.measured, edges.information, closure_of_edge, edges.is_used)
-        )  # fmt: skip
-        for robot, path in enumerate(self.keyframes):
-            own = self._nodes[robot]
-            path[:] = [keyframe for keyframe in path if not is_gone[own[keyframe.index]]]
-        self._readings.forget(~self.is_held, self.poses)
-        self.changes += 1
+        self._edge_of_closure = {now[n]: e for e, n in enumerate(edges.closure.tolist()) if n != ODOMETRY}
+        return number_of
 
     def place(self, nodes: Sequence[int] | Array, poses: Array) -> None:
-        """Move nodes to new poses, and with them those that they carry."""
+        """Move nodes to new poses."""
         self.poses[nodes] = poses
-        self._carry()
         self.changes += 1
 
     def part(self, robots: Sequence[int], first: int = 0) -> tuple[Array, Array, Graph, Array]:
@@ -291,8 +281,8 @@ class TeamGraph(GraphArrays):
 
         Of the nodes before `first` only those with edges to later ones, and none of the edges between them.
         """
-        nodes, edges, local, measured, information, is_closure, is_used = _part(
-            self._are(robots), first, self.robot_of_node, self.is_held, self.ends, self.measured, self.information,
+        nodes, edges, local, measured, information, is_closure, is_used = part_of(
+            self._are(robots), first, self.robot_of_node, self.ends, self.measured, self.information,
             self.closure_of_edge, self.is_used,
         )  # fmt: skip
         return nodes, edges, Graph(local, measured, information, is_closure), is_used
@@ -311,9 +301,11 @@ class TeamGraph(GraphArrays):
     def places_among(self, robots: Sequence[int], nodes: Array) -> dict[tuple[int, int], int]:
         """Where among ascending nodes (n,) each keyframe (robot, index) of some robots is."""
         return {
-            (robot, index): place
+            (robot, keyframe.index): place
             for robot in robots
-            for index, place in enumerate(np.searchsorted(nodes, self.path_of(robot)).tolist())
+            for keyframe, place in zip(
+                self.keyframes[robot], np.searchsorted(nodes, self.path_of(robot)).tolist(), strict=True
+            )
         }
 
     def closures_of(self, edges: Array) -> list[LoopClosure]:
@@ -337,13 +329,14 @@ class TeamGraph(GraphArrays):
     def as_arrays(self) -> dict[str, Array | list[str]]:
         """The graph of what is used: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
         ids = np.zeros((self.node_count, 2), np.int64)
-        for robot, nodes in enumerate(self._nodes):
-            ids[nodes] = np.stack([np.full(len(nodes), robot), np.arange(len(nodes))], axis=1)
-        used, held = self.is_used, self.held
+        for robot in range(len(self.keyframes)):
+            indices = self._indices_of(robot)
+            ids[self.path_of(robot)] = np.stack([np.full(len(indices), robot), indices], axis=1)
+        used = self.is_used
         return {
-            "nodes": self.poses[held],
-            "node_ids": ids[held],
-            "edges_ij": np.searchsorted(held, self.ends[used]),
+            "nodes": self.poses,
+            "node_ids": ids,
+            "edges_ij": self.ends[used],
             "edges_z": self.measured[used],
             "edges_information": self.information[used],
             "edges_kind": ["odometry" if c == ODOMETRY else "closure" for c in self.closure_of_edge[used]],
