@@ -143,3 +143,17 @@ def test_an_episode_shorter_than_the_window_is_not_judged_stuck():
 def test_a_map_is_laid_by_poses_and_not_by_places_alone(shape):
     with pytest.raises(DataError, match=r"\(\.\.\., 3\)"):
         trajectory.lay_map(np.zeros(shape), np.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: trajectory.path_length_m([]),
+        lambda: trajectory.path_length_m([1.0, 2.0, 3.0]),
+        lambda: trajectory.stuck_share(np.zeros((50, 3)), 10, 0.3),
+        lambda: trajectory.absolute_trajectory_error_m([[0, 0]], [[0, 0]], [0, 0]),
+    ],
+)
+def test_paths_of_another_shape_are_refused(call):
+    with pytest.raises(DataError, match="got"):
+        call()

@@ -51,10 +51,14 @@ def brute_force(target, source, reach, headings):
     [
         ({"target_points": np.full((9, 2), np.nan)}, "points must be finite"),
         ({"source_points": np.full((9, 2), np.inf)}, "points must be finite"),
-        ({"source_points": np.zeros((9, 3))}, r"points must be finite and of shape \(n, 2\)"),
+        ({"source_points": np.zeros((9, 3))}, r"points must have shape \('n', 2\)"),
         ({"window_m": float("nan")}, "window_m must lie in"),
         ({"window_m": -1.0}, "window_m must lie in"),
         ({"window_m": 1e6}, "window_m must lie in"),
+        ({"target_points": np.array([[0.0, 0.0], [1e7, 1e7]])}, "within 500 m of their own origin"),
+        ({"source_points": np.array([[0.0, 0.0], [1e6, 1e6]])}, "check their unit"),
+        ({"score_min": float("nan")}, "score_min must be 0 or more"),
+        ({"points_max": 0}, "points_max 1 or more"),
     ],
 )
 def test_what_cannot_be_matched_is_refused(changes, message):

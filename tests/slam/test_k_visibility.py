@@ -160,3 +160,20 @@ def test_no_readings_leave_everything_unknown():
     nothing = np.zeros(0, int)
     classes, _ = rules.map_by_rules(np.zeros((0, 2), int), nothing, nothing, np.array([[2.0, 2.0]]), (4, 5))
     assert (classes == rules.UNKNOWN).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"position_m": np.full((60, 2), np.nan)}, "positions must be finite; row 0"),
+        ({"position_m": np.zeros((60, 3))}, "positions must have shape"),
+        ({"position_m": 1e6 * np.random.default_rng(0).random((60, 2))}, "check their unit"),
+        ({"router_m": [[np.nan, 0.0]]}, "places of routers must be finite"),
+        ({"rssi_dbm": np.zeros((60, 0))}, "a router at least"),
+        ({"resolution_m": 0.0}, "resolution_m must be above 0"),
+    ],
+)
+def test_readings_that_make_no_map_are_refused(changes, message):
+    readings = {"position_m": np.zeros((60, 2)), "rssi_dbm": np.full((60, 1), -50.0), "router_m": [[1.0, 2.0]]}
+    with pytest.raises(DataError, match=message):
+        map_structure(**{**readings, **changes})

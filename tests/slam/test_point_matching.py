@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from twc_env.config import OdometryFilterConfig, VerificationConfig
+from twc_env.errors import DataError
 from twc_env.geometry import between, compose, inverse, transform_points
 from twc_env.messages import LoopCandidate
 from twc_env.slam.loop_verification import LoopVerifier
@@ -74,3 +75,20 @@ def test_points_paired_along_a_corridor_seem_to_fix_its_axis_which_lines_of_wall
         for method in ("point-to-line", "point-to-point")
     }
     assert along_m["point-to-point"] < 0.1 < 1.0 < along_m["point-to-line"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"target": np.full((9, 2), np.nan)}, "target points must be finite; row 0"),
+        ({"source": np.zeros((9, 3))}, "source points must have shape"),
+        ({"guess": [0.0, 0.0, np.nan]}, "guess must be a finite pose"),
+    ],
+)
+def test_what_is_no_points_or_guess_is_refused(changes, message):
+    with pytest.raises(DataError, match=message):
+        match_points(**{"target": cloud(9), "source": cloud(9), "guess": np.zeros(3), **changes})
+
+
+def test_lists_of_points_match_as_arrays_do():
+    assert match_points(cloud().tolist(), cloud().tolist(), [0, 0, 0]).pose == pytest.approx(np.zeros(3), abs=1e-9)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from twc_env.errors import ConfigError, DataError
 from twc_env.messages import Fingerprint
 from twc_env.slam.radio_map import GaussianProcessMap, RadioMap
 
@@ -37,3 +38,42 @@ def test_silence_is_nowhere_in_particular():
 def test_a_map_needs_a_position_for_each_fingerprint():
     with pytest.raises(ValueError, match="one position"):
         RadioMap(np.zeros((2, 2)), [heard_at((0, 0), 0)])
+
+
+@pytest.mark.parametrize(
+    ("fingerprint", "message"),
+    [
+        (None, "is None: give an empty Fingerprint"),
+        (Fingerprint(np.array([1, 2]), np.array([-40.0])), r"addresses of shape \(2,\) and strengths of \(1,\)"),
+        (Fingerprint(np.array([2, 1]), np.array([-40.0, -50.0])), "do not ascend"),
+        (Fingerprint(np.array([1.5]), np.array([-40.0])), "whole numbers"),
+        (Fingerprint(np.array([1]), np.array([np.nan])), "not finite"),
+        (Fingerprint(np.array([1]), ["loud"]), "must hold numbers"),
+    ],
+)
+def test_what_no_receiver_hears_is_refused(fingerprint, message):
+    radio_map = RadioMap(np.zeros((1, 2)), [heard_at((0, 0), 0)])
+    process = GaussianProcessMap(radio_map)
+    for call in (
+        lambda: RadioMap(np.zeros((1, 2)), [fingerprint]),
+        lambda: radio_map.nearest(fingerprint),
+        lambda: process.locate(fingerprint),
+    ):
+        with pytest.raises(DataError, match=message):
+            call()
+
+
+def test_lists_of_what_was_heard_do_as_well():
+    scan = heard_at((3, 3), 0)
+    listed = Fingerprint(scan.macs.tolist(), scan.rssi_dbm.tolist())
+    assert np.array_equal(RadioMap([[1, 2]], [listed]).nearest(listed), [1.0, 2.0])
+
+
+def test_sizes_of_a_radio_map_that_cannot_be_meant_are_refused():
+    radio_map = surveyed()
+    with pytest.raises(DataError, match="neighbours must be 1 or more"):
+        radio_map.nearest(heard_at((0, 0), 0), 0)
+    with pytest.raises(DataError, match="must be above 0"):
+        GaussianProcessMap(radio_map, length_m=0.0)
+    with pytest.raises(ConfigError, match="similarity mode"):
+        RadioMap(np.zeros((1, 2)), [heard_at((0, 0), 0)], "loud")

@@ -127,6 +127,11 @@ def test_lte_beside_wifi_does_not_hurt(seed):
         ({"motions": np.full((4, 3), np.nan)}, "finite"),
         ({"motions": "far"}, "numbers"),
         ({"fingerprints": [None] * 5}, "fingerprint 0 is None"),
+        (
+            {"fingerprints": [Fingerprint(np.array([2, 1]), np.array([-50.0, -60.0]))] * 5},
+            "fingerprint 0 .* not ascend",
+        ),
+        ({"fingerprints": [Fingerprint(np.array([1]), np.array([np.nan]))] * 5}, "strength that is not finite"),
     ],
 )
 def test_a_log_whose_parts_do_not_fit_is_refused(changes, message):
@@ -135,6 +140,12 @@ def test_a_log_whose_parts_do_not_fit_is_refused(changes, message):
     with pytest.raises(DataError, match=message):
         RadioLog(**{**parts, **changes})
     assert RadioLog(**{key: list(value) for key, value in parts.items()}).odometry.shape == (5, 3)
+
+
+@pytest.mark.parametrize("cues", ["wifi", ["wifi", "smell"]])
+def test_cues_that_there_are_not_are_refused(cues):
+    with pytest.raises(DataError, match="cues must be a list of some of wifi, lte"):
+        solve(made_log()[0], RadioSlamConfig(), cues)
 
 
 def test_the_same_log_gives_the_same_bytes():

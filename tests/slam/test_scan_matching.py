@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twc_env.errors import ConfigError, DataError
 from twc_env.geometry import between, transform_points
 from twc_env.slam.scan_matching import LineField, scan_points
 
@@ -185,3 +186,79 @@ def test_moving_the_field_forgets_the_walls_and_matches_at_the_new_place(office,
     field.add(pose[None], scan(office, np.zeros(3))[None])
     match = refine(field, points, pose + [0.1, -0.1, 0.05])
     assert match.pose == pytest.approx(pose, abs=5e-3)
+
+
+ROOM_M = 3.0 / np.maximum(*np.abs([np.cos(np.arange(60) * np.pi / 30), np.sin(np.arange(60) * np.pi / 30)]))
+
+
+def room_field():
+    field = LineField(24.0, 0.1, RANGE_MAX_M)
+    field.add(np.zeros((1, 3)), ROOM_M[None])
+    return field
+
+
+@pytest.mark.parametrize(
+    ("poses", "scans"),
+    [
+        (np.zeros((2, 3)), ROOM_M[None]),
+        (np.zeros((1, 2)), ROOM_M[None]),
+        (np.zeros((1, 3)), np.stack([ROOM_M, ROOM_M])),
+        (np.zeros(3), ROOM_M),
+        (np.zeros((1, 3)), np.zeros((1, 0))),
+    ],
+)
+def test_scans_that_do_not_fit_their_poses_are_refused(poses, scans):
+    with pytest.raises(DataError, match="one pose"):
+        LineField(24.0, 0.1, RANGE_MAX_M).add(poses, scans)
+
+
+@pytest.mark.parametrize("points", [np.zeros((5, 1)), np.zeros((5, 3)), np.zeros(10), np.full((5, 2), np.nan), "here"])
+def test_points_of_another_shape_are_refused(points):
+    field, guess = room_field(), np.zeros(3)
+    for call in (
+        lambda: field.refine(points, guess, 0.5, 20, 0.04),
+        lambda: field.correlate(points, guess, (0.5, 0.3), (0.1, 0.05)),
+        lambda: field.share_near(points, guess, 0.1),
+    ):
+        with pytest.raises(DataError, match="points must"):
+            call()
+
+
+@pytest.mark.parametrize("guess", [np.zeros(2), np.full(3, np.nan), np.zeros((1, 3)), "here"])
+def test_guesses_that_are_no_pose_are_refused(guess):
+    field, points = room_field(), scan_points(ROOM_M, RANGE_MAX_M)
+    for call in (
+        lambda: field.refine(points, guess, 0.5, 20, 0.04),
+        lambda: field.correlate(points, guess, (0.5, 0.3), (0.1, 0.05)),
+        lambda: field.share_near(points, guess, 0.1),
+    ):
+        with pytest.raises(DataError, match="must be a finite pose"):
+            call()
+
+
+def test_a_search_without_steps_is_refused():
+    with pytest.raises(DataError, match="steps above 0"):
+        room_field().correlate(np.ones((4, 2)), np.zeros(3), (0.5, 0.3), (0.0, 0.05))
+
+
+@pytest.mark.parametrize(
+    "sizes", [(0, 0.1, 10), (24, 0, 10), (24, -0.1, 10), (math.nan, 0.1, 10), (24, 0.1, -1), (1e6, 0.1, 10)]
+)
+def test_fields_of_no_size_are_refused(sizes):
+    with pytest.raises(ConfigError, match="a field needs"):
+        LineField(*sizes)
+
+
+def test_lists_match_as_arrays_do():
+    field, points, guess = (
+        LineField(24.0, 0.1, RANGE_MAX_M),
+        scan_points(ROOM_M.tolist(), RANGE_MAX_M),
+        [0.05, 0.02, 0.01],
+    )
+    field.add([[0.0, 0.0, 0.0]], [ROOM_M.tolist()])
+    match = field.refine(points.tolist(), guess, 0.5, 20, 0.04)
+    same = room_field().refine(points, np.array(guess), 0.5, 20, 0.04)
+    assert match.pose.tobytes() == same.pose.tobytes() and field.share_near(points.tolist(), [0, 0, 0], 0.1) == 1.0
+    assert scan_points([], RANGE_MAX_M).shape == (0, 2)
+    with pytest.raises(DataError, match="ranges_m must have shape"):
+        scan_points(ROOM_M[None], RANGE_MAX_M)

@@ -1,6 +1,8 @@
 import numpy as np
+import pytest
 
 from twc_env.config import RadioSlamConfig
+from twc_env.errors import DataError
 from twc_env.geometry import align_rigidly, compose, transform_points
 from twc_env.messages import Fingerprint
 from twc_env.slam.trace_joining import Trace, join
@@ -56,3 +58,15 @@ def test_a_walk_without_scans_stays_out():
     silent = Trace(np.zeros((0, 3)), [])
     joined = join([*traces[:4], silent, *traces[4:]], RadioSlamConfig())
     assert joined.is_joined.tolist() == [True] * 4 + [False] + [True] * 4
+
+
+@pytest.mark.parametrize("poses", [np.zeros((2, 3)), np.full((1, 3), np.nan), np.zeros((1, 2))])
+def test_a_walk_whose_parts_do_not_fit_is_refused(poses):
+    with pytest.raises(DataError, match="walk"):
+        Trace(poses, [Fingerprint(np.array([1]), np.array([-50.0]))])
+
+
+@pytest.mark.parametrize("traces", [[], [Trace(np.zeros((0, 3)), [])]])
+def test_walks_without_any_scan_are_refused(traces):
+    with pytest.raises(DataError, match="nothing to join"):
+        join(traces, RadioSlamConfig())

@@ -93,6 +93,8 @@ def absolute_trajectory_error_m(estimated: ArrayLike, true: ArrayLike, alignment
     estimated_m, true_m = _position_pairs(estimated, true)
     if alignment is None:
         alignment = align_team(estimated_m, true_m)
+    elif np.shape(alignment) != (3,):
+        raise DataError(f"an alignment is one pose (3,); got shape {np.shape(alignment)}")
     squared_m2 = (transform_points(alignment, estimated_m) - true_m) ** 2
     return float(np.sqrt(np.mean(squared_m2[:, 0] + squared_m2[:, 1])))
 
@@ -110,8 +112,11 @@ def end_point_error_m(estimated: ArrayLike, true: ArrayLike) -> float:
 
 
 def path_length_m(poses: ArrayLike) -> float:
-    """Length of the path through (t, 2) or (t, 3) poses."""
-    steps_m = np.diff(np.asarray(poses, float)[:, :2], axis=0)
+    """Length of the path through (t, 2) or (t, 3) poses. Raises DataError for other shapes."""
+    path = np.asarray(poses, float)
+    if path.ndim != 2 or path.shape[1] not in (2, 3):
+        raise DataError(f"a path has positions (steps, 2) or poses (steps, 3); got {path.shape}")
+    steps_m = np.diff(path[:, :2], axis=0)
     return float(np.sum(np.hypot(steps_m[:, 0], steps_m[:, 1])))
 
 
@@ -119,9 +124,12 @@ def stuck_share(true_poses: ArrayLike, window: int, radius_m: float) -> float:
     """Share of the episode in which a robot got nowhere, of the robot for which it is largest.
 
     true_poses (t, n, 2 or 3). A step counts when it lies in some stretch of `window` steps during which the robot never
-    was `radius_m` or more away from where it stood at the end of the stretch.
+    was `radius_m` or more away from where it stood at the end of the stretch. Raises DataError for other shapes.
     """
-    positions_m = np.asarray(true_poses, float)[..., :2]  # (t, n, 2)
+    poses = np.asarray(true_poses, float)
+    if poses.ndim != 3 or poses.shape[2] not in (2, 3):
+        raise DataError(f"poses of a team have shape (steps, robots, 2 or 3); got {poses.shape}")
+    positions_m = poses[..., :2]  # (t, n, 2)
     count = len(positions_m) - window
     if window < 1 or count < 1:
         return 0.0

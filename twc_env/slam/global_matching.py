@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from twc_env.errors import DataError
 from twc_env.kernels import kernel
+from twc_env.slam.given_arrays import given_points
 
 Array = NDArray
 
@@ -29,6 +30,8 @@ POINTS_MAX = 160
 """Of the source, so many points spread evenly are compared."""
 
 WINDOW_MAX_M = 1000.0
+REACH_MAX_M = 500.0
+"""A field of scores that reaches so far to all sides takes 500 MB."""
 
 WALL_STEP_M, WALL_RAD, SQUARE_SHARE_MIN = 0.5, 0.06, 0.5
 """Neighbouring points so near each other lie on one wall; where walls meet at right angles, their direction is known up
@@ -62,15 +65,21 @@ def match_globally(
     `window_m` along x and y. None when nothing scores `score_min`. Raises DataError for points or a window that cannot
     be meant.
     """
+    target_points, source_points = given_points(target_points), given_points(source_points)
     for points in (target_points, source_points):
-        if np.ndim(points) != 2 or np.shape(points)[1] != 2 or not np.isfinite(points).all():
-            raise DataError(f"points must be finite and of shape (n, 2); got some of shape {np.shape(points)}")
+        if np.abs(points).max(initial=0.0) > REACH_MAX_M:
+            raise DataError(
+                f"points must lie within {REACH_MAX_M:g} m of their own origin, the scanner; got one at "
+                f"{np.abs(points).max():g} m: move them there, or check their unit"
+            )
     if not 0.0 <= window_m <= WINDOW_MAX_M:
         raise DataError(f"window_m must lie in [0, {WINDOW_MAX_M:g}]; got {window_m!r}")
+    if not score_min >= 0.0 or not points_max >= 1:
+        raise DataError(f"score_min must be 0 or more, points_max 1 or more; got {score_min!r} and {points_max!r}")
     if len(target_points) == 0 or len(source_points) == 0:
         return None
-    fields, origin_m = score_fields(np.ascontiguousarray(target_points, float))
-    chosen = thinned(np.ascontiguousarray(source_points, float), points_max)
+    fields, origin_m = score_fields(target_points)
+    chosen = thinned(source_points, points_max)
     headings = lattice_headings(chosen)
     if lays_walls_along:
         headings = headings_along_walls(headings, target_points, source_points)

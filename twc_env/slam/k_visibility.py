@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.errors import DataError
+from twc_env.slam.given_arrays import given_points
 from twc_env.slam.k_visibility_grid import WallGrid, cell_probabilities
 from twc_env.slam.k_visibility_signal import fit_signal, locate_router, typical_signal
 from twc_env.slam.path_bins import PathBins, bin_along_path
@@ -30,6 +31,7 @@ _TRIES = (0, 1, None)
 before all are let in, and from the signal as fitted as from a typical one; the best result counts."""
 _STANDOFF_SPREAD_MAX_M = 0.05
 """With a larger spread the path does not keep its distance: walls that no ray has crossed are then left unknown."""
+GRID_CELLS_MAX = 25_000_000
 _BINS, _BIN_RANGE_M = 1000, (0.1, 0.3)
 """A long path is cut into so many bins, of a length in this range: readings nearer than that tell the same."""
 
@@ -70,16 +72,20 @@ def map_structure(
     """Map walls from readings (n, routers) [dBm], NaN where not heard, taken in order at positions (n, 2).
 
     Routers (routers, 2) that are not given are located first. `standoff_m` None: estimated from the walls found.
-    A corner of some cell of the grid comes to lie at origin_m (2,).
+    A corner of some cell of the grid comes to lie at origin_m (2,). Raises DataError for what does not fit together,
+    and for places so far apart that the grid would have more than GRID_CELLS_MAX cells.
     """
-    travel_m = float(np.linalg.norm(np.diff(np.asarray(position_m, float), axis=0), axis=1).sum())
+    position_m = given_points(position_m, "positions")
+    if router_m is not None:
+        router_m = given_points(router_m, "places of routers")
+    _check_grid(position_m, router_m, resolution_m)
+    travel_m = float(np.linalg.norm(np.diff(position_m, axis=0), axis=1).sum())
     bins = bin_along_path(position_m, rssi_dbm, float(np.clip(travel_m / _BINS, *_BIN_RANGE_M)))
     count = bins.rssi_dbm.shape[1]
     if router_m is None:
         located = [locate_router(bins, r) for r in range(count)]
         router_m, fits = np.array([place for place, _ in located]), [fit for _, fit in located]
     else:
-        router_m = np.asarray(router_m, float).reshape(-1, 2)
         if len(router_m) != count:
             raise DataError(f"give a place for each of the {count} routers that were heard; got {len(router_m)}")
         fits = [fit_signal(bins, r, router_m[r]) for r in range(count)]
@@ -118,3 +124,17 @@ def map_structure(
         noise_db=float(np.sqrt(solver.variance_db2)),
         standoff_m=standoff,
     )
+
+
+def _check_grid(position_m: Array, router_m: Array | None, resolution_m: float) -> None:
+    """Raise DataError for a grid around these places that cannot be meant."""
+    if not resolution_m > 0.0:
+        raise DataError(f"resolution_m must be above 0; got {resolution_m!r}")
+    places_m = position_m if router_m is None else np.concatenate([position_m, router_m])
+    if len(places_m):
+        columns, rows = (np.ptp(places_m, axis=0) / resolution_m + 1).tolist()
+        if columns * rows > GRID_CELLS_MAX:
+            raise DataError(
+                f"positions and routers span {columns:.0f} x {rows:.0f} cells of {resolution_m:g} m, more than "
+                f"{GRID_CELLS_MAX}: check their unit, or use larger cells"
+            )

@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm
 
 from twc_env.errors import DataError
+from twc_env.slam.given_arrays import given_points
 
 Array = NDArray
 
@@ -40,11 +41,15 @@ class PathBins:
 
 
 def bin_along_path(position_m: Array, rssi_dbm: Array, step_m: float = 0.1) -> PathBins:
-    """Average readings (n, routers), NaN where not heard, taken at positions (n, 2), over steps of the path."""
-    position, rssi = np.asarray(position_m, float), np.asarray(rssi_dbm, float)
-    if position.ndim != 2 or rssi.ndim != 2 or len(position) != len(rssi) or len(position) < 2:
+    """Average readings (n, routers), NaN where not heard, taken at positions (n, 2), over steps of the path.
+
+    Raises DataError for positions that are not finite and for arrays that do not fit together.
+    """
+    position, rssi = given_points(position_m, "positions"), np.asarray(rssi_dbm, float)
+    if rssi.ndim != 2 or rssi.shape[1] == 0 or len(position) != len(rssi) or len(position) < 2:
         raise DataError(
-            f"k-visibility needs positions (n, 2) and readings (n, routers), n >= 2; got {position.shape}, {rssi.shape}"
+            "k-visibility needs positions (n, 2) and readings (n, routers), n >= 2 and a router at least; "
+            f"got {position.shape}, {rssi.shape}"
         )
     travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
     _, bin_of = np.unique(np.floor(travel / step_m).astype(np.int64), return_inverse=True)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.geometry import align_rigidly, between, transform_points
+from twc_env.slam.given_arrays import given_points, given_pose
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -47,8 +48,12 @@ class PointMatch:
 
 
 def match_points(target: Array, source: Array, guess: Array) -> PointMatch:
-    """Lay source points (m, 2) on target points (n, 2) from a guess (3,) of the source's pose in the target's frame."""
-    pose, gate_m = np.array(guess, float), GATE_FIRST_M
+    """Lay source points (m, 2) on target points (n, 2) from a guess (3,) of the source's pose in the target's frame.
+
+    Raises DataError for points or a guess of another shape, or not finite.
+    """
+    target, source = given_points(target, "target points"), given_points(source, "source points")
+    pose, gate_m = given_pose(guess, "guess").copy(), GATE_FIRST_M
     if len(target) == 0 or len(source) == 0:
         return PointMatch(pose, np.nan, 0.0, np.zeros((3, 3)))
     from scipy.spatial import cKDTree  # slow to import, and not used by the default method

@@ -13,6 +13,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from twc_env.errors import DataError
 from twc_env.messages import Fingerprint
+from twc_env.slam.given_fingerprints import given_fingerprint, given_fingerprints
 from twc_env.slam.radio_similarity import FingerprintStore, features
 
 Array = NDArray
@@ -34,14 +35,19 @@ class RadioMap:
             )
         if not np.isfinite(self.positions_m).all():
             raise DataError("the positions of a radio map must be finite")
-        self.fingerprints = tuple(fingerprints)
+        self.fingerprints = given_fingerprints(fingerprints)
         self._store = FingerprintStore(mode)
-        for fingerprint in fingerprints:
+        for fingerprint in self.fingerprints:
             self._store.add(fingerprint)
 
     def nearest(self, fingerprint: Fingerprint, neighbours: int = 4) -> Array:
-        """(2,) mean place of the most alike fingerprints, weighted by likeness; the middle of the map for silence."""
-        best, similarity = self._store.nearest(fingerprint, neighbours)
+        """(2,) mean place of the most alike fingerprints, weighted by likeness; the middle of the map for silence.
+
+        Raises DataError for a fingerprint that is none, or fewer neighbours than one.
+        """
+        if not neighbours >= 1:
+            raise DataError(f"neighbours must be 1 or more; got {neighbours!r}")
+        best, similarity = self._store.nearest(given_fingerprint(fingerprint), neighbours)
         weight = similarity.astype(float) ** 2
         if not weight.any():
             return self.positions_m.mean(axis=0)
@@ -58,6 +64,12 @@ class GaussianProcessMap:
     def __init__(
         self, radio_map: RadioMap, length_m: float = 6.0, signal_std_db: float = 8.0, noise_std_db: float = 4.0
     ):
+        """Raises DataError for a length or a spread that is not above 0."""
+        if not min(length_m, signal_std_db, noise_std_db) > 0.0:
+            raise DataError(
+                "length_m, signal_std_db and noise_std_db must be above 0; "
+                f"got {length_m!r}, {signal_std_db!r} and {noise_std_db!r}"
+            )
         known = np.unique(np.concatenate([f.macs for f in radio_map.fingerprints]))
         self._column = {mac: k for k, mac in enumerate(known.tolist())}
         self._noise_db = noise_std_db
@@ -74,7 +86,8 @@ class GaussianProcessMap:
         self._variance = np.maximum(signal_std_db**2 - np.einsum("cp,pc->c", cross, solved), 0.0)
 
     def locate(self, fingerprint: Fingerprint) -> tuple[Array, Array]:
-        """Place (2,) and its covariance (2, 2)."""
+        """Place (2,) and its covariance (2, 2). Raises DataError for a fingerprint that is none."""
+        fingerprint = given_fingerprint(fingerprint)
         total = self._variance + self._noise_db**2
         squared = ((self._row(fingerprint) - self._expected) ** 2).sum(axis=1)
         log_likelihood = -0.5 * squared / total - 0.5 * len(self._mean) * np.log(total)

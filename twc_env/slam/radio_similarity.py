@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.errors import ConfigError
 from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint
 
@@ -40,7 +41,7 @@ def features(macs: Array, rssi_dbm: Array, mode: str = "shifted") -> Array:
         return np.asarray(rssi_dbm, float)
     if mode == "linear":
         return 10.0 ** (np.asarray(rssi_dbm, float) / 20.0)
-    raise ValueError(f"a similarity mode is one of {', '.join(MODES)}; got {mode!r}")
+    raise ConfigError(f"a similarity mode is one of {', '.join(MODES)}; got {mode!r}")
 
 
 def split_cues(fingerprint: Fingerprint) -> dict[str, Fingerprint]:
@@ -115,7 +116,7 @@ class FingerprintStore:
 
     def __init__(self, mode: str = "shifted"):
         if mode not in MODES:
-            raise ValueError(f"a similarity mode is one of {', '.join(MODES)}; got {mode!r}")
+            raise ConfigError(f"a similarity mode is one of {', '.join(MODES)}; got {mode!r}")
         self._mode = mode
         self._number: dict[int, int] = {}
         self._start, self._length, self._room = (np.zeros(64, np.int64) for _ in range(3))

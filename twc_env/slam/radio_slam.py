@@ -26,6 +26,7 @@ from twc_env.geometry import between, compose, inverse, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_cue, radio_field
 from twc_env.slam.distance_factor import Distances, together
+from twc_env.slam.given_fingerprints import given_fingerprints
 from twc_env.slam.odometry_calibration import Calibration, Motions, between_places, calibrated, reckoned_poses
 from twc_env.slam.pose_graph import squared_errors
 from twc_env.slam.radio_cue import CUES, RadioCue
@@ -77,11 +78,7 @@ class RadioLog:
             )
         if not (np.isfinite(motions).all() and np.isfinite(turned_rad).all()):
             raise DataError("motions and turns of a radio log must be finite")
-        for k, fingerprint in enumerate(self.fingerprints):
-            if not isinstance(fingerprint, Fingerprint):
-                raise DataError(
-                    f"fingerprint {k} is {fingerprint!r}: give an empty Fingerprint where nothing was heard"
-                )
+        object.__setattr__(self, "fingerprints", given_fingerprints(self.fingerprints))
         object.__setattr__(self, "motions", motions)
         object.__setattr__(self, "turned_rad", turned_rad)
 
@@ -131,8 +128,12 @@ def solve(
 ) -> RadioResult:
     """Trajectory from a log. Cues that the log does not hold are left out; without any the odometry comes back.
 
+    Raises DataError for cues that there are not.
+
     `false_closures`, between scans, are put among the closures: for tests of robustness.
     """
+    if isinstance(cues, str) or not set(cues) <= set(CUES):
+        raise DataError(f"cues must be a list of some of {', '.join(CUES)}; got {cues!r}")
     return _Solver(log, config, cues).run(false_closures)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam import pose_graph
 from twc_env.slam.closure_agreement import pairwise_consistent
 from twc_env.slam.closure_growth import ClosureGrowth
+from twc_env.slam.given_arrays import given_rows
 from twc_env.slam.graduated_non_convexity import graduated
 from twc_env.slam.map_prediction import KEYS_MAX
 from twc_env.slam.pose_graph import Graph, NormalEquations
@@ -63,8 +63,6 @@ class BackendResult:
 
 def optimise(poses, edges, measured, information, is_closure, config: PoseGraphConfig, fixed: int = 0) -> Array:
     """The poses of `solve`; signature and meaning of `pose_graph.optimise`, for every mode."""
-    if config.robust in ("plain", "dcs", "cauchy"):
-        return pose_graph.optimise(poses, edges, measured, information, is_closure, config, fixed)
     return solve(poses, edges, measured, information, is_closure, config, fixed).poses
 
 
@@ -178,10 +176,10 @@ def solve(
     """
     poses = np.array(poses, float)
     graph = Graph(
-        _rows(edges, np.int64, (2,), "edges"),
-        _rows(measured, float, (3,), "measurements"),
-        _rows(information, float, (3, 3), "information"),
-        _rows(is_closure, bool, (), "is_closure"),
+        given_rows(edges, (2,), "edges of a graph", np.int64, "edges"),
+        given_rows(measured, (3,), "measurements of a graph", rows="edges"),
+        given_rows(information, (3, 3), "information of a graph", rows="edges"),
+        given_rows(is_closure, (), "is_closure of a graph", bool, "edges"),
     )
     _check(poses, graph, fixed, is_inverted=config.robust in ("pcm", "ours"))
     group = np.full(len(graph.edges), -1)
@@ -203,19 +201,6 @@ def solve(
     return BackendResult(out, accepted, _rejections(graph, out, accepted, group, reasons, config.robust))
 
 
-def _rows(values: Any, kind: type, shape: tuple[int, ...], name: str) -> Array:
-    """(edges, *shape) of a kind. Raises DataError where values have another shape, or lose by being turned into it."""
-    given = np.asarray(values)
-    rows: Array = np.ascontiguousarray(given, kind)
-    if rows.size == 0:
-        return rows.reshape(0, *shape)
-    if rows.shape[1:] != shape or rows.ndim != 1 + len(shape):
-        raise DataError(f"{name} of a graph must have shape {('edges', *shape)}; got {rows.shape}")
-    if kind is np.int64 and not np.array_equal(rows, given):
-        raise DataError(f"{name} of a graph must be whole numbers; got {given.dtype} with {given.ravel()[:4].tolist()}")
-    return rows
-
-
 def _check(poses: Array, graph: Graph, fixed: int, is_inverted: bool) -> None:
     """Raise DataError for a graph that the kernels, which check nothing, must not see."""
     lengths = {len(part) for part in graph.parts}
@@ -225,7 +210,7 @@ def _check(poses: Array, graph: Graph, fixed: int, is_inverted: bool) -> None:
         raise DataError(f"edges join poses 0 to {len(poses) - 1}; got {graph.edges.min()} to {graph.edges.max()}")
     if not all(np.isfinite(values).all() for values in (poses, graph.measured, graph.information)):
         raise DataError("poses, measurements and information must be finite")
-    if len(poses) and not 0 <= fixed < len(poses):
+    if len(poses) and (not isinstance(fixed, (int, np.integer)) or not 0 <= fixed < len(poses)):
         raise DataError(f"the pose that is held must be one of 0 to {len(poses) - 1}; got {fixed}")
     _check_information(graph.information, is_inverted)
 

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import LocalMapConfig
-from twc_env.errors import DataError
+from twc_env.errors import ConfigError, DataError
 from twc_env.geometry import beam_directions
 from twc_env.kernels import borrowing_kernel
+from twc_env.slam.given_arrays import given_points, given_pose, given_rows
 from twc_env.slam.line_equations import line_scratch
 from twc_env.slam.line_matching import (
     WEIGHT_MIN,
@@ -32,6 +33,8 @@ from twc_env.slam.wall_drawing import BLOCK_CELLS, draw_scans
 
 Array = NDArray
 
+FIELD_SIDE_MAX = 10_000
+"""Cells along a side of the largest field: 400 MB."""
 NOTHING_DRAWN = np.array([2**31, 2**31, 0, 0, 0])
 SIGN_TO_WALL_M = 0.3
 """A sign hangs on the wall that is at most this far away."""
@@ -153,7 +156,15 @@ class LineField:
         range_max_m: float,
         storage: tuple[Array, Array, Array, Array] | None = None,
     ):
-        """Empty and centred on 0, 0. storage: as of `field_storage`, to use instead of new arrays."""
+        """Empty and centred on 0, 0. storage: as of `field_storage`, to use instead of new arrays.
+
+        Raises ConfigError for sizes that cannot be meant.
+        """
+        if not (0.0 < resolution_m <= size_m <= FIELD_SIDE_MAX * resolution_m and range_max_m > 0.0):
+            raise ConfigError(
+                f"a field needs 0 < resolution_m <= size_m, at most {FIELD_SIDE_MAX} cells a side, and a range above "
+                f"0; got size {size_m!r}, resolution {resolution_m!r} and range {range_max_m!r}"
+            )
         self.range_max_m = range_max_m
         self._inverse_m = 1.0 / resolution_m
         self._cells, self._lines, self._origin_m, self._drawn = storage or field_storage(size_m, resolution_m)
@@ -169,7 +180,15 @@ class LineField:
         self._drawn[:] = NOTHING_DRAWN
 
     def add(self, poses: Array, scans: Array) -> None:
-        """Draw the walls seen by scans (k, beams) [m] at poses (k, 3). Raises DataError for what is no number."""
+        """Draw the walls seen by scans (k, beams) [m] at poses (k, 3).
+
+        Raises DataError for what is no number or has another shape.
+        """
+        if np.ndim(scans) != 2 or np.shape(poses) != (len(scans), 3) or np.shape(scans)[1] == 0:
+            raise DataError(
+                f"give scans (k, beams), one pose (k, 3) for each; got {np.shape(scans)} and {np.shape(poses)}"
+            )
+        poses, scans = given_rows(poses, (3,), "poses"), given_rows(scans, np.shape(scans)[1:], "scans")
         directions = beam_directions(scans.shape[1])
         if not draw_scans(
             self._cells, self._lines, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m,
@@ -178,7 +197,11 @@ class LineField:
             raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
 
     def refine(self, points: Array, guess: Array, distance_max_m: float, iterations: int, degenerate_share: float):
-        """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match."""
+        """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match.
+
+        This and what follows raises DataError for points and poses of another shape, or not finite.
+        """
+        points, guess = given_points(points), given_pose(guess, "guess")
         pose, h = np.empty(3), np.zeros(9)
         weight, _, degenerate, vx, vy, _ = refine_pose(
             self._cells, self._lines, self._origin_m, self._inverse_m, points, len(points), guess, distance_max_m,
@@ -190,14 +213,16 @@ class LineField:
         self, points: Array, guess: Array, window: tuple[float, float], step: tuple[float, float], stride: int = 1
     ):
         """Search a window [m, rad] around guess in steps [m, rad] -> (best pose (3,), mean score in [0, 1])."""
-        best = np.array(guess, float)
-        score = correlate(
-            *self._field, points, len(points), np.asarray(guess, float), *window, *step, stride, best
-        )  # fmt: skip
+        points, guess = given_points(points), given_pose(guess, "guess")
+        if not (min(window) >= 0.0 and min(step) > 0.0 and stride >= 1):
+            raise DataError(f"a search needs steps above 0 and a stride of 1 or more; got {window}, {step}, {stride}")
+        best = guess.copy()
+        score = correlate(*self._field, points, len(points), guess, *window, *step, stride, best)
         return best, score
 
     def share_near(self, points: Array, pose: Array, near_m: float) -> float:
         """Share of points (n, 2), seen from pose, that lie within near_m of a wall."""
+        points, pose = given_points(points), given_pose(pose, "pose")
         return share_near(*self._field, points, len(points), pose, near_m)
 
     def facing_at(self, position: Sequence[float] | Array, seen_from: Sequence[float] | Array) -> float:
@@ -256,6 +281,12 @@ def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Arra
 
 
 def scan_points(ranges_m: Array, range_max_m: float) -> Array:
-    """(n, 2) end points, in the robot frame, of the beams that returned from something that stands still."""
+    """(n, 2) end points, in the robot frame, of the beams that returned from something that stands still.
+
+    Raises DataError for ranges that are no row (beams,) of numbers.
+    """
+    ranges_m = given_rows(ranges_m, (), "ranges_m", rows="beams")
+    if len(ranges_m) == 0:
+        return np.zeros((0, 2))
     points = np.empty((len(ranges_m), 2))
     return points[: points_of(ranges_m, range_max_m, beam_directions(len(ranges_m)), points)]

@@ -21,10 +21,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from twc_env.config import RadioSlamConfig
+from twc_env.errors import DataError
 from twc_env.geometry import compose
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_field
 from twc_env.slam.distance_factor import Distances
+from twc_env.slam.given_arrays import given_rows
+from twc_env.slam.given_fingerprints import given_fingerprints
 from twc_env.slam.radio_similarity import all_similarities, feature_rows
 from twc_env.slam.similarity_model import SimilarityModel, train
 
@@ -55,11 +58,24 @@ CAUCHY = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """One walk: its scans (n) in a frame of its own whose axes are about those of the compass."""
+    """One walk: its scans (n) in a frame of its own whose axes are about those of the compass.
+
+    Raises DataError for parts that do not fit together.
+    """
 
     poses: Array
     """(n, 3) dead reckoning."""
     fingerprints: Sequence[Fingerprint]
+
+    def __post_init__(self) -> None:
+        poses = given_rows(self.poses, (3,), "poses of a walk")
+        if len(poses) != len(self.fingerprints) or not np.isfinite(poses).all():
+            raise DataError(
+                f"a walk has finite poses (n, 3), one for each fingerprint; got {poses.shape} for "
+                f"{len(self.fingerprints)} fingerprints"
+            )
+        object.__setattr__(self, "poses", poses)
+        object.__setattr__(self, "fingerprints", given_fingerprints(self.fingerprints))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +91,12 @@ class Joined:
 
 
 def join(traces: Sequence[Trace], config: RadioSlamConfig) -> Joined:
-    """One frame for all walks that are tied to each other; `config.weighting` as in `radio_slam`."""
+    """One frame for all walks that are tied to each other; `config.weighting` as in `radio_slam`.
+
+    Raises DataError where there is no scan to join.
+    """
+    if not any(len(trace.poses) for trace in traces):
+        raise DataError(f"there is nothing to join: none of {len(traces)} walks has a scan")
     return _Joiner(traces, config).run()
 
 

@@ -1,0 +1,50 @@
+"""Arrays that callers outside bring: looked at before the kernels see them, which check nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twc_env.errors import DataError
+
+Array = NDArray
+
+
+def given_rows(values: ArrayLike, shape: tuple[int, ...], name: str, kind: Any = float, rows: str = "n") -> Array:
+    """(rows, *shape) of a kind, in C order; nothing at all counts as no rows.
+
+    Raises DataError where values are no numbers, have another shape, or lose by being turned into the kind.
+    """
+    try:
+        given = np.asarray(values)
+        made: Array = np.ascontiguousarray(given, kind)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{name} must be numbers of shape {(rows, *shape)}: {error}") from None
+    if made.shape == (0,):
+        return made.reshape(0, *shape)
+    if made.shape[1:] != shape or made.ndim != 1 + len(shape):
+        raise DataError(f"{name} must have shape {(rows, *shape)}; got {made.shape}")
+    if kind is np.int64 and not np.array_equal(made, given):
+        raise DataError(f"{name} must be whole numbers; got {given.dtype} with {given.ravel()[:4].tolist()}")
+    return made
+
+
+def given_points(values: ArrayLike, name: str = "points") -> Array:
+    """(n, 2) finite. Raises DataError for others."""
+    points = given_rows(values, (2,), name)
+    if not np.isfinite(points).all():
+        raise DataError(f"{name} must be finite; row {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
+    return points
+
+
+def given_pose(values: ArrayLike, name: str) -> Array:
+    """(3,) finite. Raises DataError for others."""
+    try:
+        pose: Array = np.ascontiguousarray(values, float)
+    except (TypeError, ValueError):
+        pose = np.full(3, np.nan)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise DataError(f"{name} must be a finite pose (x [m], y [m], heading [rad]); got {values!r}")
+    return pose
