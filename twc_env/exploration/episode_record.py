@@ -45,6 +45,11 @@ class EpisodeRecord:
         self.count += 1
 
     @property
+    def bytes_held(self) -> int:
+        """What is kept takes so much room: as much for each step."""
+        return sum(kept[: self.count].nbytes for kept in self._kept)
+
+    @property
     def contact_count(self) -> int:
         """Contacts that began after the start, summed over robots."""
         contacts = self._kept[3][: self.count]

@@ -37,6 +37,8 @@ class MapOptimiser:
         self._may_hold_poses = radio is None and config.robust == "ours"
         self.settled_maps = SettledMaps()
         """What becomes of large maps, and from when on they are large."""
+        self._unthinned: dict[tuple[int, ...], int] = {}
+        """Robots of large maps that are to be thinned, and the first node there that must stay."""
         self._refused_heard: dict[tuple[int, ...], int] = {}
         """How many closures of a group were refused when all of them were last weighed anew."""
         self._soiled: dict[int, bool] = {}
@@ -75,6 +77,7 @@ class MapOptimiser:
     def unsettle(self) -> None:
         """Robots came to share a map or no longer do: all of it may move."""
         self.settled_maps.forget()
+        self._unthinned.clear()
 
     def optimise(self, group: int, is_thorough: bool = False) -> None:
         """Optimise a group's map, of a large one the part that may still move; thoroughly: all of any."""
@@ -85,10 +88,23 @@ class MapOptimiser:
             self.settled_maps.note(robots, count, is_whole=False)
             return
         self._optimise_whole(group, is_thorough)
-        if self._forgetting is not None and not is_thorough:
-            kept = self._forgetting.forget(robots, self.settled_maps.first_unsettled(count, arrived))
-            self.settled_maps.renumber(kept)
-        self.settled_maps.note(robots, self._graph.node_count, is_whole=True)
+        self.settled_maps.note(robots, count, is_whole=True)
+        end = self.settled_maps.first_unsettled(count, arrived)
+        if self._forgetting is not None and not is_thorough and end > 0:
+            self._unthinned[robots] = end
+
+    @property
+    def may_forget(self) -> bool:
+        """Whether a large map was optimised as a whole and not thinned since."""
+        return len(self._unthinned) > 0
+
+    def forget(self) -> None:
+        """Thin such a map: in another step, for both take long."""
+        if self._forgetting is None or not self._unthinned:
+            return
+        kept = self._forgetting.forget(*self._unthinned.popitem())
+        self._unthinned = {robots: int(np.searchsorted(kept, end)) for robots, end in self._unthinned.items()}
+        self.settled_maps.renumber(kept)
 
     def _optimise_latest(self, group: int, first: int) -> bool:
         """Optimise the nodes from `first` on and leave the others; False where closures should be weighed anew."""

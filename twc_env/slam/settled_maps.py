@@ -56,7 +56,10 @@ class SettledMaps:
 
     def renumber(self, kept: Array) -> None:
         """Of all keyframes only some are left (k,), in this order."""
-        self._latest = {robots: int(np.searchsorted(kept, latest)) for robots, latest in self._latest.items()}
+        self._whole, self._latest = (
+            {robots: int(np.searchsorted(kept, count)) for robots, count in counts.items()}
+            for counts in (self._whole, self._latest)
+        )
 
     def forget(self) -> None:
         """Robots came to share a map or no longer do: nothing is settled."""

@@ -111,14 +111,16 @@ class TeamMapper:
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
-        if is_turn and self.optimiser.is_soiled and step >= self.optimiser.due_step:
+        if is_turn and self.optimiser.may_forget:
+            self.optimiser.forget()
+        elif is_turn and self.optimiser.is_soiled and step >= self.optimiser.due_step:
             self.optimiser.optimise_soiled(step)
         self._due_step, self._settled = self._next_due_step(), self._graph.changes
         return True
 
     def _next_due_step(self) -> float:
         """The first step with anything to do even if nothing arrives."""
-        if self._search.waiting_count or self._given_starts is not None:
+        if self._search.waiting_count or self._given_starts is not None or self.optimiser.may_forget:
             return self._step + 1
         due_step = min(self._review.due_step, self._last_retried_step + RETRY_STEPS)
         return min(due_step, self.optimiser.due_step) if self.optimiser.is_soiled else due_step
