@@ -19,6 +19,7 @@ from twc_env.slam.graph_arrays import ODOMETRY
 from twc_env.slam.graph_thinning import Edges, thinned
 from twc_env.slam.known_places import VIEWS_ENOUGH, carriers_of
 from twc_env.slam.map_optimiser import MapOptimiser
+from twc_env.slam.place_evidence import PlaceMemory
 from twc_env.slam.place_recognition import ProposalFilter
 from twc_env.slam.settled_maps import SettledMaps
 from twc_env.slam.sign_readings import SignReadings
@@ -116,6 +117,34 @@ def test_loops_are_closed_with_keyframes_that_stayed(walked):
     team = mappers_of(walked)[0]
     late = [c for c in team.closures if c.status == "accepted" and c.candidate.recogniser == "twc"]
     assert any(len(team.keyframes[c.candidate.source[0]]) and c.candidate.source[1] > 250 for c in late)
+
+
+@pytest.mark.parametrize("recogniser", ["text", "wifi", "lidar", "fused"])
+def test_every_recogniser_can_do_without_what_is_forgotten(recogniser):
+    env, actions = started(2000, **{"slam.place_recognition.recogniser": recogniser})
+    for _ in range(1999):
+        env.step(next(actions))
+    graph = env.episode.engine.team._graph
+    assert graph.node_count < 0.65 * graph.arrived_count
+    late = [
+        c for c in graph.closures if c.status == "accepted" and max(c.candidate.target[1], c.candidate.source[1]) > 200
+    ]
+    assert recogniser in {closure.candidate.recogniser for closure in late}
+    assert not env.episode.record.wrong_pairs and error_m(env) < 0.05
+
+
+def test_signs_are_known_from_the_keyframes_that_are_left(keyframe):
+    memory, sign = PlaceMemory(8.0), SignObservation("EXIT", np.array([1.0, 0.0]), 0.0)
+    read = [keyframe(robot=0, index=k, travel_m=0.1 * k, signs=(sign,)) for k in range(9)]
+    places = {id(place) for one in read for place in memory.observe(one)}
+    other = keyframe(robot=0, index=9, travel_m=30.0, signs=(SignObservation("LIFT", np.array([40.0, 0.0]), 0.0),))
+    memory.observe(other)
+    assert len(places) == 1 and len(memory.signs[0]) == 2
+    seen = [view.index for view, _ in memory.signs[0][0].views]
+    unseen = next(k for k in range(9) if k not in seen)
+    memory.forget(lambda one: one.index == unseen)
+    assert [[view.index for view, _ in place.views] for place in memory.signs[0]] == [[unseen]]
+    assert memory.place_of(read[unseen], sign) is memory.signs[0][0] and memory.place_of(read[0], sign) is None
 
 
 def test_a_map_that_forgets_is_reported_as_any():

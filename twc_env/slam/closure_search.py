@@ -12,7 +12,7 @@ from twc_env.geometry import between
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.group_maps import GroupMaps
 from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
-from twc_env.slam.place_recognition import Forgetful, ProposalFilter, make_recogniser
+from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
 from twc_env.slam.signless_recogniser import SignlessRecogniser
 from twc_env.slam.team_graph import TeamGraph
 from twc_env.slam.wayside_recognisers import WifiRecogniser
@@ -121,11 +121,6 @@ class ClosureSearch:
         for robot in robots:
             self._tied_m[robot] = -np.inf
 
-    @property
-    def can_forget(self) -> bool:
-        """Whether the recogniser can do without keyframes that it has seen."""
-        return isinstance(self._recogniser, Forgetful)
-
     def forget(self, _: Array) -> None:
         """Keyframes have been forgotten: nothing is compared with them, and what they were tried with is no matter."""
 
@@ -135,7 +130,7 @@ class ClosureSearch:
             return key[1] in held[key[0]]
 
         for recogniser in (self._recogniser, self._signless, self._strangers):
-            if isinstance(recogniser, Forgetful):
+            if recogniser is not None:
                 recogniser.forget(lambda keyframe: is_held((keyframe.robot, keyframe.index)))
         latest_m = [path[-1].travel_m if path else 0.0 for path in self._graph.keyframes]
         for tried in self._filters.values():

@@ -42,6 +42,10 @@ class FusedRecogniser:
                         best[candidate.target] = candidate
         return list(best.values())
 
+    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+        """See `Recogniser`."""
+        self.memory.forget(is_held)
+
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """Log-odds of the pair of signs that speaks most for one place; both keyframes must have been proposed."""
         pairs = [(a, b) for a in target.signs for b in source.signs]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,6 +99,21 @@ class PlaceMemory:
         """Remember a keyframe; gives the place of each of its readings."""
         self._learn_radio(keyframe)
         return [self._take_in(keyframe, sign) for sign in keyframe.signs]
+
+    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+        """Let go of keyframes that are not held any more, and of signs that only these read."""
+        for places in self.signs.values():
+            for place in places:
+                place.views[:] = [view for view in place.views if is_held(view[0])]
+        read, self._place_of = self._place_of, {}
+        for robot, path in self._path.items():
+            path[:] = filter(is_held, path)
+            for keyframe in filter(lambda keyframe: keyframe.signs, path):
+                known = self._place_of[robot, keyframe.index] = read[robot, keyframe.index]
+                for (_, place), sign in zip(known, keyframe.signs, strict=True):
+                    place.views[:] = place.views or [(keyframe, sign)]
+        for places in self.signs.values():
+            places[:] = [place for place in places if place.views]
 
     def place_of(self, keyframe: Keyframe, sign: SignObservation) -> SignPlace | None:
         """The remembered sign that this reading belongs to."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from bisect import bisect, insort
 from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import Keyframe, LoopCandidate
@@ -36,11 +36,6 @@ class Recogniser(Protocol):
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """How much two keyframes look like one place; the larger the more."""
-
-
-@runtime_checkable
-class Forgetful(Protocol):
-    """A recogniser of places that can do without some of them."""
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
         """Keep what is known of keyframes that are still held, and nothing of the others."""

@@ -47,6 +47,6 @@ class SignlessRecogniser:
         return candidates
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
-        """See `Forgetful`."""
+        """See `Recogniser`."""
         self._wifi.forget(is_held)
         self._kept = [keyframe for keyframe in self._kept if is_held(keyframe)]

@@ -75,8 +75,7 @@ class TeamMapper:
 
     def _forgetting(self, config: EnvConfig) -> Forgetting | None:
         """What lets go of keyframes; None where something looks back at all of them."""
-        may_forget = self._radio is None and config.slam.pose_graph.robust == "ours" and not self._on_request
-        if not may_forget or not self._search.can_forget:
+        if self._radio is not None or config.slam.pose_graph.robust != "ours" or self._on_request:
             return None
         return Forgetting(self._graph, (self._search, self._judge, self._maps))
 

@@ -156,7 +156,7 @@ class TextWifiRecogniser:
         return self._table.append(keyframe, text, self._texts.number_of(text))
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
-        """See `Forgetful`."""
+        """See `Recogniser`."""
         is_kept = np.array([is_held(keyframe) for keyframe, _ in self._places], bool)
         self._places = [place for place, stays in zip(self._places, is_kept.tolist(), strict=True) if stays]
         texts = {self._key(sign.text) for _, sign in self._places}

@@ -35,7 +35,7 @@ class PlacesOnTheWay:
         self._last_m: dict[int, float] = {}
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> Array:
-        """See `Forgetful`; (places,) bool: those that stay."""
+        """See `Recogniser`; (places,) bool: those that stay."""
         is_kept = np.array([is_held(keyframe) for keyframe in self.keyframes], bool)
         kept = np.flatnonzero(is_kept).tolist()
         self.keyframes = [self.keyframes[k] for k in kept]
@@ -131,7 +131,7 @@ class WifiRecogniser:
         return candidates
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
-        """See `Forgetful`."""
+        """See `Recogniser`."""
         self._table.keep(self._places.forget(is_held), np.zeros(1, np.int64), ())
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
@@ -170,7 +170,7 @@ class ScanRecogniser:
         return candidates
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
-        """See `Forgetful`."""
+        """See `Recogniser`."""
         self._places.forget(is_held)
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
