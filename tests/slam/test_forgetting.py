@@ -133,6 +133,16 @@ def test_every_recogniser_can_do_without_what_is_forgotten(recogniser):
     assert not env.episode.record.wrong_pairs and error_m(env) < 0.05
 
 
+@pytest.mark.parametrize("robust", ["plain", "dcs", "gnc"])
+def test_maps_of_other_back_ends_are_thinned_too(robust):
+    env, actions = started(2000, **{"slam.pose_graph.robust": robust})
+    for _ in range(1999):
+        env.step(next(actions))
+    graph = env.episode.engine.team._graph
+    assert graph.node_count < 0.65 * graph.arrived_count
+    assert not env.episode.record.wrong_pairs and error_m(env) < 0.05
+
+
 def test_signs_are_known_from_the_keyframes_that_are_left(keyframe):
     memory, sign = PlaceMemory(8.0), SignObservation("EXIT", np.array([1.0, 0.0]), 0.0)
     read = [keyframe(robot=0, index=k, travel_m=0.1 * k, signs=(sign,)) for k in range(9)]

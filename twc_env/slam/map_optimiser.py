@@ -89,7 +89,7 @@ class MapOptimiser:
             return
         self._optimise_whole(group, is_thorough)
         self.settled_maps.note(robots, count, is_whole=True)
-        end = self.settled_maps.first_unsettled(count, arrived)
+        end = self.settled_maps.first_unsettled(robots, count, arrived)
         if self._forgetting is not None and not is_thorough and end > 0:
             self._unthinned[robots] = end
 
@@ -102,9 +102,10 @@ class MapOptimiser:
         """Thin such a map: in another step, for both take long."""
         if self._forgetting is None or not self._unthinned:
             return
-        kept = self._forgetting.forget(*self._unthinned.popitem())
-        self._unthinned = {robots: int(np.searchsorted(kept, end)) for robots, end in self._unthinned.items()}
-        self.settled_maps.renumber(kept)
+        robots, end = self._unthinned.popitem()
+        kept = self._forgetting.forget(robots, end)
+        self._unthinned = {others: int(np.searchsorted(kept, first)) for others, first in self._unthinned.items()}
+        self.settled_maps.note_thinned(robots, kept)
 
     def _optimise_latest(self, group: int, first: int) -> bool:
         """Optimise the nodes from `first` on and leave the others; False where closures should be weighed anew."""

@@ -29,7 +29,9 @@ class SettledMaps:
         self._large_from, self._movable, self._forgets = large_from, movable, forgets
         self._whole: dict[tuple[int, ...], int] = {}
         self._latest: dict[tuple[int, ...], int] = {}
-        """How many keyframes there were when the map of these robots was optimised as a whole, and at all."""
+        """How many keyframes there were when the map of these robots was optimised as a whole, and at all ..."""
+        self._thinned: dict[tuple[int, ...], int] = {}
+        """... and after some of them were forgotten."""
 
     def is_large(self, count: int) -> bool:
         """Whether a map is to which so many keyframes ever came."""
@@ -44,9 +46,13 @@ class SettledMaps:
             return 0
         return max(self._latest[robots] - self._movable, 0)
 
-    def first_unsettled(self, count: int, arrived: int) -> int:
-        """The first of `count` keyframes that may not be forgotten now that all of a map has been optimised."""
-        return count - self._movable if self._forgets and self.is_large(arrived) else 0
+    def first_unsettled(self, robots: tuple[int, ...], count: int, arrived: int) -> int:
+        """The first of `count` keyframes that may not be forgotten now that all of a map has been optimised.
+
+        0 until it has grown by a share since keyframes were forgotten last.
+        """
+        has_grown = count >= GROWN * self._thinned.get(robots, 0)
+        return count - self._movable if self._forgets and self.is_large(arrived) and has_grown else 0
 
     def note(self, robots: tuple[int, ...], count: int, is_whole: bool) -> None:
         """The map of these robots was optimised when there were so many keyframes."""
@@ -54,14 +60,16 @@ class SettledMaps:
         if is_whole:
             self._whole[robots] = count
 
-    def renumber(self, kept: Array) -> None:
-        """Of all keyframes only some are left (k,), in this order."""
-        self._whole, self._latest = (
-            {robots: int(np.searchsorted(kept, count)) for robots, count in counts.items()}
-            for counts in (self._whole, self._latest)
+    def note_thinned(self, robots: tuple[int, ...], kept: Array) -> None:
+        """Keyframes of these robots were forgotten: of all only some are left (k,), in this order."""
+        self._whole, self._latest, self._thinned = (
+            {others: int(np.searchsorted(kept, count)) for others, count in counts.items()}
+            for counts in (self._whole, self._latest, self._thinned)
         )
+        self._thinned[robots] = len(kept)
 
     def forget(self) -> None:
         """Robots came to share a map or no longer do: nothing is settled."""
         self._whole.clear()
         self._latest.clear()
+        self._thinned.clear()

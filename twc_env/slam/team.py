@@ -60,7 +60,7 @@ class TeamMapper:
         radio = config.slam.radio_slam
         self._radio = RadioTies(radio, robot_count) if radio.online else None
         self.optimiser = MapOptimiser(
-            config.slam.pose_graph, self._graph, self._maps, self._judge, self._radio, self._forgetting(config)
+            config.slam.pose_graph, self._graph, self._maps, self._judge, self._radio, self._forgetting()
         )
         """When the maps of groups are optimised, and how much of them."""
         self._no_case: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
@@ -73,9 +73,9 @@ class TeamMapper:
         """Before this step, and while the graph has changed so often, there is nothing to do if nothing arrives."""
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], KnownSigns]] = {}
 
-    def _forgetting(self, config: EnvConfig) -> Forgetting | None:
+    def _forgetting(self) -> Forgetting | None:
         """What lets go of keyframes; None where something looks back at all of them."""
-        if self._radio is not None or config.slam.pose_graph.robust != "ours" or self._on_request:
+        if self._radio is not None or self._on_request:
             return None
         return Forgetting(self._graph, (self._search, self._judge, self._maps))
 
