@@ -21,15 +21,20 @@ SAME_SIGN_M = 1.0
 ENOUGH, ENOUGH_M = 8, 0.5
 """Of so many readings of a text by one robot, so near to where it was read again, another tells nothing: signs that are
 passed time and again take no more time and room in the end."""
+_UNKNOWN = (), (-1, np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.int64))
+"""Of a robot whose group's signs are to be looked up anew."""
 
 
 @borrowing_kernel
-def _add(rule, poses, readings, local, count, robot, node, text, ahead, left):
+def _add(rule, poses, readings, local, count, robot, node, text, ahead, left, rank, texts, places, owners):
     """Put a text that a robot read ahead and to the left of a node behind the `count` readings.
 
-    Not where enough of these are of it and so near. Gives how many readings there are then.
+    Not where enough of these are of it and so near. Gives how many readings there are then, and whether the signs that
+    its group knows may be others now: not where one of these, found by itself or a robot before it, is what it read.
+    rank: its place in the group, -1 where it is not told what is known; else texts, places and owners as
+    `_places_of_signs` writes them.
     """
-    enough, within_m = parts_of(rule)
+    enough, within_m, same_m = parts_of(rule)
     c, s = math.cos(poses[node, 2]), math.sin(poses[node, 2])
     x, y = poses[node, 0] + c * ahead - s * left, poses[node, 1] + s * ahead + c * left
     near = 0
@@ -40,19 +45,24 @@ def _add(rule, poses, readings, local, count, robot, node, text, ahead, left):
             dx, dy = other[0] + c * local[k, 0] - s * local[k, 1] - x, other[1] + s * local[k, 0] + c * local[k, 1] - y
             near += math.hypot(dx, dy) < within_m
     if near >= enough:
-        return count
+        return count, rank < 0
     readings[count, 0], readings[count, 1], readings[count, 2] = robot, node, text
     local[count, 0], local[count, 1] = ahead, left
-    return count + 1
+    for k in range(texts.shape[0]):
+        away_m = math.sqrt((places[k, 0] - x) ** 2 + (places[k, 1] - y) ** 2)
+        if texts[k] == text and owners[k] <= rank and away_m < same_m:
+            return count + 1, False
+    return count + 1, True
 
 
 @kernel
-def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, places):
-    """Text and place (in the map) of each known sign, robot by robot; all of one text stand together.
+def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, places, owners):
+    """Text, place (in the map) and owner of each known sign, robot by robot; all of one text stand together.
 
-    readings (n, 3): robot, node, text; local (n, 2): place in the frame of the node. Gives how many there are.
+    readings (n, 3): robot, node, text; local (n, 2): place in the frame of the node. The owner is the one of `robots`
+    (by its place among them) that read it first. Gives how many there are.
     """
-    found_text, found = np.empty(readings.shape[0], np.int64), np.empty((readings.shape[0], 2))
+    found_by, found = np.empty(readings.shape[0], np.int64), np.empty((readings.shape[0], 2))
     latest, earlier = np.full(text_count, -1), np.empty(readings.shape[0], np.int64)
     order, texts_found, count = np.empty(text_count, np.int64), 0, 0
     for a in range(robots.shape[0]):
@@ -71,7 +81,7 @@ def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, 
             if latest[text] < 0:
                 order[texts_found] = text
                 texts_found += 1
-            found_text[count], found[count, 0], found[count, 1] = text, x, y
+            found_by[count], found[count, 0], found[count, 1] = a, x, y
             earlier[count] = latest[text]
             latest[text] = count
             count += 1
@@ -81,10 +91,12 @@ def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, 
         sign = latest[order[t]]
         while sign >= 0:  # from the latest to the first, then turned round
             texts[end], places[end, 0], places[end, 1] = order[t], found[sign, 0], found[sign, 1]
+            owners[end] = found_by[sign]
             end += 1
             sign = earlier[sign]
         for k in range((end - first) // 2):
             i, j = first + k, end - 1 - k
+            owners[i], owners[j] = owners[j], owners[i]
             for axis in range(2):
                 places[i, axis], places[j, axis] = places[j, axis], places[i, axis]
     return count
@@ -113,8 +125,12 @@ class SignReadings:
     """The readings of all robots, in the order of their arrival."""
 
     def __init__(self, robot_count: int):
-        self.counts = [0] * robot_count
-        """Texts read by each robot."""
+        self.news = [0] * robot_count
+        """How often each robot read what may change the signs that its group knows."""
+        self._known: dict[int, tuple[Sequence[int], tuple[int, Array, Array, Array]]] = {}
+        """Of robots whose group's signs are known as they are now: the group, and what `_add` asks of them."""
+        self._passed: set[int] = set()
+        """Robots that read only what was known, in this step: should nodes move now, it is news all the same."""
         self._numbers: dict[str, int] = {}
         """Each text that was ever read and its number ..."""
         self._texts: list[str] = []
@@ -123,7 +139,7 @@ class SignReadings:
         """Robot, node and text of each reading; where it is in the frame of its keyframe; and how many there are."""
         self._run: Callable[..., int] | None = None
         """`_places_of_signs` of readings that are one sign where they are less than SAME_SIGN_M apart."""
-        self._add: Callable[..., int] | None = None
+        self._add: Callable[..., tuple[int, bool]] | None = None
         """`_add` where ENOUGH of those less than ENOUGH_M away are enough."""
 
     def __getstate__(self) -> dict:
@@ -131,18 +147,36 @@ class SignReadings:
 
     def add(self, keyframe: Keyframe, node: int, poses: Array) -> None:
         """Take in what was read at a keyframe, which is a node of the pose graph; poses (nodes, 3) of all nodes."""
+        robot = keyframe.robot
         for sign in keyframe.signs:
             text = self._numbers.setdefault(sign.text, len(self._texts))
             if text == len(self._texts):
                 self._texts.append(sign.text)
-            self.counts[keyframe.robot] += 1
             if self._count == len(self._readings):
                 self._readings, self._places = grown(self._readings), grown(self._places)
             held = poses, self._readings, self._places, self._count
-            new = *held, keyframe.robot, node, text, *sign.position_m.tolist()
+            group, known = self._known.get(robot, _UNKNOWN)
+            new = *held, robot, node, text, *sign.position_m.tolist(), *known
             if self._add is None:
-                self._add = bound(_add, Lent((ENOUGH, ENOUGH_M)), *new)
-            self._count = self._add(*new)
+                self._add = bound(_add, Lent((ENOUGH, ENOUGH_M, SAME_SIGN_M)), *new)
+            self._count, is_news = self._add(*new)
+            if is_news:
+                self.news[robot] += 1
+                for mate in group:
+                    self._known.pop(mate, None)
+            else:
+                self._passed.add(robot)
+
+    def note_move(self) -> None:
+        """Nodes have moved, and with them what was read there."""
+        self._known.clear()
+        for robot in self._passed:
+            self.news[robot] += 1
+        self._passed.clear()
+
+    def end_step(self) -> None:
+        """What is read from now on belongs to another step: signs are looked up once in each that brings news."""
+        self._passed.clear()
 
     def forget(self, carrier_of: Array, number_of: Array, poses: Array) -> None:
         """Let go of readings at nodes that are forgotten, but the first of those that no other repeats.
@@ -164,13 +198,16 @@ class SignReadings:
         self._count = len(texts)
         self._readings, self._places = only(readings, stays), only(local, stays)
         self._readings[: self._count, 2] = texts
+        self._known.clear()
 
     def known(self, poses: Array, robots: Sequence[int]) -> KnownSigns:
         """The texts read by some robots of one group, each once per place; poses (nodes, 3) of all nodes."""
         readings, local = self._readings[: self._count], self._places[: self._count]
-        texts, places = np.empty(self._count, np.int64), np.empty((self._count, 2))
-        now = poses, readings, local, np.array(robots, np.int64), len(self._numbers), texts, places
+        texts, places, owners = np.empty(self._count, np.int64), np.empty((self._count, 2)), np.empty(self._count, int)
+        now = poses, readings, local, np.array(robots, np.int64), len(self._numbers), texts, places, owners
         if self._run is None:
             self._run = bound(_places_of_signs, SAME_SIGN_M, *now)
         count, names = self._run(*now), self._texts
+        for rank, robot in enumerate(robots):
+            self._known[robot] = robots, (rank, texts[:count], places[:count], owners[:count])
         return KnownSigns([names[k] for k in texts[:count].tolist()], places[:count])

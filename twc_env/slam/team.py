@@ -114,6 +114,7 @@ class TeamMapper:
             self.optimiser.forget()
         elif is_turn and self.optimiser.is_soiled and step >= self.optimiser.due_step:
             self.optimiser.optimise_soiled(step)
+        self._graph.end_step()
         self._due_step, self._settled = self._next_due_step(), self._graph.changes
         return True
 
@@ -143,8 +144,8 @@ class TeamMapper:
 
     def counts(self) -> tuple[int, int, int, int]:
         """How often a keyframe arrived, poses moved or a closure was judged; robots came together or fell apart; a map
-        came to lie elsewhere or was drawn anew; a text was read."""
-        return self._graph.changes, self._maps.regroupings, self._maps.changes, sum(self._graph.signs_read)
+        came to lie elsewhere or was drawn anew; a text was read that may change what signs are known."""
+        return self._graph.changes, self._maps.regroupings, self._maps.changes, sum(self._graph.sign_news)
 
     @property
     def merges_undone(self) -> int:
@@ -204,8 +205,8 @@ class TeamMapper:
     def signs_of(self, group: int) -> KnownSigns:
         """The texts read by a group, each once per place."""
         robots, version = self.groups[group].robots, self.groups[group].version
-        read = self._graph.signs_read
-        key = (sum([read[r] for r in robots]), version) if len(robots) > 1 else (read[robots[0]], version)
+        news = self._graph.sign_news
+        key = (sum([news[r] for r in robots]), version) if len(robots) > 1 else (news[robots[0]], version)
         held = self._signs.get(robots)
         if held is None or held[0] != key:
             held = self._signs[robots] = (key, self._graph.signs(robots))

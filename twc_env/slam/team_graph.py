@@ -70,8 +70,8 @@ class TeamGraph(GraphArrays):
         """Of each of these keyframes its node."""
         self._forgotten = ForgottenPaths()
         self._readings = SignReadings(robot_count)
-        self.signs_read: list[int] = self._readings.counts
-        """Texts read by each robot so far."""
+        self.sign_news: list[int] = self._readings.news
+        """How often each robot read what may change the signs that its group knows."""
         self._edge_of_closure: dict[int, int] = {}
 
     def poses_of(self, robot: int) -> Array:
@@ -274,6 +274,7 @@ class TeamGraph(GraphArrays):
     def place(self, nodes: Sequence[int] | Array, poses: Array) -> None:
         """Move nodes to new poses."""
         self.poses[nodes] = poses
+        self._readings.note_move()
         self.changes += 1
 
     def part(self, robots: Sequence[int], first: int = 0) -> tuple[Array, Array, Graph, Array]:
@@ -321,6 +322,10 @@ class TeamGraph(GraphArrays):
                 self.accept(closure)
             else:
                 self.refuse(closure, reasons[k])
+
+    def end_step(self) -> None:
+        """See `SignReadings.end_step`."""
+        self._readings.end_step()
 
     def signs(self, robots: Sequence[int]) -> KnownSigns:
         """The texts read by some robots of one group, each once per place."""
