@@ -10,6 +10,7 @@ import pytest
 
 import twc_env
 from twc_env.errors import ConfigError
+from twc_env.without_infos import WithoutInfos
 
 ID = "twc/Explore-v0"
 SMALL = {"lidar.beam_count": 60}
@@ -87,6 +88,18 @@ def test_torchrl_rolls_a_team_out():
     assert bool(robots["truncated"][-1].all())
     assert float(robots["reward"].sum()) > 0
     check(wrapper(twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL)))
+    env.close()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning", "ignore::FutureWarning")
+def test_torchrl_chooses_among_frontiers_that_the_mask_allows():
+    needs("torch", "tensordict", extra="torchrl")
+    wrapper = needs("torchrl.envs.libs.pettingzoo", extra="torchrl").PettingZooWrapper
+    team = twc_env.parallel_env(robots=2, max_cycles=100, config={**SMALL, "action.kind": "frontier"})
+    env = wrapper(WithoutInfos(team), categorical_actions=True)
+    robots = env.rollout(5)["robot"]
+    assert bool(robots["action_mask"].gather(-1, robots["action"][..., None]).all())
+    assert not bool(robots["action_mask"].all())
     env.close()
 
 

@@ -1,0 +1,25 @@
+"""A team without infos, for tools that take none that come and go (TorchRL)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pettingzoo.utils import BaseParallelWrapper
+
+
+class WithoutInfos(BaseParallelWrapper):
+    """The environment inside, all infos empty; what it decides by (`action_mask`) stands in observations too."""
+
+    def reset(self, seed: int | None = None, options: dict | None = None):
+        """Begin an episode."""
+        observations, infos = super().reset(seed=seed, options=options)
+        return observations, _emptied(infos)
+
+    def step(self, actions: dict[str, Any]):
+        """One step."""
+        *seen, infos = super().step(actions)
+        return *seen, _emptied(infos)
+
+
+def _emptied(infos: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {agent: {} for agent in infos}
