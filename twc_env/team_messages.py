@@ -130,10 +130,10 @@ class TeamFrames(_Team[SensorFrame]):
             return frames
         team = cls(
             frames[0].step,
-            frames[0].time_s,
-            np.array([frame.odometry for frame in frames]),
-            np.array([frame.turn_rate_rad_s for frame in frames]),
-            np.array([frame.ranges_m for frame in frames]),
+            float(frames[0].time_s),
+            np.array([frame.odometry for frame in frames], float),
+            np.array([frame.turn_rate_rad_s for frame in frames], float),
+            np.array([frame.ranges_m for frame in frames], float),
             [frame.wifi for frame in frames],
             [frame.signs for frame in frames],
         )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig, override
-from twc_env.errors import ConfigError, DataError
+from twc_env.errors import ConfigError, DataError, TwcError
 from twc_env.messages import UNSEEN_M, SensorFrame, SignReading, WifiScan
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.scan_matching import LineField
@@ -41,6 +41,9 @@ def scan(macs, rssi_dbm) -> WifiScan:
         ({"wifi": scan([1, 1], [-40.0, -50.0])}, "do not ascend"),
         ({"wifi": scan([1, 2, 3], [-40.0, -50.0])}, "strengths"),
         ({"wifi": scan([1, 2], [-40.0, np.nan])}, "what was not heard"),
+        ({"wifi": scan([1.5, 2.0], [-40.0, -50.0])}, "whole numbers"),
+        ({"wifi": replace(scan([1, 2], [-40.0, -50.0]), age_s=np.zeros(1))}, "one age each"),
+        ({"wifi": replace(scan([1, 2], [-40.0, -50.0]), age_s=np.array([0.0, np.nan]))}, "one age each"),
         ({"wifi": scan(["aa:01", "aa:02"], [-40.0, -50.0])}, "values of another kind"),
         ({"wifi": scan([1, 2], ["loud", "low"])}, "values of another kind"),
         ({"ranges_m": np.array(["far"] * 60)}, "values of another kind"),
@@ -85,3 +88,32 @@ def test_a_scan_that_is_no_number_is_not_drawn():
     for poses, drawn in ((np.zeros((1, 3)), np.full((1, 60), np.nan)), (np.full((1, 3), np.inf), scans)):
         with pytest.raises(DataError, match="numbers"):
             field.add(poses, drawn)
+
+
+@pytest.mark.parametrize("frames", [None, SOUND, [None], ["frame"]])
+def test_what_is_no_list_of_frames_is_refused(frames):
+    with pytest.raises(DataError, match="give a list of SensorFrame"):
+        CooperativeSlam(CONFIG, 2).update(frames)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float16, ">f8", np.int64])
+def test_frames_of_other_number_types_are_taken_in_at_any_time(kind):
+    later = {"odometry": np.zeros(3, kind), "ranges_m": np.full(60, 3, kind), "step": 1, "time_s": 1}
+    engine, same = CooperativeSlam(CONFIG, 2), CooperativeSlam(CONFIG, 2)
+    for each, changes in ((engine, later), (same, {"step": 1, "time_s": 1.0})):
+        each.update([SOUND])
+        each.update([replace(SOUND, **changes)])
+        each.update([replace(SOUND, step=2, time_s=2.0)])
+    assert engine.belief(0).pose_map_robot.tobytes() == same.belief(0).pose_map_robot.tobytes()
+
+
+@pytest.mark.parametrize("robot", [2, -1])
+def test_who_is_not_in_the_team_believes_nothing(robot):
+    engine = CooperativeSlam(CONFIG, 2)
+    with pytest.raises(TwcError, match="robots are 0 to 1"):
+        engine.belief(robot)
+
+
+def test_an_engine_needs_a_config():
+    with pytest.raises(ConfigError, match="config must be an EnvConfig"):
+        CooperativeSlam({"robots": 2}, 2)

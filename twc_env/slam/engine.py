@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import CuesConfig, EnvConfig
 from twc_env.config.checks import whole_number
+from twc_env.errors import ConfigError, TwcError
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam import cues
@@ -74,6 +75,10 @@ class CooperativeSlam:
     """
 
     def __init__(self, config: EnvConfig, robot_count: int):
+        if not isinstance(config, EnvConfig):
+            raise ConfigError(
+                f"config must be an EnvConfig; got {config!r}: twc_env.config.override makes one of a dict"
+            )
         robot_count = whole_number("robot_count", robot_count, 1)
         self._cues, self._has_all_cues = config.slam.cues, config.slam.cues == CuesConfig()
         config = cues.needed(config)
@@ -273,7 +278,9 @@ class CooperativeSlam:
         return lines
 
     def belief(self, robot: int) -> Belief:
-        """What this robot knows now."""
+        """What this robot knows now. Raises TwcError for a robot that there is not."""
+        if not 0 <= robot < len(self.robots):
+            raise TwcError(f"robots are 0 to {len(self.robots) - 1}; got {robot!r}")
         return self.beliefs()[robot]
 
     def beliefs(self) -> TeamBeliefs:

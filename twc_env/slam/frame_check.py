@@ -16,6 +16,8 @@ JUMP_MAX_M = 1000.0
 
 def check_frames(frames: Sequence[SensorFrame], robot_count: int, beam_count: int) -> None:
     """Raise DataError for frames that the team cannot have sensed. A range may be infinite: no return."""
+    if not isinstance(frames, Sequence) or not all(isinstance(frame, SensorFrame) for frame in frames):
+        raise DataError(f"give a list of SensorFrame, one for each robot; got {frames!r}")
     if not frames:
         raise DataError("there are no frames to take in: give those of one robot at least")
     robots = [frame.robot for frame in frames]
@@ -49,8 +51,13 @@ def _fault(frame: SensorFrame, beam_count: int) -> str | None:
 def _fault_of_scan(scan: WifiScan) -> str | None:
     if np.shape(scan.macs) != np.shape(scan.rssi_dbm) or np.ndim(scan.macs) != 1:
         return f"has a WiFi scan of {np.shape(scan.macs)} addresses and {np.shape(scan.rssi_dbm)} strengths"
+    if len(scan.macs) and np.asarray(scan.macs).dtype.kind in "fc":
+        return "has a WiFi scan whose addresses are no whole numbers"
     if not (np.diff(scan.macs) > 0).all():
         return "has a WiFi scan whose addresses do not ascend: sort them, each but once"
     if not np.isfinite(scan.rssi_dbm).all():
         return "has a WiFi scan with a strength that is not finite: leave out what was not heard"
+    ages_s = scan.age_s
+    if ages_s is not None and not (np.shape(ages_s) == np.shape(scan.macs) and np.isfinite(ages_s).all()):
+        return f"has a WiFi scan with ages {ages_s!r}: readings have one age each [s], or none of them has"
     return None
