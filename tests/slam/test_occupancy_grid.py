@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 
 from twc_env.messages import BLOCK_SHAPE
 from twc_env.slam.cell_kinds import kinds_of
-from twc_env.slam.occupancy_grid import LOG_ODDS_FREE, LOG_ODDS_HIT, LOG_ODDS_MAX, LOG_ODDS_MIN, OccupancyGrid
+from twc_env.slam.occupancy_grid import OccupancyGrid
+from twc_env.slam.scan_folding import LOG_ODDS_FREE, LOG_ODDS_HIT, LOG_ODDS_MAX, LOG_ODDS_MIN
 
 BEAMS, RANGE_MAX_M, CELL_M = 720, 10.0, 0.1
 HALF_M = 3.05

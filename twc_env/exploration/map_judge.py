@@ -2,7 +2,8 @@
 
 Which cells of a map lie on the building's floor is kept while the map lies where it lay. With that mask, measuring a
 map is a comparison of two grids, cell by cell, instead of looking up every cell of the floor; and only of those blocks
-of cells that scans touched since the last time. One compiled call does all of it for a map that has not moved.
+of cells in which scans changed something since the last time. One compiled call does all of it for a map that has not
+moved.
 """
 
 from __future__ import annotations
