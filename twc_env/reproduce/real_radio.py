@@ -16,10 +16,17 @@ These were tried once and are no part of the table:
 - A likelihood of distance learnt from measures of a pair of scans by a small network, on the surveyed positions of one
   floor and used on the other: added up over pairs it misleads, since pairs repeat each other. Learnt without surveyed
   positions, within walks and against scans of other walks, it finds nothing: scans of one walk are alike for reasons
-  that two walks never share.
+  that two walks never share. Learnt within walks alone, from scans some seconds apart, and only for what it says of
+  short distances, it finds one walk of site1_B1 about as well as the oracle's cosine. Walks matched by it lie no nearer
+  to the truth.
+- A network that learns places from the surveyed positions of most walks of site1_B1: it places the other walks no
+  better than the oracle does.
 - The likeness of a scan to the map in many measures, weighed by a network that surveyed positions of the other floor
   trained: little better than the oracle's one cosine, and it needs the truth. Nor are likelihoods of levels and
-  silences better on both floors.
+  silences better on both floors, alone or added to the cosine.
+- On site1_B1, groups of walks moved as one on the map of the rest: they swell it. Walks moved in turns by cosine and
+  levels together, the spread held, leave the truth too. Layouts from half of the radios differ by more than such
+  changes do, and their mean is no nearer.
 - Walks laid at the mean of all places they could have on the map of the others, in turns: nearer at first, then
   further, as that swells the map. It also leaves the truth where it starts there.
 - Scans moved ahead of where they were taken, or only compared with those of like heading: no better. Errors have hardly
