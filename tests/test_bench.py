@@ -1,3 +1,4 @@
+import gc
 import importlib.util
 import json
 
@@ -109,5 +110,8 @@ def test_a_long_episode_is_timed_by_tenths(tmp_path, capsys):
     for key in ("path_m", "keyframes", "closures"):
         assert [row[key] for row in rows] == sorted(row[key] for row in rows)
     assert rows[-1]["keyframes"] > 0 < rows[-1]["path_m"]
+    record_mb = [row["record_mb"] for row in rows]
+    assert np.diff(record_mb) == pytest.approx(np.full(9, record_mb[-1] / 10.1), rel=0.02), "as much for each step"
+    assert record_mb[-1] < 0.1 < rows[-1]["memory_mb"] and gc.get_freeze_count() == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 11 and lines[0].split()[:3] == ["steps", "path", "m"]
