@@ -72,3 +72,9 @@ def test_unix_times_keep_their_fractions(tmp_path):
     times_s = np.array([1305031102.1758, 1305031102.2113])
     write_tum(tmp_path / "a.tum", times_s, np.zeros((2, 3)))
     assert np.abs(read_tum(tmp_path / "a.tum")[0] - times_s).max() < 1e-5
+
+
+def test_what_no_reader_takes_is_not_written(tmp_path):
+    with pytest.raises(DataError, match="row 1 is not"):
+        write_tum(tmp_path / "path.tum", [0.0, 1.0], [[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]])
+    assert not (tmp_path / "path.tum").exists()

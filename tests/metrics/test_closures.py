@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from twc_env.metrics import closure_is_correct, score_closures
+from twc_env.errors import DataError
+from twc_env.metrics import closure_is_correct, closures_are_correct, score_closures
 
 TRUE = np.array([1.0, 2.0, 3.1])
 
@@ -37,3 +38,12 @@ def test_no_closures_have_no_precision_and_no_recall():
     score = score_closures([], [])
     assert score.proposed == 0
     assert math.isnan(score.precision) and math.isnan(score.recall)
+
+
+def test_verdicts_and_poses_that_do_not_match_are_refused():
+    with pytest.raises(DataError, match="as many verdicts"):
+        score_closures([True, False], [True])
+    with pytest.raises(DataError, match="as many measured"):
+        closures_are_correct(np.zeros((3, 3)), np.zeros((1, 3)))
+    with pytest.raises(DataError, match="as many measured"):
+        closure_is_correct([0.0, 0.0], [0.0, 0.0])

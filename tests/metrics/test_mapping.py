@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twc_env import geometry
+from twc_env.errors import DataError
 from twc_env.metrics import mapping
 
 ORIGIN_M = np.array([0.0, 0.0])
@@ -186,3 +187,35 @@ def test_what_nobody_touched_is_not_counted_anew():
     log_odds[:] = 0
     touched[1, 2] = 1
     assert mapping.recount_free(log_odds, mask, touched, known, counts) == 8000 - 16 * 64
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"pose_building_map": np.full(3, np.nan)}, "must lie in one place"),
+        ({"pose_building_map": np.array([1e14, 0.0, 0.0])}, "must lie in one place"),
+        ({"pose_building_map": np.zeros(2)}, r"a pose \(3,\)"),
+        ({"resolution_m": 0.0}, "a size above 0"),
+        ({"truth_resolution_m": -0.1}, "a size above 0"),
+        ({"log_odds": np.zeros(9, np.int16)}, "log_odds must be a grid"),
+        ({"truth_wall": np.zeros((3, 4), bool)}, "must have one shape"),
+    ],
+)
+def test_maps_that_cannot_be_compared_are_refused(changes, message):
+    free, wall = room()
+    parts = {
+        "log_odds": drawn(free, wall), "origin_m": ORIGIN_M, "resolution_m": 0.1, "pose_building_map": np.zeros(3),
+        "truth_free": free, "truth_wall": wall, "truth_origin_m": ORIGIN_M, "truth_resolution_m": 0.1,
+    }  # fmt: skip
+    with pytest.raises(DataError, match=message):
+        mapping.score_map(**{**parts, **changes})
+    if "truth_wall" not in changes:
+        parts.pop("truth_wall")
+        with pytest.raises(DataError, match=message):
+            mapping.correct_area_m2(**{**parts, **changes})
+
+
+def test_walls_that_are_no_segments_are_refused():
+    free, wall = room()
+    with pytest.raises(DataError, match="both ends of each"):
+        mapping.wall_thickness_m(drawn(free, wall), ORIGIN_M, 0.1, np.zeros(3), np.zeros((1, 4)))

@@ -48,3 +48,15 @@ def test_a_small_turn_is_judged_amid_the_paths_not_at_the_origin_of_the_frame():
 def test_paths_of_unequal_shape_are_refused():
     with pytest.raises(DataError, match="equal shape"):
         implied_frames(np.zeros((4, 3)), np.zeros((5, 3)), np.zeros(4, int))
+
+
+@pytest.mark.parametrize("frames", [np.zeros((3, 2)), [[np.nan, 0.0, 0.0], [0.0, 0.0, 0.0]], []])
+def test_frames_that_are_no_poses_are_refused(frames):
+    with pytest.raises(DataError, match="finite poses"):
+        wrong_pairs(frames)
+
+
+@pytest.mark.parametrize("robot_of", [[0, 0], [0.0, 0.0, 1.0, 1.0]])
+def test_poses_of_nobody_are_refused(robot_of):
+    with pytest.raises(DataError, match="one for each pose"):
+        implied_frames(np.zeros((4, 3)), np.zeros((4, 3)), robot_of)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig, from_dict
-from twc_env.errors import ActionError, ConfigError, MapError
+from twc_env.errors import ActionError, ConfigError, MapError, TwcError
 from twc_env.geometry import between, compose
 from twc_env.maps import load_map
 from twc_env.world.floorplan import Floorplan
@@ -263,3 +263,15 @@ def test_a_tick_is_a_step_and_a_look_at_the_sensors(settings):
         assert np.array_equal(at_once.contacts, one_by_one.contacts)
         touched += at_once.contacts.sum()
     assert touched > 10
+
+
+@pytest.mark.parametrize("call", [lambda w: w.sense(), lambda w: w.poses, lambda w: w.step(np.zeros((1, 2)))])
+def test_a_world_before_its_first_reset_says_so(call):
+    with pytest.raises(TwcError, match=r"call reset\(\) first"):
+        call(World(EnvConfig(robots=1), load_map("twin-01")))
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "a"])
+def test_a_world_takes_whole_seeds_only(seed):
+    with pytest.raises(ConfigError, match="seed must be a whole number"):
+        World(EnvConfig(robots=1), load_map("twin-01")).reset(seed)

@@ -18,11 +18,14 @@ Array = NDArray
 def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
     """Write poses (k, 3) taken at times_s (k,); height, roll and pitch are 0. A name that ends in .gz is packed.
 
-    Raises DataError when the shapes do not belong together.
+    Raises DataError when the shapes do not belong together, and for what is not finite: no reader takes it.
     """
     times_s, poses = np.asarray(times_s, float), np.asarray(poses, float)
     if times_s.ndim != 1 or poses.shape != (len(times_s), 3):
         raise DataError(f"times must be (k,) and poses (k, 3); got {times_s.shape} and {poses.shape}")
+    is_whole = np.isfinite(times_s) & np.isfinite(poses).all(axis=1)
+    if not is_whole.all():
+        raise DataError(f"times and poses must be finite; row {int(np.argmin(is_whole))} is not: leave it out")
     half = poses[:, 2] / 2
     zeros = np.zeros(len(poses))
     columns = [times_s, poses[:, 0], poses[:, 1], zeros, zeros, zeros, np.sin(half), np.cos(half)]

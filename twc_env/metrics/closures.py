@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twc_env.errors import DataError
 from twc_env.geometry import between
 
 DISTANCE_MAX_M = 0.5
@@ -39,14 +40,22 @@ def closure_is_correct(
 def closures_are_correct(
     measured: ArrayLike, true: ArrayLike, distance_max_m: float = DISTANCE_MAX_M, angle_max_rad: float = ANGLE_MAX_RAD
 ) -> NDArray[np.bool_]:
-    """(n,) the same of many at once; poses (n, 3)."""
+    """(n,) the same of many at once; poses (n, 3). Raises DataError for other shapes."""
+    shapes = np.shape(measured), np.shape(true)
+    if shapes[0] != shapes[1] or shapes[0][-1:] != (3,):
+        raise DataError(f"need as many measured as true poses (n, 3); got {shapes[0]} and {shapes[1]}")
     error = between(true, measured)
     return (np.hypot(error[..., 0], error[..., 1]) <= distance_max_m) & (np.abs(error[..., 2]) <= angle_max_rad)
 
 
 def score_closures(is_correct: ArrayLike, is_accepted: ArrayLike) -> ClosureScore:
-    """Precision and recall over all closures that were proposed and measured; both (k,) bool."""
+    """Precision and recall over all closures that were proposed and measured; both (k,) bool.
+
+    Raises DataError for others.
+    """
     is_correct, is_accepted = np.asarray(is_correct, bool), np.asarray(is_accepted, bool)
+    if is_correct.ndim != 1 or is_correct.shape != is_accepted.shape:
+        raise DataError(f"need as many verdicts as decisions (k,); got {is_correct.shape} and {is_accepted.shape}")
     right = int(np.count_nonzero(is_correct & is_accepted))
     accepted = int(np.count_nonzero(is_accepted))
     possible = int(np.count_nonzero(is_correct))

@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up_row, span_inside
+from twc_env.errors import DataError
 from twc_env.geometry import transform_points
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import BLOCK_SHAPE
@@ -17,6 +18,9 @@ Array = NDArray
 
 STRETCH_M, SAMPLE_M = 0.25, 0.05
 """Walls are known or not by stretches of the first length; the second is how finely they are sampled."""
+
+REACH_CELLS = 1e9
+"""Map and building lie at most so many cells apart: further, and steps in fixed point would overflow."""
 
 BLOCK_ROWS, BLOCK_COLUMNS = BLOCK_SHAPE
 
@@ -52,6 +56,7 @@ def correct_area_m2(
 
     box: first row and column, end row and column of the cells that are looked at; None: all.
     """
+    log_odds, truth_free = _grid(log_odds, "log_odds"), _grid(truth_free, "truth_free")
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
     box = box or (0, 0, *log_odds.shape)
     count = _count_free(np.ascontiguousarray(log_odds), box, row, column, step, truth_free, free_below)
@@ -68,6 +73,7 @@ def floor_mask(
     truth_resolution_m: float,
 ) -> Array:
     """(h, w) bool: cells of a map of that shape whose centres lie on explorable floor; arguments as in `score_map`."""
+    truth_free = _grid(truth_free, "truth_free")
     row, column, step = _sampling_back(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
     mask = np.zeros(shape, bool)
     _look_up_floor(np.ascontiguousarray(truth_free), row, column, step, mask)
@@ -95,7 +101,13 @@ def score_map(
     The centre of each true cell is looked up in the map. Walls are scored by the walls that border explorable floor:
     with r the share of those that the map has within one cell, and p the share of the map's wall cells that have a true
     wall within one cell, wall_iou = p r / (p + r - p r), which is the plain IoU when both hold exactly.
+
+    Raises DataError for grids and poses that cannot be meant.
     """
+    log_odds = _grid(log_odds, "log_odds")
+    truth_free, truth_wall = _grid(truth_free, "truth_free"), _grid(truth_wall, "truth_wall")
+    if truth_free.shape != truth_wall.shape:
+        raise DataError(f"truth_free {truth_free.shape} and truth_wall {truth_wall.shape} must have one shape")
     if not log_odds.size:
         return MapScore(0.0, 0.0, 0.0, 0.0, 0.0)
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
@@ -136,7 +148,10 @@ def wall_thickness_m(
     """
     from scipy.spatial import cKDTree  # slow to import, and needed by this figure alone
 
-    samples, stretches, spacings_m = _sampled_walls(np.asarray(walls_m, float))
+    walls_m, log_odds = np.asarray(walls_m, float), _grid(log_odds, "log_odds")
+    if walls_m.ndim != 3 or walls_m.shape[1:] != (2, 2):
+        raise DataError(f"walls_m must have shape (walls, 2, 2), both ends of each; got {walls_m.shape}")
+    samples, stretches, spacings_m = _sampled_walls(walls_m)
     rows, columns = np.nonzero(log_odds > wall_above)
     if not len(rows) or not len(samples):
         return float("nan")
@@ -163,27 +178,53 @@ def _share(part: float, whole: float) -> float:
     return float(part / whole) if whole > 0 else 0.0
 
 
+def _grid(values: ArrayLike, name: str) -> Array:
+    """(h, w). Raises DataError for what has another number of axes."""
+    grid = np.asarray(values)
+    if grid.ndim != 2:
+        raise DataError(f"{name} must be a grid (rows, columns); got shape {grid.shape}")
+    return grid
+
+
+def _near(row: float, column: float) -> tuple[float, float]:
+    """The same. Raises DataError for cells that are nowhere."""
+    if not (abs(row) < REACH_CELLS and abs(column) < REACH_CELLS):
+        raise DataError(f"map and building must lie in one place; theirs are ({row:g}, {column:g}) cells apart")
+    return row, column
+
+
+def _placed(pose_building_map, *resolutions_m: float) -> tuple[float, float, float]:
+    """The pose as numbers. Raises DataError for what is no pose, and for cells of no size."""
+    pose = np.asarray(pose_building_map, float)
+    if pose.shape != (3,) or not min(resolutions_m) > 0.0:
+        raise DataError(
+            f"a map lies at a pose (3,), in cells of a size above 0; got shape {pose.shape} and {resolutions_m}"
+        )
+    x, y, heading = pose.tolist()
+    return x, y, heading
+
+
 def _sampling(pose_building_map: Array, origin_m, resolution_m, truth_origin_m, truth_resolution_m):
     """Map cell (row, column, as reals) of the centre of true cell [0, 0], and (cos, sin) of one true cell's step."""
-    x, y, heading = np.asarray(pose_building_map).tolist()
+    x, y, heading = _placed(pose_building_map, resolution_m, truth_resolution_m)
     c, s = math.cos(heading), math.sin(heading)
     dx = truth_origin_m[0] + 0.5 * truth_resolution_m - x
     dy = truth_origin_m[1] + 0.5 * truth_resolution_m - y
     row = (-s * dx + c * dy - origin_m[1]) / resolution_m
     column = (c * dx + s * dy - origin_m[0]) / resolution_m
     scale = truth_resolution_m / resolution_m
-    return float(row), float(column), (c * scale, -s * scale)
+    return *_near(float(row), float(column)), (c * scale, -s * scale)
 
 
 def _sampling_back(pose_building_map: Array, origin_m, resolution_m, truth_origin_m, truth_resolution_m):
     """The same for the centres of map cells in the true grid."""
-    x, y, heading = np.asarray(pose_building_map).tolist()
+    x, y, heading = _placed(pose_building_map, resolution_m, truth_resolution_m)
     c, s = math.cos(heading), math.sin(heading)
     px, py = origin_m[0] + 0.5 * resolution_m, origin_m[1] + 0.5 * resolution_m
     row = (y + s * px + c * py - truth_origin_m[1]) / truth_resolution_m
     column = (x + c * px - s * py - truth_origin_m[0]) / truth_resolution_m
     scale = resolution_m / truth_resolution_m
-    return float(row), float(column), (c * scale, s * scale)
+    return *_near(float(row), float(column)), (c * scale, s * scale)
 
 
 @kernel

@@ -27,8 +27,13 @@ def implied_frames(estimated_poses: Array, true_poses: Array, robot_of: Array) -
     estimated, true = np.asarray(estimated_poses, float), np.asarray(true_poses, float)
     if estimated.shape != true.shape or true.ndim != 2 or true.shape[1] != 3 or len(true) == 0:
         raise DataError(f"need two arrays of equal shape (poses, 3); got {estimated.shape} and {true.shape}")
-    frames = np.empty((int(np.max(robot_of)) + 1, 3))
-    find_frames(estimated, true, turns_between(estimated, true), np.asarray(robot_of), frames)
+    whose = np.asarray(robot_of)
+    if whose.shape != true.shape[:1] or whose.dtype.kind not in "iu":
+        raise DataError(
+            f"robot_of must be {len(true)} whole numbers, one for each pose; got {whose.dtype} {whose.shape}"
+        )
+    frames = np.empty((int(np.max(whose)) + 1, 3))
+    find_frames(estimated, true, turns_between(estimated, true), whose, frames)
     return frames
 
 
@@ -63,10 +68,16 @@ def wrong_pairs(
     """Pairs (i, j), i < j, of robots of one group that disagree where the map frame lies in the building.
 
     poses_building_map (n, 3) as `implied_frames` gives them. Two frames agree when they put `centre_map_m` (2,), a
-    point amid the group's paths, at most distance_max_m apart and their headings at most angle_max_rad.
+    point amid the group's paths, at most distance_max_m apart and their headings at most angle_max_rad. Raises
+    DataError for frames that are no finite poses.
     """
-    frames = np.asarray(poses_building_map, float)
-    x, y = np.asarray(centre_map_m, float).tolist()
+    frames, centre_m = np.asarray(poses_building_map, float), np.asarray(centre_map_m, float)
+    if frames.ndim != 2 or frames.shape[1] != 3 or not np.isfinite(frames).all() or centre_m.shape != (2,):
+        raise DataError(
+            "need finite poses (robots, 3) of the map frame, and a point (2,); "
+            f"got {frames.tolist()} and {centre_m.tolist()}"
+        )
+    x, y = centre_m.tolist()
     is_wrong = np.zeros((len(frames), len(frames)), bool)
     if not find_wrong(frames, x, y, distance_max_m, angle_max_rad, is_wrong):
         return []

@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache, partial
 from itertools import islice, repeat
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig, RadioConfig
-from twc_env.errors import ActionError, ConfigError, MapError
+from twc_env.config.checks import whole_number
+from twc_env.errors import ActionError, ConfigError, MapError, TwcError
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.messages import WifiScan
@@ -72,11 +74,20 @@ class World:
         """`_move_and_sense` with what it needs in every step, as long as the crossing table is `_held_crossings`."""
         self._held_crossings: tuple[Array, ...] | None = None
 
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str):
+            """Whoever asks before the first `reset` for what it makes is told so."""
+            if name in ("_dynamics", "_step", "start_poses"):
+                raise TwcError("no episode has begun: call reset() first")
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
     def reset(self, seed: int, starts: str | Array = "random") -> None:
         """Begin an episode. Starts: "random" (drawn by seed), "map" (the plan's own), or poses (n, 3).
 
-        Raises MapError when the robots do not fit, ConfigError for starts that are no such thing.
+        Raises MapError when the robots do not fit, ConfigError for starts or a seed that are no such thing.
         """
+        seed = whole_number("seed", seed, 0)
         config, robots = self.config, self.config.robots
         start_poses_home = self._start_poses(seed, starts)
         self.start_poses = self._in_building(start_poses_home) if self._is_moved else start_poses_home
