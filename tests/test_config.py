@@ -199,3 +199,9 @@ def test_a_file_that_is_no_toml_or_json_is_refused_by_name(tmp_path, name):
 def test_a_missing_file_is_refused_by_name(tmp_path):
     with pytest.raises(ConfigError, match=r"cannot read the config file .*none\.toml"):
         load(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize("assignments", [None, ["robots"], {3: 1}])
+def test_settings_without_names_are_refused(assignments):
+    with pytest.raises(ConfigError, match="a dict with names as keys"):
+        override(EnvConfig(), assignments)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import twc_env
-from twc_env.errors import ConfigError
+from twc_env.errors import ConfigError, DataError
 from twc_env.without_infos import WithoutInfos
 
 ID = "twc/Explore-v0"
@@ -200,6 +200,9 @@ def test_filming_needs_pictures_and_changes_nothing(tmp_path, same_last=("lidar"
 
     with pytest.raises(ConfigError, match="rgb_array"):
         RecordEpisodes(twc_env.parallel_env(), tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match="choose another folder"):
+        RecordEpisodes(twc_env.parallel_env(render_mode="rgb_array"), tmp_path / "file")
     plain = twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL, render_mode="rgb_array")
     filmed = RecordEpisodes(pickle.loads(pickle.dumps(plain)), tmp_path)
     seen = []

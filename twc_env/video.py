@@ -19,6 +19,7 @@ from pettingzoo.utils import BaseParallelWrapper
 from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.json_values import check_folder
 
 Array = NDArray
 
@@ -37,12 +38,14 @@ class RecordEpisodes(BaseParallelWrapper):
     """
 
     def __init__(self, env: ExplorationEnv, folder: str | Path, every: int = 2):
-        """Raises ConfigError for an environment without pictures or where Pillow is missing."""
+        """Raises ConfigError for an environment without pictures or where Pillow is missing, DataError for a folder
+        that cannot be written to."""
         super().__init__(env)
         if env.render_mode != "rgb_array":
             raise ConfigError(f"films need render_mode='rgb_array'; the environment has {env.render_mode!r}")
         if importlib.util.find_spec("PIL") is None:
             raise ConfigError("films need Pillow: run `pip install 'twc_env[viz]'`")
+        check_folder(Path(folder))
         self._team, self._folder, self._every = env, Path(folder), whole_number("every", every, 1)
         self._frames: list[Any] = []
         self._steps = self._episodes = 0

@@ -8,6 +8,7 @@ import hashlib
 import json
 import tomllib
 import typing
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
@@ -80,12 +81,14 @@ def load(path: str | Path) -> EnvConfig:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def override(config: EnvConfig, assignments: dict[str, object]) -> EnvConfig:
+def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     """A copy with dotted keys replaced: `override(config, {"lidar.beam_count": 360})`.
 
     Values given as text are read as the type of the field, so they can come straight from a command line. A
-    `radio.preset` comes first, wherever it stands: the others change it.
+    `radio.preset` comes first, wherever it stands: the others change it. Raises ConfigError for what is no setting.
     """
+    if not isinstance(assignments, Mapping) or not all(isinstance(key, str) for key in assignments):
+        raise ConfigError(f"settings must be a dict with names as keys, such as {{'robots': 2}}; got {assignments!r}")
     values, assignments = to_dict(config), dict(assignments)
     if "radio.preset" in assignments:
         values["radio"] = dataclasses.asdict(radio_preset(str(assignments.pop("radio.preset"))))
