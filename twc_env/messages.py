@@ -137,7 +137,8 @@ class LoopCandidate:
     guess: Array
     """(3,) first guess of the source's pose in the target's frame."""
     recogniser: str
-    """Who proposed it: "twc", "text", "wifi", "lidar", "fused", or "proximity" (near in the present estimate)."""
+    """Who proposed it: "twc", "text", "wifi", "lidar", "fused", "meeting" (by WiFi, of robots that share no map), or
+    "proximity" (near in the present estimate)."""
     sign_m: Array | None = None
     """(2,) the sign that both saw, in the target's frame; None when no sign is meant."""
     text_similarity: float = float("nan")

@@ -13,6 +13,13 @@ import numpy as np
 import twc_env
 from tests.conftest import wander_by_scan
 
+if len(sys.argv) > 2:
+    before = twc_env.parallel_env(config=twc_env.task_config("twc/ExploreHard-v0"))
+    observations, _ = before.reset(seed=5)
+    for step in range(150):
+        scans = {agent: observations[agent]["lidar"] * 10 for agent in before.agents}
+        observations, *_ = before.step({agent: wander_by_scan(scans[agent], step, 0) for agent in before.agents})
+
 env = twc_env.parallel_env(map="twin-01", robots=3, max_cycles=500)
 observations, infos = env.reset(seed=int(sys.argv[1]), options={"starts": "map"})
 digest = hashlib.sha256()
@@ -48,10 +55,10 @@ print(step, len(result.closures), digest.hexdigest())
 ROOT = Path(__file__).parents[2]
 
 
-def fresh_process(seed: int, hash_seed: str) -> tuple[int, int, str]:
-    """Steps, closures and digest of an episode in a process of its own."""
+def fresh_process(seed: int, hash_seed: str, *before: str) -> tuple[int, int, str]:
+    """Steps, closures and digest of an episode in a process of its own, in which another one may be run before."""
     run = subprocess.run(
-        [sys.executable, "-c", EPISODE, str(seed)],
+        [sys.executable, "-c", EPISODE, str(seed), *before],
         cwd=ROOT,
         env={**os.environ, "PYTHONHASHSEED": hash_seed},
         capture_output=True,
@@ -71,6 +78,10 @@ def test_an_episode_is_the_same_to_the_last_bit_in_two_processes(episode):
     assert episode[0] == 500
     assert episode[1] > 0, "no closure was tried: the digest would not cover the team's mapper"
     assert fresh_process(0, "2") == episode
+
+
+def test_an_episode_is_the_same_whatever_ran_before_it_in_its_process(episode):
+    assert fresh_process(0, "1", "another task first") == episode
 
 
 def test_another_seed_gives_another_episode(episode):

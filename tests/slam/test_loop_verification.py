@@ -1,14 +1,16 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.slam.conftest import polygon_walls
 from twc_env.config import OdometryFilterConfig, VerificationConfig
 from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate
-from twc_env.slam.loop_verification import LoopVerifier
+from twc_env.slam.loop_verification import MEETING_OVERLAP_MIN, LoopVerifier
 from twc_env.slam.pose_graph import squared_errors
 
 RANGE_MAX_M = 10.0
@@ -48,6 +50,31 @@ def test_another_room_is_refused_with_a_reason(office, hall, path_of):
         closure = verify(*paths, guess)
         assert closure.status == "rejected"
         assert "overlap" in closure.reason or "contradiction" in closure.reason
+
+
+def test_robots_that_only_sound_alike_are_matched_wherever_and_however_they_stand(office, path_of):
+    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+    closure = verify(path_of(0, office, FIRST), path_of(1, office, SECOND), (0, 0, 0), recogniser="meeting")
+    assert closure.status == "accepted" and closure.overlap >= MEETING_OVERLAP_MIN
+    assert np.abs(between(true, closure.pose_target_source))[:2].max() < 0.03
+
+
+def test_robots_that_only_sound_alike_must_see_more_of_the_same_walls(office, path_of):
+    more = np.concatenate([office, polygon_walls((-0.9, -2.9), (1.1, -2.9), (1.1, -2.2), (-0.9, -2.2))])
+    paths = path_of(0, office, FIRST), path_of(1, more, SECOND)
+    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+    by_sign, by_sound = verify(*paths, true), verify(*paths, true, recogniser="meeting")
+    assert by_sign.status == "accepted" and by_sign.overlap < MEETING_OVERLAP_MIN
+    assert by_sound.reason == f"overlap {by_sound.overlap:.2f} < {MEETING_OVERLAP_MIN:g}"
+
+
+def test_nothing_is_laid_on_each_other_where_no_place_fits(office, path_of):
+    random = np.random.default_rng(0)
+    noise = [replace(k, ranges_m=random.uniform(0.5, 9.5, 180)) for k in path_of(1, office, FIRST)]
+    paths = path_of(0, office, FIRST), noise
+    closure = verify(*paths, (0, 0, 0), recogniser="meeting")
+    assert (closure.status, closure.overlap) == ("rejected", 0.0)
+    assert np.isfinite(closure.covariance).all()
 
 
 def test_a_true_pair_guessed_at_a_wrong_place_is_not_accepted_there(office, path_of):

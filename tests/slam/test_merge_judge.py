@@ -28,16 +28,21 @@ def say(count: int, pose_a_b: tuple, recogniser: str) -> list[LoopClosure]:
     return made
 
 
-def place_said(closures: list[LoopClosure]):
-    found = MergeJudge(MergingConfig(), GRAPH, doubts_sounds=True).proposal(closures, (0,))
+def judge(doubts_sounds: bool = True) -> MergeJudge:
+    return MergeJudge(MergingConfig(), GRAPH, doubts_sounds=doubts_sounds)
+
+
+def place_said(closures: list[LoopClosure], others: int = 0):
+    found = judge().proposal(closures, (0,), others)
     return None if found is None else pytest.approx(tuple(found.pose_a_b), abs=1e-6)
 
 
+@pytest.mark.parametrize("recogniser", ["wifi", "meeting"])
 @pytest.mark.parametrize(("agree", "others"), [(4, 0), (8, 2)])
-def test_places_that_sound_alike_are_enough_where_they_agree(agree, others):
-    elsewhere = say(others, ELSEWHERE, "wifi")
-    assert place_said(say(agree, TRUE, "wifi") + elsewhere) == TRUE
-    assert place_said(say(agree - 1, TRUE, "wifi") + elsewhere) is None
+def test_places_that_sound_alike_are_enough_where_they_agree(agree, others, recogniser):
+    elsewhere = say(others, ELSEWHERE, recogniser)
+    assert place_said(say(agree, TRUE, recogniser) + elsewhere) == TRUE
+    assert place_said(say(agree - 1, TRUE, recogniser) + elsewhere) is None
 
 
 def test_places_that_sound_alike_say_nothing_where_too_many_disagree():
@@ -53,3 +58,17 @@ def test_signs_speak_alone_where_places_that_sound_alike_disagree():
 
 def test_signs_may_disagree_among_themselves():
     assert place_said(say(4, TRUE, "twc") + say(3, ELSEWHERE, "twc")) == TRUE
+
+
+def test_closures_that_hold_two_maps_together_speak_against_another_place_by_sounds_and_not_by_signs():
+    a_room_aside = say(7, A_SHELF_ASIDE, "meeting")
+    assert place_said(a_room_aside, others=1) == A_SHELF_ASIDE
+    assert place_said(a_room_aside, others=2) is None
+    assert place_said(say(3, TRUE, "twc"), others=17) == TRUE
+
+
+@pytest.mark.parametrize("recogniser", ["wifi", "meeting"])
+def test_signs_weigh_more_than_any_number_of_places_that_sound_alike(recogniser):
+    sounds, signs = say(9, TRUE, recogniser), say(2, ELSEWHERE, "twc")
+    assert judge().weight(sounds, (0,)) < judge().weight(signs, (0,))
+    assert judge(doubts_sounds=False).weight(sounds, (0,)) > judge(doubts_sounds=False).weight(signs, (0,))

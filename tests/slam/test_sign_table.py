@@ -25,7 +25,13 @@ def make(keyframe):
 
 
 @pytest.mark.parametrize(
-    "radio", [RadioRule(-math.inf, -math.inf, 5.0), RadioRule(0.3, 0.0, 5.0), RadioRule(0.2, 0.3, 8.0)]
+    "radio",
+    [
+        RadioRule(-math.inf, -math.inf, 5.0),
+        RadioRule(0.3, 0.0, 5.0),
+        RadioRule(0.2, 0.3, 8.0),
+        RadioRule(0.6, -math.inf, 5.0),
+    ],
 )
 @pytest.mark.parametrize("skipped", [(), (1,), (0, 3, 7)])
 @pytest.mark.parametrize("text_count", [5, 45])

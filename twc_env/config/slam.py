@@ -106,7 +106,7 @@ class PlaceRecognitionConfig(Checked):
     Without it, and in TWC-SLAM, never."""
     meets_by_wifi: bool = False
     """With `twc`: robots that share no map are compared by WiFi alone too, wherever they are, and not only where both
-    read a sign. They share one sooner; places that sound alike and are not the same cost time."""
+    read a sign. They share one sooner; two of which scans do not fit are compared ever more rarely."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,10 +12,10 @@ from twc_env.geometry import between
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.group_maps import GroupMaps
 from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
+from twc_env.slam.meeting_recogniser import MEETING, MeetingRecogniser
 from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
 from twc_env.slam.signless_recogniser import SignlessRecogniser
 from twc_env.slam.team_graph import TeamGraph
-from twc_env.slam.wayside_recognisers import WifiRecogniser
 
 Array = NDArray
 
@@ -28,9 +28,6 @@ PROXIMITY_PERIOD_M = 1.5
 TIED_M = 3.0
 """Inside one map, a robot whose last closure is nearer than this along its path needs no other yet."""
 
-STRANGERS_MAX = 3
-"""So many places of robots that share no map, those that sound most alike, are tried for a keyframe by WiFi alone."""
-
 
 class ClosureSearch:
     """Candidates wait in queues; each step verifies a few of them."""
@@ -39,16 +36,14 @@ class ClosureSearch:
         self._rule, self._on_request = config.slam.place_recognition, config.link.scan_on_request
         self._graph, self._maps = graph, maps
         self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
-        self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "wifi", "proximity")}
+        self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "wifi", MEETING, "proximity")}
         self._signless: SignlessRecogniser | None = None
-        self._strangers: WifiRecogniser | None = None
+        self._meetings: MeetingRecogniser | None = None
         if self._recogniser.name == "twc" and config.slam.cues.lidar:
             if self._rule.spares_missing_cues:
                 self._signless = SignlessRecogniser(self._rule, config.lidar.range_max_m, robot_count)
             if self._rule.meets_by_wifi:
-                self._strangers = WifiRecogniser(
-                    self._rule, config.lidar.range_max_m, STRANGERS_MAX, guesses_turn=False
-                )
+                self._meetings = MeetingRecogniser(self._rule, robot_count)
         self._verifier: LoopVerifier | SignVerifier = SignVerifier()
         if config.slam.cues.lidar:
             noise, range_max_m = config.slam.odometry_filter, config.lidar.range_max_m
@@ -73,8 +68,8 @@ class ClosureSearch:
         )
         if self._signless is not None:
             candidates += self._signless.propose(keyframe, not_compared)
-        if self._strangers is not None:
-            candidates += self._strangers.propose(keyframe, mates)
+        if self._meetings is not None:
+            candidates += self._meetings.propose(keyframe, mates)
         near = None if is_tied else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)
@@ -129,7 +124,7 @@ class ClosureSearch:
         def is_held(key: tuple[int, int]) -> bool:
             return key[1] in held[key[0]]
 
-        for recogniser in (self._recogniser, self._signless, self._strangers):
+        for recogniser in (self._recogniser, self._signless, self._meetings):
             if recogniser is not None:
                 recogniser.forget(lambda keyframe: is_held((keyframe.robot, keyframe.index)))
         latest_m = [path[-1].travel_m if path else 0.0 for path in self._graph.keyframes]
@@ -157,7 +152,10 @@ class ClosureSearch:
             if self._on_request and self._maps.ask_for(self._verifier.compared(candidate, *paths)):
                 self._without_scans.append(candidate)
             else:
-                return self._verifier.verify(candidate, *paths)
+                closure = self._verifier.verify(candidate, *paths)
+                if self._meetings is not None and candidate.recogniser == MEETING:
+                    self._meetings.note(closure)
+                return closure
         return None
 
     def wake(self) -> None:

@@ -24,10 +24,17 @@ CELL_M = 0.1
 BLUR_M = 0.3
 """A point this far from a wall scores nothing; on it, FULL."""
 FULL = 255
+BLUR_CELLS = int(BLUR_M / CELL_M)
+AROUND = np.hypot(*np.mgrid[-BLUR_CELLS : BLUR_CELLS + 1, -BLUR_CELLS : BLUR_CELLS + 1]) * CELL_M
+SCORES_AROUND = np.round(FULL * np.maximum(1.0 - AROUND / BLUR_M, 0.0)).astype(np.uint8)
+"""What cells around a point score: the less, the farther from it."""
 LEVELS = 5
 """The largest box of shifts has 2^(LEVELS - 1) cells a side."""
 POINTS_MAX = 160
 """Of the source, so many points spread evenly are compared."""
+
+POINTS_AT_ONCE = 16
+"""After so many it is asked whether the others can still make a difference."""
 
 WINDOW_MAX_M = 1000.0
 REACH_MAX_M = 500.0
@@ -140,20 +147,13 @@ def _walls_run(points, step_max):
 
 def score_fields(points: Array) -> tuple[Array, Array]:
     """(LEVELS, rows, columns) uint8 and the corner (2,) [m]: level l holds the largest score of 2^l x 2^l cells."""
-    margin = 2 ** (LEVELS - 1) + int(BLUR_M / CELL_M) + 1
+    margin = 2 ** (LEVELS - 1) + BLUR_CELLS + 1
     origin_m = np.floor(points.min(axis=0) / CELL_M) * CELL_M - margin * CELL_M
     columns, rows = (np.floor((points.max(axis=0) - origin_m) / CELL_M).astype(np.int64) + 1 + margin).tolist()
     fields = np.zeros((LEVELS, rows, columns), np.uint8)
-    _stamp(fields[0], points, origin_m[0], origin_m[1], CELL_M, _kernel())
+    _stamp(fields[0], points, origin_m[0], origin_m[1], CELL_M, SCORES_AROUND)
     _widen(fields)
     return fields, origin_m
-
-
-def _kernel() -> Array:
-    """Scores around a point, falling with the distance to it."""
-    reach = int(BLUR_M / CELL_M)
-    away = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) * CELL_M
-    return np.round(FULL * np.maximum(1.0 - away / BLUR_M, 0.0)).astype(np.uint8)
 
 
 @kernel
@@ -189,14 +189,19 @@ def _widen(fields):
 
 
 @kernel
-def _sum(field, cells, row, column):
-    """Score of the cells (n, 2) of points, shifted."""
+def _sum(field, cells, row, column, held):
+    """Score of the cells (n, 2) of points, shifted; anything not above `held` where that is all that it can be."""
     rows, columns = field.shape
-    total = 0
-    for k in range(cells.shape[0]):
-        r, c = cells[k, 0] + row, cells[k, 1] + column
-        if 0 <= r < rows and 0 <= c < columns:
-            total += field[r, c]
+    total, rest = 0, FULL * cells.shape[0]
+    for first in range(0, cells.shape[0], POINTS_AT_ONCE):
+        end = min(first + POINTS_AT_ONCE, cells.shape[0])
+        for k in range(first, end):
+            r, c = cells[k, 0] + row, cells[k, 1] + column
+            if 0 <= r < rows and 0 <= c < columns:
+                total += field[r, c]
+        rest -= FULL * (end - first)
+        if total + rest <= held:
+            return total
     return total
 
 
@@ -225,13 +230,15 @@ def _branch_and_bound(fields, points, headings, origin_x, origin_y, cell, reach,
     count = len(headings) * boxes * boxes
     turned = np.empty((len(headings), len(points), 2), np.int32)
     bounds = np.empty(count, np.int64)
+    held = score_min - 1
     for a in range(len(headings)):
         _turn(points, headings[a], origin_x, origin_y, cell, turned[a])
         for i in range(boxes):
             for j in range(boxes):
-                bounds[(a * boxes + i) * boxes + j] = _sum(fields[top], turned[a], i * side - reach, j * side - reach)
+                bounds[(a * boxes + i) * boxes + j] = _sum(
+                    fields[top], turned[a], i * side - reach, j * side - reach, held
+                )
     evaluated = count
-    held = score_min - 1
     is_found = False
     stack = np.empty((4 * levels, 4), np.int64)  # level, row shift, column shift, bound
     for k in np.argsort(-bounds, kind="mergesort"):
@@ -259,7 +266,7 @@ def _branch_and_bound(fields, points, headings, origin_x, origin_y, cell, reach,
                     low_row, low_column = row + r * half, column + c * half
                     if low_row > reach or low_column > reach:
                         continue
-                    value = _sum(fields[level - 1], turned[a], low_row, low_column)
+                    value = _sum(fields[level - 1], turned[a], low_row, low_column, held)
                     evaluated += 1
                     if value <= held:
                         continue

@@ -13,6 +13,7 @@ from twc_env.messages import GridMap, LoopClosure
 from twc_env.slam import map_merging
 from twc_env.slam.heard_places import HeardPlaces
 from twc_env.slam.map_merging import MergeProposal, Weight
+from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.sign_table import MISSING_AFTER_S
 from twc_env.slam.team_graph import TeamGraph
 
@@ -32,19 +33,20 @@ class MergeJudge:
         self._heard: dict[int, HeardPlaces] = {}
         """What each robot heard at its keyframes, as far as anybody asked."""
 
-    def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
+    def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int], others: int = 0) -> MergeProposal | None:
         """Where the robots that are not in `a` lie in the map of `a`, by closures between the two.
 
         By those of signs alone where places that only sound alike are doubted and too few of all agree, or too many
-        disagree.
+        disagree: the rest of the closures, and so many others that hold the two together elsewhere.
         """
-        found = self._agreement(closures, a)
-        by_signs = [c for c in closures if c.candidate.recogniser != "wifi"] if self._doubts_sounds else closures
-        if found is None or len(by_signs) == len(closures):
-            return found
-        agree = np.count_nonzero(found.support)
-        is_clear = agree - OTHERS_WEIGHT * (len(closures) - agree) > self._rule.closures_min
-        return found if is_clear else self._agreement(by_signs, a)
+        by_signs = [c for c in closures if not _is_by_sound(c)] if self._doubts_sounds else closures
+        count, count_min = len(closures), self._rule.closures_min
+        if len(by_signs) < count and count - OTHERS_WEIGHT * others > count_min:
+            found = self._agreement(closures, a)
+            agree = 0 if found is None else np.count_nonzero(found.support)
+            if agree - OTHERS_WEIGHT * (count - agree + others) > count_min:
+                return found
+        return self._agreement(by_signs, a)
 
     def _agreement(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
         if len(closures) < self._rule.closures_min:
@@ -64,7 +66,10 @@ class MergeJudge:
         """How much some closures say for the place that they give other robots in the map of robots `a`."""
         if not closures:
             return 0, 0, 0
-        return map_merging.weight_of(*self._as_a_to_b(closures, a)[3:], self._rule)
+        *_, signs, alike = self._as_a_to_b(closures, a)
+        if self._doubts_sounds:
+            alike &= np.array([not _is_by_sound(c) for c in closures])
+        return map_merging.weight_of(signs, alike, self._rule)
 
     def _as_a_to_b(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> tuple[Array, Array, Array, Array, Array]:
         """Keyframe poses in a, in b, the measured pose of the latter in the former (k, 3), the signs in a (k, 2).
@@ -141,3 +146,8 @@ class MergeJudge:
     def walls_disagree(self, grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> bool:
         """Whether too many walls of one map stand in the free space of the other."""
         return map_merging.wall_contradiction(grid_a, grid_b, pose_a_b) > self._rule.contradiction_max
+
+
+def _is_by_sound(closure: LoopClosure) -> bool:
+    """Whether its two places were only heard to be alike: no text was compared."""
+    return closure.candidate.recogniser in ("wifi", MEETING)

@@ -145,7 +145,8 @@ class MergeReview:
             return "no closure is left that speaks for it"
         if merge is self._latest(a + b) and self._is_strained(a + b):
             return "odometry would have to err by more than it does"
-        rival = self._judge.proposal(self._graph.closures_between(a, b, "rejected"), a) if is_news else None
+        rejected = self._graph.closures_between(a, b, "rejected")
+        rival = self._judge.proposal(rejected, a, len(supporters)) if is_news else None
         if rival is not None and self._is_better(rival, a, b, supporters):
             return f"{rival.support.sum()} closures agree on another place, {len(supporters)} on this one"
         return self._speaks_against(a, b) if is_due else ""

@@ -43,14 +43,17 @@ class RadioRule(NamedTuple):
 
 
 @kernel
-def _compare(macs, levels, first, end, other_macs, other_levels, offset, faintest, other_faintest):
+def _compare(macs, levels, first, end, other_macs, other_levels, offset, faintest, other_faintest, mac_min):
     """`mac_similarity`, and distance and count of `rssi_distance_db`, of a row of a table and another fingerprint.
 
     offset [dB]: how much more the other's receiver hears. What that of one would hear below its faintest [dBm] is not
-    missed there.
+    missed there. All 0 where one side misses so much that the first of them is below `mac_min`.
     """
     i, j, n, squares, length, other_length = first, 0, 0, 0.0, 0, 0
+    may_miss, other_may_miss = (1.0 - mac_min) * (end - first), (1.0 - mac_min) * other_macs.shape[0]
     while i < end or j < other_macs.shape[0]:
+        if length > may_miss or other_length > other_may_miss:
+            return 0.0, 0.0, 0
         if j == other_macs.shape[0] or (i < end and macs[i] < other_macs[j]):
             length += offset >= 0.0 or levels[i] + offset >= other_faintest
             i += 1
@@ -79,12 +82,13 @@ def _choose(
         if similarity == UNLIKE or is_skipped[other] or (other == robot and travels[k] > latest):
             continue
         first = ends[k - 1] if k > 0 else np.int64(0)
+        is_spared = spares_deaf and (is_deaf[robot] or is_deaf[other])
         shared, distance, number = _compare(
             macs, levels, first, ends[k], other_macs, other_levels, offsets[other, robot], faintest[other],
-            faintest[robot],
+            faintest[robot], 0.0 if is_spared else mac_min,
         )  # fmt: skip
         rssi = rssi_similarity(distance, number, tolerance)
-        if (shared >= mac_min and rssi >= rssi_min) or (spares_deaf and (is_deaf[robot] or is_deaf[other])):
+        if (shared >= mac_min and rssi >= rssi_min) or is_spared:
             out[count, 0], out[count, 1], out[count, 2], out[count, 3] = k, similarity, shared, rssi
             out[count, 4], out[count, 5] = distance, number
             count += 1

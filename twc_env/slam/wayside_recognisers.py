@@ -88,14 +88,8 @@ class WifiRecogniser:
 
     name = "wifi"
 
-    def __init__(
-        self,
-        config: PlaceRecognitionConfig,
-        range_max_m: float,
-        candidates_max: int = CANDIDATES_MAX,
-        guesses_turn: bool = True,
-    ):
-        self._config, self._candidates_max, self._guesses_turn = config, candidates_max, guesses_turn
+    def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
+        self._config = config
         self._places = PlacesOnTheWay(range_max_m)
         self._table = SignTable()
         """The same places, as if one sign were read at all of them."""
@@ -121,8 +115,8 @@ class WifiRecogniser:
         found.sort(key=lambda entry: (-entry[0], entry[1]))
         descriptor = self._places.describe(keyframe)
         candidates = []
-        for _, k, macs, rssi in found[: self._candidates_max]:
-            guess = np.array([0.0, 0.0, self._places.turn_to(k, descriptor) if self._guesses_turn else 0.0])
+        for _, k, macs, rssi in found[:CANDIDATES_MAX]:
+            guess = np.array([0.0, 0.0, self._places.turn_to(k, descriptor)])
             candidates.append(
                 _candidate(self._places.keyframes[k], keyframe, guess, self.name, mac=macs, rssi=rssi),
             )
