@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from twc_env.errors import DataError
 
 Array = NDArray
+
+_FLOAT = np.dtype(np.float64)
 
 
 def given_rows(values: ArrayLike, shape: tuple[int, ...], name: str, kind: Any = float, rows: str = "n") -> Array:
@@ -33,18 +36,29 @@ def given_rows(values: ArrayLike, shape: tuple[int, ...], name: str, kind: Any =
 
 def given_points(values: ArrayLike, name: str = "points") -> Array:
     """(n, 2) finite. Raises DataError for others."""
-    points = given_rows(values, (2,), name)
-    if not np.isfinite(points).all():
+    is_ready = _is_plain(values) and values.ndim == 2 and values.shape[1] == 2
+    points: Array = np.asarray(values) if is_ready else given_rows(values, (2,), name)
+    flat = points.reshape(-1)
+    if not math.isfinite(flat.dot(flat)) and not np.isfinite(points).all():  # the first takes a tenth of the time
         raise DataError(f"{name} must be finite; row {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
     return points
 
 
 def given_pose(values: ArrayLike, name: str) -> Array:
     """(3,) finite. Raises DataError for others."""
-    try:
-        pose: Array = np.ascontiguousarray(values, float)
-    except (TypeError, ValueError):
-        pose = np.full(3, np.nan)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
+    pose: Array
+    if _is_plain(values) and values.shape == (3,):
+        pose = values
+    else:
+        try:
+            pose = np.ascontiguousarray(values, float)
+        except (TypeError, ValueError):
+            pose = np.full(3, np.nan)
+    if pose.shape != (3,) or not all(map(math.isfinite, pose.tolist())):
         raise DataError(f"{name} must be a finite pose (x [m], y [m], heading [rad]); got {values!r}")
     return pose
+
+
+def _is_plain(values: ArrayLike) -> TypeGuard[Array]:
+    """Whether kernels can take it as it is, of float64 and in C order: told sooner than it is converted."""
+    return type(values) is np.ndarray and values.dtype == _FLOAT and values.flags.c_contiguous
