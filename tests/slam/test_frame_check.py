@@ -117,3 +117,12 @@ def test_who_is_not_in_the_team_believes_nothing(robot):
 def test_an_engine_needs_a_config():
     with pytest.raises(ConfigError, match="config must be an EnvConfig"):
         CooperativeSlam({"robots": 2}, 2)
+
+
+@pytest.mark.parametrize("time_s", [0.9, 1.0])
+def test_frames_that_go_back_in_time_are_refused(time_s):
+    engine = CooperativeSlam(CONFIG, 2)
+    engine.update([replace(SOUND, time_s=1.0)])
+    with pytest.raises(DataError, match="give frames in order, each with its time"):
+        engine.update([replace(SOUND, time_s=time_s, odometry=np.array([0.1, 0.0, 0.0]))])
+    engine.update([replace(SOUND, time_s=1.0), replace(SOUND, robot=1, time_s=0.5)])

@@ -101,6 +101,8 @@ class CooperativeSlam:
             np.fill_diagonal(everyone, False)
         self._all_in_touch = Contacts(everyone, everyone)
         self._steps: Sequence[int] = [0] * robot_count
+        self._times_s = np.full(robot_count, -np.inf)
+        """(robots,) of the last frame that each gave by itself."""
         self._ranges_m: Sequence[Array] | Array = [np.zeros(0)] * robot_count
         """Of the latest frame of each robot."""
         self._poses = np.zeros((robot_count, 3, 3))
@@ -175,7 +177,9 @@ class CooperativeSlam:
         """
         self._beliefs = None
         if not isinstance(frames, TeamFrames):
-            check_frames(frames, len(self.robots), self._beam_count)
+            check_frames(frames, self._times_s, self._beam_count)
+            for frame in frames:
+                self._times_s[frame.robot] = frame.time_s
         if not self._has_all_cues:
             frames = [cues.heard(frame, self._cues) for frame in frames]
         if isinstance(frames, TeamFrames):

@@ -6,16 +6,23 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twc_env.errors import DataError
 from twc_env.messages import SensorFrame, WifiScan
+
+Array = NDArray
 
 JUMP_MAX_M = 1000.0
 """No robot moves further between two frames; who does counts in millimetres, or gives positions for motions."""
 
 
-def check_frames(frames: Sequence[SensorFrame], robot_count: int, beam_count: int) -> None:
-    """Raise DataError for frames that the team cannot have sensed. A range may be infinite: no return."""
+def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int) -> None:
+    """Raise DataError for frames that the team cannot have sensed. A range may be infinite: no return.
+
+    times_s (robots,): of the last frame of each; minus infinity before the first.
+    """
+    robot_count = len(times_s)
     if not isinstance(frames, Sequence) or not all(isinstance(frame, SensorFrame) for frame in frames):
         raise DataError(f"give a list of SensorFrame, one for each robot; got {frames!r}")
     if not frames:
@@ -25,7 +32,7 @@ def check_frames(frames: Sequence[SensorFrame], robot_count: int, beam_count: in
         raise DataError(f"frames of one step are of different robots 0 to {robot_count - 1}; got robots {robots}")
     for frame in frames:
         try:
-            fault = _fault(frame, beam_count)
+            fault = _fault(frame, beam_count) or _fault_of_time(frame, float(times_s[frame.robot]))
         except (TypeError, ValueError) as error:
             fault = f"holds values of another kind: {error}"
         if fault:
@@ -46,6 +53,13 @@ def _fault(frame: SensorFrame, beam_count: int) -> str | None:
         if not isinstance(sign.text, str) or not math.isfinite(sign.bearing_rad) or not math.isfinite(sign.range_m):
             return f"holds {sign!r}: give a text, and a finite bearing and range"
     return None if frame.wifi is None else _fault_of_scan(frame.wifi)
+
+
+def _fault_of_time(frame: SensorFrame, last_s: float) -> str | None:
+    """Motion in no time would be left out, and in less than none, too."""
+    if frame.time_s < last_s or (frame.time_s == last_s and np.any(frame.odometry)):
+        return f"is of {frame.time_s:g} s and its last one of {last_s:g} s: give frames in order, each with its time"
+    return None
 
 
 def _fault_of_scan(scan: WifiScan) -> str | None:
