@@ -133,3 +133,13 @@ def test_walls_that_a_reading_stands_in_are_none_whichever_way_the_map_is_turned
         cells = Cells(~walls, walls, np.zeros(2), 0.1)
         found.append(sfw_authors._walls_between(cells, turned[0], turned[1:]).tolist())
     assert found == [[0, 0, 1]] * 4
+
+
+@pytest.mark.skipif("TWC_DATA" not in os.environ, reason="the BLE flat: set TWC_DATA to the data folder")
+def test_walls_of_the_real_flat_are_told_by_all_rays_at_once_where_every_tag_was_passed():
+    folder = Path(os.environ["TWC_DATA"]) / "wifi" / "ble_lidar"
+    whole, part = (sfw_ble.measure(run, folder, None) for run in ("calibration", "calib4"))
+    true = np.minimum(whole["true"], 2)
+    ours, alone = (np.mean(whole[f"{method} 2"] == true) for method in ("ours", "signal alone"))
+    assert ours > 0.7 > 0.65 > alone
+    assert np.array_equal(part["ours 2"], part["signal alone 2"])
