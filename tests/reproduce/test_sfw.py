@@ -1,4 +1,6 @@
 import argparse
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
