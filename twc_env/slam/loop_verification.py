@@ -37,8 +37,8 @@ ANYWHERE = ("wifi", "lidar")
 SIGNLESS = ("proximity", MEETING, *ANYWHERE)
 WIDE_WINDOW_M = 3.0
 MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
-"""Where nothing but WiFi says that two robots were at one place, their scans must fit by so much; in training buildings
-95 of 100 such matches are right, of those below every second. A match that scores less does not get there."""
+"""Where nothing but WiFi says that two robots were at one place, their scans must fit by so much: of those that
+fit less, too many are of other places. A match that scores less does not get there."""
 SIGN_INFORMATION, NEAR_INFORMATION = np.diag(1.0 / np.square(SIGN_STD)), np.diag(1.0 / np.square(NEAR_STD))
 MIDDLE = np.zeros(2)
 NO_MATCH = Match(np.zeros(3), np.zeros(9), 0.0, False, np.zeros(2))

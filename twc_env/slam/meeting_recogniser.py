@@ -93,7 +93,7 @@ class MeetingRecogniser:
         self._refused[a, b] = count, self._last_m[a] + self._last_m[b] + REST_M * 2 ** (count - 1)
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
-        """See `Forgetful`."""
+        """See `Recogniser`."""
         is_kept = np.array([is_held(keyframe) for keyframe in self._places], bool)
         if self._row_count:
             self._table.keep(is_kept[: self._row_count], np.zeros(1, np.int64), ())
