@@ -165,6 +165,7 @@ def test_schema_prints_the_schema(capsys):
         (["import", "none.yaml", "--resolution", "0.1"], "--resolution is for .png and .pgm"),
         (["import", "none.pgm", "--resolution", "0"], "--resolution must be 0.005 to 10"),
         (["export", "twin-01", "a.dxf"], "use a name that ends in"),
+        (["export", "twin-01", "a.json", "--resolution", "0.1"], "--resolution is for .yaml and .png"),
         (["check", "--fuzz", "0"], "--fuzz must be 1 or more"),
         (["check", "none"], "1 of the checks failed; the first: no map named 'none'"),
     ],

@@ -101,7 +101,7 @@ def add_maps_parser(commands) -> None:
     give.add_argument("map", metavar="MAP", help="as below")
     give.add_argument("out", type=Path, metavar="FILE", help="the suffix picks the format")
     give.add_argument(
-        "--resolution", type=float, default=0.05, metavar="M", help="metres per pixel (default: %(default)s)"
+        "--resolution", type=float, metavar="M", help="metres per pixel of a .yaml or .png (default: 0.05)"
     )
     _seed(give)
 
@@ -210,10 +210,15 @@ def _picture(path: Path, seed: int, resolution_m: float) -> Floorplan:
 
 
 def _export(options: argparse.Namespace) -> None:
-    from twc_env.datasets.map_export import export_map
+    from twc_env.datasets.map_export import EXPORT_RESOLUTION_M, export_map
 
+    resolution_m = EXPORT_RESOLUTION_M if options.resolution is None else options.resolution
+    if options.resolution is not None and options.out.suffix.lower() == ".json":
+        raise MapError(
+            f"--resolution is for .yaml and .png; a native map has no pixels: leave it out for {options.out}"
+        )
     plan = load_map(options.map, options.seed)
-    print(f"written: {export_map(plan, options.out, options.resolution)}")
+    print(f"written: {export_map(plan, options.out, resolution_m)}")
 
 
 def _write(plan: Floorplan, path: Path) -> None:

@@ -195,6 +195,8 @@ def test_what_nobody_touched_is_not_counted_anew():
         ({"pose_building_map": np.full(3, np.nan)}, "must lie in one place"),
         ({"pose_building_map": np.array([1e14, 0.0, 0.0])}, "must lie in one place"),
         ({"pose_building_map": np.zeros(2)}, r"a pose \(3,\)"),
+        ({"origin_m": np.zeros(1)}, r"origin_m must be a corner"),
+        ({"truth_origin_m": 0.0}, r"truth_origin_m must be a corner"),
         ({"resolution_m": 0.0}, "a size above 0"),
         ({"truth_resolution_m": -0.1}, "a size above 0"),
         ({"log_odds": np.zeros(9, np.int16)}, "log_odds must be a grid"),

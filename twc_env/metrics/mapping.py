@@ -206,6 +206,9 @@ def _placed(pose_building_map, *resolutions_m: float) -> tuple[float, float, flo
 
 def _sampling(pose_building_map: Array, origin_m, resolution_m, truth_origin_m, truth_resolution_m):
     """Map cell (row, column, as reals) of the centre of true cell [0, 0], and (cos, sin) of one true cell's step."""
+    for name, corner_m in (("origin_m", origin_m), ("truth_origin_m", truth_origin_m)):
+        if np.shape(corner_m) != (2,):
+            raise DataError(f"{name} must be a corner (x [m], y [m]); got {corner_m!r}")
     x, y, heading = _placed(pose_building_map, resolution_m, truth_resolution_m)
     c, s = math.cos(heading), math.sin(heading)
     dx = truth_origin_m[0] + 0.5 * truth_resolution_m - x
