@@ -37,6 +37,14 @@ def started(steps=STEPS, forgets=True, **settings):
     return env, wander(env, 1)
 
 
+def before_the_end(steps, forgets=True, **settings):
+    """The environment after such a walk, before its last step."""
+    env, actions = started(steps, forgets, **settings)
+    for _ in range(steps - 1):
+        env.step(next(actions))
+    return env
+
+
 def error_m(env) -> float:
     record = env.episode.record
     return team_error_m(env.episode.engine, record.odom_poses, record.true_poses)
@@ -45,13 +53,7 @@ def error_m(env) -> float:
 @pytest.fixture(scope="module")
 def walked():
     """The same long walk with and without forgetting, before its last step."""
-    envs = []
-    for forgets in (True, False):
-        env, actions = started(forgets=forgets)
-        for _ in range(STEPS - 1):
-            env.step(next(actions))
-        envs.append(env)
-    return envs
+    return [before_the_end(STEPS, forgets) for forgets in (True, False)]
 
 
 def mappers_of(walked):
@@ -115,15 +117,15 @@ def test_of_what_comes_when_the_building_is_known_hardly_anything_stays():
 
 def test_loops_are_closed_with_keyframes_that_stayed(walked):
     team = mappers_of(walked)[0]
-    late = [c for c in team.closures if c.status == "accepted" and c.candidate.recogniser == "twc"]
-    assert any(len(team.keyframes[c.candidate.source[0]]) and c.candidate.source[1] > 250 for c in late)
+    held = [{keyframe.index for keyframe in path} for path in team.keyframes]
+    accepted = [c.candidate for c in team.closures if c.status == "accepted"]
+    assert any(c.recogniser == "twc" and c.source[1] > 250 for c in accepted)
+    assert all(index in held[robot] for c in accepted for robot, index in (c.target, c.source))
 
 
 @pytest.mark.parametrize("recogniser", ["text", "wifi", "lidar", "fused"])
 def test_every_recogniser_can_do_without_what_is_forgotten(recogniser):
-    env, actions = started(2000, **{"slam.place_recognition.recogniser": recogniser})
-    for _ in range(1999):
-        env.step(next(actions))
+    env = before_the_end(2000, **{"slam.place_recognition.recogniser": recogniser})
     graph = env.episode.engine.team._graph
     assert graph.node_count < 0.65 * graph.arrived_count
     late = [
@@ -135,9 +137,7 @@ def test_every_recogniser_can_do_without_what_is_forgotten(recogniser):
 
 @pytest.mark.parametrize("robust", ["plain", "dcs", "gnc"])
 def test_maps_of_other_back_ends_are_thinned_too(robust):
-    env, actions = started(2000, **{"slam.pose_graph.robust": robust})
-    for _ in range(1999):
-        env.step(next(actions))
+    env = before_the_end(2000, **{"slam.pose_graph.robust": robust})
     graph = env.episode.engine.team._graph
     assert graph.node_count < 0.65 * graph.arrived_count
     assert not env.episode.record.wrong_pairs and error_m(env) < 0.05

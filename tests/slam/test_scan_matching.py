@@ -212,14 +212,19 @@ def test_scans_that_do_not_fit_their_poses_are_refused(poses, scans):
         LineField(24.0, 0.1, RANGE_MAX_M).add(poses, scans)
 
 
-@pytest.mark.parametrize("points", [np.zeros((5, 1)), np.zeros((5, 3)), np.zeros(10), np.full((5, 2), np.nan), "here"])
-def test_points_of_another_shape_are_refused(points):
-    field, guess = room_field(), np.zeros(3)
-    for call in (
+def calls_of(field, points, guess):
+    """All that takes points and a pose from outside."""
+    return (
         lambda: field.refine(points, guess, 0.5, 20, 0.04),
         lambda: field.correlate(points, guess, (0.5, 0.3), (0.1, 0.05)),
         lambda: field.share_near(points, guess, 0.1),
-    ):
+    )
+
+
+@pytest.mark.parametrize("points", [np.zeros((5, 1)), np.zeros((5, 3)), np.zeros(10), np.full((5, 2), np.nan), "here"])
+def test_points_of_another_shape_are_refused(points):
+    field, guess = room_field(), np.zeros(3)
+    for call in calls_of(field, points, guess):
         with pytest.raises(DataError, match="points must"):
             call()
 
@@ -227,11 +232,7 @@ def test_points_of_another_shape_are_refused(points):
 @pytest.mark.parametrize("guess", [np.zeros(2), np.full(3, np.nan), np.zeros((1, 3)), "here"])
 def test_guesses_that_are_no_pose_are_refused(guess):
     field, points = room_field(), scan_points(ROOM_M, RANGE_MAX_M)
-    for call in (
-        lambda: field.refine(points, guess, 0.5, 20, 0.04),
-        lambda: field.correlate(points, guess, (0.5, 0.3), (0.1, 0.05)),
-        lambda: field.share_near(points, guess, 0.1),
-    ):
+    for call in calls_of(field, points, guess):
         with pytest.raises(DataError, match="must be a finite pose"):
             call()
 

@@ -86,7 +86,7 @@ def measure(run: str, folder: Path, out: Path | None) -> dict:
     power, exponent, loss = _TRUE_SIGNAL
     apart_m = np.linalg.norm(bins.position_m[:, None] - routers, axis=2)
     excess = power - 10 * exponent * np.log10(np.maximum(apart_m, 0.5)) - bins.rssi_dbm
-    is_passed = apart_m.min(axis=0) <= PASSED_M
+    is_passed = bool((apart_m.min(axis=0) <= PASSED_M).all())
     cells = plan.cells(scoring.RESOLUTION_M)
     mapped = scoring.by_ours(walk, cells, seed=0)
     structure = mapped.structure
@@ -99,9 +99,9 @@ def measure(run: str, folder: Path, out: Path | None) -> dict:
             by_means[heard[:, r], r] = predict_walls(smooth, k_means(smooth, k_max + 1))
         by_signal = np.column_stack([fit.walls[bins.bin_of] for fit in fit_alike(bins, routers, k_max)])
         figures[f"k-means {k_max}"] = by_means[heard]
-        by_map = structure.walls if is_passed.all() else by_signal
+        ours = structure.walls if is_passed else by_signal
         figures[f"signal alone {k_max}"] = by_signal[heard]
-        figures[f"ours {k_max}"] = np.minimum(by_map, k_max)[heard]
+        figures[f"ours {k_max}"] = np.minimum(ours, k_max)[heard]
         figures[f"known signal {k_max}"] = np.minimum(known, k_max)[heard]
     if out is not None:
         scoring.draw_maps(out / f"{run}.png", f"flat, {run}", walk, cells, {"ours": mapped})
