@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from twc_env.config import PoseGraphConfig
+from twc_env.errors import DataError
 from twc_env.geometry import align_rigidly, between, compose, wrap_angle
 from twc_env.slam import pose_graph
 
@@ -133,6 +134,14 @@ def test_the_fixed_pose_stays_and_the_others_move_with_it():
         reference = pose_graph.optimise(true, edges, measured, information, is_closure, PLAIN)
         relative = between(between(reference[fixed], reference), between(poses[fixed], poses))
         assert np.abs(relative).max() < 5e-3
+
+
+@pytest.mark.parametrize("strange", [-1, 60])
+def test_edges_from_poses_that_are_not_there_are_refused(strange):
+    true, edges, measured, information, is_closure = random_graph(3)
+    edges[-1, 0] = strange
+    with pytest.raises(DataError, match=r"edges join poses 0 to \d+; got"):
+        pose_graph.optimise(true, edges, measured, information, is_closure, PLAIN)
 
 
 def false_closure_error(robust: str) -> float:

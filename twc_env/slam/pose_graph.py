@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import PoseGraphConfig
+from twc_env.errors import DataError
 from twc_env.slam.block_cholesky import BlockCholesky
 from twc_env.slam.relative_equations import (
     damped,
@@ -119,8 +120,10 @@ class NormalEquations:
     """Gauss-Newton's normal equations of one set of edges, whose sparse pattern is found once."""
 
     def __init__(self, edges: Array, measured: Array, information: Array, count: int, fixed: int | Array):
-        """fixed: a pose that is held where it is, or several (k,)."""
+        """fixed: a pose that is held where it is, or several (k,). Raises DataError for edges between other poses."""
         self.edges = np.ascontiguousarray(edges, np.int64)
+        if self.edges.size and not 0 <= self.edges.min() <= self.edges.max() < count:
+            raise DataError(f"edges join poses 0 to {count - 1}; got {self.edges.min()} to {self.edges.max()}")
         self.measured = np.ascontiguousarray(measured, float)
         self.information = np.ascontiguousarray(information, float)
         self._count, self._held = count, np.atleast_1d(np.asarray(fixed, np.int64))
