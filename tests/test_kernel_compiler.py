@@ -1,6 +1,7 @@
 """Kernels stand on disk whole, once, and only where Python calls them."""
 
 import contextlib
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -181,10 +182,78 @@ def test_where_no_folder_can_be_written_to_kernels_are_compiled_all_the_same(mon
     def refuse(_function):
         raise RuntimeError("no locator available")
 
-    monkeypatch.setattr(kernel_compiler, "CompileResultCacheImpl", refuse)
+    monkeypatch.setattr(kernel_compiler, "_Places", refuse)
     made = kernel(lambda x: x + 1)
     assert made(np.arange(2)).tolist() == [1, 2]
     assert made.stats.cache_path is None
+
+
+NOWHERE = f"""
+import os, numba.core.caching as caching
+
+class Refusing:
+    @staticmethod
+    def TemporaryFile(dir):
+        if not os.path.realpath(dir).startswith({{writable!r}}):
+            raise PermissionError
+        return open(os.devnull)
+
+caching.tempfile = Refusing
+{CALL}
+print(kernels.total.stats.cache_path)
+"""
+
+
+def read_only(folder, writable="nothing", **names):
+    """Hits, misses and the folder that files are put into, where nothing else can be written to."""
+    process = subprocess.run(
+        [sys.executable, "-B", "-c", NOWHERE.format(writable=str(writable))],
+        cwd=folder, env={"PYTHONPATH": str(ROOT), **names}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    hits, misses, place = process.stdout.split()
+    return int(hits), int(misses), place
+
+
+def test_what_stands_in_a_folder_that_can_only_be_read_is_read(folder, tmp_path):
+    assert read_only(folder) == (0, 1, "None")
+    assert hits_and_misses(folder) == (0, 1)
+    assert read_only(folder) == (1, 0, "None")
+    home = tmp_path / "home"
+    home.mkdir()
+    hits, misses, place = read_only(folder, home, HOME=str(home))
+    assert (hits, misses) == (1, 0) and place.startswith(str(home))
+    assert not list(home.rglob("*.nbc"))
+    (folder / "kernels.py").write_text(KERNELS + "\n")
+    assert read_only(folder, home, HOME=str(home))[:2] == (0, 1)
+    assert len(list(home.rglob("*.nbc"))) == 1
+    assert read_only(folder, home, HOME=str(home))[:2] == (1, 0)
+
+
+def test_who_names_a_folder_for_kernels_gets_them_from_there_alone(folder, tmp_path):
+    named = {"NUMBA_CACHE_DIR": str(tmp_path / "named")}
+    assert hits_and_misses(folder) == (0, 1)
+    assert read_only(folder, **named) == (0, 1, "None")
+    assert read_only(folder, tmp_path / "named", **named)[:2] == (0, 1)
+    assert read_only(folder, **named) == (1, 0, "None")
+
+
+def test_kernels_with_bounds_checks_are_others(folder):
+    checked = "import numba; numba.config.BOUNDSCHECK = 1\n" + CALL
+    assert hits_and_misses(folder) == (0, 1)
+    assert [hits_and_misses(folder, code) for code in (checked, checked, CALL)] == [(0, 1), (1, 0), (1, 0)]
+
+
+def test_a_full_disk_keeps_no_half_of_a_file(folder):
+    full = """
+import os, kernels
+def refuse(*paths): raise OSError(28, "no room")
+os.replace = refuse
+assert kernels.total(3, 2) == 14
+print(0, 0)
+"""
+    assert hits_and_misses(folder, full) == (0, 0)
+    assert files(folder, "tmp") == files(folder) == []
+    assert hits_and_misses(folder) == (0, 1)
 
 
 def test_where_there_are_no_locks_each_process_compiles_for_itself(monkeypatch, tmp_path):
@@ -217,6 +286,21 @@ def test_a_lock_has_one_holder_at_a_time(tmp_path):
     second.release()
     assert list(tmp_path.iterdir()) == []
     assert FileLock(tmp_path / "no such folder" / "lock").take() is None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
+def test_a_lock_that_is_given_up_while_another_takes_it_has_one_holder(tmp_path, monkeypatch):
+    first, second, third = (FileLock(tmp_path / "lock") for _ in range(3))
+    assert first.take()
+    opened = os.open
+
+    def given_up(*arguments):
+        descriptor = opened(*arguments)
+        first.release()
+        return descriptor
+
+    monkeypatch.setattr(os, "open", given_up)
+    assert (second.take(), third.take()) == (True, False)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,8 @@ from pathlib import Path
 if sys.platform != "win32":
     import fcntl
 
+_TRIES = 100
+
 
 class FileLock:
     """The lock of a path, in a folder that exists. A process that has died holds nothing."""
@@ -24,17 +26,21 @@ class FileLock:
             return None
         if self._descriptor is not None:
             return True
-        try:
-            descriptor = os.open(self._path, os.O_CREAT | os.O_WRONLY)
-        except OSError:
-            return None
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            os.close(descriptor)
-            return False if isinstance(error, BlockingIOError) else None
-        self._descriptor = descriptor
-        return True
+        for _ in range(_TRIES):
+            try:
+                descriptor = os.open(self._path, os.O_CREAT | os.O_WRONLY)
+            except OSError:
+                return None
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                os.close(descriptor)
+                return False if isinstance(error, BlockingIOError) else None
+            if os.fstat(descriptor).st_nlink:
+                self._descriptor = descriptor
+                return True
+            os.close(descriptor)  # its holder gave it up in between: who comes next makes a file of the same name
+        return None
 
     def release(self) -> None:
         """Let the next one have it; who does not hold it does nothing."""

@@ -20,7 +20,7 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba.core import sigutils
+from numba.core import config, sigutils
 from numba.core.caching import CompileResultCacheImpl, _Cache
 from numba.core.compiler import Compiler, Flags
 from numba.core.compiler_lock import global_compiler_lock
@@ -161,8 +161,31 @@ dispatcher_registry[_KernelTarget] = KernelDispatcher
 jit_registry[_KernelTarget] = _part_of_numba
 
 
+class _OnlyReading:
+    """A place where numba looks for a folder, though nothing can be written there."""
+
+    def ensure_cache_path(self):
+        """It will not be written to."""
+
+
+_READ_ONLY: tuple[Any, ...] = tuple(
+    type(f"ReadOnly{place.__name__}", (_OnlyReading, place), {})
+    for place in CompileResultCacheImpl._locator_classes[:2]
+)
+"""Where numba has been told to, and beside the source."""
+
+
+class _Places(CompileResultCacheImpl):
+    """Numba's, and where nothing can be written, what others may have left where it would have been."""
+
+    _locator_classes = (*CompileResultCacheImpl._locator_classes, *_READ_ONLY)
+
+
 class KernelFiles(_Cache):
-    """Where the compiled signatures of one kernel stand: beside its source, or where numba has been told to."""
+    """Where the compiled signatures of one kernel stand: beside its source, or where numba has been told to.
+
+    Who may not write there, as users of one installation, takes what stands there and keeps the rest elsewhere.
+    """
 
     def __init__(self, function: Any):
         self._function = function
@@ -172,14 +195,25 @@ class KernelFiles(_Cache):
     @cached_property
     def _impl(self) -> CompileResultCacheImpl | None:
         try:
-            return CompileResultCacheImpl(self._function)
-        except RuntimeError:  # no folder can be written to
+            return _Places(self._function)
+        except RuntimeError:  # its source is in no file
             return None
 
     @property
     def cache_path(self) -> str | None:
-        """The folder of the files; None where there is none."""
-        return None if self._impl is None else self._impl.locator.get_cache_path()
+        """The folder that files are put into; None where there is none."""
+        impl = self._impl
+        return None if impl is None or isinstance(impl.locator, _READ_ONLY) else impl.locator.get_cache_path()
+
+    @cached_property
+    def _shared(self) -> Path | None:
+        """The folder of files that others left and this process may only read; None where it has its own."""
+        file = self._function.__code__.co_filename
+        for place in _READ_ONLY:
+            locator = place.from_function(self._function, file)
+            if locator is not None:
+                return None if locator.get_cache_path() == self.cache_path else Path(locator.get_cache_path())
+        return None
 
     def load_overload(self, sig, target_context):
         """What stands on disk for a signature, or None.
@@ -201,12 +235,16 @@ class KernelFiles(_Cache):
         if data.entry_point is None:  # a part
             return
         path, impl = self._path(sig, data.codegen), self._impl
-        if path is None or impl is None or not impl.check_cachable(data):
+        if path is None or impl is None or self.cache_path is None or not impl.check_cachable(data):
             return
+        path = Path(self.cache_path, path.name)
+        temporary = path.with_suffix(f".{os.getpid()}.tmp")
         with contextlib.suppress(OSError):
-            temporary = path.with_suffix(f".{os.getpid()}.tmp")
-            temporary.write_bytes(dumps(impl.reduce(data)))
-            os.replace(temporary, path)
+            try:
+                temporary.write_bytes(dumps(impl.reduce(data)))
+                os.replace(temporary, path)
+            except OSError:  # no room
+                temporary.unlink(missing_ok=True)
             for other in self._all_files():
                 if other.name.split(".")[-3] != path.name.split(".")[-3]:
                     other.unlink()
@@ -215,7 +253,7 @@ class KernelFiles(_Cache):
     def reserved(self, sig, target_context) -> Iterator[None]:
         """In here other processes do not compile this; who comes later waits, and finds it on disk."""
         path = self._path(sig, target_context.codegen())
-        if path is None or path.exists():
+        if path is None or self.cache_path is None or path.exists():
             yield
         else:
             with _alone(path.with_suffix(".lock")):
@@ -227,15 +265,19 @@ class KernelFiles(_Cache):
         if sig not in self._paths:
             state, _ = _foundation(self._function, self._impl)
             code, cells = self._function.__code__.co_code, self._function.__closure__ or ()
-            key = hashlib.sha256(repr((sig, codegen.magic_tuple(), numba.__version__)).encode() + code)
+            meant = sig, codegen.magic_tuple(), numba.__version__, config.BOUNDSCHECK
+            key = hashlib.sha256(repr(meant).encode() + code)
             key.update(dumps(tuple(cell.cell_contents for cell in cells)))
-            folder = Path(self._impl.locator.get_cache_path())
-            self._paths[sig] = folder / f"{self._impl.filename_base}.{state[:12]}.{key.hexdigest()[:24]}.nbc"
+            name = f"{self._impl.filename_base}.{state[:12]}.{key.hexdigest()[:24]}.nbc"
+            is_shared = self._shared is not None and (self._shared / name).exists()
+            folder = self._shared if is_shared else self.cache_path
+            self._paths[sig] = None if folder is None else Path(folder, name)
         return self._paths[sig]
 
     def _all_files(self) -> list[Path]:
-        assert self._impl is not None
-        return list(Path(self._impl.locator.get_cache_path()).glob(f"{glob.escape(self._impl.filename_base)}.*.*.nbc"))
+        if self._impl is None or self.cache_path is None:
+            return []
+        return list(Path(self.cache_path).glob(f"{glob.escape(self._impl.filename_base)}.*.*.nbc"))
 
     def enable(self) -> None:
         """Read and write from now on."""

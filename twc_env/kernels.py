@@ -43,7 +43,7 @@ def _compiled(function: Callable[..., Any], **others: bool) -> Any:
         if isinstance(value, ModuleType) and value.__name__.startswith("twc_env."):
             raise TypeError(f"kernel {function.__name__}: import names from {value.__name__}, not the module")
     options = {"boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": True, **others}
-    if not NUMBA_MIN <= _version(numba.__version__) <= NUMBA_MAX:
+    if not is_numba_known():
         return njit(**options)(function)  # on disk numba alone could mistake an old state of the sources for this one
     from twc_env.kernel_compiler import KernelDispatcher  # another numba may lack what this imports
 
@@ -52,8 +52,9 @@ def _compiled(function: Callable[..., Any], **others: bool) -> Any:
     return compiled
 
 
-def _version(text: str) -> tuple[int, ...]:
-    return tuple(int(part) for part in text.split(".")[:2])
+def is_numba_known() -> bool:
+    """Whether kernels stand on disk with this numba."""
+    return NUMBA_MIN <= tuple(int(part) for part in numba.__version__.split(".")[:2]) <= NUMBA_MAX
 
 
 _ENTRIES: dict[Any, Callable[..., Any]] = {}

@@ -85,6 +85,14 @@ def test_the_single_view_shows_what_the_team_of_one_sees(same):
     assert truncated
 
 
+def test_the_single_view_takes_and_refuses_the_seeds_that_the_team_does(same):
+    single = gymnasium.make("twc/Explore-v0", max_cycles=5)
+    assert same(single.reset(seed=np.int64(4))[0], single.reset(seed=4)[0])
+    for seed in (-1, np.int64(-1), 0.5):
+        with pytest.raises(twc_env.ConfigError, match="seed must be a whole number from 0 on"):
+            single.reset(seed=seed)
+
+
 @pytest.mark.parametrize("robots", ROBOTS)
 def test_every_observation_lies_in_its_space(robots, explore):
     log = explore(60, robots=robots)

@@ -25,6 +25,7 @@ from numba.core import event
 
 from twc_env.cell_rows import look_up
 from twc_env.file_lock import FileLock
+from twc_env.kernels import NUMBA_MAX, NUMBA_MIN, is_numba_known
 from twc_env.threads import THREADS
 
 _LOG = logging.getLogger("twc_env")
@@ -86,6 +87,15 @@ class FirstStart:
 FIRST_START = FirstStart()
 
 
+def _what_of_later_starts() -> str:
+    if look_up._cache.cache_path is not None:
+        return "later starts read them from disk (beside the sources, or in NUMBA_CACHE_DIR)"
+    if not is_numba_known():
+        least, most = (".".join(map(str, version)) for version in (NUMBA_MIN, NUMBA_MAX))
+        return f"later starts too, with this numba ({least} to {most} keep them)"
+    return "later starts too, as they can be kept nowhere: name a folder in NUMBA_CACHE_DIR"
+
+
 def helpers_lock() -> FileLock | None:
     """What a helper holds as long as it is at work; None where kernels stand in no folder."""
     folder = look_up._cache.cache_path
@@ -126,10 +136,7 @@ class _Announcer(event.Listener):
             return
         if not self._is_said:
             self._is_said = True
-            _LOG.warning(
-                "compiling kernels for first use, some 10 to 30 s in all; later starts read them from disk "
-                "(beside the sources, or in NUMBA_CACHE_DIR)"
-            )
+            _LOG.warning("compiling kernels for first use, some 10 to 30 s in all; %s", _what_of_later_starts())
         self._prepare()
 
     def on_end(self, event: Any) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 
 from twc_env.config import EnvConfig
+from twc_env.config.checks import whole_number
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.messages import Belief
 
@@ -48,6 +49,7 @@ class SingleRobotEnv(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Begin an episode."""
+        seed = None if seed is None else whole_number("seed", seed, 0)
         super().reset(seed=seed)
         observations, infos = self._team.reset(seed, options)
         return observations[self._agent], infos[self._agent]
