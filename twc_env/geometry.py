@@ -69,7 +69,7 @@ def between(pose_m_a: ArrayLike, pose_m_b: ArrayLike) -> Array:
 def seen_from(information: Array, heading_rad: float) -> Array:
     """Information (3, 3) on a pose along the axes of a frame, along the pose's own axes, with its heading in it."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = np.array((c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)).reshape(3, 3)
     return turn.T @ information @ turn
 
 

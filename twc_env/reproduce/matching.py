@@ -26,9 +26,10 @@ from twc_env.messages import Fingerprint, Keyframe, LoopCandidate
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.runner import Runner
 from twc_env.slam.global_matching import match_globally
-from twc_env.slam.loop_verification import FIELD_CELL_M, REFINE_ITERATIONS, REFINE_REACH_M, WIDE_WINDOW_M, LoopVerifier
+from twc_env.slam.loop_verification import WIDE_WINDOW_M, LoopVerifier
 from twc_env.slam.point_matching import match_points
 from twc_env.slam.scan_matching import LineField, scan_points
+from twc_env.slam.target_walls import FIELD_CELL_M, REFINE_ITERATIONS, REFINE_REACH_M
 from twc_env.world.lidar import Lidar
 from twc_env.world.world import start_places
 

@@ -59,6 +59,11 @@ def given_pose(values: ArrayLike, name: str) -> Array:
     return pose
 
 
+def plain(values: ArrayLike) -> Array:
+    """As kernels take it: itself where it is."""
+    return values if _is_plain(values) else np.ascontiguousarray(values, float)
+
+
 def _is_plain(values: ArrayLike) -> TypeGuard[Array]:
     """Whether kernels can take it as it is, of float64 and in C order: told sooner than it is converted."""
     return type(values) is np.ndarray and values.dtype == _FLOAT and values.flags.c_contiguous

@@ -12,20 +12,19 @@ from twc_env.config import OdometryFilterConfig, VerificationConfig
 from twc_env.geometry import beam_directions, seen_from
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
+from twc_env.slam.given_arrays import given_pose
 from twc_env.slam.global_matching import match_globally
 from twc_env.slam.keyframe_paths import place_on
 from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.odometry_filter import invert_symmetric
 from twc_env.slam.point_matching import PointMatch, match_points
-from twc_env.slam.scan_matching import LineField, Match
+from twc_env.slam.scan_matching import Match
+from twc_env.slam.target_walls import TargetWalls, relative
 
 Array = NDArray
 
-FIELD_CELL_M = 0.2
-NEAR_WALL_M = 0.15
 STEP_M, STEP_RAD = 0.15, 0.05
 """Grid of the correlative search; the refinement reaches further than one step."""
-REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE = 0.4, 20, 0.04
 SPACING_M = 0.9
 """Of neighbouring keyframes, every one this far along the path joins the target's walls."""
 SEEN_THROUGH_M = 0.35
@@ -40,43 +39,9 @@ MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
 """Where nothing but WiFi says that two robots were at one place, their scans must fit by so much: of those that
 fit less, too many are of other places. A match that scores less does not get there."""
 SIGN_INFORMATION, NEAR_INFORMATION = np.diag(1.0 / np.square(SIGN_STD)), np.diag(1.0 / np.square(NEAR_STD))
-MIDDLE = np.zeros(2)
 NO_MATCH = Match(np.zeros(3), np.zeros(9), 0.0, False, np.zeros(2))
 MATCH_COVARIANCE_MIN = np.diag(np.square((0.03, 0.03, 0.01)))
 """No match is known better than this [m2, m2, rad2]."""
-
-
-@borrowing_kernel
-def _relative(base, pose, out):
-    """The pose seen from base, both in one frame."""
-    c, s = math.cos(base[2]), math.sin(base[2])
-    dx, dy = pose[0] - base[0], pose[1] - base[1]
-    out[0], out[1], out[2] = c * dx + s * dy, c * dy - s * dx, pose[2] - base[2]
-
-
-@kernel
-def _in_frame_of_first(poses):
-    """Express poses (k, 3), in place, in the frame of the first of them."""
-    first = poses[0].copy()
-    for k in range(poses.shape[0]):
-        _relative(first, poses[k], poses[k])
-
-
-@kernel
-def _join(poses, scans, directions, range_max, points):
-    """End points of scans (k, beams) taken at poses (k, 3), in the frame of the first; gives their number."""
-    pose = np.empty(3)
-    n = 0
-    for k in range(poses.shape[0]):
-        _relative(poses[0], poses[k], pose)
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        for i in range(scans.shape[1]):
-            r = scans[k, i]
-            if 0.0 <= r < range_max:
-                x, y = r * directions[i, 0], r * directions[i, 1]
-                points[n, 0], points[n, 1] = pose[0] + c * x - s * y, pose[1] + s * x + c * y
-                n += 1
-    return n
 
 
 @borrowing_kernel
@@ -107,7 +72,7 @@ def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
 def _contradiction(target, source, directions, pose, range_max, margin):
     """The larger share of one scan's points that the other scan saw through; pose is the source's in the target."""
     back = np.empty(3)
-    _relative(pose, np.zeros(3), back)
+    relative(pose, np.zeros(3), back)
     return max(
         _share_seen_through(source, directions, pose, target, range_max, margin),
         _share_seen_through(target, directions, back, source, range_max, margin),
@@ -122,7 +87,7 @@ class LoopVerifier:
         self._noise = noise
         self._range_max_m = range_max_m
         size_m = 2 * (range_max_m + config.cloud_reach_m + 1.0)
-        self._field = LineField(size_m, FIELD_CELL_M, range_max_m)
+        self._walls = TargetWalls(size_m, range_max_m)
         self._drawn: tuple[int, int] | None = None
 
     def forget(self) -> None:
@@ -163,7 +128,7 @@ class LoopVerifier:
         if self._config.method == "point-to-point":
             paired = match_points(self._points(target, target_path), points, candidate.guess)
             return paired, paired.inlier_ratio
-        guess = candidate.guess
+        guess = given_pose(candidate.guess, "guess")
         if candidate.recogniser == MEETING:
             met = match_globally(
                 self._points(target, target_path, SPACING_M), points, WIDE_WINDOW_M, MEETING_SCORE_MIN,
@@ -173,11 +138,13 @@ class LoopVerifier:
                 return NO_MATCH, 0.0
             guess = met.pose
         self._draw_target(target, target_path)
-        match, overlap = self._refine(points, guess)
+        match, overlap = self._walls.refine(points, guess)
         if candidate.recogniser == MEETING:
             return match, overlap
         if overlap < self._config.overlap_min or candidate.recogniser in ANYWHERE:  # the guess may be too far off
-            searched, searched_overlap = self._refine(points, self._search(candidate, target, target_path, points))
+            searched, searched_overlap = self._walls.refine(
+                points, self._search(candidate, target, target_path, points)
+            )  # fmt: skip
             if searched_overlap >= overlap:
                 return searched, searched_overlap
         return match, overlap
@@ -192,11 +159,6 @@ class LoopVerifier:
         near += _neighbours(source, source_path, min(reach, SPACING_M))
         return [(k.robot, k.index) for k in near]
 
-    def _refine(self, points: Array, guess: Array) -> tuple[Match, float]:
-        """The match from a guess, and the share of the points that then lie on walls."""
-        match = self._field.refine(points, guess, REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE)
-        return match, self._field.share_near(points, match.pose, NEAR_WALL_M)
-
     def _draw_target(self, target: Keyframe, path: Sequence[Keyframe]) -> None:
         if (
             self._drawn == (target.robot, target.index)
@@ -204,10 +166,7 @@ class LoopVerifier:
         ):
             return
         self._drawn = (target.robot, target.index)
-        poses, scans = _seen(_neighbours(target, path, self._config.cloud_reach_m))
-        _in_frame_of_first(poses)
-        self._field.reset(MIDDLE)
-        self._field.add(poses, scans)
+        self._walls.draw(_neighbours(target, path, self._config.cloud_reach_m))
 
     def _search(
         self, candidate: LoopCandidate, target: Keyframe, target_path: Sequence[Keyframe], points: Array
@@ -219,13 +178,11 @@ class LoopVerifier:
             found = match_globally(target_points, points, WIDE_WINDOW_M, lays_walls_along=is_hasty)
             return candidate.guess if found is None else found.pose
         window = rule.window_m, rule.window_rad
-        return self._field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)[0]
+        return self._walls.field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)[0]
 
     def _points(self, keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float = math.inf) -> Array:
         """(n, 2) what the keyframe and its neighbours within reach saw, in the keyframe's frame."""
-        poses, scans = _seen(_neighbours(keyframe, path, min(self._config.cloud_reach_m, reach_m)))
-        points, directions = np.empty((scans.size, 2)), beam_directions(scans.shape[1])
-        return points[: _join(poses, scans, directions, self._range_max_m, points)]
+        return self._walls.points(_neighbours(keyframe, path, min(self._config.cloud_reach_m, reach_m)))
 
 
 class SignVerifier:
@@ -251,12 +208,6 @@ def _ends(
     paths = (target_path, candidate.target[1]), (source_path, candidate.source[1])
     target, source = [path[place_on(path, index)] for path, index in paths]
     return target, source
-
-
-def _seen(keyframes: Sequence[Keyframe]) -> tuple[Array, Array]:
-    """Poses (k, 3) in the odom frame, and scans (k, beams)."""
-    poses, scans = np.concatenate([k.pose_odom for k in keyframes]), np.concatenate([k.ranges_m for k in keyframes])
-    return poses.reshape(len(keyframes), -1), scans.reshape(len(keyframes), -1)
 
 
 def _neighbours(keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float) -> list[Keyframe]:

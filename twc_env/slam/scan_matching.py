@@ -29,13 +29,13 @@ from twc_env.slam.line_matching import (
     won_and_lost,
 )
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, told_by
-from twc_env.slam.wall_drawing import BLOCK_CELLS, draw_scans
+from twc_env.slam.wall_drawing import BLOCK_CELLS, NOWHERE, draw_scans
 
 Array = NDArray
 
 FIELD_SIDE_MAX = 10_000
 """Cells along a side of the largest field: 400 MB."""
-NOTHING_DRAWN = np.array([2**31, 2**31, 0, 0, 0])
+NOTHING_DRAWN = np.array([NOWHERE, NOWHERE, 0, 0, 0])
 SIGN_TO_WALL_M = 0.3
 """A sign hangs on the wall that is at most this far away."""
 STOP_M, STOP_RAD = 1e-3, 5e-4
@@ -238,6 +238,11 @@ class LineField:
         nx, ny, _ = self._lines[line].tolist()
         towards = nx * (seen_from[0] - x) + ny * (seen_from[1] - y)
         return math.atan2(ny, nx) if towards >= 0 else math.atan2(-ny, -nx)
+
+    @property
+    def parts(self) -> tuple[Array, Array, Array, float, Array, Array]:
+        """Cells, lines, corner, cells per metre, `drawn` and room, as `draw_scans` and `refine_pose` take them."""
+        return self._cells, self._lines, self._origin_m, self._inverse_m, self._drawn, self._scratch
 
     @property
     def _field(self) -> tuple[Array, Array, float]:

@@ -24,6 +24,8 @@ STRAIGHT_M = 0.02
 """... if none of them is further than this from the chord."""
 LINES = 4
 """Where `drawn` counts the lines."""
+NOWHERE = 2**31
+"""Left and bottom end of what is drawn, while there is nothing."""
 BLOCK_CELLS = 16
 """Cells of a row that are told of a wall at once: a few too many are quicker than a remainder."""
 
@@ -159,15 +161,21 @@ def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_m
 
 
 @borrowing_kernel
-def _are_sound(poses, scans):
-    """Whether all poses are finite, and ranges numbers; infinite ones mean no return."""
-    are_sound = True
-    for k in range(poses.shape[0]):
-        for axis in range(3):
-            are_sound &= math.isfinite(poses[k, axis])
-        for i in range(scans.shape[1]):
-            are_sound &= scans[k, i] > -np.inf
-    return are_sound
+def _is_sound(pose, ranges):
+    """Whether a pose is finite, and ranges numbers; infinite ones mean no return."""
+    is_sound = math.isfinite(pose[0]) and math.isfinite(pose[1]) and math.isfinite(pose[2])
+    for i in range(ranges.shape[0]):
+        is_sound &= ranges[i] > -np.inf
+    return is_sound
+
+
+@borrowing_kernel
+def draw_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn):
+    """`draw_scans` of one scan (beams,) at a pose (3,)."""
+    if not _is_sound(pose, ranges):
+        return False
+    _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn)
+    return True
 
 
 @borrowing_kernel
@@ -179,8 +187,18 @@ def draw_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_
     the cells drawn so far, widened here, and how many lines there are. Gives False, and draws nothing, where a range is
     no number or a pose is not finite; walls for which there are no lines left are left out.
     """
-    if not _are_sound(poses, scans):
-        return False
+    for k in range(poses.shape[0]):
+        if not _is_sound(poses[k], scans[k]):
+            return False
     for k in range(poses.shape[0]):
         _add_scan(cells, lines, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn)
     return True
+
+
+@borrowing_kernel
+def forget_walls(cells, drawn):
+    """Let the cells drawn so far know no wall."""
+    for row in range(drawn[1], drawn[3]):
+        for column in range(drawn[0], drawn[2]):
+            cells[row, column] = NO_WALL
+    drawn[0], drawn[1], drawn[2], drawn[3], drawn[LINES] = NOWHERE, NOWHERE, 0, 0, 0

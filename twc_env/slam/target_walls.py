@@ -1,0 +1,130 @@
+"""What keyframes that lie near each other saw, in the frame of one of them: as walls, and as points to lay on walls."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.errors import DataError
+from twc_env.geometry import beam_directions
+from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
+from twc_env.messages import Keyframe
+from twc_env.slam.given_arrays import plain
+from twc_env.slam.line_matching import refine_pose, share_near
+from twc_env.slam.scan_matching import STOP_M, STOP_RAD, LineField, Match
+from twc_env.slam.wall_drawing import draw_scan, forget_walls
+
+Array = NDArray
+
+FIELD_CELL_M = 0.2
+NEAR_WALL_M = 0.15
+REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE = 0.4, 20, 0.04
+
+
+@borrowing_kernel
+def relative(base, pose, out):
+    """The pose seen from base, both in one frame."""
+    c, s = math.cos(base[2]), math.sin(base[2])
+    dx, dy = pose[0] - base[0], pose[1] - base[1]
+    out[0], out[1], out[2] = c * dx + s * dy, c * dy - s * dx, pose[2] - base[2]
+
+
+@borrowing_kernel
+def _draw(walls, is_first, base, pose, ranges):
+    """Draw a scan taken at a pose into the walls around another pose, the first instead of all that was there.
+
+    False for a scan or a pose that is not sound.
+    """
+    (cells, lines, origin, inverse_m, drawn, _), (directions, range_max, ends, here) = parts_of(walls)
+    if is_first:
+        forget_walls(cells, drawn)
+    relative(base, pose, here)
+    return draw_scan(cells, lines, origin, inverse_m, here, directions, ranges, range_max, ends, drawn)
+
+
+@borrowing_kernel
+def _join(walls, base, pose, ranges, points, count):
+    """Write the end points of a scan taken at a pose, seen from another pose, behind so many; gives their number."""
+    _, (directions, range_max, _, here) = parts_of(walls)
+    relative(base, pose, here)
+    c, s = math.cos(here[2]), math.sin(here[2])
+    for i in range(ranges.shape[0]):
+        r = ranges[i]
+        if 0.0 <= r < range_max:
+            x, y = r * directions[i, 0], r * directions[i, 1]
+            points[count, 0], points[count, 1] = here[0] + c * x - s * y, here[1] + s * x + c * y
+            count += 1
+    return count
+
+
+@borrowing_kernel
+def _lay(walls, points, guess, pose, sums):
+    """`refine_pose` of points near a guess, and the share of them that lie on walls then."""
+    (cells, lines, origin, inverse_m, _, scratch), _ = parts_of(walls)
+    count = points.shape[0]
+    weight, _, is_degenerate, x, y, _ = refine_pose(
+        cells, lines, origin, inverse_m, points, count, guess, REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE,
+        STOP_M, STOP_RAD, scratch, pose, sums,
+    )  # fmt: skip
+    return weight, is_degenerate, x, y, share_near(cells, origin, inverse_m, points, count, pose, NEAR_WALL_M)
+
+
+class TargetWalls:
+    """The walls that a keyframe and its neighbours saw, in its own frame.
+
+    What is given is not looked at: points are those of `points`, guesses poses (3,) of float64.
+    """
+
+    def __init__(self, size_m: float, range_max_m: float):
+        self.field = LineField(size_m, FIELD_CELL_M, range_max_m)
+        """To be searched far from a guess."""
+        self._beams = 0
+        self._bound: tuple[Callable[..., bool], Callable[..., int], Callable[..., tuple]] | None = None
+        """`_draw`, `_join` and `_lay` with all that they need every time, for scans of so many beams."""
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_bound": None}
+
+    def _kernels(self, beams: int) -> tuple[Callable[..., bool], Callable[..., int], Callable[..., tuple]]:
+        if self._bound is None or beams != self._beams:
+            self._beams, pose, scan, points = beams, np.empty(3), np.empty(beams), np.empty((0, 2))
+            apparatus = beam_directions(beams), self.field.range_max_m, np.empty((beams + 1, 2)), np.empty(3)
+            held = Lent((self.field.parts, apparatus))
+            self._bound = (
+                bound(_draw, held, True, pose, pose, scan),
+                bound(_join, held, pose, pose, scan, points, 0),
+                bound(_lay, held, points, pose, pose, np.empty(9)),
+            )
+        return self._bound
+
+    def draw(self, keyframes: Sequence[Keyframe]) -> None:
+        """Forget all walls, and draw those that these saw around the first of them.
+
+        Raises DataError for scans and poses that hold no numbers.
+        """
+        first = keyframes[0]
+        for keyframe in keyframes:
+            scan = plain(keyframe.ranges_m)
+            run, _, _ = self._kernels(len(scan))
+            if not run(keyframe is first, first.pose_odom, keyframe.pose_odom, scan):
+                raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
+
+    def points(self, keyframes: Sequence[Keyframe]) -> Array:
+        """(n, 2) what these saw, in the frame of the first of them."""
+        first, count = keyframes[0], 0
+        points = np.empty((len(keyframes) * len(first.ranges_m), 2))
+        for keyframe in keyframes:
+            scan = plain(keyframe.ranges_m)
+            _, run, _ = self._kernels(len(scan))
+            count = run(first.pose_odom, keyframe.pose_odom, scan, points, count)
+        return points[:count]
+
+    def refine(self, points: Array, guess: Array) -> tuple[Match, float]:
+        """The match of points (n, 2) from a guess (3,), and the share of the points that then lie on walls."""
+        pose, sums = np.empty(3), np.zeros(9)
+        _, _, run = self._kernels(self._beams)
+        weight, is_degenerate, x, y, overlap = run(points, guess, pose, sums)
+        return Match(pose, sums, weight, is_degenerate, np.array([x, y])), overlap
