@@ -68,6 +68,8 @@ class Velocities:
         speed_max_m_s, turn_rate_max_rad_s = self._maxima
         commands: list[float] = []
         try:
+            if type(actions) is not dict or len(actions) != len(agents):
+                raise TypeError
             for agent in agents:
                 action = actions[agent]
                 if action.dtype.kind not in "fiu":
@@ -84,6 +86,7 @@ class Velocities:
 
 def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
     """Shares (robots, 2), cut to [-1, 1] where rounding led beyond it; an error for the first that is no share."""
+    check_agents(actions, agents)
     shares = np.empty((len(agents), 2))
     for row, agent in enumerate(agents):
         action = action_array(actions[agent])

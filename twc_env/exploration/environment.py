@@ -17,13 +17,13 @@ from pettingzoo import ParallelEnv
 from twc_env.config import EnvConfig, override
 from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, TwcError
-from twc_env.exploration import actions as action_blocks
 from twc_env.exploration import evaluation, rewards
+from twc_env.exploration.actions import velocity_space
 from twc_env.exploration.compilation import FIRST_START, announce_compilation
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observation_blocks import observation_space
-from twc_env.exploration.pilot import frontier_space, waypoint_space
+from twc_env.exploration.pilot import Pilot, frontier_space, waypoint_space
 from twc_env.exploration.reset_options import ResetOptions
 from twc_env.exploration.settings import resolve
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
@@ -185,7 +185,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if self._viewer is not None:
             self._viewer.begin()
             self._viewer.follow(episode)
-        return self._by_agent(episode.observe()), self._infos(episode)
+        infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
+        if episode.pilot is not None:
+            self._tell_choices(infos, episode.pilot, 0)
+        return self._by_agent(episode.observe()), infos
 
     def step(self, actions: Mapping[str, Any]):
         """Act, sense, run SLAM, judge: one time step, or as many as the action lasts.
@@ -196,12 +199,14 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         episode, agents = self._begun, self.agents
         if episode is None or not agents:
             raise TwcError("step() was called after the episode's end: call reset() first")
-        if type(actions) is not dict or list(actions) != agents:  # most send them as they are
-            action_blocks.check_agents(actions, agents)
         began = episode.steps
         values = episode.step(actions, agents, self._watch)
-        observations = self._by_agent(episode.observe())
-        infos = self._infos(episode, episode.steps - began, values)
+        seen, observations, infos = episode.observe(), {}, {}
+        for robot, agent in self._numbered:
+            observations[agent] = seen[robot]
+            infos[agent] = {"reward_terms": values[robot].copy()}
+        if episode.pilot is not None:
+            self._tell_choices(infos, episode.pilot, episode.steps - began)
         truncated = self._all_false
         if episode.is_over:
             figures = {k: v for k, v in self.result().figures.items() if isinstance(v, (int, float))}
@@ -324,25 +329,18 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             named[agent] = values[robot]
         return named
 
-    def _infos(
-        self, episode: Episode, time_steps: int = 0, terms: Sequence[dict[str, float]] = ()
-    ) -> dict[str, dict[str, Any]]:
-        infos: dict[str, dict[str, Any]] = {}
-        for robot, agent in self._numbered:
-            infos[agent] = {"reward_terms": terms[robot].copy()} if terms else {}
-        pilot = episode.pilot
-        if pilot is not None:
-            for robot, info in enumerate(infos.values()):
-                info["is_deciding"], info["time_steps"] = bool(pilot.is_deciding[robot]), time_steps
-                if self.config.action.kind == "frontier":
-                    info["action_mask"] = pilot.mask(robot)
-        return infos
+    def _tell_choices(self, infos: dict[str, dict[str, Any]], pilot: Pilot, time_steps: int) -> None:
+        """Whose next action counts, how long the step was, and what may be chosen."""
+        for robot, info in enumerate(infos.values()):
+            info["is_deciding"], info["time_steps"] = bool(pilot.is_deciding[robot]), time_steps
+            if self.config.action.kind == "frontier":
+                info["action_mask"] = pilot.mask(robot)
 
 
 def _action_space(config: EnvConfig) -> spaces.Space:
     if config.action.kind == "frontier":
         return frontier_space(config.action)
-    return waypoint_space() if config.action.kind == "waypoint" else action_blocks.velocity_space()
+    return waypoint_space() if config.action.kind == "waypoint" else velocity_space()
 
 
 def _make_viewer(render_mode: str | None, frames_per_s: float, with_signal: bool) -> Viewer | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import ActionConfig, EnvConfig
 from twc_env.errors import ActionError
-from twc_env.exploration.actions import action_array
+from twc_env.exploration.actions import action_array, check_agents
 from twc_env.exploration.observation_blocks import EXTRA_CHOICES
 from twc_env.geometry import transform_points
 from twc_env.messages import Belief, GridMap
@@ -101,6 +101,7 @@ class Pilot:
         Raises ActionError for a malformed action; then nothing is changed. A frontier, sign or mate that
         the mask rules out counts as `stay`.
         """
+        check_agents(actions, agents)
         is_waypoint = self._action.kind == "waypoint"
         parse = _waypoint if is_waypoint else _choice
         size = 2 if is_waypoint else self._action.frontier_slots + len(EXTRA_CHOICES)
