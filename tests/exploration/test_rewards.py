@@ -123,7 +123,7 @@ def test_weights_change_the_reward_but_not_the_episode(explore, same):
 
 def team_of(groups, errors_m=(0.0, 0.0, 0.0)):
     maps = [JudgedMap(robots, len(robots), is_right, share) for robots, is_right, share in groups]
-    return standing_of(maps, np.array(errors_m))
+    return standing_of(maps, errors_m)
 
 
 def test_terms_judge_one_transition():

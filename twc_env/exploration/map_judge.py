@@ -181,16 +181,18 @@ class MapJudges:
         owner: whose map it is, of those of which something is kept; nodes, true_poses: as in `lay`.
         """
         kept = self._held.get(owner)
-        said = self._judge_again(kept[0], robots, nodes, true_poses) if kept and kept[0].grid is grid else None
-        if said is None or said[3]:  # who is merged wrongly, which is rare, is not told by numbers alone
-            laid = lay(robots, nodes, true_poses)
-            if laid is None:
-                return None
-            pose, wrong_pairs = laid[0].tolist(), laid[1]
-            return pose, wrong_pairs, self.correct_area_m2(owner, grid, pose, cells)
-        pose, count = said[:3], said[4]
-        area_m2 = self.correct_area_m2(owner, grid, pose, cells) if count == NOT_KNOWN else count * grid.resolution_m**2
-        return pose, (), area_m2
+        if kept and kept[0].grid is grid:
+            x, y, turn, wrong, count = self._judge_again(kept[0], robots, nodes, true_poses)
+            if wrong == 0.0:  # who is merged wrongly, which is rare, is not told by numbers alone
+                pose = [x, y, turn]
+                if count == NOT_KNOWN:
+                    return pose, (), self.correct_area_m2(owner, grid, pose, cells)
+                return pose, (), count * grid.resolution_m**2
+        laid = lay(robots, nodes, true_poses)
+        if laid is None:
+            return None
+        pose = laid[0].tolist()
+        return pose, laid[1], self.correct_area_m2(owner, grid, pose, cells)
 
     def _judge_again(self, held: _Held, robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> list[float]:
         """What `_judge` says of a map that is kept."""

@@ -119,17 +119,18 @@ def weigh(values: Sequence[dict[str, float]], weights: Sequence[tuple[str, float
     return rewards
 
 
-def standing_of(maps: Sequence[JudgedMap], errors_m: Sequence[float] | Array) -> Standing:
+def standing_of(maps: Sequence[JudgedMap], errors_m: Sequence[float]) -> Standing:
     """The potentials from every map that some robot believes in, and from how far off each robot is.
 
     errors_m (robots,): between where it is and where it believes to be, its map laid on the building.
     """
     count = len(errors_m)
-    own = [[0.0, 0.0, 1.0 - min(float(error_m) / ERROR_MAX_M, 1.0)] for error_m in errors_m]
-    for judged in maps:
-        if judged.is_right:
-            for viewer in judged.viewers:
-                own[viewer][:2] = min(float(judged.share), 1.0), (judged.robot_count - 1) / max(count - 1, 1)
+    own = [[0.0, 0.0, 1.0 - min(error_m / ERROR_MAX_M, 1.0)] for error_m in errors_m]
+    for viewers, robot_count, is_right, share in maps:
+        if is_right:
+            for viewer in viewers:
+                potentials = own[viewer]
+                potentials[0], potentials[1] = min(share, 1.0), (robot_count - 1) / max(count - 1, 1)
     best, right = own[0], 0.0
     for potentials in own:
         right += potentials[2]

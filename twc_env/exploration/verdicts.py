@@ -17,7 +17,6 @@ from twc_env.exploration.rewards import JudgedMap, Standing, standing_of
 from twc_env.messages import GridMap
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
-from twc_env.slam.team import TeamMapper
 from twc_env.world.floor_cells import Cells
 
 Array = NDArray
@@ -74,29 +73,30 @@ def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerd
 
 def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool = False) -> Standing:
     """The potentials that rewards look at, judged now; the last time by every cell of the floor, as the report does."""
-    true_poses, maps = record.true_poses, []
-    true, believed = true_poses[-1].tolist(), engine.beliefs().poses[:, 0].tolist()
-    nodes: dict[TeamMapper, tuple[Array, Array, Array]] = {}
-    errors_m = [0.0] * len(true)
+    true_poses, judge, mapper = record.true_poses, record.map_judges.judge, None
+    true, believed = true_poses[-1, :, :2].tolist(), engine.beliefs().poses[:, 0].tolist()
+    maps, errors_m, floor = [], [0.0] * len(true), floor_m2(cells)
     for view in engine.views():
-        x, y, c, s = 0.0, 0.0, 1.0, 0.0
-        viewers, mapper = view.viewers, view.mapper
-        group = mapper.groups[view.group]
-        robots, grid = group.robots, group.grid.snapshot()
-        if mapper not in nodes:  # mappers have several maps
-            nodes[mapper] = mapper.nodes
-        judged = record.map_judges.judge(viewers[0], robots, nodes[mapper], true_poses, grid, cells)
-        if judged is not None:
+        viewers = view.viewers
+        if view.mapper is not mapper:  # mappers have several maps
+            mapper = view.mapper
+            nodes, groups = mapper.nodes, mapper.groups
+        group = groups[view.group]
+        robots = group.robots
+        judged = judge(viewers[0], robots, nodes, true_poses, group.grid.snapshot(), cells)
+        if judged is None:
+            x, y, c, s = 0.0, 0.0, 1.0, 0.0
+        else:
             (x, y, turn), wrong, area_m2 = judged
-            record.wrong_pairs.update(wrong)
             c, s = math.cos(turn), math.sin(turn)
+            if wrong:
+                record.wrong_pairs.update(wrong)
             if is_last:
                 area_m2 = judge_view(view, record, cells).correct_area_m2
-            maps.append(JudgedMap(viewers, len(robots), not wrong, area_m2 / floor_m2(cells)))
+            maps.append(JudgedMap(viewers, len(robots), not wrong, area_m2 / floor))
         for robot in viewers:
             ahead, left, _ = believed[robot]
-            place = x + c * ahead - s * left, y + s * ahead + c * left
-            errors_m[robot] = math.dist(place, true[robot][:2])
+            errors_m[robot] = math.dist((x + c * ahead - s * left, y + s * ahead + c * left), true[robot])
     return standing_of(maps, errors_m)
 
 
