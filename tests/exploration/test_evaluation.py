@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import twc_env
+from twc_env.exploration import verdicts
 from twc_env.geometry import compose, inverse, transform_points
 from twc_env.messages import GridMap
 
@@ -224,3 +225,16 @@ def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore, settings
     assert figures["wrong_merges"] >= 1
     assert figures["merged_robots"] >= 2
     assert (figures["team_ate_m"] > 1.0) == is_wrong
+
+
+def test_maps_are_judged_once_a_step_whoever_asks(monkeypatch):
+    judged, judge_view = [], verdicts.judge_view
+    monkeypatch.setattr(verdicts, "judge_view", lambda *given: judged.append(given[0]) or judge_view(*given))
+    env = twc_env.parallel_env(map="twin-02", robots=2, max_cycles=20, render_mode="rgb_array")
+    env.reset(seed=0)
+    for step in (1, 2):
+        env.step(dict.fromkeys(env.agents, np.array([1.0, 0.0])))
+        env.render()
+        env.episode.caption()
+        env.result()
+        assert len(judged) == step * len(env.engine.views())

@@ -27,6 +27,8 @@ from twc_env.world.world import World
 
 Array = NDArray
 
+_NOT_JUDGED: tuple[int, list[verdicts.GroupVerdict]] = -1, []
+
 
 class Episode:
     """World, engine and link in step with each other, what the robots see and choose of it, and what it is worth.
@@ -59,6 +61,8 @@ class Episode:
         """Who looks for frontiers."""
         self.record = EpisodeRecord(count)
         """What truly happened, for judging; no agent may read it."""
+        self._judged = _NOT_JUDGED
+        """A step, and the verdicts after it."""
         self._standing = rewards.Standing.nothing(count)
         self._uneventful = rewards.terms(self._transition(self._standing, np.zeros(count, bool), 0.0), "team")
         """The terms of a step in which nobody touches, sends or is judged."""
@@ -143,17 +147,23 @@ class Episode:
         """What one robot knows; estimates only."""
         return self.engine.belief(robot)
 
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_judged": _NOT_JUDGED}
+
+    def verdicts(self) -> list[verdicts.GroupVerdict]:
+        """Every map that some robot believes in, judged as of this step: worked out once, whoever asks."""
+        if self._judged[0] != self.steps:
+            self._judged = self.steps, verdicts.verdicts_of(self.engine, self.record, self.floorplan.cells())
+        return self._judged[1]
+
     def result(self) -> evaluation.EpisodeResult:
         """Judge the episode so far against the truth."""
-        return evaluation.evaluate(
-            self.config, self.seed, self.floorplan, self.engine, self.record, self.engine.bytes_sent
-        )
+        return evaluation.evaluate(self.config, self.seed, self.floorplan, self.engine, self.record, self.verdicts())
 
     def caption(self) -> str:
         """One line on where the team stands, judged against the truth, for under a picture of it."""
-        cells, robots = self.floorplan.cells(), self.config.robots
-        judged = verdicts.verdicts_of(self.engine, self.record, cells)
-        return verdicts.told(judged, cells, robots, self.steps * self.config.dynamics.time_step_s)
+        time_s = self.steps * self.config.dynamics.time_step_s
+        return verdicts.told(self.verdicts(), self.floorplan.cells(), self.config.robots, time_s)
 
     def _tick(self, commands: Array) -> list[dict[str, float]]:
         """One time step: the reward terms of each robot."""
@@ -196,7 +206,8 @@ class Episode:
         config, before, sent_before, contacts = self.config, self._standing, self._bytes_judged, self._touching
         self._bytes_judged = sum(self.engine.bytes_sent.values())
         if self.is_over or self.steps % config.reward.period_steps == 0:
-            self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), self.is_over)
+            last = self.verdicts() if self.is_over else ()
+            self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), last)
         elif self._bytes_judged == sent_before and True not in contacts.tolist():
             return self._uneventful
         sent = (self._bytes_judged - sent_before) / config.robots

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.team_alignment import TeamPaths, position_error_m
-from twc_env.exploration.verdicts import GroupVerdict, floor_m2, judge, verdicts_of
+from twc_env.exploration.verdicts import GroupVerdict, floor_m2
 from twc_env.geometry import between, transform_points
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap
@@ -70,9 +71,8 @@ class Progress:
     """coverage_correct, wall_iou, team_ate_m, merged_robots, wrong_pairs, closures_accepted, closures_rejected."""
 
 
-def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
+def progress(engine: Engine, record: EpisodeRecord, cells: Cells, verdicts: Sequence[GroupVerdict]) -> Progress:
     """The figures that pictures over time show, by the same definitions as those of the report."""
-    verdicts = verdicts_of(engine, record, cells)
     paths = TeamPaths(engine, record.odom_poses)
     estimated, alignment = paths.as_seen(), paths.alignment(record.true_poses)
     closures = _closures(engine, verdicts[0], record, alignment)
@@ -92,11 +92,13 @@ def progress(engine: Engine, record: EpisodeRecord, cells: Cells) -> Progress:
 
 
 def evaluate(
-    config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord, bytes_sent: dict
-) -> EpisodeResult:
-    """Every figure of the report and all that pictures and exports need."""
-    cells = floorplan.cells()
-    verdicts = judge(engine, record, cells)
+    config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
+    verdicts: Sequence[GroupVerdict],
+) -> EpisodeResult:  # fmt: skip
+    """Every figure of the report and all that pictures and exports need; verdicts: of the maps as they are now."""
+    cells, bytes_sent = floorplan.cells(), engine.bytes_sent
+    for verdict in verdicts:
+        record.wrong_pairs.update(verdict.wrong_pairs)
     paths, true = TeamPaths(engine, record.odom_poses), record.true_poses
     estimated, alignment = paths.as_seen(), paths.alignment(true)
     best = verdicts[0]

@@ -114,7 +114,7 @@ class EpisodeTrace:
 
     def _add_moment(self, step: int) -> None:
         env = self._env
-        seen = evaluation.progress(env.engine, env.record, env.floorplan.cells())
+        seen = evaluation.progress(env.engine, env.record, env.floorplan.cells(), env.episode.verdicts())
         self._alignment = seen.alignment
         layers = tuple(_layer(v.grid, v) for v in seen.verdicts)
         closures = tuple({key: row[key] for key in CLOSURE_KEYS} for row in seen.closures)

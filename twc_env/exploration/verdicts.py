@@ -63,16 +63,9 @@ def told(verdicts: Sequence[GroupVerdict], cells: Cells, robots: int, time_s: fl
     return f"{time_s:.1f} s   {merged}   {100 * share:.1f} % of the floor mapped rightly"
 
 
-def judge(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:
-    """`verdicts_of`, with wrong pairs noted in the record."""
-    verdicts = verdicts_of(engine, record, cells)
-    for verdict in verdicts:
-        record.wrong_pairs.update(verdict.wrong_pairs)
-    return verdicts
-
-
-def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool = False) -> Standing:
-    """The potentials that rewards look at, judged now; the last time by every cell of the floor, as the report does."""
+def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence[GroupVerdict] = ()) -> Standing:
+    """The potentials that rewards look at, judged now; `last`: the last time, by every cell of the floor, as the report
+    does."""
     true_poses, judge, mapper = record.true_poses, record.map_judges.judge, None
     true, believed = true_poses[-1, :, :2].tolist(), engine.beliefs().poses[:, 0].tolist()
     maps, errors_m, floor = [], [0.0] * len(true), floor_m2(cells)
@@ -91,8 +84,9 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, is_last: bool 
             c, s = math.cos(turn), math.sin(turn)
             if wrong:
                 record.wrong_pairs.update(wrong)
-            if is_last:
-                area_m2 = judge_view(view, record, cells).correct_area_m2
+            for verdict in last:
+                if verdict.view is view:
+                    area_m2 = verdict.correct_area_m2
             maps.append(JudgedMap(viewers, len(robots), not wrong, area_m2 / floor))
         for robot in viewers:
             ahead, left, _ = believed[robot]

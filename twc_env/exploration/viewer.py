@@ -11,7 +11,7 @@ from twc_env.config import RadioConfig
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.layers import HELP, Layers, layered
 from twc_env.exploration.rendering import ClosureLine, SignalLayer, render, scene_of
-from twc_env.exploration.verdicts import GroupVerdict, verdicts_of
+from twc_env.exploration.verdicts import GroupVerdict
 from twc_env.exploration.window import Window
 from twc_env.geometry import transform_points
 from twc_env.world.floorplan import Floorplan
@@ -64,7 +64,7 @@ class Viewer:
             self._window.close()
 
     def _picture(self, episode: Episode) -> Array:
-        verdicts = verdicts_of(episode.engine, episode.record, episode.floorplan.cells())
+        verdicts = episode.verdicts()
         lines = self._seen.lines(verdicts, episode.record.count, episode.config.dynamics.time_step_s)
         layers = self._layers
         signal = self._signal_of(episode.floorplan, episode.config.radio) if layers.signal else None
