@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from twc_env.config import LidarConfig
 from twc_env.maps import load_map
 from twc_env.world.lidar import Lidar, glass_walls
+from twc_env.world.starts import start_places
 from twc_env.world.wall_index import index_walls
-from twc_env.world.world import start_places
 
 SQUARE = np.array([[[0, 0], [4, 0]], [[4, 0], [4, 4]], [[4, 4], [0, 4]], [[0, 4], [0, 0]]], float)
 FAR_SQUARE = SQUARE + 100.0

@@ -14,7 +14,8 @@ from twc_env.world.odometry import Odometry
 from twc_env.world.radio import RadioModel
 from twc_env.world.reception import WifiReceiver
 from twc_env.world.signs import SignCamera
-from twc_env.world.world import START_CLEARANCE_M, START_SPACING_M, World
+from twc_env.world.starts import START_CLEARANCE_M, START_SPACING_M
+from twc_env.world.world import World
 
 TINY = Floorplan(
     "tiny", [[[0, 0], [2, 0]], [[2, 0], [2, 2]], [[2, 2], [0, 2]], [[0, 2], [0, 0]]], [5.0] * 4, interior_m=[[1, 1]]

@@ -31,7 +31,7 @@ from twc_env.slam.point_matching import match_points
 from twc_env.slam.scan_matching import LineField, scan_points
 from twc_env.slam.target_walls import FIELD_CELL_M, REFINE_ITERATIONS, REFINE_REACH_M
 from twc_env.world.lidar import Lidar
-from twc_env.world.world import start_places
+from twc_env.world.starts import start_places
 
 Array = NDArray
 

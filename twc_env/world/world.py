@@ -6,18 +6,17 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache, partial
 from itertools import islice, repeat
-from typing import TYPE_CHECKING
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig, RadioConfig
 from twc_env.config.checks import whole_number
-from twc_env.errors import ActionError, ConfigError, MapError, TwcError
-from twc_env.geometry import compose, inverse
+from twc_env.errors import ActionError, TwcError
+from twc_env.geometry import compose
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.messages import WifiScan
-from twc_env.random_streams import random_stream
 from twc_env.team_messages import TeamFrames, WifiScans
 from twc_env.world.crossing_table import MISSING, square_at
 from twc_env.world.dynamics import Dynamics, advance
@@ -29,17 +28,10 @@ from twc_env.world.radio import RadioModel
 from twc_env.world.reception import WifiReceiver, WifiReceivers, hear
 from twc_env.world.sign_cameras import SignCameras
 from twc_env.world.signs import look
+from twc_env.world.starts import start_poses
 
 Array = NDArray
 
-START_CLEARANCE_M = 0.4
-"""Distance of a drawn start from any wall."""
-START_SPACING_M = 1.5
-"""Distance between drawn starts."""
-START_SPACING_MIN_M = 0.6
-START_MARGIN_M = 0.02
-"""Large robots keep further away: so much is left between what would touch."""
-_PLACES_MAX = 2000
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _TYPES = _FLOAT, _FLOAT, _FLOAT, _FLOAT, _INT, _FLOAT, _INT
 """Of what a step fills: poses, odometry, turn rates, ranges; addresses heard, how strongly, and how many."""
@@ -51,8 +43,6 @@ _NO_COMMANDS = np.empty((0, 2))
 """Nobody is to move."""
 _TOUCHING, _UNSEEN = -1, -2
 """In place of how many signs are in view: somebody may touch something; the walls around robot 0 are unknown."""
-_START_TRIES = 20
-"""Sets of places tried, each with less distance between the robots, before a map counts as too small."""
 
 
 class World:
@@ -60,8 +50,13 @@ class World:
 
     def __init__(self, config: EnvConfig, plan: Floorplan):
         self.config, self.plan = config, plan
+        self.start_poses = np.empty((0, 3))
+        """(n, 3) true poses in the building at the last `reset`."""
         self.sighted_signs: tuple[tuple[int, ...], ...] = ()
         """For each robot the true signs (plan numbers) behind the readings of its last frame; for metrics only."""
+        self._dynamics: Dynamics | None = None
+        """All robots, once an episode has begun."""
+        self._step = 0
         # All is computed where the building was drawn: moving it changes not even the rounding.
         self._home = plan.home
         self._is_moved = bool(plan.pose_building_home.any())
@@ -74,14 +69,6 @@ class World:
         """`_move_and_sense` with what it needs in every step, as long as the crossing table is `_held_crossings`."""
         self._held_crossings: tuple[Array, ...] | None = None
 
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str):
-            """Whoever asks before the first `reset` for what it makes is told so."""
-            if name in ("_dynamics", "_step", "start_poses"):
-                raise TwcError("no episode has begun: call reset() first")
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-
     def reset(self, seed: int, starts: str | Array = "random") -> None:
         """Begin an episode. Starts: "random" (drawn by seed), "map" (the plan's own), or poses (n, 3).
 
@@ -89,14 +76,14 @@ class World:
         """
         seed = whole_number("seed", seed, 0)
         config, robots = self.config, self.config.robots
-        start_poses_home = self._start_poses(seed, starts)
+        radius = config.dynamics.robot_radius_m
+        start_poses_home = start_poses(self.plan, robots, radius, seed, starts)
         self.start_poses = self._in_building(start_poses_home) if self._is_moved else start_poses_home
         self._walls = self._home.wall_index.buckets()
-        self._dynamics = Dynamics(config.dynamics, self._home.wall_index, start_poses_home)
-        self.contacts = self._dynamics.contacts
+        dynamics = self._dynamics = Dynamics(config.dynamics, self._home.wall_index, start_poses_home)
+        self.contacts = dynamics.contacts
         """(n,) whether each robot touches something."""
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
-        radius = config.dynamics.robot_radius_m
         self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
         offsets_db = [0.0] * (robots - 1) + [config.failure.device_offset_db]
         self._receivers = [
@@ -113,7 +100,7 @@ class World:
         self._shapes = [_shapes_of_room(robots, laser, len(own), len(self._radio.macs)) for own in self._listeners]
         self._cameras = SignCameras(config, self._home, seed, self._camera_period)
         self._held_crossings = None
-        self._sensed_poses = self._dynamics.poses.copy()
+        self._sensed_poses = dynamics.poses.copy()
         """(n, 3) at the last reading of the sensors."""
         self._step, self._noise_block = 0, -1
         self.sighted_signs = self._cameras.nothing[1]
@@ -121,12 +108,13 @@ class World:
     @property
     def poses(self) -> Array:
         """(n, 3) true poses in the building frame; for readers only, as all that holds the truth."""
-        return self._in_building(self._dynamics.poses) if self._is_moved else self._dynamics.poses
+        poses = (self._dynamics or _not_begun()).poses
+        return self._in_building(poses) if self._is_moved else poses
 
     @property
     def poses_home(self) -> Array:
         """(n, 3) true poses in the frame in which the building was drawn."""
-        return self._dynamics.poses
+        return (self._dynamics or _not_begun()).poses
 
     @property
     def transmitters_home(self) -> tuple[Array, Array]:
@@ -138,7 +126,7 @@ class World:
 
     def anchor(self, robots: Iterable[int]) -> None:
         """From now on these robots cannot be pushed."""
-        self._dynamics.anchor(robots)
+        (self._dynamics or _not_begun()).anchor(robots)
 
     def step(self, commands: Array) -> None:
         """Move all robots for one time step; commands (n, 2) [m/s, rad/s]. Raises ActionError for others."""
@@ -149,8 +137,9 @@ class World:
             is_fit = False
         if not is_fit:
             raise ActionError(f"commands must be finite and of shape ({self.config.robots}, 2); got {commands!r}")
-        self._dynamics.step(commands)
-        self.contacts = self._dynamics.contacts
+        dynamics = self._dynamics or _not_begun()
+        dynamics.step(commands)
+        self.contacts = dynamics.contacts
         self._step += 1
 
     def sense(self) -> TeamFrames:
@@ -162,7 +151,7 @@ class World:
         if commands is not None:
             commands = np.asarray(commands, _FLOAT, "C")
             self._step += 1
-        step, dynamics = self._step, self._dynamics
+        step, dynamics = self._step, self._dynamics or _not_begun()
         if step // STEPS != self._noise_block:
             self._draw_noise()
         turn = step % self._wifi_period
@@ -216,14 +205,15 @@ class World:
     def _hear_one_by_one(self, time_s: float) -> list[WifiScan | None]:
         wifi: list[WifiScan | None] = [None] * self.config.robots
         for robot in self._hearing[self._step % self._wifi_period]:
-            wifi[robot] = self._receivers[robot].scan(self._dynamics.poses[robot], time_s)
+            wifi[robot] = self._receivers[robot].scan(self.poses_home[robot], time_s)
         return wifi
 
     def _bind(self, arguments: tuple) -> Callable[..., int]:
         """`_move_and_sense` with all that stays the same from step to step while the crossing table does."""
         self._held_crossings = self._radio.crossings.arrays
+        dynamics = self._dynamics or _not_begun()
         apparatus = (
-            *self._walls, *self._dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
+            *self._walls, *dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
             *self._wifi.arguments, *self._cameras.arguments, self._sensed_poses, self._wifi_period,
         )  # fmt: skip
         held = Lent(apparatus)
@@ -237,78 +227,9 @@ class World:
     def _in_building(self, poses_home: Array) -> Array:
         return compose(self.plan.pose_building_home, poses_home)
 
-    def _start_poses(self, seed: int, starts: str | Array) -> Array:
-        """(n, 3) in the home frame."""
-        robots, home = self.config.robots, self._home
-        if not isinstance(starts, str):
-            try:
-                poses = np.array(starts, float)
-            except (TypeError, ValueError):
-                raise ConfigError(f"starts must be 'random', 'map' or {robots} poses; got {starts!r}") from None
-            self._check_starts(poses)
-            return compose(inverse(self.plan.pose_building_home), poses)
-        if starts == "random":
-            return draw_starts(home, robots, self.config.dynamics.robot_radius_m, random_stream(seed, "starts"))
-        if starts == "map":
-            if len(home.starts) < robots:
-                raise MapError(
-                    f"map {home.name!r} has {len(home.starts)} starts for {robots} robots; "
-                    "add some, or draw them at random"
-                )
-            return np.array(home.starts[:robots])
-        raise ConfigError(f"starts must be 'random', 'map' or poses; got {starts!r}")
 
-    def _check_starts(self, poses: Array) -> None:
-        """Raises ConfigError for starts in the building that are no poses, in walls or in each other."""
-        wanted = f"starts must be {self.config.robots} finite poses (x, y, heading)"
-        if poses.shape != (self.config.robots, 3):
-            raise ConfigError(f"{wanted}; got shape {poses.shape}")
-        is_free, apart_m = self.plan.cells().is_free(poses[:, :2]), 2 * self.config.dynamics.robot_radius_m
-        for i, pose in enumerate(poses):
-            at = f"starts[{i}] at ({pose[0]:g}, {pose[1]:g})"
-            if not np.isfinite(pose).all():
-                raise ConfigError(f"{wanted}; got starts[{i}] = {pose.tolist()}")
-            if not is_free[i]:
-                raise ConfigError(f"{at} is no open floor of map {self._home.name!r}; move it inside")
-            is_in = np.hypot(*(poses[:i, :2] - pose[:2]).T) < apart_m
-            if is_in.any():
-                raise ConfigError(f"{at} is in robot {np.argmax(is_in)}; keep robots {apart_m:g} m apart")
-
-
-def draw_starts(home: Floorplan, robots: int, radius_m: float, random: np.random.Generator) -> Array:
-    """(robots, 3) free poses of robots of that radius, clear of walls and apart from each other.
-
-    Where the building is too small, the distance between robots shrinks step by step, down to 0.6 m.
-    """
-    clearance_m = max(START_CLEARANCE_M, radius_m + START_MARGIN_M)
-    apart_m = 2 * radius_m + START_MARGIN_M
-    places = start_places(home, clearance_m)
-    if len(places) == 0:
-        raise MapError(f"map {home.name!r} has no place {clearance_m:g} m clear of walls to start from")
-    for spacing_m in np.linspace(max(START_SPACING_M, apart_m), max(START_SPACING_MIN_M, apart_m), _START_TRIES):
-        chosen = _spaced(places[random.permutation(len(places))[:_PLACES_MAX]], robots, spacing_m)
-        if len(chosen) == robots:
-            return np.column_stack([chosen, random.uniform(-math.pi, math.pi, robots)])
-    raise MapError(f"map {home.name!r} has no room for {robots} robots; use fewer")
-
-
-@lru_cache(maxsize=8)
-def start_places(home: Floorplan, clearance_m: float = START_CLEARANCE_M) -> Array:
-    """(k, 2) centres of the free cells that lie so far from walls; computed once per plan."""
-    cells = home.cells()
-    rows, columns = np.nonzero(cells.free)
-    centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
-    return centres[home.wall_index.distance_m(centres, clearance_m) >= clearance_m]
-
-
-def _spaced(places: Array, count: int, spacing_m: float) -> Array:
-    chosen: list[Array] = []
-    for place in places:
-        if all(np.hypot(*(place - other)) >= spacing_m for other in chosen):
-            chosen.append(place)
-            if len(chosen) == count:
-                break
-    return np.array(chosen).reshape(-1, 2)
+def _not_begun() -> NoReturn:
+    raise TwcError("no episode has begun: call reset() first")
 
 
 def _period_steps(period_s: float, config: EnvConfig) -> int:

@@ -1,0 +1,104 @@
+"""Where robots begin an episode: drawn by seed, the plan's own starts, or given poses."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.errors import ConfigError, MapError
+from twc_env.geometry import compose, inverse
+from twc_env.random_streams import random_stream
+from twc_env.world.floorplan import Floorplan
+
+Array = NDArray
+
+START_CLEARANCE_M = 0.4
+"""Distance of a drawn start from any wall."""
+START_SPACING_M = 1.5
+"""Distance between drawn starts."""
+START_SPACING_MIN_M = 0.6
+START_MARGIN_M = 0.02
+"""Large robots keep further away: so much is left between what would touch."""
+_PLACES_MAX = 2000
+_TRIES = 20
+"""Sets of places tried, each with less distance between the robots, before a map counts as too small."""
+
+
+def start_poses(plan: Floorplan, robots: int, radius_m: float, seed: int, starts: str | Array) -> Array:
+    """(robots, 3) in the frame in which the building was drawn, of robots of that radius; starts as `World.reset`.
+
+    Raises MapError when the robots do not fit, ConfigError for starts that are no such thing.
+    """
+    home = plan.home
+    if not isinstance(starts, str):
+        try:
+            poses = np.array(starts, float)
+        except (TypeError, ValueError):
+            raise ConfigError(f"starts must be 'random', 'map' or {robots} poses; got {starts!r}") from None
+        _check(plan, robots, radius_m, poses)
+        return compose(inverse(plan.pose_building_home), poses)
+    if starts == "random":
+        return _drawn(home, robots, radius_m, random_stream(seed, "starts"))
+    if starts == "map":
+        if len(home.starts) < robots:
+            raise MapError(
+                f"map {home.name!r} has {len(home.starts)} starts for {robots} robots; add some, or draw them at random"
+            )
+        return np.array(home.starts[:robots])
+    raise ConfigError(f"starts must be 'random', 'map' or poses; got {starts!r}")
+
+
+def _check(plan: Floorplan, robots: int, radius_m: float, poses: Array) -> None:
+    """Raises ConfigError for starts in the building that are no poses, in walls or in each other."""
+    wanted = f"starts must be {robots} finite poses (x, y, heading)"
+    if poses.shape != (robots, 3):
+        raise ConfigError(f"{wanted}; got shape {poses.shape}")
+    is_free, apart_m = plan.cells().is_free(poses[:, :2]), 2 * radius_m
+    for i, pose in enumerate(poses):
+        at = f"starts[{i}] at ({pose[0]:g}, {pose[1]:g})"
+        if not np.isfinite(pose).all():
+            raise ConfigError(f"{wanted}; got starts[{i}] = {pose.tolist()}")
+        if not is_free[i]:
+            raise ConfigError(f"{at} is no open floor of map {plan.home.name!r}; move it inside")
+        is_in = np.hypot(*(poses[:i, :2] - pose[:2]).T) < apart_m
+        if is_in.any():
+            raise ConfigError(f"{at} is in robot {np.argmax(is_in)}; keep robots {apart_m:g} m apart")
+
+
+def _drawn(home: Floorplan, robots: int, radius_m: float, random: np.random.Generator) -> Array:
+    """(robots, 3) free poses, clear of walls and apart from each other.
+
+    Where the building is too small, the distance between robots shrinks step by step, down to 0.6 m.
+    """
+    clearance_m = max(START_CLEARANCE_M, radius_m + START_MARGIN_M)
+    apart_m = 2 * radius_m + START_MARGIN_M
+    places = start_places(home, clearance_m)
+    if len(places) == 0:
+        raise MapError(f"map {home.name!r} has no place {clearance_m:g} m clear of walls to start from")
+    for spacing_m in np.linspace(max(START_SPACING_M, apart_m), max(START_SPACING_MIN_M, apart_m), _TRIES):
+        chosen = _spaced(places[random.permutation(len(places))[:_PLACES_MAX]], robots, spacing_m)
+        if len(chosen) == robots:
+            return np.column_stack([chosen, random.uniform(-math.pi, math.pi, robots)])
+    raise MapError(f"map {home.name!r} has no room for {robots} robots; use fewer")
+
+
+@lru_cache(maxsize=8)
+def start_places(home: Floorplan, clearance_m: float = START_CLEARANCE_M) -> Array:
+    """(k, 2) centres of the free cells that lie so far from walls; computed once per plan."""
+    cells = home.cells()
+    rows, columns = np.nonzero(cells.free)
+    centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
+    return centres[home.wall_index.distance_m(centres, clearance_m) >= clearance_m]
+
+
+def _spaced(places: Array, count: int, spacing_m: float) -> Array:
+    chosen: list[Array] = []
+    for place in places:
+        if all(np.hypot(*(place - other)) >= spacing_m for other in chosen):
+            chosen.append(place)
+            if len(chosen) == count:
+                break
+    return np.array(chosen).reshape(-1, 2)
