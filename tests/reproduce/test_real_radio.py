@@ -60,7 +60,11 @@ def test_a_walk_is_found_where_another_heard_the_same(is_shape_told):
 def test_a_walk_is_not_found_by_its_own_scans():
     loud = Fingerprint(np.array([100], np.int64), np.array([-40.0]))
     alone = dataclasses.replace(_walk((40.0, 40.0), (1.0, 0.0)), fingerprints=(loud,) * 10)
-    assert real_radio_oracle.sought([*_hall(), alone], is_shape_told=True)[-10:].min() > 20.0
+    walks = [*_hall(), alone]
+    assert real_radio_oracle.sought(walks, is_shape_told=True)[-10:].min() > 20.0
+    heard = [print_ for walk in walks for print_ in walk.fingerprints]
+    told = real_radio_oracle._Others(np.concatenate([walk.surveyed_m for walk in walks]), heard)
+    assert not told._alikeness(np.arange(len(heard) - 10, len(heard))).any()
 
 
 def test_a_shape_that_is_told_is_not_taken_from_a_turned_compass():

@@ -28,6 +28,8 @@ GAIN = 30.0
 TURNS_RAD = np.linspace(-0.2, 0.2, 3)
 """Headings that are tried of a walk whose compass may be off."""
 _SMALLEST = 1e-9
+_ROUNDING = 1e-5
+"""Of a sum of single precision, at most: less is left of none."""
 
 
 def sought(walks: Sequence[WalkerTrace], is_shape_told: bool) -> Array:
@@ -82,7 +84,9 @@ class _Others:
         weight, alike = self._weight[:, own], self._alike[np.ix_(own, own)]
         within = weight @ alike
         squared = self._squared - 2 * (self._product[:, own] * weight).sum(axis=1) + (within * weight).sum(axis=1)
-        return ((self._product[:, own] - within) / np.sqrt(np.maximum(squared, _SMALLEST))[:, None]).T
+        others = self._product[:, own] - within
+        others[others < _ROUNDING * within] = 0.0  # nobody else heard the like
+        return (others / np.sqrt(np.maximum(squared, _SMALLEST))[:, None]).T
 
     def _summed(self, alike: Array, offsets_m: Array) -> Array:
         """(cells,) what scans say together of their middle being there; beyond the floor as at its edge."""
