@@ -4,11 +4,12 @@ import pickle
 import numpy as np
 import pytest
 
+import twc_env
 from twc_env.config import EnvConfig, from_dict
 from twc_env.errors import ActionError, ConfigError, MapError, TwcError
 from twc_env.geometry import between, compose
 from twc_env.maps import load_map
-from twc_env.world.floorplan import Floorplan
+from twc_env.world.floorplan import AccessPoint, Floorplan
 from twc_env.world.lidar import Lidar
 from twc_env.world.odometry import Odometry
 from twc_env.world.radio import RadioModel
@@ -130,6 +131,25 @@ def test_different_seeds_start_in_different_places():
 def test_the_plans_own_starts_are_used_when_asked_for():
     plan = load_map("twin-01")
     assert np.array_equal(world(plan, starts="map").start_poses, plan.starts[:3])
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"wall_loss_db": np.ones(1)}, "one loss per wall"),
+        ({"walls_m": np.zeros((0, 2, 2)), "wall_loss_db": np.zeros(0)}, "has no walls"),
+        ({"walls_m": TINY.walls_m * np.nan}, "not finite"),
+        ({"interior_m": np.zeros((0, 2))}, "put at least one point of interior_m into open floor"),
+        ({"access_points": (AccessPoint("a", np.zeros(2), ()),)}, "no MAC address"),
+        ({"access_points": (AccessPoint("a", np.zeros(2), (5, 5)),)}, "every address must be unique"),
+    ],
+)
+def test_a_plan_that_no_file_was_read_for_is_looked_at_too(changes, expected):
+    plan = dataclasses.replace(TINY, **changes)
+    with pytest.raises(MapError, match=expected):
+        World(EnvConfig(), plan)
+    with pytest.raises(MapError, match=expected):
+        twc_env.parallel_env(floorplan=plan)
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,8 @@ _CHECK_RESOLUTION_M = 0.1
 
 def validate(plan: Floorplan) -> Floorplan:
     """Return the plan if a robot can explore it; otherwise raise MapError naming the value and the remedy."""
+    if "is_sound" in plan._cache:
+        return plan
     where = f"map {plan.name!r}"
     _check_walls(plan, where)
     _check_names(plan, where)
@@ -37,6 +39,7 @@ def validate(plan: Floorplan) -> Floorplan:
     for i in np.flatnonzero(~cells.is_free(plan.starts[:, :2])):
         at = _point_text(plan.starts[i])
         raise MapError(f"{where}: start {i} at {at} lies outside the free space; move it onto open floor")
+    plan._cache["is_sound"] = True
     return plan
 
 

@@ -21,6 +21,7 @@ from twc_env.team_messages import TeamFrames, WifiScans
 from twc_env.world.crossing_table import MISSING, square_at
 from twc_env.world.dynamics import Dynamics, advance
 from twc_env.world.floorplan import Floorplan
+from twc_env.world.floorplan_check import validate
 from twc_env.world.lidar import Lidar, glass_walls, sweep
 from twc_env.world.noise import STEPS
 from twc_env.world.odometry import Odometry, measure
@@ -46,10 +47,13 @@ _TOUCHING, _UNSEEN = -1, -2
 
 
 class World:
-    """Ground truth of one episode. Call `step`, then `sense` once: sensing draws the noise of that step."""
+    """Ground truth of one episode. Call `step`, then `sense` once: sensing draws the noise of that step.
+
+    Raises MapError for a plan that is not sound.
+    """
 
     def __init__(self, config: EnvConfig, plan: Floorplan):
-        self.config, self.plan = config, plan
+        self.config, self.plan = config, validate(plan)
         self.start_poses = np.empty((0, 3))
         """(n, 3) true poses in the building at the last `reset`."""
         self.sighted_signs: tuple[tuple[int, ...], ...] = ()
