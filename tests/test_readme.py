@@ -60,6 +60,16 @@ def test_every_setting_that_a_document_names_is_there():
             assert is_code or is_setting or name == "radio.preset", f"{path.name} names {name}"
 
 
+def test_what_contributing_says_to_stand_in_a_file_stands_there():
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    for file in re.findall(r"`([a-z_/]+/[a-z_0-9]*\.?[a-z]*)`", text):
+        assert (ROOT / file).exists() or (ROOT / "twc_env" / file).exists(), file
+    named = re.findall(r"`(\w+)`\s+\(`([\w/.]+\.py)`\)", text)
+    assert len(named) >= 3
+    for name, file in named:
+        assert re.search(rf"^(class |def )?{name}\b", (ROOT / file).read_text(), re.MULTILINE), (name, file)
+
+
 def test_the_commands_of_the_readme_are_targets_of_the_makefile():
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
     named = set(re.findall(r"^make ([a-z]+)", README, flags=re.MULTILINE))
