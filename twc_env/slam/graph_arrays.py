@@ -236,7 +236,9 @@ class GraphArrays:
     def _scans_at(self, nodes: Array | slice) -> Array:
         """(k, beams) of some nodes [m]."""
         chosen = self._scans[nodes] if isinstance(nodes, slice) else [self._scans[node] for node in nodes.tolist()]
-        return chosen[0][None] if len(chosen) == 1 else np.reshape(chosen, (len(chosen), self._beam_count))
+        if not chosen:
+            return np.zeros((0, self._beam_count))
+        return (chosen[0] if len(chosen) == 1 else np.concatenate(chosen)).reshape(len(chosen), -1)
 
     def path_of(self, robot: int) -> Array:
         """(keyframes,) the nodes of a robot, ascending."""

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray
 
-ROOM = 64
-"""Rows to begin with."""
+ROOM, SPARE = 1024, 64
+"""Rows to begin with, enough for a usual episode; and empty ones, at least, where only some are left."""
 MANY = 4096
 """From so many rows on arrays grow by a quarter at a time."""
 
@@ -25,6 +25,6 @@ def grown(rows: Array) -> Array:
 
 
 def only(rows: Array, kept: Array | slice) -> Array:
-    """Some of the rows, by indices or bool, with as many empty ones behind them, `ROOM` at least."""
+    """Some of the rows, by indices or bool, with as many empty ones behind them, `SPARE` at least."""
     chosen = rows[kept]
-    return np.concatenate([chosen, np.zeros((max(len(chosen), ROOM), *rows.shape[1:]), rows.dtype)])
+    return np.concatenate([chosen, np.zeros((max(len(chosen), SPARE), *rows.shape[1:]), rows.dtype)])

@@ -13,13 +13,13 @@ from twc_env.config import PlaceRecognitionConfig
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.device_offsets import DeviceOffsets
-from twc_env.slam.growing import grown, only
+from twc_env.slam.growing import ROOM, grown, only
 from twc_env.slam.radio_fingerprint import rssi_similarity
 
 Array = NDArray
 
-_ROOM = 1024
-"""Rows and readings to begin with; more when they are full."""
+_READINGS_ROOM = 32 * ROOM
+"""Transmitters heard at all rows, to begin with; more when they are full."""
 MISSING_AFTER_S = 20.0
 """A robot that has read, or heard, nothing for so long since the episode began has no use of that cue."""
 UNLIKE = -1.0
@@ -111,11 +111,11 @@ class SignTable:
     """A row for each place: who read which text there, how far along its path, and what was heard."""
 
     def __init__(self) -> None:
-        self._places, self._travels_m = np.zeros((_ROOM, 2), np.int64), np.zeros(_ROOM)
+        self._places, self._travels_m = np.zeros((ROOM, 2), np.int64), np.zeros(ROOM)
         """Robot and text; path length."""
-        self._ends, self._found = np.zeros(_ROOM, np.int64), np.zeros((_ROOM, 6))
+        self._ends, self._found = np.zeros(ROOM, np.int64), np.zeros((ROOM, 6))
         """Where the fingerprint of each row ends; it begins where the one before does. And room for what is found."""
-        self._macs, self._rssi_dbm = np.zeros(_ROOM, np.int64), np.zeros(_ROOM)
+        self._macs, self._rssi_dbm = np.zeros(_READINGS_ROOM, np.int64), np.zeros(_READINGS_ROOM)
         """Of all fingerprints, one after the other."""
         self._count = self._end = self._robots = 0
         self._devices = DeviceOffsets()
