@@ -28,7 +28,8 @@ examples:
   python -m agents explore
   python -m agents explore --map twin-02 --robots 3 --seed 1 --out runs/twin-02
   python -m agents explore --map office.yaml --steps 6000 --set odometry.drift=2 --set lidar.beam_count=360
-  python -m agents explore --agent random --no-pictures --json -
+  python -m agents explore --map gen:office:800:7 --agent random --no-pictures --json -
+  python -m agents explore --agent mine.py:Mine        a team of your own: a class derived from agents.Policy
   python -m agents explore --config runs/twin-02 --seed 1        the same episode again, to the byte
   python -m agents explore --config twc/ExploreHard-v0 --steps 1500
 """
@@ -48,6 +49,7 @@ has 90 % of the floor mapped rightly, with a 95 % interval. Episodes that the sa
 
 examples:
   python -m agents compare --buildings 20 --jobs 2
+  python -m agents compare --agents nearest-frontier mine.py:Mine --buildings 10 --jobs 2
   python -m agents compare --agents nearest-frontier radio-frontier --robots 1 --set slam.k_visibility.enabled=true
 """
 _SURVEY_HELP = """\
@@ -77,7 +79,7 @@ def _explore(options: argparse.Namespace) -> int:
     has_gif = not (options.no_gif or options.no_pictures)
     if not options.no_pictures:
         picture.require_libraries(has_gif)
-    folder = options.out or Path("runs") / f"{_folder_name(config.map)}-{options.agent}-seed{options.seed}"
+    folder = options.out or _run_folder(config.map, options.agent, options.seed)
     check_folder(folder)
     progress = Progress(config.max_cycles, f"{_folder_name(config.map)} seed {options.seed}")
     try:
@@ -93,6 +95,10 @@ def _explore(options: argparse.Namespace) -> int:
     if run.was_interrupted:
         print(f"interrupted after {run.report['steps']} steps; the figures are of those", file=sys.stderr)
     return 130 if run.was_interrupted else 0
+
+
+def _run_folder(map_name: str, agent: str, seed: int) -> Path:
+    return Path("runs") / f"{_folder_name(map_name)}-{agent.rpartition(':')[2]}-seed{seed}"
 
 
 def _folder_name(map_name: str) -> str:
@@ -123,7 +129,7 @@ def _benchmark(options: argparse.Namespace) -> int:
             folder = options.out / folders[name] / f"seed-{seed}"
             jobs.append(benchmark.Job(config, options.agent, seed, folder, not options.no_pictures))
             names[folder] = name
-    make_policy(options.agent)
+    make_policy(options.agent)  # a misspelt name fails now
     outdated = sum(map(benchmark.is_outdated, jobs))
     if outdated:
         print(f"{outdated} finished runs are of other code or another plan of the map: run again", file=sys.stderr)
@@ -217,7 +223,10 @@ def _parser() -> argparse.ArgumentParser:
         dest="command", required=True, metavar="explore | benchmark | compare | radio-survey"
     )
     one = _command(commands, "explore", "run one episode and write a run folder", _EXPLORE_HELP)
-    one.add_argument("--map", help=f"one of {', '.join(map_names())}, or a map file (default: twin-01)")
+    one.add_argument(
+        "--map",
+        help=f"{', '.join(map_names())}; generated: gen:office:800:7, test/0003; or a file (default: twin-01)",
+    )
     one.add_argument("--seed", type=natural, default=0, help="of starts, noise and furnishing (default: 0)")
     one.add_argument("--out", type=Path, help="run folder (default: runs/MAP-AGENT-seedSEED)")
     one.add_argument("--no-gif", action="store_true", help="do not film the episode")
@@ -236,7 +245,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         default=list(_TEAMS),
         metavar="AGENT",
-        help=f"of {', '.join(policy_names())} (default: the first four and random)",
+        help=f"of {', '.join(policy_names())}, or FILE.py:CLASS; the first is what the others are compared with "
+        f"(default: {', '.join(_TEAMS)})",
     )
     teams.add_argument("--buildings", type=count, default=10, help="the first of the test split (default: %(default)s)")
     teams.add_argument("--maps", nargs="+", help="names or files instead")
@@ -260,7 +270,9 @@ def _parser() -> argparse.ArgumentParser:
     walk.set_defaults(run=_radio_survey)
     for command in (one, many):
         command.add_argument(
-            "--agent", default="nearest-frontier", help=f"one of {', '.join(policy_names())} (default: %(default)s)"
+            "--agent",
+            default="nearest-frontier",
+            help=f"one of {', '.join(policy_names())}, or FILE.py:CLASS (default: %(default)s)",
         )
         command.add_argument("--no-pictures", action="store_true", help="write neither map.png nor episode.gif")
     for command in (one, many, teams):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import twc_env
 from agents.policy import make_policy
+from agents.policy_file import digest_of, is_in_file
 from twc_env import load_map
 from twc_env.config import EnvConfig, override, to_dict
 from twc_env.finished_parts import FinishedParts
@@ -106,13 +107,14 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
 
 def table_of(standings: Sequence[Standing]) -> str:
     """One line an agent: means over the buildings (time also as interquartile mean), and what it gains on the first."""
-    head = f"{'agent':<18}{'reached':>8}{'to 90 % s':>11}{'IQM s':>8}{'on the way':>12}{'at the end':>12}"
+    width = max(18, 2 + max(len(s.agent) for s in standings))
+    head = f"{'agent':<{width}}{'reached':>8}{'to 90 % s':>11}{'IQM s':>8}{'on the way':>12}{'at the end':>12}"
     head += f"{'path m':>9}{'ATE m':>8}{'wrong':>7}   sooner s (95 %)          more on the way (95 %)"
     lines = [head]
     for s in standings:
         of = {key: np.array([getattr(o, key) for o in s.outcomes], float) for key in Outcome.__slots__}
         lines.append(
-            f"{s.agent:<18}{of['is_reached'].mean():>8.0%}{of['goal_s'].mean():>11.1f}{_iqm(of['goal_s']):>8.1f}"
+            f"{s.agent:<{width}}{of['is_reached'].mean():>8.0%}{of['goal_s'].mean():>11.1f}{_iqm(of['goal_s']):>8.1f}"
             f"{of['coverage_mean'].mean():>12.3f}{of['coverage'].mean():>12.3f}{of['path_m'].mean():>9.0f}"
             f"{of['team_ate_m'].mean():>8.3f}{int(of['wrong_merges'].sum()):>7d}   "
             + ("" if s is standings[0] else f"{_interval(s.sooner_s, '.1f'):<24} {_interval(s.more, '.3f')}")
@@ -161,5 +163,6 @@ def _line(count: int, total: int, part: tuple[str, str, int], outcome: Outcome) 
 def _once(config: EnvConfig, finished: FinishedParts, part: tuple[str, str, int]) -> Outcome:
     name, agent, seed = part
     config = override(config, {"map": name})
-    key = f"{name} {load_map(name).digest} {agent} {seed}"
+    own = f" {digest_of(agent)}" if is_in_file(agent) else ""
+    key = f"{name} {load_map(name).digest} {agent}{own} {seed}"
     return Outcome(**finished.once(key, lambda: asdict(explore(config, agent, seed))))

@@ -15,6 +15,7 @@ from numba.core.event import TimingListener, register, unregister
 import twc_env
 from agents import picture
 from agents.policy import make_policy
+from agents.policy_file import digest_of, is_in_file
 from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
 from twc_env.command_line import alone_in
 from twc_env.config import to_dict
@@ -104,13 +105,14 @@ def explore(
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
-    report = plain({**result.figures, "agent": agent, **origin_of(config.map), **speeds})
+    report = plain({**result.figures, "agent": agent, **origin_of(config.map, agent), **speeds})
     return Run(result, report, film, was_interrupted, frames, contacts, trace)
 
 
-def origin_of(map_name: str) -> dict[str, str]:
+def origin_of(map_name: str, agent: str) -> dict[str, str]:
     """What else than its settings decides a run: the code of twc_env and of the agents, and the plan of its map."""
-    return {"code_digest": code_digest("agents"), "map_digest": load_map(map_name).digest}
+    own = {"agent_digest": digest_of(agent)} if is_in_file(agent) else {}
+    return {"code_digest": code_digest("agents"), "map_digest": load_map(map_name).digest, **own}
 
 
 def _clock_s(compiling: TimingListener) -> float:

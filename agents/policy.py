@@ -1,8 +1,9 @@
-"""What a team policy is, and the list of those that can be asked for by name."""
+"""What a team policy is, and the list of those that can be asked for by name; FILE.py:CLASS names one of one's own."""
 
 from __future__ import annotations
 
 import difflib
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from agents.frontier_teams import Assignment, CostUtility, Voronoi
 from agents.nearest_frontier import NearestFrontier
+from agents.policy_file import is_in_file, policy_class
 from agents.radio_frontier import RadioFrontier
 from agents.radio_walk import RadioWalk
 from agents.random_walk import RandomWalk
@@ -20,11 +22,15 @@ from twc_env.messages import Belief
 
 
 class Policy(Protocol):
-    """Drives a whole team from what each robot believes."""
+    """Drives a whole team from what each robot believes; a base class too, for those that need `act` only."""
+
+    def __init__(self, config: EnvConfig):
+        """Robots move as `config.dynamics` says."""
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Forget everything and get ready for a new episode with these agents."""
 
+    @abstractmethod
     def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
         """For each agent (2,) float32 in [-1, 1]: forward speed and turn rate as shares of their maxima."""
 
@@ -50,15 +56,17 @@ def policy_names() -> tuple[str, ...]:
 
 
 def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
-    """Build a policy for robots that move as `config.dynamics` says.
+    """Build a policy for robots that move as `config.dynamics` says; `name` may be FILE.py:CLASS.
 
     Raises ConfigError for an unknown name, and where robots do not take velocities.
     """
-    if name not in _POLICIES:
+    if name not in _POLICIES and not is_in_file(str(name)):
         near = difflib.get_close_matches(str(name), _POLICIES, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ConfigError(f"unknown agent {name!r}; choose one of {', '.join(policy_names())}{hint}")
+        known = f"choose one of {', '.join(policy_names())}, or FILE.py:CLASS"
+        raise ConfigError(f"unknown agent {name!r}; {known}{hint}")
     config = config or EnvConfig()
     if config.action.kind != "velocity":
         raise ConfigError(f"scripted teams steer by velocity; got action.kind = {config.action.kind!r}: leave it out")
-    return _POLICIES[name](config)  # type: ignore[call-arg]
+    policy: Policy = policy_class(name)(config) if is_in_file(name) else _POLICIES[name](config)
+    return policy

@@ -1,0 +1,68 @@
+"""A team policy of one's own is named by its file."""
+
+import json
+
+import pytest
+
+from agents.__main__ import main
+from agents.policy import make_policy
+from agents.policy_file import digest_of
+from twc_env import ConfigError, EnvConfig
+
+MINE = """
+import numpy as np
+from agents import Policy
+from beside import SPEED
+
+class Mine(Policy):
+    def act(self, beliefs):
+        return {agent: np.array([SPEED, 0.5], np.float32) for agent in beliefs}
+
+class Half:
+    def act(self, beliefs):
+        return {}
+"""
+
+
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "beside.py").write_text("SPEED = 0.25\n")
+    return "mine.py:Mine"
+
+
+def test_a_policy_that_only_acts_drives_an_episode_beside_ours(mine, tmp_path, capsys):
+    arguments = ["compare", "--agents", "random", mine, "--maps", "sfw-e1", "--robots", "1", "--steps", "30"]
+    assert main([*arguments, "--jobs", "2", "--json", "figures.json"]) == 0
+    found = json.loads((tmp_path / "figures.json").read_text())
+    assert set(found) == {"random", mine}
+    assert 0.0 < found[mine]["episodes"][0]["path_m"] <= 0.25 * 3.0
+    assert mine in capsys.readouterr().out
+
+
+def test_a_run_says_which_policy_file_it_was_and_runs_again_once_that_changed(mine, tmp_path, capsys):
+    explore = ["--agent", mine, "--robots", "1", "--steps", "3", "--no-pictures"]
+    assert main(["explore", "--map", "sfw-e1", *explore]) == 0
+    report = json.loads((tmp_path / "runs" / "sfw-e1-Mine-seed0" / "report.json").read_text())
+    assert (report["agent"], report["agent_digest"]) == (mine, digest_of(mine))
+    benchmark = ["benchmark", "--maps", "sfw-e1", "--seeds", "0", *explore, "--out", "out"]
+    assert main(benchmark) == 0 and main(benchmark) == 0
+    assert "was there" in capsys.readouterr().err
+    (tmp_path / "beside.py").write_text("SPEED = 0.5\n")
+    assert main(benchmark) == 0
+    assert "was there" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("mine.py:Main", r"no class 'Main' in .*mine\.py; it has Mine$"),
+        ("other.py:Mine", "there is no file other.py"),
+        ("mine.py:Half", r"has no reset and no finished\(\): derive it from agents\.Policy"),
+        ("mine", "or FILE.py:CLASS"),
+    ],
+)
+def test_what_is_no_policy_is_refused_with_the_remedy(mine, name, remedy):
+    with pytest.raises(ConfigError, match=remedy):
+        make_policy(name, EnvConfig())
