@@ -208,9 +208,9 @@ class Episode:
         if self.is_over or self.steps % config.reward.period_steps == 0:
             last = self.verdicts() if self.is_over else ()
             self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), last)
-        elif self._bytes_judged == sent_before and True not in contacts.tolist():
-            return self._uneventful
         sent = (self._bytes_judged - sent_before) / config.robots
+        if self._standing is before and True not in contacts.tolist():
+            return rewards.quiet(self._uneventful, sent) if sent else self._uneventful
         return rewards.terms(self._transition(before, contacts, sent), config.reward.sharing)
 
     def _transition(self, before: rewards.Standing, contacts: Array, bytes_per_robot: float) -> rewards.Transition:

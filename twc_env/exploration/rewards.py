@@ -97,6 +97,13 @@ def terms(transition: Transition, sharing: str) -> list[dict[str, float]]:
     return each
 
 
+def quiet(uneventful: list[dict[str, float]], bytes_per_robot: float) -> list[dict[str, float]]:
+    """The terms of a step in which robots do nothing but send, from those in which they do not even that."""
+    common = uneventful[0].copy()
+    common["bytes"] = min(bytes_per_robot / BYTES_MAX, 1.0)
+    return [common] * len(uneventful)
+
+
 def _gains(before: list[float], after: list[float]) -> tuple[float, float, float]:
     return after[0] - before[0], after[1] - before[1], after[2] - before[2]
 
