@@ -114,6 +114,19 @@ def test_the_reward_is_the_weighted_sum_of_the_terms(explore):
     assert touched > 0, "nobody ran into a wall: the weight of a collision was not tried"
 
 
+def test_the_term_of_bytes_is_what_the_team_sent_in_the_step():
+    env = twc_env.parallel_env(robots=2, max_cycles=60)
+    env.reset(seed=0)
+    told, sent_before = 0, env.bytes_sent
+    while env.agents:
+        *_, infos = env.step(dict.fromkeys(env.agents, np.array([0.6, 0.2], np.float32)))
+        sent, sent_before = env.bytes_sent - sent_before, env.bytes_sent
+        told += sent > 0
+        for info in infos.values():
+            assert info["reward_terms"]["bytes"] == pytest.approx(min(sent / 2 / 10_000, 1.0))
+    assert told > 2
+
+
 def test_weights_change_the_reward_but_not_the_episode(explore, same):
     plain, weighted = (explore(40, config={"reward.coverage": w}) for w in (1.0, 3.0))
     assert total(weighted) == pytest.approx(3 * total(plain))
