@@ -145,6 +145,8 @@ def _benchmark(options: argparse.Namespace) -> int:
         was_interrupted = True
         finished = sum(map(len, reports.values()))
         print(f"interrupted after {finished} of {len(jobs)} runs; the same command goes on from there", file=sys.stderr)
+    for rows in reports.values():
+        rows.sort(key=lambda report: report["seed"])  # not as they came, which differs with the processes
     summaries = {name: benchmark.summary_of(rows) | {"reports": rows} for name, rows in reports.items() if rows}
     write_json(options.out / "summary.json", summaries)
     write_json(options.json, summaries)

@@ -169,6 +169,14 @@ def test_two_processes_give_the_reports_of_one(tmp_path):
     assert reports[0] == reports[1]
 
 
+def test_runs_are_listed_by_seed_however_they_came(tmp_path):
+    command = f"benchmark --maps twin-01 --steps 12 --no-pictures --out {tmp_path}"
+    main(f"{command} --seeds 1".split())
+    main(f"{command} --seeds 0-2".split())
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert [report["seed"] for report in summary["twin-01"]["reports"]] == [0, 1, 2]
+
+
 def test_an_interrupted_benchmark_still_writes_its_summary(tmp_path, monkeypatch, capsys):
     real, calls = benchmark.run_job, []
 

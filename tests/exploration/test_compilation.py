@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numba
 import pytest
 from numba import njit
 
@@ -42,11 +43,14 @@ def test_the_first_kernel_of_this_package_that_is_compiled_is_announced_once(cap
 
 
 def test_the_announcement_does_not_promise_files_where_none_can_be_kept(monkeypatch):
-    assert "read them from disk" in compilation._what_of_later_starts()
-    monkeypatch.setattr(compilation, "look_up", SimpleNamespace(_cache=SimpleNamespace(cache_path=None)))
-    assert "name a folder in NUMBA_CACHE_DIR" in compilation._what_of_later_starts()
-    monkeypatch.setattr(compilation.is_numba_known.__globals__["numba"], "__version__", "0.61.2")
-    assert "0.62 to 0.68" in compilation._what_of_later_starts()
+    for place, version, expected in (
+        ("/", "0.68.1", "read them from disk"),
+        (None, "0.68.1", "name a folder in NUMBA_CACHE_DIR"),
+        (None, "0.61.2", "0.62 to 0.68"),
+    ):
+        monkeypatch.setattr(compilation, "look_up", SimpleNamespace(_cache=SimpleNamespace(cache_path=place)))
+        monkeypatch.setattr(numba, "__version__", version)
+        assert expected in compilation._what_of_later_starts()
 
 
 def test_environments_ask_for_it_once_per_process():

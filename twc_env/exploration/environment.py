@@ -77,8 +77,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `pose` | (8,) | m, m, -, -, m, m, rad, m | x, y, cos, sin of the heading in the map frame of the robot's group; |
     | | | | standard deviations and path length since the last closure |
     | `wifi` | (16,) | [0, 1] | strength per transmitter, -100..-20 dBm; a slot keeps its transmitter; 0: not heard |
-    | `signs` | (4, 5) | [-1, 1] | recent readings, newest first: present, bearing / pi, distance d / (d + 10 m), age, |
-    | | | | c / (c + 2) where the text is known from c other places |
+    | `signs` | (4, 5) | [-1, 1] | recent readings, newest first: present, bearing / pi, distance d / (d + 10 m), age |
+    | | | | / `sign_memory_s`, c / (c + 2) where the text is known from c other places |
     | `team` | (n-1, 5) | [-1, 1] | per mate: shares my map, bearing / pi, d / (d + 10 m), heading / pi, |
     | | | | age a / (a + 10 s) of its last message |
     | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest first: present, bearing / pi, d / (d + 10 m), |

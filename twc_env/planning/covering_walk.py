@@ -76,7 +76,8 @@ def walk_graph(terrain: Terrain, start_m: Array, spacing_m: float, places_max: i
     if not (pairs == 0).any() and len(places) > 1:  # the robot stands where its map shows no room
         pairs = np.vstack([pairs, [0, 1 + int(np.argmin(apart[1:]))]])
     lengths = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1) * terrain.resolution_m
-    edges = coo_array((lengths, (pairs[:, 0], pairs[:, 1])), shape=(len(places), len(places)))
+    ends = tuple(pairs.T.astype(np.int32))  # the kind that all versions of csgraph take
+    edges = coo_array((lengths, ends), shape=(len(places), len(places)))
     kept = np.flatnonzero(np.isfinite(dijkstra(edges, directed=False, indices=0)))
     lengths_m, via = dijkstra(edges.tocsr()[kept][:, kept], directed=False, return_predecessors=True)
     near = np.argsort(lengths_m, axis=1, kind="stable")[:, 1 : NEAR_COUNT + 1]
