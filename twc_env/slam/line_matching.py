@@ -25,13 +25,26 @@ def points_of(ranges, range_max, directions, points):
 
 
 @borrowing_kernel
-def _weakest_direction(h):
-    """Smallest eigenvalue of the translation part of h with the heading left free, and its direction."""
+def _of_place(h):
+    """The translation part of h with the heading left free: its entries xx, xy and yy."""
     t = max(h[5], 1e-9)
-    a, b, d = h[0] - h[2] * h[2] / t, h[1] - h[2] * h[4] / t, h[3] - h[4] * h[4] / t
+    return h[0] - h[2] * h[2] / t, h[1] - h[2] * h[4] / t, h[3] - h[4] * h[4] / t
+
+
+@borrowing_kernel
+def _weakest(h):
+    """How well that direction is fixed that is fixed least: the smallest eigenvalue."""
+    a, b, d = _of_place(h)
     mean, half = 0.5 * (a + d), 0.5 * math.sqrt((a - d) ** 2 + 4 * b * b)
+    return max(mean - half, 0.0)
+
+
+@borrowing_kernel
+def weakest_direction(h):
+    """That direction, of unit length."""
+    a, b, d = _of_place(h)
     angle = 0.5 * math.atan2(2 * b, a - d) + 0.5 * math.pi
-    return max(mean - half, 0.0), math.cos(angle), math.sin(angle)
+    return math.cos(angle), math.sin(angle)
 
 
 @borrowing_kernel
@@ -57,12 +70,11 @@ def refine_pose(
 ):  # fmt: skip
     """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
 
-    Writes the pose and the final h. Gives (sum of weights, points near walls, is_degenerate, direction x, direction y,
-    sum of weights at the guess).
+    Writes the pose and the final h. Gives (sum of weights, points near walls, is_degenerate, sum of weights at the
+    guess).
     """
     pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
     total, near, begun = 0.0, 0, 0.0
-    vx = vy = 0.0
     degenerate = False
     for k in range(iterations):
         total, near = normal_equations(
@@ -72,10 +84,10 @@ def refine_pose(
             begun = total
         if total < WEIGHT_MIN:
             break
-        weakest, vx, vy = _weakest_direction(h)
-        degenerate = weakest < degenerate_share * total
+        degenerate = _weakest(h) < degenerate_share * total
         dx, dy, turn = _solve3(h, 1e-3 * total)
         if degenerate:
+            vx, vy = weakest_direction(h)
             along = dx * vx + dy * vy
             dx -= along * vx
             dy -= along * vy
@@ -84,7 +96,7 @@ def refine_pose(
         pose[2] += turn
         if abs(dx) < stop_m and abs(dy) < stop_m and abs(turn) < stop_rad:
             break
-    return total, near, degenerate, vx, vy, begun
+    return total, near, degenerate, begun
 
 
 @borrowing_kernel
@@ -171,14 +183,15 @@ def won_and_lost(cells, lines, origin, inverse_m, points, n, before, after, dist
 
 
 @borrowing_kernel
-def fill_information(h, degenerate, vx, vy, scale, out):
-    """Fill out (3, 3) with h / scale, emptied along the direction (vx, vy) where that is degenerate."""
+def fill_information(h, degenerate, scale, out):
+    """Fill out (3, 3) with h / scale; where that is degenerate, emptied along its weakest direction."""
     out[0, 0], out[0, 1], out[0, 2], out[1, 1], out[1, 2], out[2, 2] = h[0], h[1], h[2], h[3], h[4], h[5]
     out[1, 0], out[2, 0], out[2, 1] = h[1], h[2], h[4]
     for i in range(3):
         for j in range(3):
             out[i, j] /= scale
     if degenerate:
+        vx, vy = weakest_direction(h)
         kxx, kxy, kyy = 1.0 - vx * vx, -vx * vy, 1.0 - vy * vy
         for j in range(3):
             a, b = out[0, j], out[1, j]

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import OdometryFilterConfig, VerificationConfig
-from twc_env.geometry import beam_directions, seen_from
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.geometry import seen_from
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.given_arrays import given_pose
 from twc_env.slam.global_matching import match_globally
@@ -19,7 +18,7 @@ from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.odometry_filter import invert_symmetric
 from twc_env.slam.point_matching import PointMatch, match_points
 from twc_env.slam.scan_matching import Match
-from twc_env.slam.target_walls import TargetWalls, relative
+from twc_env.slam.target_walls import TargetWalls
 
 Array = NDArray
 
@@ -27,8 +26,6 @@ STEP_M, STEP_RAD = 0.15, 0.05
 """Grid of the correlative search; the refinement reaches further than one step."""
 SPACING_M = 0.9
 """Of neighbouring keyframes, every one this far along the path joins the target's walls."""
-SEEN_THROUGH_M = 0.35
-"""A point this far in front of a beam's end was seen through."""
 SIGN_STD, NEAR_STD = (0.2, 0.2, 0.1), (2.0, 2.0, 0.5)
 """What the candidate's guess itself is worth [m, m, rad]: a shared sign fixes a corridor's axis, nearness does not."""
 ANYWHERE = ("wifi", "lidar")
@@ -39,44 +36,9 @@ MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
 """Where nothing but WiFi says that two robots were at one place, their scans must fit by so much: of those that
 fit less, too many are of other places. A match that scores less does not get there."""
 SIGN_INFORMATION, NEAR_INFORMATION = np.diag(1.0 / np.square(SIGN_STD)), np.diag(1.0 / np.square(NEAR_STD))
-NO_MATCH = Match(np.zeros(3), np.zeros(9), 0.0, False, np.zeros(2))
+NO_MATCH = Match(np.zeros(3), np.zeros(9), 0.0, False)
 MATCH_COVARIANCE_MIN = np.diag(np.square((0.03, 0.03, 0.01)))
 """No match is known better than this [m2, m2, rad2]."""
-
-
-@borrowing_kernel
-def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
-    """Share of one scan's end points, seen from pose in another scan's frame, well inside that scan's free space."""
-    beams = ranges.shape[0]
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    through = compared = 0
-    for i in range(seen.shape[0]):
-        if not 0.0 <= seen[i] < range_max:
-            continue
-        px, py = seen[i] * directions[i, 0], seen[i] * directions[i, 1]
-        x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
-        r = math.sqrt(x * x + y * y)
-        if r >= range_max:
-            continue
-        bearing = math.atan2(y, x) * beams / (2 * math.pi)
-        low = int(math.floor(bearing))  # within a turn: no remainder, which takes as long as the bearing
-        low += beams if low < 0 else 0
-        free = min(abs(ranges[low]), abs(ranges[low + 1 if low + 1 < beams else 0]))
-        compared += 1
-        if r < free - margin:
-            through += 1
-    return through / max(compared, 1)
-
-
-@kernel
-def _contradiction(target, source, directions, pose, range_max, margin):
-    """The larger share of one scan's points that the other scan saw through; pose is the source's in the target."""
-    back = np.empty(3)
-    relative(pose, np.zeros(3), back)
-    return max(
-        _share_seen_through(source, directions, pose, target, range_max, margin),
-        _share_seen_through(target, directions, back, source, range_max, margin),
-    )
 
 
 class LoopVerifier:
@@ -109,10 +71,7 @@ class LoopVerifier:
         if overlap < overlap_min:
             reason = f"overlap {overlap:.2f} < {overlap_min:g}"
         else:
-            contradiction = _contradiction(
-                target.ranges_m, source.ranges_m, beam_directions(len(target.ranges_m)), match.pose, self._range_max_m,
-                SEEN_THROUGH_M,
-            )  # fmt: skip
+            contradiction = self._walls.contradiction(target, source, match.pose)
             if contradiction > rule.contradiction_max:
                 reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
         prior = NEAR_INFORMATION if candidate.recogniser in SIGNLESS else SIGN_INFORMATION

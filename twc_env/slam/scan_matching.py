@@ -26,6 +26,7 @@ from twc_env.slam.line_matching import (
     points_of,
     refine_pose,
     share_near,
+    weakest_direction,
     won_and_lost,
 )
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, told_by
@@ -68,11 +69,11 @@ def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, 
     points, h, start, scratch = room
     n = points_of(scan, rule[0], directions, points)
     start[0], start[1], start[2] = guess[0], guess[1], guess[2]
-    begun = held = total = vx = vy = 0.0
+    begun = held = total = 0.0
     near, degenerate = 0, False
     # At the guess; where that fits badly elsewhere too; and there again where nothing fits clearly better.
     for attempt in range(3):
-        total, near, degenerate, vx, vy, first = refine_pose(
+        total, near, degenerate, first = refine_pose(
             cells, lines, origin, rule[1], points, n, start, rule[2], int(rule[5]), rule[3], TRACKING_STOP_M,
             TRACKING_STOP_RAD, scratch, pose, h,
         )  # fmt: skip
@@ -102,7 +103,7 @@ def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, 
         and abs(pose[2] - guess[2]) <= reach_turned
     )
     if is_matched:
-        fill_information(h, degenerate, vx, vy, rule[4], information)
+        fill_information(h, degenerate, rule[4], information)
     else:
         for i in range(3):
             for j in range(3):
@@ -126,8 +127,11 @@ class Match:
     weight: float
     """Sum of the beams' weights; below WEIGHT_MIN nothing was matched."""
     is_degenerate: bool
-    direction: Array
-    """(2,) the direction that the walls fix least, unit length."""
+
+    @property
+    def direction(self) -> Array:
+        """(2,) the direction that the walls fix least, unit length."""
+        return np.array(weakest_direction(self.sums))
 
     @property
     def hessian(self) -> Array:
@@ -141,8 +145,7 @@ class Match:
         None along a degenerate direction, as a corridor does not fix its own axis.
         """
         information = np.empty((3, 3))
-        vx, vy = self.direction.tolist()
-        fill_information(self.sums, self.is_degenerate, vx, vy, beam_std_m**2 * correlation, information)
+        fill_information(self.sums, self.is_degenerate, beam_std_m**2 * correlation, information)
         return information
 
 
@@ -203,11 +206,11 @@ class LineField:
         """
         points, guess = given_points(points), given_pose(guess, "guess")
         pose, h = np.empty(3), np.zeros(9)
-        weight, _, degenerate, vx, vy, _ = refine_pose(
+        weight, _, is_degenerate, _ = refine_pose(
             self._cells, self._lines, self._origin_m, self._inverse_m, points, len(points), guess, distance_max_m,
             iterations, degenerate_share, STOP_M, STOP_RAD, self._scratch, pose, h,
         )  # fmt: skip
-        return Match(pose, h, weight, degenerate, np.array([vx, vy]))
+        return Match(pose, h, weight, is_degenerate)
 
     def correlate(
         self, points: Array, guess: Array, window: tuple[float, float], step: tuple[float, float], stride: int = 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,12 @@ Array = NDArray
 FIELD_CELL_M = 0.2
 NEAR_WALL_M = 0.15
 REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE = 0.4, 20, 0.04
+SEEN_THROUGH_M = 0.35
+"""A point this far in front of a beam's end was seen through."""
 
 
 @borrowing_kernel
-def relative(base, pose, out):
+def _relative(base, pose, out):
     """The pose seen from base, both in one frame."""
     c, s = math.cos(base[2]), math.sin(base[2])
     dx, dy = pose[0] - base[0], pose[1] - base[1]
@@ -38,18 +41,18 @@ def _draw(walls, is_first, base, pose, ranges):
 
     False for a scan or a pose that is not sound.
     """
-    (cells, lines, origin, inverse_m, drawn, _), (directions, range_max, ends, here) = parts_of(walls)
+    (cells, lines, origin, inverse_m, drawn, _), (directions, range_max, ends, here, _) = parts_of(walls)
     if is_first:
         forget_walls(cells, drawn)
-    relative(base, pose, here)
+    _relative(base, pose, here)
     return draw_scan(cells, lines, origin, inverse_m, here, directions, ranges, range_max, ends, drawn)
 
 
 @borrowing_kernel
 def _join(walls, base, pose, ranges, points, count):
     """Write the end points of a scan taken at a pose, seen from another pose, behind so many; gives their number."""
-    _, (directions, range_max, _, here) = parts_of(walls)
-    relative(base, pose, here)
+    _, (directions, range_max, _, here, _) = parts_of(walls)
+    _relative(base, pose, here)
     c, s = math.cos(here[2]), math.sin(here[2])
     for i in range(ranges.shape[0]):
         r = ranges[i]
@@ -65,11 +68,55 @@ def _lay(walls, points, guess, pose, sums):
     """`refine_pose` of points near a guess, and the share of them that lie on walls then."""
     (cells, lines, origin, inverse_m, _, scratch), _ = parts_of(walls)
     count = points.shape[0]
-    weight, _, is_degenerate, x, y, _ = refine_pose(
+    weight, _, is_degenerate, _ = refine_pose(
         cells, lines, origin, inverse_m, points, count, guess, REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE,
         STOP_M, STOP_RAD, scratch, pose, sums,
     )  # fmt: skip
-    return weight, is_degenerate, x, y, share_near(cells, origin, inverse_m, points, count, pose, NEAR_WALL_M)
+    return weight, is_degenerate, share_near(cells, origin, inverse_m, points, count, pose, NEAR_WALL_M)
+
+
+@borrowing_kernel
+def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
+    """Share of one scan's end points, seen from pose in another scan's frame, well inside that scan's free space."""
+    beams = ranges.shape[0]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    through = compared = 0
+    for i in range(seen.shape[0]):
+        if not 0.0 <= seen[i] < range_max:
+            continue
+        px, py = seen[i] * directions[i, 0], seen[i] * directions[i, 1]
+        x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
+        r = math.sqrt(x * x + y * y)
+        if r >= range_max:
+            continue
+        bearing = math.atan2(y, x) * beams / (2 * math.pi)
+        low = int(math.floor(bearing))  # within a turn: no remainder, which takes as long as the bearing
+        low += beams if low < 0 else 0
+        free = min(abs(ranges[low]), abs(ranges[low + 1 if low + 1 < beams else 0]))
+        compared += 1
+        if r < free - margin:
+            through += 1
+    return through / max(compared, 1)
+
+
+@borrowing_kernel
+def _contradict(walls, target, source, pose):
+    """The larger share of one scan's points that the other scan saw through; pose is the source's in the target."""
+    _, (directions, range_max, _, back, origin) = parts_of(walls)
+    _relative(pose, origin, back)
+    return max(
+        _share_seen_through(source, directions, pose, target, range_max, SEEN_THROUGH_M),
+        _share_seen_through(target, directions, back, source, range_max, SEEN_THROUGH_M),
+    )
+
+
+class _Kernels(NamedTuple):
+    """The kernels above with all that they need every time."""
+
+    draw: Callable[..., bool]
+    join: Callable[..., int]
+    lay: Callable[..., tuple[float, bool, float]]
+    contradict: Callable[..., float]
 
 
 class TargetWalls:
@@ -81,22 +128,23 @@ class TargetWalls:
     def __init__(self, size_m: float, range_max_m: float):
         self.field = LineField(size_m, FIELD_CELL_M, range_max_m)
         """To be searched far from a guess."""
+        self._bound: _Kernels | None = None
         self._beams = 0
-        self._bound: tuple[Callable[..., bool], Callable[..., int], Callable[..., tuple]] | None = None
-        """`_draw`, `_join` and `_lay` with all that they need every time, for scans of so many beams."""
+        """How many a scan has for which these are bound."""
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_bound": None}
 
-    def _kernels(self, beams: int) -> tuple[Callable[..., bool], Callable[..., int], Callable[..., tuple]]:
+    def _kernels(self, beams: int) -> _Kernels:
         if self._bound is None or beams != self._beams:
             self._beams, pose, scan, points = beams, np.empty(3), np.empty(beams), np.empty((0, 2))
-            apparatus = beam_directions(beams), self.field.range_max_m, np.empty((beams + 1, 2)), np.empty(3)
-            held = Lent((self.field.parts, apparatus))
-            self._bound = (
+            room = np.empty((beams + 1, 2)), np.empty(3), np.zeros(3)
+            held = Lent((self.field.parts, (beam_directions(beams), self.field.range_max_m, *room)))
+            self._bound = _Kernels(
                 bound(_draw, held, True, pose, pose, scan),
                 bound(_join, held, pose, pose, scan, points, 0),
                 bound(_lay, held, points, pose, pose, np.empty(9)),
+                bound(_contradict, held, scan, scan, pose),
             )
         return self._bound
 
@@ -108,23 +156,25 @@ class TargetWalls:
         first = keyframes[0]
         for keyframe in keyframes:
             scan = plain(keyframe.ranges_m)
-            run, _, _ = self._kernels(len(scan))
-            if not run(keyframe is first, first.pose_odom, keyframe.pose_odom, scan):
+            if not self._kernels(len(scan)).draw(keyframe is first, first.pose_odom, keyframe.pose_odom, scan):
                 raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
 
     def points(self, keyframes: Sequence[Keyframe]) -> Array:
         """(n, 2) what these saw, in the frame of the first of them."""
         first, count = keyframes[0], 0
-        points = np.empty((len(keyframes) * len(first.ranges_m), 2))
+        points = np.empty((sum([len(keyframe.ranges_m) for keyframe in keyframes]), 2))
         for keyframe in keyframes:
             scan = plain(keyframe.ranges_m)
-            _, run, _ = self._kernels(len(scan))
-            count = run(first.pose_odom, keyframe.pose_odom, scan, points, count)
+            count = self._kernels(len(scan)).join(first.pose_odom, keyframe.pose_odom, scan, points, count)
         return points[:count]
 
     def refine(self, points: Array, guess: Array) -> tuple[Match, float]:
         """The match of points (n, 2) from a guess (3,), and the share of the points that then lie on walls."""
         pose, sums = np.empty(3), np.zeros(9)
-        _, _, run = self._kernels(self._beams)
-        weight, is_degenerate, x, y, overlap = run(points, guess, pose, sums)
-        return Match(pose, sums, weight, is_degenerate, np.array([x, y])), overlap
+        weight, is_degenerate, overlap = self._kernels(self._beams).lay(points, guess, pose, sums)
+        return Match(pose, sums, weight, is_degenerate), overlap
+
+    def contradiction(self, target: Keyframe, source: Keyframe, pose: Array) -> float:
+        """The larger share of what one saw that the other saw through; pose (3,) of the source in the target."""
+        scan = plain(target.ranges_m)
+        return self._kernels(len(scan)).contradict(scan, plain(source.ranges_m), pose)
