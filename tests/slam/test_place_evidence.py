@@ -47,6 +47,22 @@ def test_signs_back_to_back_on_one_wall_are_two_even_if_they_bear_one_number(see
     assert [place.consensus for place in memory.signs[0]] == ["ROOM3023", "PLAN3023"]
 
 
+def test_a_door_and_the_plan_behind_it_stay_two_where_one_reading_of_the_plan_seems_turned(seen):
+    outside = [seen(0, k, "A301 OPTICS LAB", x=0.1 * k, facing=-math.pi / 2) for k in range(3)]
+    turned = seen(0, 3, "A301 OPTICS LAB PLAN", x=0.3, facing=-0.4)
+    inside = [seen(0, 4 + k, "A301 OPTICS LAB PLAN", x=0.4 + 0.1 * k, facing=math.pi / 2) for k in range(4)]
+    memory = remember(*outside, turned, *inside)
+    assert [place.consensus for place in memory.signs[0]] == ["A301OPTICSLAB", "A301OPTICSLABPLAN"]
+
+
+def test_a_fragment_of_a_plan_does_not_take_the_door_behind_it_for_the_plan(seen):
+    inside = [seen(0, k, "A303 SERVER ROOM PLAN", x=0.1 * k, facing=math.pi / 2) for k in range(3)]
+    cut = seen(0, 3, "A303 SERVER ROO", x=0.3, facing=math.pi / 2)
+    outside = [seen(0, 4 + k, "A303 SERVER ROOM", x=0.4 + 0.1 * k, facing=-math.pi / 2) for k in range(2)]
+    memory = remember(*inside, cut, *outside)
+    assert [place.consensus for place in memory.signs[0]] == ["A303SERVERROOMPLAN", "A303SERVERROOM"]
+
+
 def test_a_lost_space_is_no_mistake(seen):
     (place,) = remember(seen(0, 0, "ROOM 3023"), seen(0, 1, "ROOM3023")).signs[0]
     assert (place.consensus, place.support) == ("ROOM3023", 2)

@@ -30,10 +30,11 @@ SAME_PASS_M, SAME_PASS_TRAVEL_M = 0.5, 4.0
 SAME_SIGN_M = 2.0
 """Later, the path may have drifted by this much, but then the texts must be alike."""
 OPPOSITE_RAD, MISPLACED_M, SAME_TEXT_SIMILARITY = 2.2, 1.0, 0.8
-"""Readings on walls that face away from each other are of two signs, unless they are so near and so alike that one
-facing must be wrong."""
+"""Readings on walls that face away from each other are of two signs, unless they are so near and so like what all
+readings of the other agree on that one facing must be wrong."""
 FACING_RAD = 0.8
-"""Readings that face further apart than this are of one sign only if their texts are alike: walls blur at corners."""
+"""Readings that face further apart than this are of one sign only if their texts are so alike: walls blur at corners,
+but a door and the plan behind it may both bear the room's name."""
 HIDDEN_TWIN_SHARE = 0.1
 """How many more signs of the same text to expect where nobody has been, for each one that is known."""
 NEIGHBOUR_REACH_M = 8.0
@@ -139,10 +140,14 @@ class PlaceMemory:
             if away >= best_m:
                 continue
             turn = abs(math.remainder(facing - place.facing_odom, 2 * math.pi))
-            is_pass = away < SAME_PASS_M and keyframe.travel_m - place.travel_m < SAME_PASS_TRAVEL_M
-            if turn > OPPOSITE_RAD and (away > MISPLACED_M or not place.reads_like(text, False, SAME_TEXT_SIMILARITY)):
-                continue
-            if place.reads_like(text, away < SAME_PASS_M) or (is_pass and not turn > FACING_RAD):
+            if turn > OPPOSITE_RAD:
+                is_same = away <= MISPLACED_M and place.agrees_on(text, SAME_TEXT_SIMILARITY)
+            elif turn > FACING_RAD:
+                is_same = place.reads_like(text, False, SAME_TEXT_SIMILARITY)
+            else:
+                is_pass = away < SAME_PASS_M and keyframe.travel_m - place.travel_m < SAME_PASS_TRAVEL_M
+                is_same = is_pass or place.reads_like(text, away < SAME_PASS_M)
+            if is_same:
                 best, best_m = place, away
         return best
 

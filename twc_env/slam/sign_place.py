@@ -63,6 +63,10 @@ class SignPlace:
             return True
         return bool(cdist([text], self.texts, scorer=Levenshtein.normalized_similarity).max() >= similarity_min)
 
+    def agrees_on(self, text: str, similarity_min: float) -> bool:
+        """Whether a reading is so like what all readings agree on."""
+        return Levenshtein.normalized_similarity(text, self.consensus) >= similarity_min
+
     def _vote(self) -> None:
         """The reading that explains all readings best, as fragments of it or by few wrong characters."""
         cost = np.minimum(3.0 * cdist(self.texts, self.texts, scorer=Levenshtein.distance), 12.0)
