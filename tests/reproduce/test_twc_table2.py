@@ -34,6 +34,13 @@ def test_believing_every_closure_ruins_the_map_of_text_alone_and_ours_repairs_it
     assert ruined["wall_thickness_m"] > 2 * repaired["wall_thickness_m"]
 
 
+def test_one_false_closure_of_text_in_a_hundred_folds_the_map_that_the_right_ones_make(table):
+    rows = [table["text", f"literal {share:g}"] for share in twc_table2.SHARES_RIGHT]
+    assert [row["closure_precision"] for row in rows] == pytest.approx(twc_table2.SHARES_RIGHT, abs=0.02)
+    assert rows[0]["ate_m"] < 0.1 < 1.0 < rows[1]["ate_m"]
+    assert len({round(row["closures"] * row["closure_precision"]) for row in rows}) == 1
+
+
 def test_the_whole_system_reaches_its_goal_on_a_walk(table):
     for backend in ("ours", "live"):
         row = table["fused", backend]
