@@ -17,6 +17,8 @@ from twc_env.errors import ActionError
 Array = NDArray
 
 TOLERANCE = 1e-6
+_SINGLE = np.dtype(np.float32)
+"""What most actions are made of."""
 
 
 def velocity_space() -> spaces.Box:
@@ -72,12 +74,13 @@ class Velocities:
                 raise TypeError
             for agent in agents:
                 action = actions[agent]
-                if action.dtype.kind not in "fiu":
+                if action.dtype is not _SINGLE and action.dtype.kind not in "fiu":
                     raise TypeError
                 ahead, left = action.tolist()  # of another shape: not two, or no numbers
                 if not ahead * ahead <= 1.0 >= left * left:  # so it is for NaN
                     raise ValueError
-                commands += ahead * speed_max_m_s, left * turn_rate_max_rad_s
+                commands.append(ahead * speed_max_m_s)
+                commands.append(left * turn_rate_max_rad_s)
             self._write(*commands)
         except Exception:  # an object of the user's may raise anything; what does not fit is named below
             self._commands[:] = _one_by_one(actions, agents) * self._maxima
