@@ -41,6 +41,25 @@ def test_one_false_closure_of_text_in_a_hundred_folds_the_map_that_the_right_one
     assert len({round(row["closures"] * row["closure_precision"]) for row in rows}) == 1
 
 
+def test_remarks_say_how_right_text_must_be_for_the_order_of_the_print():
+    row = {"scene": "#01", "ate_m": 1.0}
+    table = [
+        row | {"method": method, "backend": backend, "epe_m": epe_m, "closure_precision": 0.5}
+        for backend in (*twc_table2.BACKENDS, twc_table2.LITERAL)
+        for method, epe_m in twc_table2.PRINT["#01"].items()
+    ]
+    for share, epe_m in zip(twc_table2.SHARES_RIGHT, (0.1, 0.3, 1.0, 1.8, 2.0, 4.0), strict=True):
+        few = {"method": "text", "backend": f"literal {share:g}", "epe_m": epe_m, "closure_precision": share}
+        table.append(row | few)
+    told = [line for line in twc_table2.remarks(_both_scenes(table)) if line.startswith("#01 text as printed by")]
+    assert len(told) == 1 and told[0].endswith("is that of the print with 99, 98 %")
+
+
+def _both_scenes(rows):
+    """The reductions of the paper's claim need both scenes."""
+    return [*rows, *({**row, "scene": "#02"} for row in rows)]
+
+
 def test_the_whole_system_reaches_its_goal_on_a_walk(table):
     for backend in ("ours", "live"):
         row = table["fused", backend]

@@ -242,10 +242,16 @@ def _why(table: Sequence[dict]) -> list[str]:
     for scene in dict.fromkeys(row["scene"] for row in table):
         thinned = [r for r in table if r["scene"] == scene and r["backend"].startswith(f"{LITERAL} ")]
         told = ", ".join(f"{r['epe_m']:.2f} m with {100 * r['closure_precision']:.0f} %" for r in thinned)
+        literal = {r["method"]: r["epe_m"] for r in table if (r["scene"], r["backend"]) == (scene, LITERAL)}
+        printed = sorted(PRINT[scene], key=PRINT[scene].__getitem__)
+        orders = [sorted(printed, key=(literal | {"text": row["epe_m"]}).__getitem__) for row in thinned]
+        shares = [f"{100 * share:g}" for share, order in zip(SHARES_RIGHT, orders, strict=True) if order == printed]
+        met = f"with {', '.join(shares)} %" if shares else "with none of these"
         precision = PRINT_TABLE1[scene]["text"][-1][0]
         lines.append(
             f"{scene} text as printed by how many of its closures are right: EPE {told}; the print has "
-            f"{PRINT[scene]['text']:.2f} m, and in its Table I {precision} % of what text accepts is right"
+            f"{PRINT[scene]['text']:.2f} m, and in its Table I {precision} % of what text accepts is right; "
+            f"the order of the methods is that of the print {met}"
         )
     if lines:
         lines.append(
@@ -253,7 +259,7 @@ def _why(table: Sequence[dict]) -> list[str]:
             "may still end near where it began: by EPE the worst closures can look best, so their order says little. "
             "False pairs of texts lie rooms apart and those of WiFi side by side, so one of text does most harm: as "
             "precise as in the print's Table I, text cannot be as exact as in its Table II without a back end that "
-            "refuses closures, and with one the errors of text, WiFi and both differ by centimetres only."
+            "refuses closures, and with `robust` those of text, WiFi and both differ by centimetres only."
         )
     return lines
 
