@@ -82,6 +82,7 @@ def test_a_malformed_file_is_refused_with_the_reason(tmp_path, text, message):
         ({"edges_ij": np.array([[0, 1]])}, "differ in length"),
         ({"edges_ij": np.array([[0, 1], [1, 2], [2, 3], [0, 4]])}, "must lie in 0..3"),
         ({"edges_z": np.zeros((4, 2))}, r"\(n, 3\)"),
+        ({"nodes": np.full((4, 3), np.nan)}, "nodes of the pose graph must be finite"),
     ],
 )
 def test_a_graph_that_does_not_fit_together_is_not_written(tmp_path, change, message):

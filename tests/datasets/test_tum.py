@@ -34,6 +34,11 @@ def test_a_quarter_turn_is_the_quaternion_with_two_equal_parts(tmp_path):
     assert np.allclose(values, [1.5, 1, 2, 0, 0, 0, np.sqrt(0.5), np.sqrt(0.5)])
 
 
+def test_a_quaternion_of_any_length_is_a_rotation(tmp_path):
+    (tmp_path / "a.tum").write_text("0 1 2 0 0 0 2 2\n1 1 2 0 0 0 -0.003 0.003\n")
+    assert np.allclose(read_tum(tmp_path / "a.tum")[1][:, 2], [np.pi / 2, -np.pi / 2])
+
+
 def test_comments_empty_lines_and_commas_are_understood(tmp_path):
     (tmp_path / "a.tum").write_text("# time x y z q\n\n0,1,2,3,0,0,0,1\n")
     times_s, poses = read_tum(tmp_path / "a.tum")

@@ -28,7 +28,8 @@ _ID_MAX = 2**63 - 1
 def write_g2o(path: str | Path, graph: Mapping[str, Any]) -> None:
     """Write a graph: nodes (k, 3), edges_ij (e, 2), edges_z (e, 3), edges_information (e, 3, 3); packed for .gz.
 
-    Vertices are numbered as in `nodes`; the first is fixed. Raises DataError when the shapes do not belong together.
+    Vertices are numbered as in `nodes`; the first is fixed. Raises DataError when the shapes do not belong together,
+    and for what is not finite.
     """
     nodes, ij, z, information = _checked(graph)
     lines = [f"VERTEX_SE2 {i} {_numbers(pose)}" for i, pose in enumerate(nodes)]
@@ -134,6 +135,8 @@ def _checked(graph: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]:
             array = array.reshape(0, *shape)
         if array.shape[1:] != shape:
             raise DataError(f"{key} of the pose graph must be (n, {', '.join(map(str, shape))}); got {array.shape}")
+        if not np.isfinite(array).all():
+            raise DataError(f"{key} of the pose graph must be finite: no reader takes others")
         arrays.append(array)
     lengths = [len(a) for a in arrays[1:]]
     if len(set(lengths)) > 1:

@@ -44,7 +44,7 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
             rows.append(_row(words, path, number))
     values = np.array(rows).reshape(-1, 8)
     qx, qy, qz, qw = values[:, 4:].T
-    heading = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+    heading = np.arctan2(2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)  # of any length
     return values[:, 0], np.column_stack([values[:, 1:3], wrap_angle(heading)])
 
 
