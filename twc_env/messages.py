@@ -59,6 +59,7 @@ class SensorFrame:
     robot: int
     step: int
     time_s: float
+    """By the robot's own clock, which may count from anywhere."""
     odometry: Array
     """(3,) motion since the last frame in the robot frame of that frame [m, m, rad], from wheels, legs or hand."""
     turn_rate_rad_s: float
@@ -102,6 +103,7 @@ class Keyframe:
     """Counts the robot's own keyframes from 0."""
     step: int
     time_s: float
+    """Since the robot's first frame."""
     pose_odom: Array
     """(3,) pose in the robot's odom frame."""
     motion: Array

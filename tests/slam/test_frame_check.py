@@ -126,3 +126,22 @@ def test_frames_that_go_back_in_time_are_refused(time_s):
     with pytest.raises(DataError, match="give frames in order, each with its time"):
         engine.update([replace(SOUND, time_s=time_s, odometry=np.array([0.1, 0.0, 0.0]))])
     engine.update([replace(SOUND, time_s=1.0), replace(SOUND, robot=1, time_s=0.5)])
+
+
+@pytest.mark.parametrize("begun_s", [(1.6e9, 1.6e9), (-50.0, 0.0), (0.0, 300.0)])
+def test_clocks_may_count_from_anywhere(begun_s):
+    """The time before a robot's first frame was no time in which it turned, or read nothing."""
+    engine, same = CooperativeSlam(CONFIG, 2), CooperativeSlam(CONFIG, 2)
+    around = 2 * np.pi * np.arange(60) / 60
+    for step in range(30):
+        heading = 0.1 * (step + 1) + around
+        scan_m = 3.0 / np.maximum(abs(np.cos(heading)), abs(np.sin(heading)))
+        frame = replace(SOUND, step=step, odometry=np.array([0.0, 0.0, 0.1]), turn_rate_rad_s=1.0, ranges_m=scan_m)
+        for each, clocks in ((engine, begun_s), (same, (0.0, 0.0))):
+            each.update([replace(frame, robot=r, time_s=clock + 0.1 * step) for r, clock in enumerate(clocks)])
+    for robot in range(2):
+        found, expected = engine.belief(robot), same.belief(robot)
+        assert np.allclose(found.pose_odom, expected.pose_odom, atol=1e-5)
+        assert np.allclose(found.pose_std, expected.pose_std, rtol=1e-3)
+        times_s = [[keyframe.time_s for keyframe in each.team.keyframes[robot]] for each in (engine, same)]
+        assert np.allclose(*times_s, atol=1e-5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -103,6 +104,8 @@ class CooperativeSlam:
         self._steps: Sequence[int] = [0] * robot_count
         self._times_s = np.full(robot_count, -np.inf)
         """(robots,) of the last frame that each gave by itself."""
+        self._begun_s = np.zeros(robot_count)
+        """(robots,) of the first one, by the robot's own clock."""
         self._ranges_m: Sequence[Array] | Array = [np.zeros(0)] * robot_count
         """Of the latest frame of each robot."""
         self._poses = np.zeros((robot_count, 3, 3))
@@ -178,8 +181,7 @@ class CooperativeSlam:
         self._beliefs = None
         if not isinstance(frames, TeamFrames):
             check_frames(frames, self._times_s, self._beam_count)
-            for frame in frames:
-                self._times_s[frame.robot] = frame.time_s
+            frames = self._since_first(frames)
         if not self._has_all_cues:
             frames = [cues.heard(frame, self._cues) for frame in frames]
         if isinstance(frames, TeamFrames):
@@ -198,6 +200,20 @@ class CooperativeSlam:
         for keyframe in keyframes:
             self._exchange.add(keyframe)
         return keyframes
+
+    def _since_first(self, frames: Sequence[SensorFrame]) -> list[SensorFrame]:
+        """The same, with times since each robot's first frame: clocks may count from anywhere."""
+        for frame in frames:
+            self._times_s[frame.robot] = frame.time_s
+            if len(self._ranges_m[frame.robot]) == 0:
+                self._begun_s[frame.robot] = frame.time_s
+        began_s = self._begun_s
+        return [
+            dataclasses.replace(frame, time_s=float(frame.time_s - began_s[frame.robot]))
+            if began_s[frame.robot]
+            else frame
+            for frame in frames
+        ]
 
     def absorb(self, step: int, contacts: Contacts | None = None) -> None:
         """Exchange what the contacts of this step allow (None: all are in touch), and let the mappers take it in."""
