@@ -91,6 +91,8 @@ def _explore(options: argparse.Namespace) -> int:
     if options.json != TERMINAL:
         print(f"{options.agent} on {config.map}, seed {options.seed}, {config.robots} robots\n")
         print(table_of(run.report))
+        if run.report["merged_robots"] < run.report["robots"] and run.report["lacked"]:
+            print("\nwhy not all share one map:", *run.report["lacked"], sep="\n  ")
         print(f"\nwritten to {folder}")
     if run.was_interrupted:
         print(f"interrupted after {run.report['steps']} steps; the figures are of those", file=sys.stderr)

@@ -17,6 +17,8 @@ from twc_env.video import film_frame, write_film
 Array = NDArray
 
 ROBOT_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#785e3c", "#6e6edc")
+LINES_CLEAR = 100
+"""More closures of a kind than this are drawn under the paths, the fainter the more there are."""
 FRAME_COUNT_MAX = 160
 GIF_WIDTH_PX = 640
 
@@ -166,8 +168,10 @@ def _draw_closures(axes, result: EpisodeResult) -> None:
         lines[name].append((closure["target_m"], closure["source_m"]))
     for name, (colour, width, order) in styles.items():
         if lines[name]:
-            label = f"{name} ({len(lines[name])})"
-            axes.add_collection(LineCollection(lines[name], colors=colour, linewidths=width, zorder=order, label=label))
+            faint = {"alpha": max(0.1, LINES_CLEAR / len(lines[name])), "zorder": 1.9}
+            style = faint if len(lines[name]) > LINES_CLEAR and "wrong" not in name else {"zorder": order}
+            axes.add_collection(LineCollection(lines[name], colors=colour, linewidths=width, **style))
+            axes.plot([], [], color=colour, lw=width, label=f"{name} ({len(lines[name])})")
 
 
 def _unique_legend(axes) -> tuple[list, list[str]]:

@@ -19,6 +19,10 @@ def test_importing_twc_env_loads_nothing_heavy():
     assert loaded.strip() == "[]"
 
 
+def test_what_the_package_offers_can_be_found_before_anything_is_loaded():
+    assert "ExplorationEnv" in run("import twc_env; print(dir(twc_env))")
+
+
 def test_an_environment_needs_no_slow_part_of_scipy_to_start():
     parts = tuple(f"scipy.{name}" for name in ("linalg", "ndimage", "sparse", "spatial", "special", "stats"))
     code = f"import sys, twc_env.exploration.environment; print([name for name in {parts!r} if name in sys.modules])"

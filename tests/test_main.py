@@ -8,8 +8,12 @@ import pytest
 
 import twc_env
 from agents.__main__ import main as agents
+from twc_env import metrics
 from twc_env.__main__ import main
+from twc_env.bench import wander as drive
 from twc_env.datasets.frame_log import read_truth_log, write_frame_log
+from twc_env.datasets.tum import read_tum
+from twc_env.geometry import compose
 from twc_env.maps import bundled_folder
 
 
@@ -140,11 +144,13 @@ def test_maps_of_a_replay_are_named_as_those_of_the_episode_the_largest_group_fi
     assert all((run / name).read_bytes() == (again / name).read_bytes() for name in names)
 
 
-def test_a_robot_that_was_never_heard_of_has_no_map(tmp_path):
+def test_a_robot_that_was_never_heard_of_has_neither_map_nor_path(tmp_path):
     never = ["--set", "failure.robots=1", "--set", "failure.robots_step=0"]
     assert main(["record", "--robots", "2", "--steps", "3", *never, "--out", str(tmp_path)]) == 0
     assert main(["replay", str(tmp_path), "--out", str(tmp_path / "maps")]) == 0
-    assert {path.name for path in (tmp_path / "maps").iterdir()} == {"map.pgm", "map.yaml", "pose_graph.g2o"}
+    paths = {f"robot_0_{kind}.tum" for kind in ("estimated", "odometry")}
+    written = {path.name for path in (tmp_path / "maps").rglob("*.*")}
+    assert written == {"map.pgm", "map.yaml", "pose_graph.g2o"} | paths
 
 
 def test_truth_of_another_run_is_refused(tmp_path, capsys):
@@ -237,3 +243,33 @@ def test_an_interrupted_table_says_that_it_can_go_on(monkeypatch, tmp_path, caps
     monkeypatch.setattr("twc_env.reproduce.matching.rows", interrupt)
     assert main(["reproduce", "matching", "--cache", str(tmp_path)]) == 130
     assert capsys.readouterr().err == "finished parts are kept: the same command goes on from there\ninterrupted\n"
+
+
+def test_a_log_of_ones_own_laser_is_mapped_and_written_as_others_read_it(tmp_path, capsys):
+    settings = {"lidar.beam_count": 360, "lidar.range_max_m": 20.0, "odometry.platform": "skid-steer", "robots": 1}
+    env = twc_env.parallel_env(map="twin-01", max_cycles=800, config={**settings, "slam.mode": "off"})
+    env.reset(seed=1)
+    lines, true, odometry = [], [], np.zeros(3)
+    for actions in drive(env, 1):
+        env.step(actions)
+        frame = env.frames[0]
+        odometry = compose(odometry, frame.odometry)
+        if frame.step % 5 == 0:
+            half_circle = np.roll(frame.ranges_m, 90)[:180]
+            numbers = [*half_circle, *odometry, *odometry, 1e9 + frame.time_s]
+            lines.append(f"FLASER 180 {' '.join(map(str, numbers))} robot 0.0")
+            true.append(env.state()[:3])
+    (tmp_path / "mine.log").write_text("\n".join(lines))
+    assert main(["replay", str(tmp_path / "mine.log"), "--out", str(tmp_path / "out")]) == 0
+    assert "groups" in capsys.readouterr().out
+    written = {path.name for path in (tmp_path / "out").rglob("*.*")}
+    assert {"map.pgm", "map.yaml", "pose_graph.g2o", "robot_0_estimated.tum", "robot_0_odometry.tum"} <= written
+    (tmp_path / "other.log").write_text("ODOM 0 0 0")
+    assert main(["replay", str(tmp_path / "other.log")]) == 2
+    assert "is no CARMEN log" in capsys.readouterr().err
+    off_m = {}
+    for kind in ("estimated", "odometry"):
+        times_s, poses = read_tum(tmp_path / "out" / "trajectories" / f"robot_0_{kind}.tum")
+        assert len(times_s) == len(lines)
+        off_m[kind] = metrics.absolute_trajectory_error_m(poses[:, :2], np.array(true)[:, :2])
+    assert off_m["estimated"] < 0.1 < 3 * 0.1 < off_m["odometry"]

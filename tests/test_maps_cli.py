@@ -137,8 +137,12 @@ def test_check_tells_sound_maps_from_others(tmp_path, capsys):
     findings = json.loads((tmp_path / "a.json").read_text())
     assert findings["faults"] == [] and findings["floor_m2"]["twin-01"] == pytest.approx(236.9, abs=0.5)
     (tmp_path / "broken.json").write_text("{")
+    capsys.readouterr()
     assert run("check", "twin-01", tmp_path / "broken.json") == 2
-    assert "FAULT" in capsys.readouterr().out
+    head, sound, fault = capsys.readouterr().out.splitlines()
+    assert fault.startswith("FAULT") and sound.startswith("sound")
+    assert head.index("floor") < sound.index("m2") and head.split()[-2:] == ["access", "points"]
+    assert len(head) == len(sound)
 
 
 def test_check_fuzzes_map_files(tmp_path, capsys):

@@ -154,6 +154,23 @@ def test_a_team_is_filmed_one_file_for_each_episode(tmp_path):
         assert film.info["duration"] == 200  # two time steps of a tenth of a second
 
 
+def test_actions_that_last_are_filmed_time_step_by_time_step(tmp_path):
+    image = pytest.importorskip("PIL.Image", reason="needs the extra 'viz'")
+    from twc_env.video import RecordEpisodes
+
+    settings = {**SMALL, "action.kind": "waypoint"}
+    team = twc_env.parallel_env(robots=2, max_cycles=30, config=settings, render_mode="rgb_array")
+    env = RecordEpisodes(team, tmp_path, every=3)
+    env.reset(seed=0)
+    decisions = 0
+    while env.agents:
+        env.step({agent: np.array([0.9, 0.5], np.float32) for agent in env.agents})
+        decisions += 1
+    assert decisions < 10
+    with image.open(tmp_path / "episode-0.gif") as film:
+        assert film.n_frames == 11
+
+
 def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeypatch):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
     from twc_env import video

@@ -69,6 +69,10 @@ _HOME = {
 }
 
 
+def __dir__() -> list[str]:
+    return __all__
+
+
 def __getattr__(name: str) -> Any:
     if name in _HOME:
         return getattr(import_module(f"twc_env.{_HOME[name]}"), name)
@@ -76,7 +80,11 @@ def __getattr__(name: str) -> Any:
 
 
 def parallel_env(*args: Any, **kwargs: Any) -> ExplorationEnv:
-    """The environment under PettingZoo's parallel API; arguments as of `ExplorationEnv`."""
+    """The environment under PettingZoo's parallel API; `help(twc_env.ExplorationEnv)` describes it.
+
+    Arguments: map, robots, max_cycles, config (an EnvConfig or a dict such as {"action.kind": "frontier"}),
+    render_mode, floorplan, task, render_signal. `python -m twc_env settings` prints all that config may hold.
+    """
     from twc_env.exploration.environment import ExplorationEnv
 
     return ExplorationEnv(*args, **kwargs)
@@ -90,7 +98,7 @@ def raw_env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:
 
 
 def env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:
-    """The environment under PettingZoo's AEC API; arguments as of `ExplorationEnv`."""
+    """The environment under PettingZoo's AEC API; arguments as of `parallel_env`."""
     from pettingzoo.utils import OrderEnforcingWrapper
 
     return OrderEnforcingWrapper(raw_env(*args, **kwargs))

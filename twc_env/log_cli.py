@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +15,8 @@ from twc_env.command_line import Paragraphs, alone_in, assignments, count, make_
 from twc_env.json_values import check_folder, write_json
 
 if TYPE_CHECKING:
+    from twc_env.config import EnvConfig
+    from twc_env.messages import Contacts, SensorFrame
     from twc_env.slam.engine import CooperativeSlam
     from twc_env.slam.team import TeamMapper
 
@@ -40,16 +44,20 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
     replay = commands.add_parser(
         "replay",
         help="run the SLAM engine on recorded sensor frames, or make a page or Rerun recording of a run",
-        description="The engine sees the frames of a log (frames.npz of a run folder) and nothing else. "
+        description="The engine sees the frames of a log (frames.npz of a run folder, or a log of one robot's laser: "
+        "FLASER lines of CARMEN, or JSON of the Freiburg benchmark) and nothing else. "
         "Prints what it found; the same log gives the same numbers every time. With --html, nothing is run: the run "
         "folder's trace.npz and report.json become one page with a time slider, to be opened in any browser; with "
         "--rerun a recording for the Rerun viewer (`rerun RUN/replay.rrd`).",
         epilog="examples:\n  python -m twc_env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
         "  python -m twc_env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
+        "  python -m twc_env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel\n"
         "  python -m twc_env replay runs/demo --html",
         formatter_class=Paragraphs,
     )
-    replay.add_argument("log", type=Path, help="a run folder, or a frame log (frames.npz)")
+    replay.add_argument(
+        "log", type=Path, help="a run folder, a frame log (frames.npz), or a laser log (.log, .json; .gz too)"
+    )
     replay.add_argument(
         "--html", type=Path, nargs="?", const=Path(), metavar="FILE", help="write the page (default: RUN/replay.html)"
     )
@@ -68,7 +76,9 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         help="odometry filter: the compiled kernel, or filterpy's EKF, its oracle (default: the log's)",
     )
     replay.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
-    replay.add_argument("--out", type=Path, metavar="DIR", help="write merged maps (map_server) and pose_graph.g2o")
+    replay.add_argument(
+        "--out", type=Path, metavar="DIR", help="write map.pgm + .yaml (map_server), pose_graph.g2o, trajectories/*.tum"
+    )
     replay.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     replay.set_defaults(run=_replay)
 
@@ -117,14 +127,14 @@ def _replay(options: argparse.Namespace) -> None:
 
 def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     from twc_env.config import digest, override
-    from twc_env.datasets.frame_log import read_contacts, read_frame_log, read_truth_log
+    from twc_env.datasets.frame_log import read_truth_log
     from twc_env.slam.engine import CooperativeSlam
 
     check_folder(options.out)
-    config, steps = read_frame_log(log)
+    config, steps, contacts = _read_log(log)
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
     config = override(config, {**assignments(options.set), **chosen})
-    contacts, odom_poses = read_contacts(log), []
+    odom_poses: list[np.ndarray] = []
     if config.slam.oracle != "none":
         print(f"slam.oracle = {config.slam.oracle!r}: what it tells is in no log, so nothing is told", file=sys.stderr)
     seen = 1 + max(frame.robot for frames in steps for frame in frames)
@@ -137,7 +147,7 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
         engine.absorb(step, contacts[k] if contacts else None)
         odom_poses.append(engine.poses_odom)
         _progress(k + 1, len(steps))
-    if step >= config.max_cycles:  # the episode was played to its end, where the mapper clears its desk
+    if step >= config.max_cycles or log.suffix != ".npz":  # played to its end, where the mapper clears its desk
         engine.finish()
     team = engine.team
     figures = {
@@ -158,6 +168,18 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     write_json(options.json, figures)
     if options.out:
         _write_maps(options.out, team)
+        _write_paths(options.out, engine, steps, np.array(odom_poses))
+
+
+def _read_log(log: Path) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], list[Contacts]]:
+    """Settings, frames step by step, and who heard whom, of a frame log or a log of laser scans."""
+    from twc_env.config import from_dict
+    from twc_env.datasets import frame_log, scan_log
+
+    if log.suffix == ".npz":
+        return *frame_log.read_frame_log(log), frame_log.read_contacts(log)
+    frames = scan_log.sensor_frames(scan_log.read_any_log(log), scan_log.BEAMS, scan_log.RANGE_MAX_M)
+    return from_dict(scan_log.SETTINGS | {"robots": 1, "max_cycles": len(frames)}), [[f] for f in frames], []
 
 
 def _error_of_log(engine: CooperativeSlam, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:
@@ -178,3 +200,30 @@ def _write_maps(folder: Path, team: TeamMapper) -> None:
     largest_first = sorted(range(len(team.groups)), key=lambda group: -len(team.groups[group].robots))
     write_ros_maps(map(team.grid_of, largest_first), folder)
     write_g2o(folder / "pose_graph.g2o", team.graph())
+
+
+def _write_paths(
+    folder: Path, engine: CooperativeSlam, steps: Sequence[Sequence[SensorFrame]], odom_poses: np.ndarray
+) -> None:
+    """Where robots were at the times of their frames: in the map that each sees, and by odometry from its start."""
+    from twc_env.datasets.tum import write_tum
+    from twc_env.exploration.team_alignment import TeamPaths
+    from twc_env.geometry import compose
+
+    rows, last = [], -1  # of odom_poses, for each step; one that the log leaves out has that of the step before
+    for row, frames in enumerate(steps):
+        step = frames[0].step if frames else last + 1
+        rows += [row - 1] * (step - last - 1) + [row]
+        last = step
+    estimated = TeamPaths(engine, odom_poses[np.maximum(rows, 0)]).as_seen()
+    make_folder(folder / "trajectories")
+    for robot in sorted({frame.robot for frames in steps for frame in frames}):
+        own = [frame for frames in steps for frame in frames if frame.robot == robot]
+        odometry = accumulate((frame.odometry for frame in own), compose, initial=np.zeros(3))
+        paths = {
+            "estimated": estimated[[frame.step for frame in own], robot],
+            "odometry": np.array(list(odometry))[1:],
+        }
+        for kind, poses in paths.items():
+            path = folder / "trajectories" / f"robot_{robot}_{kind}.tum"
+            write_tum(path, np.array([frame.time_s for frame in own]), poses)

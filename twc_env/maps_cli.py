@@ -148,7 +148,7 @@ def _seed(parser: argparse.ArgumentParser) -> None:
 
 
 def _list(options: argparse.Namespace) -> None:
-    print(f"{'map':<20} {'size':>16} {'floor':>10} {'walls':>6} {'rooms':>6} {'signs':>6} {'access points':>14}")
+    print(_HEAD)
     for name in options.maps or map_names():
         print(_row(load_map(name)))
     if not options.maps:
@@ -157,6 +157,9 @@ def _list(options: argparse.Namespace) -> None:
 
         splits = ", ".join(f"{split}/0000 ({count})" for split, count in SPLITS.items())
         print(f"and generated ones: gen:KIND:AREA:SEED with KIND {', '.join(KINDS)}; splits {splits}")
+
+
+_HEAD = f"{'map':<20} {'size':>16} {'floor':>10} {'walls':>6} {'rooms':>6} {'signs':>6} {'access points':>14}"
 
 
 def _row(plan: Floorplan) -> str:
@@ -174,8 +177,7 @@ def _show(options: argparse.Namespace) -> None:
     path = options.out or Path(f"{_file_stem(plan.name)}.png")
     check_writable(path)
     path = draw_plan(plan, path, with_signal=not options.no_signal)
-    print(_row(plan))
-    print(f"drawn: {path}")
+    print(f"{_HEAD}\n{_row(plan)}\ndrawn: {path}")
 
 
 def _generate(options: argparse.Namespace) -> None:
@@ -227,8 +229,7 @@ def _write(plan: Floorplan, path: Path) -> None:
     if path.suffix != ".json":
         raise MapError(f"--out must end in .json; got {path.name}; use `maps export` for other formats")
     export_map(plan, path)
-    print(_row(plan))
-    print(f"written: {path}")
+    print(f"{_HEAD}\n{_row(plan)}\nwritten: {path}")
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -249,7 +250,8 @@ def _check(options: argparse.Namespace) -> None:
 def _check_maps(names: Iterable[str], seed: int, findings: dict[str, object]) -> list[str]:
     from twc_env.world.generate import check_reachable
 
-    faults, areas = [], {}
+    faults: list[str] = []
+    areas: dict[str, float] = {}
     for name in names:
         try:
             plan = check_reachable(load_map(name, seed))
@@ -257,6 +259,8 @@ def _check_maps(names: Iterable[str], seed: int, findings: dict[str, object]) ->
             faults.append(str(error))
             print(f"FAULT  {error}")
             continue
+        if not areas:
+            print(f"{'':5}  {_HEAD}")
         areas[name] = round(plan.floor_area_m2, 2)
         print(f"sound  {_row(plan)}")
     findings["floor_m2"] = areas

@@ -28,6 +28,7 @@ class TeamVecEnv(VecEnv):
     """Row k * robots + r is robot r of environment k; arguments as of `VectorTeams`.
 
     Episodes end by their time limit only: `info["TimeLimit.truncated"]` is True, and `terminal_observation` is there.
+    `info["episode"]` has return and length, as of VecMonitor, which is not needed.
     """
 
     def __init__(

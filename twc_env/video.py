@@ -33,7 +33,7 @@ class RecordEpisodes(BaseParallelWrapper):
     """Writes `episode-0.gif`, `episode-1.gif`, ... into a folder, each when its episode ends.
 
     Under each picture stand the time, how many robots share a map and how much of the floor is mapped rightly.
-    Every `every`-th step is filmed and shown for as long as these steps last, where every step is one time step. An
+    Every `every`-th time step is filmed, also within actions that last, and shown for as long as these steps last. An
     episode that is left before its first step leaves no film; one that is left in the middle a shorter one.
     """
 
@@ -48,22 +48,19 @@ class RecordEpisodes(BaseParallelWrapper):
         check_folder(Path(folder))
         self._team, self._folder, self._every = env, Path(folder), whole_number("every", every, 1)
         self._frames: list[Any] = []
-        self._steps = self._episodes = 0
+        self._episodes = 0
+        env.watch(self._look)
 
     def reset(self, seed: int | None = None, options: dict | None = None):
         """Begin an episode, and its film."""
         self._write()
         result = super().reset(seed=seed, options=options)
-        self._steps = 0
         self._shoot()
         return result
 
     def step(self, actions: Mapping[str, Any]):
         """One step; the last of an episode writes the film."""
         result = super().step(dict(actions))
-        self._steps += 1
-        if self._steps % self._every == 0 or not self.agents:
-            self._shoot()
         if not self.agents:
             self._write()
         return result
@@ -72,6 +69,11 @@ class RecordEpisodes(BaseParallelWrapper):
         """Write what was filmed of an episode that has not ended."""
         self._write()
         super().close()
+
+    def _look(self) -> None:
+        episode = self._team.episode
+        if episode.steps % self._every == 0 or episode.is_over:
+            self._shoot()
 
     def _shoot(self) -> None:
         picture = self._team.render()

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -91,6 +92,29 @@ def test_the_legend_of_the_picture_names_every_mark_once(tmp_path, monkeypatch):
     assert main(arguments) == 0
     assert len(set(named)) == len(named)
     assert {"true walls", "access points", "signs", "start", "end", "robot 1, true", "robot 1, estimated"} <= set(named)
+
+
+def test_a_team_in_several_maps_says_why(tmp_path, capsys):
+    arguments = f"explore --map sfw-e4 --robots 2 --steps 60 --no-pictures --out {tmp_path}".split()
+    assert main([*arguments, "--set", "building.sign_share=0", "--set", "radio.wifi=false"]) == 0
+    assert "why not all share one map:\n  " in capsys.readouterr().out
+    assert main([*arguments, "--set", "slam.oracle=starts"]) == 0
+    assert "why not" not in capsys.readouterr().out
+
+
+def test_many_closures_that_were_refused_leave_the_paths_to_be_seen(tmp_path, monkeypatch):
+    axes_module = pytest.importorskip("matplotlib.axes", reason="pictures need the viz extra")
+    from agents import picture
+
+    refused = {"status": "rejected", "target_m": (1.0, 1.0), "source_m": (2.0, 1.0)}
+    drawn = []
+    monkeypatch.setattr(axes_module.Axes, "add_collection", lambda _, lines: drawn.append(lines))
+    figure = pytest.importorskip("matplotlib.figure").Figure()
+    for count in (3, 1000):
+        picture._draw_closures(figure.add_subplot(), SimpleNamespace(closures=[refused] * count))
+    few, many = drawn
+    assert few.get_alpha() is None and many.get_alpha() == 0.1
+    assert many.get_zorder() < 2 < few.get_zorder()
 
 
 def test_the_same_seed_gives_the_same_figures():

@@ -30,6 +30,32 @@ TIME_BETWEEN_MIN_S = 1e-3
 TIME_TOLERANCE_S = 0.02
 """A relation belongs to a scan that was taken this close to its time."""
 
+BEAMS, RANGE_MAX_M = 360, 20.0
+SETTINGS: dict = {
+    "lidar": {"beam_count": BEAMS, "range_max_m": RANGE_MAX_M},
+    "slam": {
+        # One scan every half metre: odometry's errors of a step are large, and its turn stands for the gyro's.
+        "odometry_filter": {
+            "position_std_per_m": 0.1,
+            "position_std_m": 0.02,
+            "turn_std_rad": 0.1,
+            "odometry_turn_std_rad": 0.02,
+            "gyro_bias_std_rad_s": 1e-4,
+            "gyro_bias_walk_rad_s": 0.0,
+        },
+        "local_map": {"size_m": 60.0, "memory_m": 40.0, "match_iterations_max": 30},
+        # Every scan is a keyframe; there are no mates in the scans.
+        "keyframe": {"distance_m": 0.05, "turn_rad": 0.05, "mask_mates": False},
+        "place_recognition": {"recogniser": "lidar", "proximity_m": 4.0, "scan_similarity_min": 0.6},
+        # Drift over long loops: a wider search. Steps are far apart in time, so all that waits is verified at once.
+        "verification": {"window_m": 1.5, "window_rad": 0.3, "backlog_per_step": 20},
+        "pose_graph": {"period_steps": 5},
+        # No signs and no radio to ask: more closures must agree, from wherever they are.
+        "merging": {"wifi_check": False, "spread_min_m": 0.0, "closures_min": 5},
+    },
+}
+"""Of the engine, for logs of laser and odometry alone with a scan every half metre."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanLog:
@@ -71,6 +97,11 @@ def read_scan_log(path: str | Path) -> ScanLog:
         raise DataError(
             f"{path} is no scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
         ) from error
+
+
+def read_any_log(path: str | Path) -> ScanLog:
+    """Read a log of either kind, JSON by its name. Raises DataError as those do."""
+    return read_scan_log(path) if ".json" in Path(path).suffixes else read_carmen_log(path)
 
 
 def read_carmen_log(path: str | Path) -> ScanLog:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from types import NoneType
 from typing import TYPE_CHECKING, Any
@@ -104,7 +104,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     shows every time step, at `metadata["render_fps"]`; who shuts it ends the pictures, not the episode.
     `reset(options=...)` holds for one episode: `{"starts": "map"}` uses the map's own starts instead of drawing them by
     seed, `{"map": NAME}` plays in another building, `{"split": "train"}` (or validation, test) in one of that split,
-    drawn by the seed.
+    drawn by the seed; `floorplan.name` tells which.
 
     `belief(agent)` gives a planner what the robot knows; `result()` judges the episode so far against the truth;
     `snapshot()` and `restore()` save and bring back a moment, exactly.
@@ -143,6 +143,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self.render_mode = render_mode
         self._viewer = _make_viewer(render_mode, self.metadata["render_fps"], render_signal)
         self._watch = None if self._viewer is None else self._viewer.follow
+        self._spectators: list[Callable[[], None]] = []
         self._own_floorplan = floorplan if floorplan is not None else load_map(self.config.map)
         self._plan: Floorplan | None = None
         self._move_into(None)
@@ -289,6 +290,17 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def render(self) -> Array | None:
         """(height, width, 3) uint8 picture of truth and belief; None without a render_mode, or if a window shows it."""
         return None if self._viewer is None else self._viewer.draw(self.episode)
+
+    def watch(self, spectator: Callable[[], None]) -> None:
+        """Call it after every time step from now on, also within actions that last: for films of one's own."""
+        self._spectators.append(spectator)
+        self._watch = self._tell
+
+    def _tell(self, episode: Episode) -> None:
+        if self._viewer is not None:
+            self._viewer.follow(episode)
+        for spectator in self._spectators:
+            spectator()
 
     def snapshot(self) -> Snapshot:
         """This moment of the episode: world, engine, pose graph and random streams. Raises TwcError before `reset`."""

@@ -25,7 +25,16 @@ from numpy.typing import NDArray
 
 from twc_env.command_line import count
 from twc_env.config import EnvConfig, from_dict
-from twc_env.datasets.scan_log import Relations, ScanLog, read_relations, read_scan_log, sensor_frames
+from twc_env.datasets.scan_log import (
+    BEAMS,
+    RANGE_MAX_M,
+    SETTINGS,
+    Relations,
+    ScanLog,
+    read_relations,
+    read_scan_log,
+    sensor_frames,
+)
 from twc_env.geometry import between, compose, wrap_angle
 from twc_env.messages import SensorFrame
 from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
@@ -38,32 +47,8 @@ Array = NDArray
 SUMMARY = "the Intel Lab log from raw odometry to a map, as one robot and cut into three that merge by geometry"
 CHOOSES = ("robots", "seeds")
 
-BEAMS, RANGE_MAX_M = 360, 20.0
 SAME_SCAN_S = 1e-6
 """Stamps are written to the microsecond: what is farther apart is another scan."""
-SETTINGS: dict = {
-    "lidar": {"beam_count": BEAMS, "range_max_m": RANGE_MAX_M},
-    "slam": {
-        # One scan every half metre: odometry's errors of a step are large, and its turn stands for the gyro's.
-        "odometry_filter": {
-            "position_std_per_m": 0.1,
-            "position_std_m": 0.02,
-            "turn_std_rad": 0.1,
-            "odometry_turn_std_rad": 0.02,
-            "gyro_bias_std_rad_s": 1e-4,
-            "gyro_bias_walk_rad_s": 0.0,
-        },
-        "local_map": {"size_m": 60.0, "memory_m": 40.0, "match_iterations_max": 30},
-        # Every scan is a keyframe; there are no mates in the scans.
-        "keyframe": {"distance_m": 0.05, "turn_rad": 0.05, "mask_mates": False},
-        "place_recognition": {"recogniser": "lidar", "proximity_m": 4.0, "scan_similarity_min": 0.6},
-        # Drift over long loops: a wider search. Steps are far apart in time, so all that waits is verified at once.
-        "verification": {"window_m": 1.5, "window_rad": 0.3, "backlog_per_step": 20},
-        "pose_graph": {"period_steps": 5},
-        # No signs and no radio to ask: more closures must agree, from wherever they are.
-        "merging": {"wifi_check": False, "spread_min_m": 0.0, "closures_min": 5},
-    },
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
