@@ -93,6 +93,11 @@ def test_a_direct_constructor_checks_its_range_too():
         LidarConfig(beam_count=0)
 
 
+def test_a_table_is_no_section_for_a_direct_constructor():
+    with pytest.raises(ConfigError, match=r"lidar must be a LidarConfig; got .*from_dict"):
+        EnvConfig(lidar={"beam_count": 90})
+
+
 def test_override_reads_text_as_the_type_of_the_field():
     config = override(
         EnvConfig(),

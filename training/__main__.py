@@ -74,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
         help="compare a trained model with random and scripted teams on held-out buildings",
         description="Play one episode per held-out building with the trained team, random choices, the nearest "
         "frontier and the scripted nearest-frontier team; print means with 95 % intervals.",
-        epilog="example:\n  python -m training evaluate --model runs/ppo/model.zip --json runs/ppo/held-out.json",
+        epilog="example:\n  python -m training evaluate --model runs/ppo/model.zip --seeds 0-4 --films runs/ppo/films",
         formatter_class=Paragraphs,
     )
     evaluate.add_argument(
@@ -86,6 +86,9 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--json", type=Path, metavar="FILE", help="write every episode and the means")
     evaluate.add_argument(
         "--seeds", default="0-19", help="held-out buildings, as in 0-4 or 1,5,7 (default %(default)s)"
+    )
+    evaluate.add_argument(
+        "--films", type=Path, metavar="FOLDER", help="write a GIF of the trained team in each building"
     )
     evaluate.set_defaults(run=_evaluate, when_interrupted="interrupted")
     return parser
@@ -117,7 +120,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     from training.evaluate import evaluate
 
     check_writable(options.json)
-    found = evaluate(options.model, parse_seeds(options.seeds))
+    found = evaluate(options.model, parse_seeds(options.seeds), films=options.films)
     print(found.table)
     write_json(options.json, found.as_json())
     return 0

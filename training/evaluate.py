@@ -19,6 +19,7 @@ from training.progress import progress_bar
 from training.run_folder import Task, read_settings, task_of
 from training.team_notes import TeamNotes
 from twc_env.config import override
+from twc_env.video import RecordEpisodes
 
 Choose = Callable[[dict, int], dict]
 """Observations and time steps gone by -> actions."""
@@ -87,10 +88,12 @@ def _interval(values: Sequence[float]) -> str:
     return f"{np.mean(values):+.3f} +- {_half_width(values):.3f}"
 
 
-def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True) -> Evaluation:
-    """One episode per seed and policy, each seed in its own held-out building.
+def evaluate(
+    model_path: Path, seeds: Sequence[int], show_progress: bool = True, films: Path | None = None
+) -> Evaluation:
+    """One episode per seed and policy, each seed in its own held-out building; films of the trained team on demand.
 
-    Raises DataError when the model or the settings of its run cannot be read.
+    Raises DataError when the model or the settings of its run cannot be read, or films cannot be written.
     """
     torch.set_num_threads(1)
     task = task_of(read_settings(model_path.parent))
@@ -99,10 +102,13 @@ def evaluate(model_path: Path, seeds: Sequence[int], show_progress: bool = True)
         model_path, ChoicePolicy, TeamNotes.space(env.observation_space("robot_0")), env.action_space("robot_0")
     )
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
+    filmed = None
+    if films is not None:
+        filmed = RecordEpisodes(_team(task, "rgb_array"), films)
     for seed in progress_bar(seeds, unit="building", disable=not show_progress):
         choosers = {"trained": _trained(model, task, seed), "random": _random(seed), "nearest": _nearest}
         for name, choose in choosers.items():
-            episodes[name].append(_choosing(task, seed, choose))
+            episodes[name].append(_choosing(task, seed, choose, filmed if name == "trained" else None))
         episodes["nearest-frontier"].append(_scripted(task, seed))
     return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()})
 
@@ -135,8 +141,12 @@ def _nearest(seen: dict, _: int) -> dict:
     return {agent: int(np.argmax(o["action_mask"])) for agent, o in seen.items()}
 
 
-def _choosing(task: Task, seed: int, choose: Choose) -> Episode:
-    env = twc_env.parallel_env(config=override(task.config, _JUDGED))
+def _team(task: Task, render_mode: str | None = None) -> twc_env.ExplorationEnv:
+    return twc_env.parallel_env(config=override(task.config, _JUDGED), render_mode=render_mode)
+
+
+def _choosing(task: Task, seed: int, choose: Choose, filmed: RecordEpisodes | None = None) -> Episode:
+    env = filmed or _team(task)
     observations, _ = env.reset(seed, {"map": task.held_out_maps(seed + 1)[-1]})
     reached, total, elapsed = 0.0, 0.0, 0
     while env.agents:

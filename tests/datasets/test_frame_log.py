@@ -30,6 +30,12 @@ def recorded(wander):
     return env, steps
 
 
+def test_frames_that_are_not_told_apart_by_step_are_refused(recorded, tmp_path):
+    env, steps = recorded
+    with pytest.raises(DataError, match="of one robot"):
+        write_frame_log(tmp_path / "frames.npz", env.config, [frames[0] for frames in steps])
+
+
 def test_a_log_gives_back_every_frame_to_the_bit(recorded, tmp_path):
     env, steps = recorded
     write_frame_log(tmp_path / "frames.npz", env.config, steps)

@@ -104,6 +104,16 @@ def test_a_trained_model_is_evaluated_against_random_actions(run, tmp_path, caps
 
 
 @needs_torch
+def test_a_trained_team_is_filmed_and_plays_as_it_does_unseen(run, tmp_path):
+    pytest.importorskip("PIL", reason="needs the extra 'viz'")
+    from training.evaluate import evaluate
+
+    plain, filmed = (evaluate(run / "model.zip", [0, 1], False, films) for films in (None, tmp_path / "films"))
+    assert sorted(path.name for path in (tmp_path / "films").iterdir()) == ["episode-0.gif", "episode-1.gif"]
+    assert filmed.episodes == plain.episodes
+
+
+@needs_torch
 def test_what_a_team_covers_does_not_depend_on_how_it_is_paid():
     from training.evaluate import _choosing, _nearest, _scripted
 

@@ -49,6 +49,10 @@ class Checked:
             value = plain_value(given := getattr(self, f.name))
             if value is not given:
                 object.__setattr__(self, f.name, value)
+            section = type(f.default) if dataclasses.is_dataclass(f.default) else f.default_factory
+            if isinstance(section, type) and issubclass(section, Checked) and not isinstance(value, section):
+                remedy = "`twc_env.config.from_dict` makes a config of tables"
+                raise ConfigError(f"{self._name(f)} must be a {section.__name__}; got {value!r}: {remedy}")
             if (choices := f.metadata.get("choices")) and value not in choices:
                 near = difflib.get_close_matches(str(value), choices, n=1)
                 hint = f"; did you mean {near[0]!r}?" if near else ""

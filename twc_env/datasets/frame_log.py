@@ -33,6 +33,8 @@ def write_frame_log(
 
     `contacts`, one per step, say who heard whom; a log without them is replayed with all robots in touch.
     """
+    if any(isinstance(step, SensorFrame) for step in steps):
+        raise DataError("steps must be sequences of frames, one frame per robot: of one robot [[frame], [frame], ...]")
     frames = [frame for step in steps for frame in step]
     if not frames:
         raise DataError(f"no frames to write to {path}: record at least one step in which a robot works")
