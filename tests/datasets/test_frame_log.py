@@ -12,6 +12,7 @@ from twc_env.datasets.frame_log import (
     read_contacts,
     read_frame_log,
     read_truth_log,
+    wifi_readings,
     write_frame_log,
     write_truth_log,
 )
@@ -229,3 +230,15 @@ def test_every_array_of_a_log_is_described(tmp_path):
     for name in ("frames.npz", "truth.npz"):
         with np.load(tmp_path / name) as log:
             assert set(log.files) <= described, name
+
+
+def test_wifi_scans_are_a_table_of_frames_and_addresses(recorded):
+    _, steps = recorded
+    at, macs, rssi_dbm = wifi_readings(steps, robot=1)
+    own = [frames[1] for frames in steps]
+    assert at.tolist() == [k for k, frame in enumerate(own) if frame.wifi is not None]
+    assert np.all(np.diff(macs) > 0) and rssi_dbm.shape == (len(at), len(macs))
+    for k, row in zip(at, rssi_dbm, strict=True):
+        assert np.array_equal(macs[np.isfinite(row)], own[k].wifi.macs)
+        assert np.array_equal(row[np.isfinite(row)], own[k].wifi.rssi_dbm)
+    assert [len(part) for part in wifi_readings(steps, robot=7)] == [0, 0, 0]

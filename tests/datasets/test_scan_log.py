@@ -4,7 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twc_env.datasets.scan_log import ScanLog, onto_circle, read_carmen_log, read_scan_log, sensor_frames
+from twc_env.datasets.scan_log import ScanLog, onto_circle, read_any_log, read_carmen_log, read_scan_log, sensor_frames
+from twc_env.errors import DataError
 from twc_env.geometry import compose
 from twc_env.messages import UNSEEN_M
 from twc_env.slam.occupancy_grid import OccupancyGrid
@@ -64,3 +65,9 @@ def test_both_forms_of_the_intel_log_hold_the_same_scans():
     assert carmen.ranges_m.shape == log.ranges_m.shape == (910, 180)
     assert carmen.ranges_m[100] == pytest.approx(log.ranges_m[100], abs=0.01)
     assert carmen.beam_angles_rad == pytest.approx(log.beam_angles_rad)
+
+
+@pytest.mark.parametrize("name", ["none.log", "none.json"])
+def test_a_log_that_is_not_there_is_not_said_to_be_of_another_kind(name, tmp_path):
+    with pytest.raises(DataError, match=r"^cannot read"):
+        read_any_log(tmp_path / name)

@@ -169,7 +169,9 @@ def test_starts_that_are_no_starts_are_refused(starts):
         twc_env.parallel_env(robots=2).reset(seed=0, options={"starts": starts})
 
 
-@pytest.mark.parametrize("options", ["x", 5, [], {"split": ["train"]}, {"split": None}, {"map": "a", "split": "train"}])
+@pytest.mark.parametrize(
+    "options", ["x", 5, [], {"split": ["train"]}, {"split": None}, {"map": "a", "split": "train"}, {"maps": "a"}]
+)
 def test_options_that_cannot_be_meant_are_refused(options):
     with pytest.raises(twc_env.TwcError, match=r"options|split"):
         twc_env.parallel_env(robots=2).reset(seed=0, options=options)

@@ -89,6 +89,20 @@ def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame,
     return config, steps
 
 
+def wifi_readings(steps: Sequence[Sequence[SensorFrame]], robot: int = 0) -> tuple[Array, Array, Array]:
+    """One robot's WiFi scans as a table: frame numbers (scans,) among its frames, addresses (m,), dBm (scans, m).
+
+    NaN where an address was not heard, as `k_visibility.map_structure` takes them.
+    """
+    own = [frame for frames in steps for frame in frames if frame.robot == robot]
+    heard = [(k, frame.wifi) for k, frame in enumerate(own) if frame.wifi is not None]
+    macs = np.unique(np.concatenate([wifi.macs for _, wifi in heard])) if heard else np.zeros(0, np.int64)
+    rssi_dbm = np.full((len(heard), len(macs)), np.nan)
+    for row, (_, wifi) in zip(rssi_dbm, heard, strict=True):
+        row[np.searchsorted(macs, wifi.macs)] = wifi.rssi_dbm
+    return np.array([k for k, _ in heard], np.int64), macs, rssi_dbm
+
+
 def read_contacts(path: str | Path) -> list[Contacts]:
     """Who heard whom in each step of a recording; empty where the log does not say. Raises DataError as above."""
     log = _read(path)

@@ -87,8 +87,9 @@ class Relations:
 
 def read_scan_log(path: str | Path) -> ScanLog:
     """Read a log. Raises DataError for files that are missing, cut off, or hold something else."""
+    text = read_text(path)
     try:
-        scans = json.loads(read_text(path))["map"]
+        scans = json.loads(text)["map"]
         times = sorted(scans, key=float)
         ranges_m = np.array([scans[t]["range"] for t in times], float)
         poses = [[scans[t][key] for key in ("x", "y", "theta")] for t in times]
@@ -107,8 +108,9 @@ def read_any_log(path: str | Path) -> ScanLog:
 def read_carmen_log(path: str | Path) -> ScanLog:
     """Read the scans of a CARMEN log in the order of its lines. Raises DataError for anything without such scans."""
     scans, poses, times = [], [], []
+    text = read_text(path)
     try:
-        for line in read_text(path).splitlines():
+        for line in text.splitlines():
             if line.startswith("FLASER "):
                 _, beams, *values = line.split()
                 count = int(beams)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import NoneType
@@ -10,6 +11,8 @@ from typing import Any
 from twc_env.errors import ConfigError
 from twc_env.random_streams import random_stream
 from twc_env.world.splits import split_names
+
+NAMES = ("starts", "map", "split")
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +28,14 @@ class ResetOptions:
     def of(cls, options: Mapping[str, Any] | None, seed: int) -> ResetOptions:
         """Read them; of a split, the seed draws the building.
 
-        Raises ConfigError for what is no dict, and for a building that is named twice.
+        Raises ConfigError for what is no dict, for a misspelt name, and for a building that is named twice.
         """
         if not isinstance(options, (Mapping, NoneType)):
             raise ConfigError(f"reset options must be a dict, such as {{'map': 'twin-02'}}; got {options!r}")
         options = dict(options or {})
+        for unknown in options.keys() - NAMES:
+            if near := difflib.get_close_matches(str(unknown), NAMES, n=1, cutoff=0.8):
+                raise ConfigError(f"reset options have no {unknown!r}; did you mean {near[0]!r}?")
         if "map" in options and "split" in options:
             raise ConfigError("reset options name either a map or a split, not both")
         building = options.get("map")
