@@ -1,7 +1,8 @@
 """Fold scans into log-odds cells: the compiled part of `OccupancyGrid`.
 
-Free space is the visible polygon, filled row by row so that each cell is visited once per scan; the cells that returned
-a beam are then raised. A cell is free below 0, wall above 0, unknown at 0.
+Free space is the visible polygon: a bit for each cell in which an edge of it begins a row or ends one, then the bits of
+all cells between. So nothing is sorted, and each cell is visited once per scan; the cells that returned a beam are then
+raised. A cell is free below 0, wall above 0, unknown at 0.
 """
 
 from __future__ import annotations
@@ -23,9 +24,11 @@ LOG_ODDS_MIN = -60
 LOG_ODDS_MAX = 80
 FREE_MARGIN_CELLS = 0.5
 """Free space ends this far before the measured wall."""
-RUN_CELLS = 32
-"""Cells of a row that are lowered at once."""
-_PLACES = np.arange(RUN_CELLS, dtype=np.int16)
+WORD_CELLS, PART_CELLS = 64, 32
+"""Cells of a row that have their bits in one word, and those of them that are lowered at once."""
+_BITS = np.uint32(1) << np.arange(PART_CELLS, dtype=np.uint32)
+FEW_ROWS = 2
+"""So many rows of an edge are marked whether or not it crosses them."""
 BLOCK_ROWS, BLOCK_COLUMNS = BLOCK_SHAPE
 BLOCK_CELLS = 32
 """What stands in a row is noted anew for so many cells at once: a few too many are quicker than a remainder."""
@@ -67,73 +70,100 @@ def _cut(corners, last_row, edges, rows):
 
 
 @borrowing_kernel
-def _fill_crossings(edges, rows, width, crossings, counts):
-    """Note where the edges cross the centre lines of rows, sorted by column 0..width.
+def _column_of(x, low, high):
+    """The first whole column from x on, cut to low..high; low where there is none."""
+    column = np.ceil(x)
+    column = column if column > low else low
+    return np.int32(column if column < high else high)
 
-    crossings (edges, rows): an edge crosses each row once at most, and most rows are crossed by few.
+
+@borrowing_kernel
+def _mark_crossings(edges, rows, first_column, end_column, marks):
+    """Turn the bit of the column at which an edge crosses the centre line of a row, for each edge and row.
+
+    Bits count columns from the first one on, 64 in each of marks (words, rows); those outside are put on the border.
+    Most edges cross few rows, and how many cannot be foretold: the first ones are marked without a branch.
     """
-    one = np.uint64(1)
+    low, high, one, last_row = float(first_column), float(end_column), np.uint64(1), np.uint64(marks.shape[1] - 1)
     for i in range(edges.shape[1]):
-        x, slope = edges[0, i], edges[1, i]
-        for row in range(np.uint64(rows[0, i]), np.uint64(max(rows[0, i], rows[1, i]))):
-            column = np.int32(min(max(np.ceil(x), 0.0), width))
+        x, slope, first, end = edges[0, i], edges[1, i], np.uint64(rows[0, i]), np.uint64(max(rows[0, i], rows[1, i]))
+        for k in range(np.uint64(FEW_ROWS)):
+            is_crossed, row = np.uint64(first + k < end), min(first + k, last_row)
+            column = np.uint64(_column_of(x, low, high) - first_column)
             x += slope
-            k = np.uint64(counts[row])
-            counts[row] = k + one
-            while k > np.uint64(0) and crossings[k - one, row] > column:
-                crossings[k, row] = crossings[k - one, row]
-                k -= one
-            crossings[k, row] = column
+            marks[column >> np.uint64(6), row] ^= is_crossed << (column & np.uint64(63))
+        for further in range(first + np.uint64(FEW_ROWS), end):
+            column = np.uint64(_column_of(x, low, high) - first_column)
+            x += slope
+            marks[column >> np.uint64(6), further] ^= one << (column & np.uint64(63))
 
 
 @borrowing_kernel
-def _lower(levels, first, last):
-    """Make the cells first..last - 1 of a row freer, whole blocks at once; in 16 bits throughout, twice as fast.
+def _fill_between(marks, words, rows, is_inside):
+    """Where a scan sees through: from each odd mark of a row up to the next one. Nothing stays marked.
 
-    A remainder of a block costs as much as many blocks, and most runs are shorter than two.
+    is_inside: a bit for each column as in marks (words, rows). For many rows at once.
     """
-    end = levels.shape[0] - RUN_CELLS
-    if end < 0:
-        for j in range(first, last):
-            levels[j] = max(np.int16(levels[j] + LOG_ODDS_FREE), np.int16(LOG_ODDS_MIN))
-        return
-    at = first
-    while at < last:
-        start = min(at, end)
-        low, high = np.int16(at - start), np.int16(min(last - start, RUN_CELLS))
-        block = levels[start : start + RUN_CELLS]
-        for j in range(RUN_CELLS):
-            inside = (_PLACES[j] >= low) & (_PLACES[j] < high)
-            block[j] = max(np.int16(block[j] + np.int16(LOG_ODDS_FREE * inside)), np.int16(LOG_ODDS_MIN))
-        at = start + RUN_CELLS
+    for k in range(words):
+        mark, inside = marks[k, :rows], is_inside[k, :rows]
+        if k == 0:
+            for row in range(rows):
+                inside[row] = mark[row]
+        else:
+            before = is_inside[k - 1, :rows]
+            for row in range(rows):  # the first bit goes on with what the last word ends with
+                inside[row] = mark[row] ^ (before[row] >> np.uint64(63))
+        for row in range(rows):
+            word = inside[row]
+            word ^= word << np.uint64(1)
+            word ^= word << np.uint64(2)
+            word ^= word << np.uint64(4)
+            word ^= word << np.uint64(8)
+            word ^= word << np.uint64(16)
+            inside[row] = word ^ (word << np.uint64(32))
+    for k in range(words + 1):
+        mark = marks[k, :rows]
+        for row in range(rows):
+            mark[row] = np.uint64(0)
 
 
 @borrowing_kernel
-def _find_news(levels, first, last, span):
-    """Widen a span of columns by the blocks of a row in which lowering cells first..last - 1 makes one free or unknown.
+def _lower(levels, start, word):
+    """Make the cells of a row freer whose bits are set, counted from the cell `start` on."""
+    if start + WORD_CELLS > levels.shape[0]:
+        for j in range(levels.shape[0] - start):
+            if (word >> np.uint64(j)) & np.uint64(1):
+                levels[start + j] = max(levels[start + j] + LOG_ODDS_FREE, LOG_ODDS_MIN)
+        return
+    for part in range(0, WORD_CELLS, PART_CELLS):
+        block, bits = levels[start + part : start + part + PART_CELLS], np.uint32(word >> np.uint64(part))
+        for j in range(PART_CELLS):
+            lowered = np.int16(max(np.int16(block[j] + np.int16(LOG_ODDS_FREE)), np.int16(LOG_ODDS_MIN)))
+            block[j] = lowered if np.uint32(bits & _BITS[j]) != np.uint32(0) else block[j]
+
+
+@borrowing_kernel
+def _find_news(levels, start, word, span):
+    """Widen a span of columns by the blocks of a row in which lowering these cells makes one free or unknown.
 
     In most there is none: what was seen through before is seen through again.
     """
-    end = levels.shape[0] - RUN_CELLS
-    if end < 0:
-        span[0], span[1] = 0, levels.shape[0] - 1
+    if start + WORD_CELLS > levels.shape[0]:
+        span[0], span[1] = min(span[0], start), levels.shape[0] - 1
         return
-    at = first
-    while at < last:
-        start = min(at, end)
-        low, high = np.int16(at - start), np.int16(min(last - start, RUN_CELLS))
-        block, is_new = levels[start : start + RUN_CELLS], False
-        for j in range(RUN_CELLS):
-            inside = (_PLACES[j] >= low) & (_PLACES[j] < high)
-            is_new |= inside & (block[j] >= np.int16(0)) & (block[j] <= np.int16(-LOG_ODDS_FREE))
-        if is_new:
-            span[0], span[1] = min(span[0], at), max(span[1], start + high - 1)
-        at = start + RUN_CELLS
+    for part in range(0, WORD_CELLS, PART_CELLS):
+        block, bits = levels[start + part : start + part + PART_CELLS], np.uint32(word >> np.uint64(part))
+        lowest = np.uint16(2**16 - 1)  # of those that are lowered; below 0 it would count as large
+        for j in range(PART_CELLS):
+            level = np.uint16(block[j]) if np.uint32(bits & _BITS[j]) != np.uint32(0) else np.uint16(2**16 - 1)
+            lowest = min(lowest, level)
+        if lowest <= np.uint16(-LOG_ODDS_FREE):
+            span[0], span[1] = min(span[0], start + part), max(span[1], start + part + PART_CELLS - 1)
 
 
 @borrowing_kernel
 def _integrate_scan(
-    log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, crossings, counts, spans, corners,
+    log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, marks, is_inside, spans, corners,
     edges, rows, cells,
 ):  # fmt: skip
     """Lower what the scan saw through and raise what it met.
@@ -152,21 +182,25 @@ def _integrate_scan(
     reach *= inverse_m
     row_low = max(0, int(gy - reach) - 1)
     row_high = min(height - 1, int(gy + reach) + 2)
-    for row in range(row_low, row_high + 1):
-        counts[row - row_low] = 0
+    end_column = min(width, int(gx + reach) + 3)
+    first_column = max(0, int(gx - reach) - 1)
+    words = (end_column - first_column) // WORD_CELLS + 1
+    first_column = max(0, min(first_column, width - words * WORD_CELLS))
+    row_count = row_high + 1 - row_low
     _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corners, cells)
     _cut(corners, float(row_high - row_low), edges, rows)
-    _fill_crossings(edges, rows, float(width), crossings, counts)
-    for row in range(row_low, row_high + 1):
-        ends = counts[row - row_low] // 2 * 2
+    _mark_crossings(edges, rows, first_column, end_column, marks)
+    _fill_between(marks, words, row_count, is_inside)
+    for row in range(row_count):
         if has_spans:
-            spans[row - row_low, 0], spans[row - row_low, 1] = width, -1
-        for p in range(ends // 2):
-            first, last = crossings[2 * p, row - row_low], crossings[2 * p + 1, row - row_low]
-            if first < last:
-                if has_spans:
-                    _find_news(log_odds[row], first, last, spans[row - row_low])
-                _lower(log_odds[row], first, last)
+            spans[row, 0], spans[row, 1] = width, -1
+        for k in range(words):
+            word, start = is_inside[k, row], first_column + k * WORD_CELLS
+            if word == np.uint64(0):
+                continue
+            if has_spans:
+                _find_news(log_odds[row_low + row], start, word, spans[row])
+            _lower(log_odds[row_low + row], start, word)
     last_row = last_column = -1
     for i in range(beams):
         column, row = cells[0, i], cells[1, i]
@@ -204,11 +238,11 @@ def _integrate_inside(
     log_odds, kinds, touched, number, bounds, reached, inverse_m, poses, directions, scans, range_max, room
 ):
     """Fold in scans that touch no more than the box `reached`, in a grid with these bounds."""
-    crossings, counts, spans, corners, edges, rows, cells = room
+    marks, is_inside, spans, corners, edges, rows, cells = room
     noted = spans[: spans.shape[0] if poses.shape[0] == 1 else 0]
     for k in range(poses.shape[0]):
         row_low, row_high = _integrate_scan(
-            log_odds, bounds[0], bounds[1], inverse_m, poses[k], directions, scans[k], range_max, crossings, counts,
+            log_odds, bounds[0], bounds[1], inverse_m, poses[k], directions, scans[k], range_max, marks, is_inside,
             noted, corners, edges, rows, cells,
         )  # fmt: skip
         if poses.shape[0] == 1:
@@ -252,11 +286,12 @@ def integrate_many(grid, poses, scans):
 
 
 def folding_room(beams: int, rows: int) -> tuple[Array, ...]:
-    """Crossings, counts, spans, corners, edges, their rows, and cells of `_integrate_scan`: kept, as new arrays of this
-    size take long to get."""
+    """Marks, what is inside, spans, corners, edges, their rows, and cells of `_integrate_scan`: kept, as new arrays of
+    this size take long to get. Scans reach over as many columns as rows."""
+    words = rows // WORD_CELLS + 1
     return (
-        np.zeros((beams + 2, rows), np.int32),
-        np.zeros(rows, np.int32),
+        np.zeros((words + 1, rows), np.uint64),
+        np.zeros((words, rows), np.uint64),
         np.zeros((rows, 2), np.int32),
         np.zeros((2, beams + 1)),
         np.zeros((2, beams)),
