@@ -174,6 +174,19 @@ def test_what_stands_there_in_short_keeps_up_with_scans_growth_and_redrawing(roo
         grid.clear()
 
 
+def test_what_stands_there_in_short_knows_a_wall_at_the_border_when_the_map_grows():
+    grid = OccupancyGrid(CELL_M, RANGE_MAX_M, 180)
+    grid.integrate(np.zeros((1, 3)), np.full((1, 180), 5.0))
+    border = OccupancyGrid.PADDING_M + 5.0  # left of the origin
+    ahead = np.where(np.abs(np.arange(180) - 90) < 6, border - 5.0 - 0.2 * CELL_M, 0.3)  # beam 90 looks back
+    grid.integrate(np.array([[-5.0, 0.0, 0.0]]), ahead[None])
+    assert (grid.log_odds[:, 0] > 0).any()
+    columns = grid.log_odds.shape[1]
+    grid.integrate(np.array([[-5.0, 6.0, 0.0]]), np.full((1, 180), 8.0))
+    seen = grid.snapshot()
+    assert seen.log_odds.shape[1] > columns and np.array_equal(seen.kinds, kinds_of(seen.log_odds))
+
+
 @settings(max_examples=10)
 @given(st.integers(0, 10_000))
 def test_what_stands_there_in_short_is_right_whatever_single_beams_see(seed):

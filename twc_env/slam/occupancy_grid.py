@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from twc_env.geometry import beam_directions
 from twc_env.kernels import Lent, bound, rebound
 from twc_env.messages import GridMap
+from twc_env.slam.cell_kinds import kinds_of
 from twc_env.slam.scan_folding import BLOCK_COLUMNS, BLOCK_ROWS, folding_room, integrate_many
 
 Array = NDArray
@@ -121,12 +122,12 @@ class OccupancyGrid:
             first = np.where(low_m < old_low, first, np.round(old_low / self.resolution_m))
             last = np.where(high_m > old_high, last, np.round(old_high / self.resolution_m))
         shape = (last - first).astype(int)[::-1]
-        grown, kinds = np.zeros(shape, np.int16), np.zeros(shape, np.uint8)
+        grown = np.zeros(shape, np.int16)
         if rows:
             c, r = np.round(self.origin_m / self.resolution_m - first).astype(int)
             grown[r : r + rows, c : c + columns] = self.log_odds
-            kinds[r : r + rows, c : c + columns] = self._kinds
-        self.log_odds, self._kinds, self._snapshot = grown, kinds, None
+        self.log_odds, self._snapshot = grown, None
+        self._kinds = kinds_of(grown)  # squares at the old border are others now
         self._touched = np.zeros((-(-shape[0] // BLOCK_ROWS), -(-shape[1] // BLOCK_COLUMNS)), np.int64)
         self.origin_m = first * self.resolution_m
         self._boxes_m[0] = *self.origin_m, *(self.origin_m + shape[::-1] * self.resolution_m)
