@@ -160,7 +160,7 @@ def test_schema_prints_the_schema(capsys):
     ("arguments", "message"),
     [
         (["show", "twin-1"], "did you mean 'twin-01'?"),
-        (["show", "twin-01", "--out", "nowhere/a.png"], "cannot write the picture nowhere/a.png"),
+        (["show", "twin-01", "--out", "taken/a.png"], "cannot write taken/a.png: taken is no place"),
         (["generate", "castle", "300"], "kinds are office, ring"),
         (["generate", "office", "30"], "must be 100 to 10000 m2"),
         (["generate", "office", "300", "--count", "0"], "--count must be 1 or more"),
@@ -171,11 +171,13 @@ def test_schema_prints_the_schema(capsys):
         (["export", "twin-01", "a.dxf"], "use a name that ends in"),
         (["export", "twin-01", "a.json", "--resolution", "0.1"], "--resolution is for .yaml and .png"),
         (["check", "--fuzz", "0"], "--fuzz must be 1 or more"),
-        (["check", "none"], "1 of the checks failed; the first: no map named 'none'"),
+        (["generate", "office", "300", "--out", "taken/a.json"], "cannot write taken/a.json: "),
+        (["check", "none"], "one check failed"),
     ],
 )
 def test_mistakes_end_with_one_line_and_status_2(arguments, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").touch()
     assert run(*arguments) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and message in error and error.count("\n") == 1
@@ -187,3 +189,30 @@ def test_help_teaches_how_maps_are_named(command, capsys):
         run(*command, "--help")
     assert stopped.value.code == 0
     assert "gen:office:800:7" in capsys.readouterr().out
+
+
+def test_folders_that_a_map_or_picture_is_to_lie_in_are_made(tmp_path):
+    assert run("generate", "office", "300", "--out", tmp_path / "new" / "a.json") == 0
+    assert run("import", tmp_path / "new" / "a.json", "--out", tmp_path / "brought" / "in" / "a.json") == 0
+    assert run("export", "sfw-e1", tmp_path / "given" / "a.yaml") == 0
+    assert load_map(str(tmp_path / "brought" / "in" / "a.json")).floor_area_m2 > 200
+    assert load_map(str(tmp_path / "given" / "a.yaml")).floor_area_m2 > 10
+    pytest.importorskip("matplotlib")
+    assert run("show", "sfw-e1", "--no-signal", "--out", tmp_path / "drawn" / "a.png") == 0
+    assert (tmp_path / "drawn" / "a.png").exists()
+
+
+def test_a_fault_of_a_map_is_said_once(capsys):
+    assert run("check", "none", "sfw-e1", "gone") == 2
+    said = capsys.readouterr()
+    assert said.out.count("no map named 'none'") == said.out.count("no map named 'gone'") == 1
+    assert said.err == "error: 2 checks failed\n"
+
+
+def test_repeated_layouts_and_faults_of_mutated_files_are_said(monkeypatch, capsys):
+    monkeypatch.setattr("twc_env.map_fuzz.SECONDS_MAX", 0.0)
+    assert run("check", "--fuzz", "3") == 2
+    assert "more than 0 s" in capsys.readouterr().out
+    monkeypatch.setattr("twc_env.world.splits.split_layouts", lambda split: ["one layout"])
+    assert run("check", "--splits") == 2
+    assert "FAULT  validation/0000 repeats the layout of train/0000" in capsys.readouterr().out

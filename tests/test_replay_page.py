@@ -195,3 +195,11 @@ def test_a_browser_shows_names_that_look_like_a_page(run, tmp_path, browser):
     browser.get(write_page(tmp_path, tmp_path / "page.html").as_uri())
     WebDriverWait(browser, 30).until(lambda b: b.find_element("tag name", "body").get_attribute("data-ready") == "yes")
     assert browser.find_element("tag name", "h1").text.startswith("<i> on __DATA__ <b>.json")
+
+
+@pytest.mark.parametrize("what", ["--html", "--rerun"])
+def test_a_run_folder_that_is_not_there_is_named(what, tmp_path, capsys):
+    assert main(["replay", str(tmp_path / "gone"), what]) == 2
+    assert f"there is no run folder {tmp_path / 'gone'}: " in capsys.readouterr().err
+    assert main(["replay", str(tmp_path / "gone")]) == 2
+    assert f"there is no run folder or log {tmp_path / 'gone'}: " in capsys.readouterr().err

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twc_env.command_line import Paragraphs, alone_in, assignments, count, make_folder, natural
+from twc_env.errors import DataError
 from twc_env.json_values import check_folder, write_json
 
 if TYPE_CHECKING:
@@ -111,6 +112,9 @@ def _progress(done: int, total: int) -> None:
 
 
 def _replay(options: argparse.Namespace) -> None:
+    if not options.log.exists():
+        what = "run folder" if options.html is not None or options.rerun is not None else "run folder or log"
+        raise DataError(f"there is no {what} {options.log}: `python -m agents explore --out RUN` writes one")
     run = options.log if options.log.is_dir() else options.log.parent
     if options.html is not None:
         from twc_env.replay_page import write_page
@@ -184,7 +188,6 @@ def _read_log(log: Path) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], li
 
 def _error_of_log(engine: CooperativeSlam, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:
     """Team ATE [m] over a whole log, each group of robots aligned once."""
-    from twc_env.errors import DataError
     from twc_env.exploration.team_alignment import team_error_m
 
     if odom_poses.shape != true_poses.shape:

@@ -25,7 +25,7 @@ _ROOM_POINTS, _CHARACTER_WIDTH = 6.0, 0.62
 
 
 def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Path:
-    """Write the picture; returns its path. Raises MapError when matplotlib is missing or the path cannot be written."""
+    """Write the picture, its folder made; returns its path. MapError without matplotlib or where it cannot write."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.collections import LineCollection, PolyCollection
@@ -65,10 +65,11 @@ def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Pa
     )
     figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise MapError(f"cannot write the picture {path}: {reason}; name a .png in an existing folder") from error
+        raise MapError(f"cannot write the picture {path}: {reason}; name a .png elsewhere") from error
     return path
 
 

@@ -244,7 +244,7 @@ def _check(options: argparse.Namespace) -> None:
         faults += _check_fuzz(options.fuzz, options.seed, findings)
     write_json(options.json, {**findings, "faults": faults})
     if faults:
-        raise MapError(f"{len(faults)} of the checks failed; the first: {faults[0]}")
+        raise MapError("one check failed" if len(faults) == 1 else f"{len(faults)} checks failed")
 
 
 def _check_maps(names: Iterable[str], seed: int, findings: dict[str, object]) -> list[str]:
@@ -257,7 +257,7 @@ def _check_maps(names: Iterable[str], seed: int, findings: dict[str, object]) ->
             plan = check_reachable(load_map(name, seed))
         except MapError as error:
             faults.append(str(error))
-            print(f"FAULT  {error}")
+            _tell(faults[-1:])
             continue
         if not areas:
             print(f"{'':5}  {_HEAD}")
@@ -283,6 +283,7 @@ def _check_splits(findings: dict[str, object]) -> list[str]:
             owner.setdefault(layout, name)
         print(f"{split:<12} {len(layouts):>5} buildings, digest {digests[split]}")
     print(f"{len(owner)} different layouts (turned and mirrored copies count as one), {len(faults)} repeated")
+    _tell(faults)
     findings["split_digests"] = digests
     findings["layouts"] = len(owner)
     return faults
@@ -305,7 +306,13 @@ def _check_fuzz(count: int, seed: int, findings: dict[str, object]) -> list[str]
         faults.append(f"{report.slowest} took {report.slowest_s:.1f} s, more than {SECONDS_MAX:g} s")
     if report.grown_mb > MEMORY_MAX_MB:
         faults.append(f"memory grew by {report.grown_mb:.0f} MB, more than {MEMORY_MAX_MB:g} MB")
+    _tell(faults)
     return faults
+
+
+def _tell(faults: Iterable[str]) -> None:
+    for fault in faults:
+        print(f"FAULT  {fault}")
 
 
 def _schema(options: argparse.Namespace) -> None:

@@ -47,11 +47,12 @@ def test_a_picture_shows_free_space_white_and_walls_black(tmp_path):
     [
         ("a.dxf", 0.05, "cannot export to 'a.dxf'; use a name that ends in .json, .yaml, .png"),
         ("a.json", 0.0, "must be 0.01 to 1 m per pixel; got 0"),
-        ("nowhere/a.json", 0.05, "cannot write .*; name a file in an existing folder"),
-        ("nowhere/a.png", 0.05, "cannot write .*; name a file in an existing folder"),
+        ("taken/a.json", 0.05, "cannot write .*; choose another place"),
+        ("taken/a.png", 0.05, "cannot write .*; choose another place"),
     ],
 )
 def test_what_cannot_be_written_is_refused(tmp_path, name, resolution_m, expected):
+    (tmp_path / "taken").touch()
     with pytest.raises(MapError, match=expected) as caught:
         export_map(load_map("sfw-e1"), tmp_path / name, resolution_m)
     assert "\n" not in str(caught.value)

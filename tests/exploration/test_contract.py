@@ -1,3 +1,5 @@
+import inspect
+
 import gymnasium
 import numpy as np
 import pettingzoo
@@ -13,6 +15,7 @@ from pettingzoo.test import (
 )
 
 import twc_env
+from twc_env.exploration.single_agent import ARGUMENTS, SingleRobotEnv
 
 ID = "twc/Explore-v0"
 ROBOTS = [1, 2, 3]
@@ -91,6 +94,27 @@ def test_the_single_view_takes_and_refuses_the_seeds_that_the_team_does(same):
     for seed in (-1, np.int64(-1), 0.5):
         with pytest.raises(twc_env.ConfigError, match="seed must be a whole number from 0 on"):
             single.reset(seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "remedy"),
+    [
+        ({"robots": 3}, r"robots=3: this is the view of one robot; a team is twc_env\.parallel_env\(robots=3\)"),
+        ({"max_cycle": 9}, "there is no argument max_cycle; .* did you mean max_cycles"),
+        ({"beams": 90}, "there is no argument beams; .* settings go into config"),
+    ],
+)
+def test_the_single_view_says_what_to_do_instead_of_arguments_it_has_not(arguments, remedy):
+    with pytest.raises(twc_env.ConfigError, match=remedy):
+        gymnasium.make(ID, **arguments)
+
+
+def test_the_single_view_knows_the_arguments_it_names_and_one_robot():
+    known = [
+        name for name, kind in inspect.signature(SingleRobotEnv).parameters.items() if kind.kind != kind.VAR_KEYWORD
+    ]
+    assert list(ARGUMENTS) == known
+    assert len(gymnasium.make(ID, robots=1).unwrapped.parallel.possible_agents) == 1
 
 
 @pytest.mark.parametrize("robots", ROBOTS)

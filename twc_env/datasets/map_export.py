@@ -18,7 +18,7 @@ _FREE, _UNKNOWN, _WALL = 255, 205, 0
 
 
 def export_map(plan: Floorplan, path: str | Path, resolution_m: float = EXPORT_RESOLUTION_M) -> Path:
-    """Write a plan by the suffix of `path`: .json (native), .yaml (map_server with its .pgm), .png (white is free).
+    """Write a plan by the suffix of `path`, its folder made: .json, .yaml (map_server, with .pgm), .png (white: free).
 
     Pictures lose rooms, signs and access points. Raises MapError for other suffixes and where nothing can be written.
     """
@@ -28,6 +28,7 @@ def export_map(plan: Floorplan, path: str | Path, resolution_m: float = EXPORT_R
     if not 0.01 <= resolution_m <= 1.0:
         raise MapError(f"the resolution must be 0.01 to 1 m per pixel; got {resolution_m:g}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".json":
             write_floorplan(plan, path)
         elif path.suffix == ".yaml":
@@ -35,7 +36,7 @@ def export_map(plan: Floorplan, path: str | Path, resolution_m: float = EXPORT_R
         else:
             _write_png(plan, path, resolution_m)
     except OSError as error:
-        raise MapError(f"cannot write {path}: {error.strerror or error}; name a file in an existing folder") from error
+        raise MapError(f"cannot write {path}: {error.strerror or error}; choose another place") from error
     return path
 
 

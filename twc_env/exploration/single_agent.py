@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from os import PathLike
 from typing import Any
@@ -10,8 +11,11 @@ import gymnasium
 
 from twc_env.config import EnvConfig
 from twc_env.config.checks import whole_number
+from twc_env.errors import ConfigError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.messages import Belief
+
+ARGUMENTS = ("map", "max_cycles", "config", "render_mode", "task", "render_signal")
 
 
 class SingleRobotEnv(gymnasium.Env):
@@ -27,7 +31,10 @@ class SingleRobotEnv(gymnasium.Env):
         render_mode: str | None = None,
         task: str | None = None,
         render_signal: bool = False,
+        **unknown: Any,
     ):
+        """Arguments as of `ExplorationEnv`; raises ConfigError for others, the number of robots among them."""
+        _refuse(unknown)
         self._team = ExplorationEnv(
             map=map,
             robots=1,
@@ -71,3 +78,17 @@ class SingleRobotEnv(gymnasium.Env):
     def close(self) -> None:
         """Shut the window of render_mode "human"."""
         self._team.close()
+
+
+def _refuse(unknown: Mapping[str, Any]) -> None:
+    """Raise ConfigError for arguments that there are not. One robot is what there is."""
+    if unknown.get("robots", 1) != 1:
+        robots = unknown["robots"]
+        raise ConfigError(
+            f"robots={robots!r}: this is the view of one robot; a team is twc_env.parallel_env(robots={robots!r}), "
+            "or pettingzoo.make with the same id"
+        )
+    for name in unknown.keys() - {"robots"}:
+        near = difflib.get_close_matches(name, ARGUMENTS, n=1)
+        hint = f"did you mean {near[0]}?" if near else "settings go into config, as in config={'lidar.beam_count': 90}"
+        raise ConfigError(f"there is no argument {name}; known are {', '.join(ARGUMENTS)}: {hint}")
