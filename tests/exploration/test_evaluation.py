@@ -238,3 +238,14 @@ def test_maps_are_judged_once_a_step_whoever_asks(monkeypatch):
         env.episode.caption()
         env.result()
         assert len(judged) == step * len(env.engine.views())
+
+
+def test_maps_that_the_engine_has_changed_within_a_step_are_judged_anew(explore):
+    env = explore(300, robots=3).env
+    moment = env.snapshot()
+    env.engine.finish()
+    alone = env.result().figures
+    env.restore(moment)
+    assert env.result().figures != alone
+    env.engine.finish()
+    assert env.result().figures == alone

@@ -27,7 +27,7 @@ from twc_env.world.world import World
 
 Array = NDArray
 
-_NOT_JUDGED: tuple[int, list[verdicts.GroupVerdict]] = -1, []
+_NOT_JUDGED: tuple[object, list[verdicts.GroupVerdict]] = None, []
 
 
 class Episode:
@@ -62,7 +62,7 @@ class Episode:
         self.record = EpisodeRecord(count)
         """What truly happened, for judging; no agent may read it."""
         self._judged = _NOT_JUDGED
-        """A step, and the verdicts after it."""
+        """What the robots believed, and the verdicts then."""
         self._standing = rewards.Standing.nothing(count)
         self._uneventful = rewards.terms(self._transition(self._standing, np.zeros(count, bool), 0.0), "team")
         """The terms of a step in which nobody touches, sends or is judged."""
@@ -151,9 +151,10 @@ class Episode:
         return self.__dict__ | {"_judged": _NOT_JUDGED}
 
     def verdicts(self) -> list[verdicts.GroupVerdict]:
-        """Every map that some robot believes in, judged as of this step: worked out once, whoever asks."""
-        if self._judged[0] != self.steps:
-            self._judged = self.steps, verdicts.verdicts_of(self.engine, self.record, self.floorplan.cells())
+        """Every map that some robot believes in, judged as it is now: worked out once, whoever asks."""
+        believed = self.engine.beliefs()  # others as soon as the engine has done anything
+        if self._judged[0] is not believed:
+            self._judged = believed, verdicts.verdicts_of(self.engine, self.record, self.floorplan.cells())
         return self._judged[1]
 
     def result(self) -> evaluation.EpisodeResult:
