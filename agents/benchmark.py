@@ -81,7 +81,7 @@ def run_job(job: Job) -> dict[str, Any]:
 def report_of(job: Job) -> dict[str, Any] | None:
     """The report of an earlier run of the same job by the same code on the same map; None if there is none."""
     report = _report_with(job)
-    origin = {"version": twc_env.__version__, **origin_of(job.config.map, job.agent)}
+    origin = {"version": twc_env.__version__, **origin_of(job.config, job.agent)}
     return report if report and all(report.get(key) == value for key, value in origin.items()) else None
 
 

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import twc_env
+from agents.explore import origin_of
 from agents.policy import make_policy
-from agents.policy_file import digest_of, is_in_file
-from twc_env import load_map
 from twc_env.config import EnvConfig, override, to_dict
 from twc_env.finished_parts import FinishedParts
 from twc_env.worker_processes import in_processes
@@ -163,6 +162,7 @@ def _line(count: int, total: int, part: tuple[str, str, int], outcome: Outcome) 
 def _once(config: EnvConfig, finished: FinishedParts, part: tuple[str, str, int]) -> Outcome:
     name, agent, seed = part
     config = override(config, {"map": name})
-    own = f" {digest_of(agent)}" if is_in_file(agent) else ""
-    key = f"{name} {load_map(name).digest} {agent}{own} {seed}"
+    origin = origin_of(config, agent)
+    own = "".join(f" {digest}" for key, digest in origin.items() if key not in ("code_digest", "map_digest"))
+    key = f"{name} {origin['map_digest']} {agent}{own} {seed}"
     return Outcome(**finished.once(key, lambda: asdict(explore(config, agent, seed))))

@@ -15,8 +15,8 @@ from numba.core.event import TimingListener, register, unregister
 import twc_env
 from agents import picture
 from agents.policy import make_policy
-from agents.policy_file import digest_of, is_in_file
 from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
+from twc_env.class_file import digest_of, is_in_file
 from twc_env.command_line import alone_in
 from twc_env.config import to_dict
 from twc_env.datasets.frame_log import write_frame_log
@@ -105,14 +105,16 @@ def explore(
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
-    report = plain({**result.figures, "agent": agent, **origin_of(config.map, agent), **speeds})
+    report = plain({**result.figures, "agent": agent, **origin_of(config, agent), **speeds})
     return Run(result, report, film, was_interrupted, frames, contacts, trace)
 
 
-def origin_of(map_name: str, agent: str) -> dict[str, str]:
-    """What else than its settings decides a run: the code of twc_env and of the agents, and the plan of its map."""
-    own = {"agent_digest": digest_of(agent)} if is_in_file(agent) else {}
-    return {"code_digest": code_digest("agents"), "map_digest": load_map(map_name).digest, **own}
+def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
+    """What else than its settings decides a run: the code of twc_env and of the agents, the plan of its map, and the
+    agent or recogniser of one's own."""
+    named = {"agent_digest": agent, "recogniser_digest": config.slam.place_recognition.recogniser}
+    own = {key: digest_of(name) for key, name in named.items() if is_in_file(name)}
+    return {"code_digest": code_digest("agents"), "map_digest": load_map(config.map).digest, **own}
 
 
 def _clock_s(compiling: TimingListener) -> float:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from agents.frontier_teams import Assignment, CostUtility, Voronoi
 from agents.nearest_frontier import NearestFrontier
-from agents.policy_file import is_in_file, policy_class
 from agents.radio_frontier import RadioFrontier
 from agents.radio_walk import RadioWalk
 from agents.random_walk import RandomWalk
 from agents.wall_follower import WallFollower
+from twc_env.class_file import class_in, is_in_file
 from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError
 from twc_env.messages import Belief
@@ -68,5 +68,10 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     config = config or EnvConfig()
     if config.action.kind != "velocity":
         raise ConfigError(f"scripted teams steer by velocity; got action.kind = {config.action.kind!r}: leave it out")
-    policy: Policy = policy_class(name)(config) if is_in_file(name) else _POLICIES[name](config)
+    policy: Policy = (_in_file(name) if is_in_file(name) else _POLICIES[name])(config)
     return policy
+
+
+def _in_file(name: str) -> type[Policy]:
+    own: type[Policy] = class_in(name, ("reset", "act", "finished"), "derive it from agents.Policy, or add what lacks")
+    return own

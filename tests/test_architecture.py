@@ -16,6 +16,7 @@ LEAVES = {
     "twc_env.team_messages",
     "twc_env.geometry",
     "twc_env.file_lock",
+    "twc_env.class_file",
     "twc_env.kernels",
     "twc_env.cell_rows",
     "twc_env.config",
@@ -40,7 +41,8 @@ ALLOWED = {
     "twc_env.geometry": {"twc_env.errors"},
     "twc_env.messages": {"twc_env.errors", "twc_env.geometry"},
     "twc_env.team_messages": {"twc_env.messages"},
-    "twc_env.config": {"twc_env.errors"},
+    "twc_env.class_file": {"twc_env.errors"},
+    "twc_env.config": {"twc_env.errors", "twc_env.class_file"},
     "twc_env.tasks": {"twc_env.errors", "twc_env.config"},
     "twc_env.world": LEAVES | RANDOM,
     "twc_env.slam": LEAVES,
@@ -56,6 +58,7 @@ ALLOWED = {
 }
 COMPUTED = "<a name computed at run time>"
 PUBLIC_MODULES = {
+    "twc_env.class_file",
     "twc_env.datasets",
     "twc_env.planning",
     "twc_env.vector",

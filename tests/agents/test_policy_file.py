@@ -6,8 +6,8 @@ import pytest
 
 from agents.__main__ import main
 from agents.policy import make_policy
-from agents.policy_file import digest_of
 from twc_env import ConfigError, EnvConfig
+from twc_env.class_file import digest_of
 
 MINE = """
 import numpy as np
@@ -59,7 +59,7 @@ def test_a_run_says_which_policy_file_it_was_and_runs_again_once_that_changed(mi
     [
         ("mine.py:Main", r"no class 'Main' in .*mine\.py; it has Mine$"),
         ("other.py:Mine", "there is no file other.py"),
-        ("mine.py:Half", r"has no reset and no finished\(\): derive it from agents\.Policy"),
+        ("mine.py:Half", r"has no reset and no finished: derive it from agents\.Policy"),
         ("mine", "or FILE.py:CLASS"),
     ],
 )

@@ -12,6 +12,7 @@ from dataclasses import field
 
 import numpy as np
 
+from twc_env.class_file import is_in_file
 from twc_env.errors import ConfigError
 
 
@@ -34,9 +35,14 @@ def whole_number(name: str, value, least: int) -> int:
     return int(value)
 
 
-def choice(default: str, *others: str):
-    """A name out of a fixed list."""
-    return field(default=default, metadata={"choices": (default, *others)})
+def choice(default: str, *others: str, or_class: bool = False):
+    """A name out of a fixed list; with `or_class` that of a class of one's own too, FILE.py:CLASS."""
+    return field(default=default, metadata={"choices": (default, *others), "or_class": or_class})
+
+
+def choices_of(setting: dataclasses.Field) -> str:
+    """What may stand in a field made by `choice`, in words."""
+    return ", ".join(setting.metadata["choices"]) + (" or FILE.py:CLASS" if setting.metadata["or_class"] else "")
 
 
 class Checked:
@@ -54,9 +60,11 @@ class Checked:
                 remedy = "`twc_env.config.from_dict` makes a config of tables"
                 raise ConfigError(f"{self._name(f)} must be a {section.__name__}; got {value!r}: {remedy}")
             if (choices := f.metadata.get("choices")) and value not in choices:
+                if f.metadata["or_class"] and is_in_file(str(value)):
+                    continue
                 near = difflib.get_close_matches(str(value), choices, n=1)
                 hint = f"; did you mean {near[0]!r}?" if near else ""
-                raise ConfigError(f"{self._name(f)} must be one of {', '.join(choices)}; got {value!r}{hint}")
+                raise ConfigError(f"{self._name(f)} must be one of {choices_of(f)}; got {value!r}{hint}")
             if "minimum" in f.metadata:
                 low, high = f.metadata["minimum"], f.metadata["maximum"]
                 if isinstance(value, bool) or not isinstance(value, (int, float)):

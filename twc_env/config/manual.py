@@ -12,6 +12,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from twc_env.config.checks import choices_of
 from twc_env.config.environment import EnvConfig
 from twc_env.errors import ConfigError
 
@@ -64,8 +65,8 @@ def _literal(value: Any) -> str:
 
 
 def _allowed(field: dataclasses.Field, value: Any) -> str:
-    if choices := field.metadata.get("choices"):
-        return "one of " + ", ".join(choices)
+    if "choices" in field.metadata:
+        return "one of " + choices_of(field)
     if "minimum" not in field.metadata:
         return "true or false" if isinstance(value, bool) else "text"
     low, high = field.metadata["minimum"], field.metadata["maximum"]

@@ -77,8 +77,9 @@ class KeyframeConfig(Checked):
 class PlaceRecognitionConfig(Checked):
     """Which keyframes look like one place. The thresholds are those of TWC-SLAM's Algorithm 1 (papers.md T4-T9)."""
 
-    recogniser: str = choice("twc", "text", "wifi", "lidar", "fused")
-    """`twc`: Algorithm 1; `text`, `wifi`: its halves; `lidar`: like scans; `fused`: all cues weighed as log-odds."""
+    recogniser: str = choice("twc", "text", "wifi", "lidar", "fused", or_class=True)
+    """`twc`: Algorithm 1; `text`, `wifi`: its halves; `lidar`: like scans; `fused`: all cues weighed as log-odds;
+    FILE.py:CLASS: one of your own (docs/library.md)."""
     text_similarity_min: float = number(0.8, 0.0, 1.0)
     """alpha."""
     mac_similarity_min: float = number(0.8, 0.0, 1.0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from twc_env.class_file import is_in_file
 from twc_env.config import CuesConfig, EnvConfig, PlaceRecognitionConfig
 from twc_env.messages import SensorFrame, WifiScan
 from twc_env.slam.radio_similarity import CELL_ID_MIN
@@ -34,6 +35,8 @@ def needed(config: EnvConfig) -> EnvConfig:
 
 def _recognition(rule: PlaceRecognitionConfig, cues: CuesConfig) -> PlaceRecognitionConfig:
     """The recogniser that makes most of the cues there are."""
+    if is_in_file(rule.recogniser):
+        return rule if cues.lidar else dataclasses.replace(rule, proximity_m=0.0)
     if not cues.lidar:
         name = "twc" if rule.recogniser == "twc" and cues.wifi else "text"
         return dataclasses.replace(rule, recogniser=name, proximity_m=0.0)

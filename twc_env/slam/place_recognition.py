@@ -1,7 +1,7 @@
 """Propose loop candidates: pairs of keyframes that look like one place.
 
 Recognisers are interchangeable by name: `text`, `wifi`, `twc` (TWC-SLAM's Algorithm 1), `lidar` (Scan Context, the
-baseline of DCL-SLAM's kind) and `fused` (all cues weighed as log-odds). `make_recogniser` builds one.
+baseline of DCL-SLAM's kind), `fused` (all cues weighed as log-odds), or FILE.py:CLASS. `make_recogniser` builds one.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ from bisect import bisect, insort
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from twc_env.class_file import is_in_file
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import Keyframe, LoopCandidate
 from twc_env.slam.fused_recogniser import FusedRecogniser
+from twc_env.slam.own_recogniser import OwnRecogniser
 from twc_env.slam.text_wifi_recogniser import TextRecogniser, TextWifiRecogniser
 from twc_env.slam.wayside_recognisers import ScanRecogniser, WifiRecogniser
 
@@ -22,6 +24,7 @@ class Recogniser(Protocol):
     """What all recognisers offer."""
 
     name: str
+    """Candidates bear it. Those of `lidar` and `wifi` are searched for at every heading, others near their guess."""
 
     def propose(
         self,
@@ -42,7 +45,9 @@ class Recogniser(Protocol):
 
 
 def make_recogniser(config: PlaceRecognitionConfig, range_max_m: float) -> Recogniser:
-    """The recogniser that the configuration names; `range_max_m` is the scanner's."""
+    """The recogniser that the configuration names; `range_max_m` is the scanner's. A class of one's own takes both."""
+    if is_in_file(config.recogniser):
+        return OwnRecogniser(config, range_max_m)
     by_signs: dict[str, type[TextWifiRecogniser]] = {"twc": TextWifiRecogniser, "text": TextRecogniser}
     if config.recogniser in by_signs:
         return by_signs[config.recogniser](config)

@@ -1,0 +1,99 @@
+"""A place recogniser of one's own is named by its file."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import twc_env
+from agents.__main__ import main
+from twc_env import ConfigError, DataError, EnvConfig
+from twc_env.class_file import digest_of
+from twc_env.config import PlaceRecognitionConfig, from_dict, override, to_dict
+from twc_env.config.manual import as_toml
+from twc_env.slam.closure_search import make_recogniser
+from twc_env.slam.cues import needed
+
+LIBRARY = Path(__file__).parents[2] / "docs/library.md"
+OWN = "places.py:SameRouter"
+SETTING = "slam.place_recognition.recogniser"
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """The recogniser of docs/library.md, and one that lacks what all have."""
+    monkeypatch.chdir(tmp_path)
+    text = LIBRARY.read_text().partition("### A place recogniser of your own")[2]
+    code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
+    (tmp_path / "places.py").write_text(f"{code}\n\nclass Half:\n    def propose(self, *_):\n        return []\n")
+    return EnvConfig(max_cycles=700), {SETTING: OWN, "slam.place_recognition.proximity_m": 0.0}
+
+
+def test_robots_meet_by_a_recogniser_of_ones_own(own, capsys):
+    config = override(*own)
+    assert from_dict(to_dict(config)) == config
+    settings = [f"--set={key}={value}" for key, value in own[1].items()]
+    explore = ["explore", "--no-pictures", "--steps", "700", "--seed", "1", *settings, "--out", "run"]
+    assert main(explore) == 0
+    report = json.loads(Path("run/report.json").read_text())
+    assert report["recogniser_digest"] == digest_of(OWN)
+    assert report["merged_robots"] >= 2 and report["wrong_merges"] == 0
+    found = json.loads(Path("run/config.json").read_text())
+    assert found["slam"]["place_recognition"]["recogniser"] == OWN
+
+
+def test_a_snapshot_holds_a_recogniser_of_ones_own(own):
+    config, settings = own
+    env = twc_env.parallel_env(config=override(config, settings))
+    env.reset(seed=1)
+    moment = env.snapshot()
+    env.restore(moment)
+    env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+
+
+@pytest.mark.parametrize("cue", ["text", "wifi", "lidar"])
+def test_a_recogniser_of_ones_own_stays_whatever_cue_is_missing(own, cue):
+    config = needed(override(own[0], own[1] | {f"slam.cues.{cue}": False}))
+    assert config.slam.place_recognition.recogniser == OWN
+
+
+def test_the_settings_say_that_a_class_of_ones_own_may_be_named():
+    assert "# one of twc, text, wifi, lidar, fused or FILE.py:CLASS" in as_toml(EnvConfig(), ["slam.place_recognition"])
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("places.py:SameRoute", r"no class 'SameRoute' in .*places\.py; it has SameRouter$"),
+        ("other.py:Mine", "there is no file other.py"),
+        ("places.py:Half", r"has no name and no forget: a place recogniser has what .*\.Recogniser names"),
+        ("places", r"must be one of .*, fused or FILE\.py:CLASS; got 'places'"),
+    ],
+)
+def test_what_is_no_recogniser_is_refused_with_the_remedy(own, name, remedy):
+    with pytest.raises(ConfigError, match=remedy):
+        make_recogniser(override(EnvConfig(), {SETTING: name}).slam.place_recognition, 8.0)
+
+
+@pytest.mark.parametrize(
+    ("candidate", "remedy"),
+    [
+        (
+            "LoopCandidate((0, 0), (1, 3), [0.0, 0.0], 'odd')",
+            r"must guess a pose \(x, y, heading\); got \[0\.0, 0\.0\]",
+        ),
+        ("LoopCandidate((0, 0), (1, 3), [0.0, 0.0, float('nan')], 'odd')", "must guess a pose"),
+        ("LoopCandidate((0, 0), (1, 3), [0.0, 0.0, 0.0], 'even')", r"must name candidates 'odd', with source \(1, 3\)"),
+        ("LoopCandidate((1, 3), (0, 0), [0.0, 0.0, 0.0], 'odd')", r"with source \(1, 3\); got 'odd' and \(0, 0\)"),
+    ],
+)
+def test_candidates_that_do_not_fit_are_refused_before_the_engine_takes_them(own, keyframe, candidate, remedy):
+    Path("odd.py").write_text(
+        "from twc_env.messages import LoopCandidate\n\n\nclass Odd:\n    name = 'odd'\n\n"
+        "    def __init__(self, *_):\n        pass\n\n    def forget(self, is_held):\n        pass\n\n"
+        f"    def propose(self, *_):\n        return [{candidate}]\n"
+    )
+    recogniser = make_recogniser(PlaceRecognitionConfig(recogniser="odd.py:Odd"), 8.0)
+    with pytest.raises(DataError, match=remedy):
+        recogniser.propose(keyframe(1, 3))

@@ -1,0 +1,68 @@
+"""A class of one's own, in a file: FILE.py:CLASS wherever an agent or a place recogniser is named."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import sys
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from twc_env.errors import ConfigError
+
+
+def is_in_file(name: str) -> bool:
+    """Whether a name is that of a file and a class in it."""
+    return ".py:" in name
+
+
+def class_in(name: str, needed: Sequence[str], remedy: str) -> Any:
+    """The class that FILE.py:CLASS names. What the file itself raises goes through.
+
+    `needed` are its methods and attributes, `remedy` what to do where one lacks. Raises ConfigError where one does, or
+    there is no such file, or no such class in it.
+    """
+    path, own = _file_of(name)
+    found = getattr(_module(path), own, None)
+    if not isinstance(found, type):
+        values = [value for value in vars(_module(path)).values() if isinstance(value, type)]
+        fit = [v.__name__ for v in values if v.__module__ == _module(path).__name__ and not _missing(v, needed)]
+        known = f"; it has {', '.join(fit)}" if fit else ""
+        raise ConfigError(f"there is no class {own!r} in {path}{known}")
+    if missing := _missing(found, needed):
+        raise ConfigError(f"{name} has no {' and no '.join(missing)}: {remedy}")
+    return found
+
+
+def digest_of(name: str) -> str:
+    """Eight hex digits that change with the file and with any Python file beside it, which it may import."""
+    content = hashlib.sha256()
+    for path in sorted(_file_of(name)[0].parent.glob("*.py")):
+        content.update(f"{path.name}\n".encode() + path.read_bytes())
+    return content.hexdigest()[:8]
+
+
+def _file_of(name: str) -> tuple[Path, str]:
+    file, _, own = name.rpartition(":")
+    path = Path(file).resolve()
+    if not path.is_file():
+        raise ConfigError(f"there is no file {file} to take {own!r} from")
+    return path, own
+
+
+@cache
+def _module(path: Path) -> Any:
+    """The file as a module, read once; it may import what lies beside it, as a script may."""
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    spec = importlib.util.spec_from_file_location(f"class_file_{path.stem}", path)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _missing(value: type, needed: Sequence[str]) -> list[str]:
+    return [part for part in needed if getattr(value, part, None) is None]

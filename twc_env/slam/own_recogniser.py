@@ -1,0 +1,51 @@
+"""A place recogniser from a file of one's own, whose candidates are looked at before the engine takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twc_env.class_file import class_in
+from twc_env.config import PlaceRecognitionConfig
+from twc_env.errors import DataError
+from twc_env.messages import Keyframe, LoopCandidate
+
+
+class OwnRecogniser:
+    """The class that `recogniser` names as FILE.py:CLASS, made of the settings and the scanner's range [m]."""
+
+    def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
+        """Raises ConfigError where there is no such class, or it lacks what a `Recogniser` has."""
+        remedy = "a place recogniser has what twc_env.slam.place_recognition.Recogniser names"
+        self._file = config.recogniser
+        self._own = class_in(self._file, ("name", "propose", "forget"), remedy)(config, range_max_m)
+        self.name: str = self._own.name
+
+    def propose(
+        self,
+        keyframe: Keyframe,
+        skipped_robots: Sequence[int] = (),
+        is_wanted: Callable[[Keyframe], bool] | None = None,
+    ) -> list[LoopCandidate]:
+        """See `Recogniser`. Raises DataError for candidates with another name, source, or no pose as guess."""
+        return [self._checked(c, keyframe) for c in self._own.propose(keyframe, skipped_robots, is_wanted)]
+
+    def score(self, target: Keyframe, source: Keyframe) -> float:
+        """See `Recogniser`."""
+        return float(self._own.score(target, source))
+
+    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+        """See `Recogniser`."""
+        self._own.forget(is_held)
+
+    def _checked(self, candidate: LoopCandidate, keyframe: Keyframe) -> LoopCandidate:
+        guess = np.array(candidate.guess, float)
+        source = (keyframe.robot, keyframe.index)
+        if guess.shape != (3,) or not np.isfinite(guess).all():
+            raise DataError(f"{self._file} must guess a pose (x, y, heading); got {candidate.guess!r}")
+        if candidate.recogniser != self.name or tuple(candidate.source) != source:
+            got = f"{candidate.recogniser!r} and {candidate.source}"
+            raise DataError(f"{self._file} must name candidates {self.name!r}, with source {source}; got {got}")
+        return replace(candidate, guess=guess)
