@@ -15,7 +15,7 @@ from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from agents.seeds import parse_seeds
 from twc_env import EnvConfig, load_map, map_names, task_config
-from twc_env.command_line import Paragraphs, assignments, count, exit_status, natural
+from twc_env.command_line import Paragraphs, add_set, assignments, count, exit_status, natural
 from twc_env.config import load, override
 from twc_env.json_values import TERMINAL, check_folder, check_writable, write_json
 
@@ -59,6 +59,18 @@ print how much of the map each has by how long a way. Walks that the same code f
 examples:
   python -m agents radio-survey
   python -m agents radio-survey --maps sfw-e4 sfw-e5 --seeds 0
+"""
+_AGENTS = """\
+An AGENT is
+  nearest-frontier    drives to the nearest edge of what is known, mates kept apart
+  cost-utility        weighs how near a frontier is against what mates will see of it
+  assignment          one frontier each, so that all ways together are shortest
+  voronoi             each robot keeps to the frontiers that it is nearest to
+  radio-frontier      the same, sooner where WiFi tells of floor (slam.k_visibility.enabled=true)
+  radio-walk          walks where walls told from WiFi are least sure
+  random              wanders
+  wall-follower       keeps along walls
+  FILE.py:CLASS       a class of your own, derived from agents.Policy (docs/library.md)
 """
 _TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
 
@@ -220,12 +232,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m agents",
         description="Scripted teams that explore buildings. Each command has its own --help.",
-        epilog="example:\n  python -m agents explore --map twin-01 --out runs/mine",
+        epilog="example:\n  python -m agents explore --map twin-01 --out runs/mine\n\n" + _AGENTS,
         formatter_class=Paragraphs,
     )
-    commands = parser.add_subparsers(
-        dest="command", required=True, metavar="explore | benchmark | compare | radio-survey"
-    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     one = _command(commands, "explore", "run one episode and write a run folder", _EXPLORE_HELP)
     one.add_argument(
         "--map",
@@ -235,7 +245,9 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--out", type=Path, help="run folder (default: runs/MAP-AGENT-seedSEED)")
     one.add_argument("--no-gif", action="store_true", help="do not film the episode")
     one.set_defaults(run=_explore)
-    many = _command(commands, "benchmark", "run many seeds on several maps", _BENCHMARK_HELP)
+    many = _command(
+        commands, "benchmark", "run one agent on many seeds and maps, and say how many episodes pass", _BENCHMARK_HELP
+    )
     many.add_argument("--maps", nargs="+", default=["twin-01", "twin-02"], help="names or files (default: both twins)")
     many.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9 (default: 0-9)")
     many.add_argument(
@@ -243,7 +255,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     many.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     many.set_defaults(run=_benchmark)
-    teams = _command(commands, "compare", "several agents in the same buildings, in pairs", _COMPARE_HELP)
+    teams = _command(commands, "compare", "which of several agents explores the same buildings sooner", _COMPARE_HELP)
     teams.add_argument(
         "--agents",
         nargs="+",
@@ -259,9 +271,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     teams.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     teams.set_defaults(run=_compare)
-    walk = _command(
-        commands, "radio-survey", "the map from radio by path length: active walk against walls", _SURVEY_HELP
-    )
+    walk = _command(commands, "radio-survey", "walls mapped from WiFi alone, by length of walk", _SURVEY_HELP)
     walk.add_argument(
         "--maps",
         nargs="+",
@@ -270,7 +280,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     walk.add_argument("--seeds", default="0-2", help="numbers and ranges (default: %(default)s)")
     walk.add_argument("--steps", type=count, default=2500, help="steps at most (default: %(default)s)")
-    walk.add_argument("--out", type=Path, default=Path("runs/radio-survey"), help="finished walks (%(default)s)")
+    walk.add_argument(
+        "--out", type=Path, default=Path("runs/radio-survey"), help="finished walks (default: %(default)s)"
+    )
     walk.set_defaults(run=_radio_survey)
     for command in (one, many):
         command.add_argument(
@@ -287,9 +299,7 @@ def _parser() -> argparse.ArgumentParser:
             metavar="FILE",
             help="settings: TOML, JSON, a run folder or a task such as twc/ExploreHard-v0",
         )
-        command.add_argument(
-            "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change one setting"
-        )
+        add_set(command)
         command.add_argument(
             "--json", type=Path, metavar="FILE", help="also write the figures here; - for the terminal"
         )

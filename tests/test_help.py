@@ -8,6 +8,7 @@ import pytest
 import agents.__main__
 import training.__main__
 import twc_env.__main__
+from agents.policy import policy_names
 from twc_env.command_line import Paragraphs
 
 PROGRAMS = {"twc_env": twc_env.__main__, "agents": agents.__main__, "training": training.__main__}
@@ -53,3 +54,13 @@ def test_paragraphs_are_filled_and_examples_stay():
     )
     text = parser.format_help()
     assert "One two three four five six\nseven eight.\n\nNine ten:\n  an example that is longer than a line\n" in text
+
+
+def test_the_teams_are_told_apart_where_one_is_asked_for():
+    text = agents.__main__._parser().format_help()
+    assert all(f"\n  {name}  " in text for name in [*policy_names(), "FILE.py:CLASS"])
+
+
+@pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
+def test_set_says_where_all_settings_stand(parser):
+    assert all("twc_env settings" in a.help for a in options(parser) if a.option_strings == ["--set"])

@@ -40,7 +40,7 @@ def test_bench_takes_any_setting(tmp_path):
         (["bench", "--map", "twin-1"], "did you mean 'twin-01'"),
         (["bench", "--set", "lidar.beam_cont=9"], "did you mean 'beam_count'"),
         (["bench", "--set", "lidar"], "KEY=VALUE"),
-        (["replay", "nowhere.npz"], "cannot read the frame log nowhere.npz"),
+        (["replay", "nowhere.npz"], "there is no run folder or log nowhere.npz"),
     ],
 )
 def test_bad_input_ends_with_one_line_and_status_2(arguments, message, capsys):

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from agents.seeds import parse_seeds
-from twc_env.command_line import Paragraphs, assignments, exit_status, natural
+from twc_env.command_line import Paragraphs, add_set, assignments, exit_status, natural
 from twc_env.errors import DataError
 from twc_env.json_values import check_folder, check_writable, write_json
 
@@ -35,7 +35,7 @@ def _parser() -> argparse.ArgumentParser:
         "  python -m training evaluate --model runs/ppo/model.zip --seeds 0-19",
         formatter_class=Paragraphs,
     )
-    commands = parser.add_subparsers(required=True, metavar="command")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     ppo = commands.add_parser(
         "ppo",
@@ -57,12 +57,12 @@ def _parser() -> argparse.ArgumentParser:
         "--steps",
         type=int,
         default=181_000,
-        help="decisions of all robots, a busy one's to go on among them (default %(default)s)",
+        help="decisions of all robots together; while a robot is busy, each step counts as one (default %(default)s)",
     )
     ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode (default %(default)s)")
     ppo.add_argument("--workers", type=natural, default=2, help="processes (default %(default)s; 0: this one)")
     ppo.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes (default %(default)s)")
-    ppo.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the environment")
+    add_set(ppo)
     ppo.add_argument("--out", type=Path, default=Path("runs/ppo"), help="run folder (default %(default)s)")
     ppo.add_argument("--resume", action="store_true", help="go on from the model in the run folder")
     ppo.set_defaults(

@@ -33,8 +33,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m twc_env",
         description="Look at maps and settings, record and replay sensor logs, measure speed, reproduce tables.",
         epilog="examples:\n  python -m twc_env maps show twin-01\n  python -m twc_env settings > mine.toml\n"
-        "  python -m twc_env reproduce merging\n\nEach command has its own --help. Teams explore with: "
-        "python -m agents --help",
+        "  python -m twc_env reproduce merging\n\nEach command has its own --help. Teams explore by "
+        "python -m agents, and learn by python -m training.",
         formatter_class=Paragraphs,
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

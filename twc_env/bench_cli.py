@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twc_env.command_line import Paragraphs, assignments, count
+from twc_env.command_line import Paragraphs, add_set, assignments, count
 from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
     speed.add_argument("--beams", type=count, default=180, help="beams per scan (default: %(default)s)")
     speed.add_argument("--steps", type=count, default=1500, help="steps per episode (default: %(default)s)")
     speed.add_argument("--episodes", type=count, default=3, help="seeds 0, 1, ... (default: %(default)s)")
-    speed.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    add_set(speed)
     speed.add_argument("--parts", action="store_true", help="the table of what costs what, instead of rates")
     speed.add_argument(
         "--peers",

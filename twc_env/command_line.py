@@ -86,6 +86,17 @@ class Paragraphs(argparse.HelpFormatter):
         return "\n".join(lines)
 
 
+def add_set(parser: argparse.ArgumentParser) -> None:
+    """The option `--set`, which `assignments` reads."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a setting, as in lidar.beam_count=90; may be given often (python -m twc_env settings has all)",
+    )
+
+
 def assignments(texts: Sequence[str]) -> dict[str, object]:
     """`KEY=VALUE` texts of the command line as a dictionary."""
     pairs = [text.partition("=") for text in texts]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twc_env.command_line import Paragraphs, alone_in, assignments, count, make_folder, natural
+from twc_env.command_line import Paragraphs, add_set, alone_in, assignments, count, make_folder, natural
 from twc_env.errors import DataError
 from twc_env.json_values import check_folder, write_json
 
@@ -34,11 +34,11 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
     )
     record.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
     record.add_argument("--robots", type=count, default=3, help="how many (default: %(default)s)")
-    record.add_argument("--steps", type=count, default=600, help="of a tenth of a second (default: %(default)s)")
+    record.add_argument("--steps", type=count, default=600, help="time steps, of 0.1 s (default: %(default)s)")
     record.add_argument(
         "--seed", type=natural, default=0, help="of starts, noise and furnishing (default: %(default)s)"
     )
-    record.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    add_set(record)
     record.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
     record.set_defaults(run=_record)
 
@@ -76,7 +76,7 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         choices=("compiled", "filterpy"),
         help="odometry filter: the compiled kernel, or filterpy's EKF, its oracle (default: the log's)",
     )
-    replay.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    add_set(replay)
     replay.add_argument(
         "--out", type=Path, metavar="DIR", help="write map.pgm + .yaml (map_server), pose_graph.g2o, trajectories/*.tum"
     )

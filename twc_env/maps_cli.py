@@ -63,7 +63,7 @@ def add_maps_parser(commands) -> None:
         parts,
         "generate",
         _generate,
-        "draw buildings by kind, area and seed, and write them as native JSON",
+        "make buildings of a kind, area and seed, and write them as native JSON",
         "example:\n  python -m twc_env maps generate office 800 --seed 7 --out office.json\n"
         "The same building is the map gen:office:800:7 wherever a map is named.",
     )

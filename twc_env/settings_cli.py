@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.command_line import Paragraphs, assignments
+from twc_env.command_line import Paragraphs, add_set, assignments
 
 
 def add_settings_parser(commands: argparse._SubParsersAction) -> None:
@@ -22,7 +22,7 @@ def add_settings_parser(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("sections", nargs="*", metavar="SECTION", help="show these alone, e.g. radio or slam.merging")
     parser.add_argument("--task", metavar="ID", help="begin with the settings of a standard task")
     parser.add_argument("--config", type=Path, metavar="FILE", help="begin with a TOML or JSON file of settings")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change one setting")
+    add_set(parser)
     parser.set_defaults(run=_print)
 
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from twc_env.command_line import Paragraphs, assignments, count, natural
+from twc_env.command_line import Paragraphs, add_set, assignments, count, natural
 from twc_env.errors import TwcError
 from twc_env.json_values import write_json
 
@@ -37,7 +37,7 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
         help="random steps of all kinds of action, all blocks on: in their spaces, never constant, no shared memory",
     )
     long.add_argument("--seed", type=natural, default=0, help="of the first episode (default: %(default)s)")
-    long.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    add_set(long)
     long.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one flat object")
     long.set_defaults(run=_soak)
 

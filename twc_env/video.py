@@ -2,7 +2,8 @@
 
     env = RecordEpisodes(twc_env.parallel_env(render_mode="rgb_array"), "films")
 
-For one robot, gymnasium's own `RecordVideo` does the same as MP4 (it needs moviepy).
+For one robot that chooses velocities, gymnasium's own `RecordVideo` does the same as MP4 (it needs moviepy). It takes
+one picture per action: where actions last, as `frontier` does, films are made here, with robots=1.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.command_line import assignments, count, natural
+from twc_env.command_line import add_set, assignments, count, natural
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.exploration.evaluation import map_at
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--buildings", type=count, default=100, help="of the test split (default: %(default)s)")
     parser.add_argument("--robots", type=count, default=3, help="default: %(default)s")
     parser.add_argument("--seed", type=natural, default=0, help="of noise (default: %(default)s)")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="any setting, by dotted key")
+    add_set(parser)
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
