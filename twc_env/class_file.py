@@ -12,6 +12,9 @@ from typing import Any
 
 from twc_env.errors import ConfigError
 
+_FOLDERS: set[Path] = set()
+"""Of the files read so far."""
+
 
 def is_in_file(name: str) -> bool:
     """Whether a name is that of a file and a class in it."""
@@ -55,9 +58,14 @@ def _file_of(name: str) -> tuple[Path, str]:
 @cache
 def _module(path: Path) -> Any:
     """The file as a module, read once; it may import what lies beside it, as a script may."""
-    if str(path.parent) not in sys.path:
-        sys.path.append(str(path.parent))
-    spec = importlib.util.spec_from_file_location(f"class_file_{path.stem}", path)
+    for beside in path.parent.glob("*.py"):  # what has its name may lie beside another file, too
+        known = getattr(sys.modules.get(beside.stem), "__file__", None)
+        if known is not None and Path(known).parent in _FOLDERS - {path.parent}:
+            del sys.modules[beside.stem]
+    _FOLDERS.add(path.parent)
+    sys.path.insert(0, str(path.parent))
+    place = hashlib.sha256(str(path).encode()).hexdigest()[:8]
+    spec = importlib.util.spec_from_file_location(f"class_file_{path.stem}_{place}", path)
     assert spec is not None and spec.loader is not None
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -1,6 +1,7 @@
 """A team policy of one's own is named by its file."""
 
 import json
+import pickle
 
 import pytest
 
@@ -39,6 +40,15 @@ def test_a_policy_that_only_acts_drives_an_episode_beside_ours(mine, tmp_path, c
     assert set(found) == {"random", mine}
     assert 0.0 < found[mine]["episodes"][0]["path_m"] <= 0.25 * 3.0
     assert mine in capsys.readouterr().out
+
+
+def test_files_of_one_name_are_two_and_import_what_lies_beside_them(mine, tmp_path):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "mine.py").write_text(MINE)
+    (tmp_path / "other" / "beside.py").write_text("SPEED = 0.75\n")
+    policies = [pickle.loads(pickle.dumps(make_policy(name))) for name in (mine, f"other/{mine}", mine)]
+    assert [policy.act({"robot_0": None})["robot_0"][0] for policy in policies] == [0.25, 0.75, 0.25]
+    assert pickle.dumps(make_policy(mine))
 
 
 def test_a_run_says_which_policy_file_it_was_and_runs_again_once_that_changed(mine, tmp_path, capsys):

@@ -9,9 +9,8 @@ Signs of `departments` are like that: two neighbouring rooms belong to one depar
 and the department ("A301 OPTICS LAB", "A302 OPTICS LAB"), the evacuation plan behind it the same and "PLAN", and what
 repeats (exits, fire cabinets or hydrants) hangs in the first and the last room only, and in the corridor. With them
 goes radio that loses less in walls than drawn: identical sets of transmitters (beta = 1) in two of three pairs of one
-place ask for transmitters that are heard well everywhere. Both were chosen by the print's columns of #01 alone: of 230
-rules tried on walks 0 to 2 of #01 eight were tried on walks 100 to 111, too, where they were alike within the spread of
-walks, and this is the simplest. #02 follows them.
+place ask for transmitters that are heard well everywhere. Both were chosen by the print's columns of #01 alone, and of
+what fits alike within the spread of walks this is the simplest; #02 follows them.
 
 Signs `as-drawn` are the maps' own: every room repeats the same one or two texts, and all other texts are unlike, which
 is harder for text alone and easier for text and radio together.
