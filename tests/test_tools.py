@@ -171,6 +171,17 @@ def test_actions_that_last_are_filmed_time_step_by_time_step(tmp_path):
         assert film.n_frames == 11
 
 
+def test_who_closes_a_film_keeps_no_more_pictures(tmp_path, monkeypatch):
+    pytest.importorskip("PIL", reason="needs the extra 'viz'")
+    from twc_env import video
+
+    team = twc_env.parallel_env(robots=2, max_cycles=4, config=SMALL, render_mode="rgb_array")
+    video.RecordEpisodes(team, tmp_path, every=1).close()
+    monkeypatch.setattr(video, "film_frame", lambda *_: pytest.fail("a picture of a film that is closed"))
+    team.reset(seed=0)
+    team.step(dict.fromkeys(team.agents, np.zeros(2, np.float32)))
+
+
 def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeypatch):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
     from twc_env import video

@@ -319,7 +319,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._world, self._seed = episode.world, episode.seed
 
     def close(self) -> None:
-        """Shut the window of render_mode "human"; there is nothing else to release."""
+        """Shut the window of render_mode "human", and send home who watches."""
+        self._spectators.clear()
         if self._viewer is not None:
             self._viewer.close()
 
