@@ -22,6 +22,8 @@ class OwnRecogniser:
         self._file = config.recogniser
         self._own = class_in(self._file, ("name", "propose", "forget"), remedy)(config, range_max_m)
         self.name: str = self._own.name
+        self._known: dict[tuple[int, int], Keyframe] = {}
+        """Keyframes that it has been shown and that are held, by robot and index."""
 
     def propose(
         self,
@@ -29,8 +31,11 @@ class OwnRecogniser:
         skipped_robots: Sequence[int] = (),
         is_wanted: Callable[[Keyframe], bool] | None = None,
     ) -> list[LoopCandidate]:
-        """See `Recogniser`. Raises DataError for candidates with another name, source, or no pose as guess."""
-        return [self._checked(c, keyframe) for c in self._own.propose(keyframe, skipped_robots, is_wanted)]
+        """See `Recogniser`. Raises DataError for candidates with another name or source, a target that is no earlier
+        keyframe, or no pose as guess."""
+        candidates = [self._checked(c, keyframe) for c in self._own.propose(keyframe, skipped_robots, is_wanted)]
+        self._known[keyframe.robot, keyframe.index] = keyframe
+        return candidates
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """See `Recogniser`."""
@@ -38,6 +43,7 @@ class OwnRecogniser:
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Recogniser`."""
+        self._known = {key: keyframe for key, keyframe in self._known.items() if is_held(keyframe)}
         self._own.forget(is_held)
 
     def _checked(self, candidate: LoopCandidate, keyframe: Keyframe) -> LoopCandidate:
@@ -48,4 +54,6 @@ class OwnRecogniser:
         if candidate.recogniser != self.name or tuple(candidate.source) != source:
             got = f"{candidate.recogniser!r} and {candidate.source}"
             raise DataError(f"{self._file} must name candidates {self.name!r}, with source {source}; got {got}")
+        if tuple(candidate.target) not in self._known:
+            raise DataError(f"{self._file} must name keyframes that it was shown before; got target {candidate.target}")
         return replace(candidate, guess=guess)
