@@ -172,6 +172,18 @@ def test_actions_of_another_number_of_rows_are_refused(shape):
         TeamVecEnv(2, SMALL, seed="1")
 
 
+def test_options_of_a_reset_are_refused_where_no_row_could_follow_them():
+    pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+    from twc_env.sb3 import TeamVecEnv
+
+    rows = TeamVecEnv(2, SMALL)
+    for nothing in (None, {}, [{}] * 4):
+        rows.set_options(nothing)
+    for options in ({"split": "test"}, [{}, {}, {}, {"starts": "map"}]):
+        with pytest.raises(AttributeError, match="take no options; got"):
+            rows.set_options(options)
+
+
 def test_stable_baselines_trains_on_rows_of_robots():
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
     from stable_baselines3 import PPO

@@ -95,6 +95,11 @@ class TeamVecEnv(VecEnv):
         """Not offered: a row has no attributes of its own. Raises AttributeError."""
         raise AttributeError(f"rows of a TeamVecEnv have no attributes to set; got {attr_name!r}")
 
+    def set_options(self, options: Any = None) -> None:
+        """Not offered: episodes are told apart by `buildings` and seeds alone. Raises AttributeError for any option."""
+        if any(options if isinstance(options, (list, tuple)) else (options,)):
+            raise AttributeError(f"episodes of a TeamVecEnv take no options; got {options!r}: choose `buildings`")
+
     def env_method(self, method_name: str, *args, indices=None, **kwargs) -> list[Any]:
         """Not offered: environments live in worker processes. Raises AttributeError."""
         raise AttributeError(f"environments of a TeamVecEnv cannot be called; got {method_name!r}")
