@@ -43,6 +43,17 @@ def test_robots_meet_by_a_recogniser_of_ones_own(own, capsys):
     assert found["slam"]["place_recognition"]["recogniser"] == OWN
 
 
+def test_a_benchmark_runs_again_once_the_recogniser_changed(own, capsys):
+    settings = [f"--set={key}={value}" for key, value in own[1].items()]
+    benchmark = ["benchmark", "--maps", "sfw-e1", "--seeds", "0", "--robots", "1", "--steps", "3", "--no-pictures"]
+    assert main([*benchmark, *settings, "--out", "out"]) == 0 and main([*benchmark, *settings, "--out", "out"]) == 0
+    assert "was there" in capsys.readouterr().err
+    with Path("places.py").open("a") as file:
+        file.write("CHANGED = True\n")
+    assert main([*benchmark, *settings, "--out", "out"]) == 0
+    assert "was there" not in capsys.readouterr().err
+
+
 def test_a_snapshot_holds_a_recogniser_of_ones_own(own):
     config, settings = own
     env = twc_env.parallel_env(config=override(config, settings))
