@@ -135,7 +135,7 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     from twc_env.slam.engine import CooperativeSlam
 
     check_folder(options.out)
-    config, steps, contacts = _read_log(log)
+    config, steps, contacts, begun_s = _read_log(log)
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
     config = override(config, {**assignments(options.set), **chosen})
     odom_poses: list[np.ndarray] = []
@@ -172,18 +172,20 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     write_json(options.json, figures)
     if options.out:
         _write_maps(options.out, team)
-        _write_paths(options.out, engine, steps, np.array(odom_poses))
+        _write_paths(options.out, engine, steps, np.array(odom_poses), begun_s)
 
 
-def _read_log(log: Path) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], list[Contacts]]:
-    """Settings, frames step by step, and who heard whom, of a frame log or a log of laser scans."""
+def _read_log(log: Path) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], list[Contacts], float]:
+    """Settings, frames step by step, who heard whom, and when time 0 was, of a frame log or a log of laser scans."""
     from twc_env.config import from_dict
     from twc_env.datasets import frame_log, scan_log
 
     if log.suffix == ".npz":
-        return *frame_log.read_frame_log(log), frame_log.read_contacts(log)
-    frames = scan_log.sensor_frames(scan_log.read_any_log(log), scan_log.BEAMS, scan_log.RANGE_MAX_M)
-    return from_dict(scan_log.SETTINGS | {"robots": 1, "max_cycles": len(frames)}), [[f] for f in frames], []
+        return *frame_log.read_frame_log(log), frame_log.read_contacts(log), 0.0
+    scans = scan_log.read_any_log(log)
+    frames = scan_log.sensor_frames(scans, scan_log.BEAMS, scan_log.RANGE_MAX_M)
+    config = from_dict(scan_log.SETTINGS | {"robots": 1, "max_cycles": len(frames)})
+    return config, [[frame] for frame in frames], [], float(scans.times_s[0])
 
 
 def _error_of_log(engine: CooperativeSlam, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:
@@ -206,7 +208,11 @@ def _write_maps(folder: Path, team: TeamMapper) -> None:
 
 
 def _write_paths(
-    folder: Path, engine: CooperativeSlam, steps: Sequence[Sequence[SensorFrame]], odom_poses: np.ndarray
+    folder: Path,
+    engine: CooperativeSlam,
+    steps: Sequence[Sequence[SensorFrame]],
+    odom_poses: np.ndarray,
+    begun_s: float,
 ) -> None:
     """Where robots were at the times of their frames: in the map that each sees, and by odometry from its start."""
     from twc_env.datasets.tum import write_tum
@@ -229,4 +235,4 @@ def _write_paths(
         }
         for kind, poses in paths.items():
             path = folder / "trajectories" / f"robot_{robot}_{kind}.tum"
-            write_tum(path, np.array([frame.time_s for frame in own]), poses)
+            write_tum(path, np.array([begun_s + frame.time_s for frame in own]), poses)
