@@ -76,6 +76,13 @@ def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, caps
     assert {"map.pgm", "map.yaml", "pose_graph.g2o"} <= written
 
 
+def test_a_frame_log_is_known_by_what_it_holds(tmp_path, capsys):
+    assert main(["record", "--steps", "5", "--out", str(tmp_path)]) == 0
+    (tmp_path / "frames.npz").rename(tmp_path / "monday.frames")
+    assert main(["replay", str(tmp_path / "monday.frames")]) == 0
+    assert "config_digest" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("recorded_with", "arguments", "used"),
     [

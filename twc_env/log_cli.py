@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import zipfile
 from collections.abc import Sequence
 from itertools import accumulate
 from pathlib import Path
@@ -151,7 +152,7 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
         engine.absorb(step, contacts[k] if contacts else None)
         odom_poses.append(engine.poses_odom)
         _progress(k + 1, len(steps))
-    if step >= config.max_cycles or log.suffix != ".npz":  # played to its end, where the mapper clears its desk
+    if step >= config.max_cycles or not _is_frame_log(log):  # played to its end, where the mapper clears its desk
         engine.finish()
     team = engine.team
     figures = {
@@ -180,12 +181,17 @@ def _read_log(log: Path) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], li
     from twc_env.config import from_dict
     from twc_env.datasets import frame_log, scan_log
 
-    if log.suffix == ".npz":
+    if _is_frame_log(log):
         return *frame_log.read_frame_log(log), frame_log.read_contacts(log), 0.0
     scans = scan_log.read_any_log(log)
     frames = scan_log.sensor_frames(scans, scan_log.BEAMS, scan_log.RANGE_MAX_M)
     config = from_dict(scan_log.SETTINGS | {"robots": 1, "max_cycles": len(frames)})
     return config, [[frame] for frame in frames], [], float(scans.times_s[0])
+
+
+def _is_frame_log(log: Path) -> bool:
+    """Whether a file is one of ours, whatever its name; one that is broken goes by it."""
+    return log.suffix == ".npz" or zipfile.is_zipfile(log)
 
 
 def _error_of_log(engine: CooperativeSlam, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:

@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import twc_env
@@ -54,13 +55,21 @@ def test_a_benchmark_runs_again_once_the_recogniser_changed(own, capsys):
     assert "was there" not in capsys.readouterr().err
 
 
-def test_a_snapshot_holds_a_recogniser_of_ones_own(own):
+def test_a_snapshot_holds_what_a_recogniser_of_ones_own_knows(own):
     config, settings = own
     env = twc_env.parallel_env(config=override(config, settings))
     env.reset(seed=1)
+
+    def go_on() -> dict:
+        for _ in range(200):
+            env.step(dict.fromkeys(env.agents, np.array([0.8, 0.3], np.float32)))
+        return env.result().figures
+
+    go_on()
     moment = env.snapshot()
+    figures = go_on()
     env.restore(moment)
-    env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    assert figures["closures"]["proposed"] > 0 and go_on() == figures
 
 
 @pytest.mark.parametrize("cue", ["text", "wifi", "lidar"])
