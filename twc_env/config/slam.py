@@ -45,7 +45,7 @@ class LocalMapConfig(Checked):
     """Keyframes further back along the path than this are left out when the local map moves on."""
     match_distance_max_m: float = number(0.5, 0.1, 2.0)
     match_iterations_max: int = number(10, 1, 100)
-    degenerate_share: float = number(0.04, 0.0, 1.0)
+    degenerate_share: float = number(0.02, 0.0, 1.0)
     """A direction that fewer than this share of the beams fix is left to odometry (a corridor's axis)."""
 
 

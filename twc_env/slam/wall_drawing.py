@@ -21,7 +21,10 @@ JUMP_MAX_M = 0.5
 PIECE_M = 0.3
 """Neighbouring end points are joined to pieces of wall about this long ..."""
 STRAIGHT_M = 0.02
-"""... if none of them is further than this from the chord."""
+"""... if none of them is further than this from the chord, ..."""
+CUT_MIN_M = 0.1
+"""... of which no shorter one is looked at: end points that lie as close as they err give it any direction, and pieces
+of walls that run across a corridor hold the robot back."""
 LINES = 4
 """Where `drawn` counts the lines."""
 NOWHERE = 2**31
@@ -115,7 +118,10 @@ def _is_straight(ends, first, last):
     """Whether the end points between first and last lie near the chord from one to the other."""
     ax, ay = ends[first, 0], ends[first, 1]
     ex, ey = ends[last, 0] - ax, ends[last, 1] - ay
-    limit = STRAIGHT_M * STRAIGHT_M * (ex * ex + ey * ey)
+    squared = ex * ex + ey * ey
+    if squared < CUT_MIN_M * CUT_MIN_M:
+        return True
+    limit = STRAIGHT_M * STRAIGHT_M * squared
     for i in range(first + 1, last):
         across = (ends[i, 1] - ay) * ex - (ends[i, 0] - ax) * ey
         if across * across > limit:

@@ -1,0 +1,30 @@
+"""Walls along a narrow corridor do not hold a robot back that drives past them."""
+
+import numpy as np
+import pytest
+
+from twc_env.config import EnvConfig, override
+from twc_env.geometry import compose
+from twc_env.messages import SensorFrame
+from twc_env.slam.robot import FrontEnds
+
+STEP_M, STEPS, LENGTH_M = 0.05, 200, 60.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("beams", [180, 360, 720])
+@pytest.mark.parametrize("width_m", [1.2, 2.0])
+def test_a_way_along_a_corridor_is_as_long_as_odometry_reads_it(scan, walls, width_m, beams, seed):
+    random, half = np.random.default_rng(seed), 0.5 * width_m
+    corridor = walls((-LENGTH_M, -half), (LENGTH_M, -half), (LENGTH_M, half), (-LENGTH_M, half))
+    ends = FrontEnds(override(EnvConfig(), {"robots": 1, "lidar.beam_count": beams}), 1)
+    true, motion = np.zeros(3), np.array([STEP_M, 0.0, 0.0])
+    for step in range(STEPS + 1):
+        motion[2] = 0.02 * np.cos(0.1 * step)
+        if step:
+            true = compose(true, motion)
+        read = (motion + random.normal(0, 1, 3) * (0.002, 0.001, 0.005)) * (step > 0)
+        seen_m = scan(corridor, true, beams)
+        seen_m[seen_m < 10.0] += random.normal(0, 0.01, np.count_nonzero(seen_m < 10.0))
+        ends.update([SensorFrame(0, step, 0.1 * step, read, motion[2] / 0.1 * (step > 0), seen_m, None, ())])
+    assert np.hypot(*ends.poses_odom[0, :2]) == pytest.approx(np.hypot(*true[:2]), rel=0.02)
