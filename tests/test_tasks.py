@@ -7,16 +7,16 @@ from twc_env.config import digest, override
 from twc_env.errors import ConfigError
 
 PINNED = {
-    "twc/Explore-v0": "401ce26c3849",
-    "twc/ExploreTwin01-v0": "401ce26c3849",
-    "twc/ExploreTwin02-v0": "4a5aa19e2f67",
-    "twc/ExploreOffice-v0": "a8586eb8b120",
-    "twc/ExploreFrontier-v0": "63de61519a78",
-    "twc/ExploreFrontierAsync-v0": "82c984f928bc",
-    "twc/ExploreHard-v0": "a799a24bdbf9",
-    "twc/ExploreKnownStarts-v0": "fcf4de8403c9",
-    "twc/ExploreTruePoses-v0": "bf80e103683a",
-    "twc/ExploreNoMerging-v0": "9fda4645b74b",
+    "twc/Explore-v0": "3d0c706edc22",
+    "twc/ExploreTwin01-v0": "3d0c706edc22",
+    "twc/ExploreTwin02-v0": "d9d2dcf1ea06",
+    "twc/ExploreOffice-v0": "3bf62a8fa976",
+    "twc/ExploreFrontier-v0": "ff1fe0b1fc26",
+    "twc/ExploreFrontierAsync-v0": "d5409b71ccbd",
+    "twc/ExploreHard-v0": "bfa5cdf612cb",
+    "twc/ExploreKnownStarts-v0": "933cbe50bad4",
+    "twc/ExploreTruePoses-v0": "fa5995f33b42",
+    "twc/ExploreNoMerging-v0": "13e187c31c7d",
 }
 
 
