@@ -176,10 +176,16 @@ def test_who_closes_a_film_keeps_no_more_pictures(tmp_path, monkeypatch):
     from twc_env import video
 
     team = twc_env.parallel_env(robots=2, max_cycles=4, config=SMALL, render_mode="rgb_array")
-    video.RecordEpisodes(team, tmp_path, every=1).close()
-    monkeypatch.setattr(video, "film_frame", lambda *_: pytest.fail("a picture of a film that is closed"))
+    made, filmed = video.film_frame, []
+    monkeypatch.setattr(video, "film_frame", lambda *given: filmed.append(given) or made(*given))
+    film = video.RecordEpisodes(team, tmp_path, every=1)
+    film.reset(seed=0)
+    film.step(dict.fromkeys(team.agents, np.zeros(2, np.float32)))
+    before = len(filmed)
+    film.close()
     team.reset(seed=0)
     team.step(dict.fromkeys(team.agents, np.zeros(2, np.float32)))
+    assert before > 0 and len(filmed) == before
 
 
 def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeypatch):
