@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twc_env.errors import DataError
 from twc_env.messages import BLOCK_SHAPE
 from twc_env.slam.cell_kinds import kinds_of
 from twc_env.slam.occupancy_grid import OccupancyGrid
@@ -231,3 +232,21 @@ def test_cells_that_lie_elsewhere_are_another_map():
     grid.clear()
     grid.integrate(np.zeros((1, 3)), scan)
     assert grid.snapshot() is not second
+
+
+def test_scans_that_end_at_the_border_are_kept_when_the_grid_grows_elsewhere():
+    random, scans = np.random.default_rng(0), np.full((2, 90), 2.0)
+    for _ in range(30):
+        grid = OccupancyGrid(CELL_M, RANGE_MAX_M, 90)
+        grid.integrate(random.uniform(-5, 5, (1, 3)), scans[:1])
+        before = grid.snapshot()
+        rows, columns = before.log_odds.shape
+        right_m, middle_m = before.origin_m[0] + columns * CELL_M, before.origin_m[1] + rows * CELL_M / 2
+        pose = (np.nextafter(right_m - 2.0, -np.inf), middle_m, 0.0)
+        grid.integrate(np.array([pose, (before.origin_m[0] - random.uniform(0, 30), middle_m, 0.0)]), scans)
+        assert levels_at(grid.snapshot(), pose[:2]) < 0
+
+
+def test_scans_that_no_grid_can_hold_are_refused():
+    with pytest.raises(DataError, match=r"no grid of .* holds scans that reach"):
+        map_of([(2**58.5 + 459 * 2**50, 0.0, 0.0)], [np.full(BEAMS, 9.0)])

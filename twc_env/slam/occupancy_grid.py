@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.errors import DataError
 from twc_env.geometry import beam_directions
 from twc_env.kernels import Lent, bound, rebound
 from twc_env.messages import GridMap
@@ -16,6 +17,8 @@ from twc_env.slam.scan_folding import BLOCK_COLUMNS, BLOCK_ROWS, folding_room, i
 
 Array = NDArray
 
+ROUNDING_M = 1e-9
+"""A box that ends so close to the grid's end may lie outside once the grid has grown elsewhere."""
 NOWHERE_M = (math.inf, math.inf, -math.inf, -math.inf)
 """A box that holds nothing: left, bottom, right and top end."""
 
@@ -57,13 +60,17 @@ class OccupancyGrid:
         return self.__dict__ | {"_run": None}
 
     def integrate(self, poses: Array, scans: Array) -> None:
-        """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall."""
+        """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall.
+
+        Raises DataError for poses so far away that cells cannot be told apart.
+        """
         if len(poses) == 0:
             return
         poses, scans = np.ascontiguousarray(poses, float), np.ascontiguousarray(scans, float)
         if not self._fold_in(poses, scans):
             self._grow(self._reached_m[:2], self._reached_m[2:])
-            self._fold_in(poses, scans)
+            if not self._fold_in(poses, scans):
+                raise DataError(f"no grid of {self.resolution_m:g} m cells holds scans that reach {self._reached_m} m")
 
     def _fold_in(self, poses: Array, scans: Array) -> bool:
         """Whether the scans could be folded in: not where they touch more than there are cells."""
@@ -119,8 +126,8 @@ class OccupancyGrid:
         first = np.floor((np.minimum(low_m - self.PADDING_M, old_low)) / self.resolution_m)
         last = np.ceil((np.maximum(high_m + self.PADDING_M, old_high)) / self.resolution_m)
         if rows:  # grow only on the sides that need it
-            first = np.where(low_m < old_low, first, np.round(old_low / self.resolution_m))
-            last = np.where(high_m > old_high, last, np.round(old_high / self.resolution_m))
+            first = np.where(low_m < old_low + ROUNDING_M, first, np.round(old_low / self.resolution_m))
+            last = np.where(high_m > old_high - ROUNDING_M, last, np.round(old_high / self.resolution_m))
         shape = (last - first).astype(int)[::-1]
         grown = np.zeros(shape, np.int16)
         if rows:
