@@ -66,6 +66,26 @@ def between(pose_m_a: ArrayLike, pose_m_b: ArrayLike) -> Array:
     return compose(inverse(pose_m_a), pose_m_b)
 
 
+def poses_along(motions: Array) -> Array:
+    """(n, 3) poses from (0, 0, 0) along motions (n - 1, 3), each seen from where the one before ended."""
+    heading = np.concatenate([[0.0], np.cumsum(motions[:, 2])])
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    x = np.concatenate([[0.0], np.cumsum(c * motions[:, 0] - s * motions[:, 1])])
+    y = np.concatenate([[0.0], np.cumsum(s * motions[:, 0] + c * motions[:, 1])])
+    return np.column_stack([x, y, wrap_angle(heading)])
+
+
+def travelled_m(path: Array) -> Array:
+    """(n,) length of a path of positions (n, 2) or poses (n, 3) up to each of them."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1))])
+
+
+def points_along(path_m: Array, at_m: Array) -> Array:
+    """(k, 2) points of a path (n, 2) at lengths (k,) from its beginning."""
+    travel = travelled_m(path_m)
+    return np.column_stack([np.interp(at_m, travel, path_m[:, axis]) for axis in (0, 1)])
+
+
 def seen_from(information: Array, heading_rad: float) -> Array:
     """Information (3, 3) on a pose along the axes of a frame, along the pose's own axes, with its heading in it."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)

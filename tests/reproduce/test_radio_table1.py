@@ -32,11 +32,6 @@ def test_pictures_are_drawn_of_what_an_earlier_run_found(tmp_path, monkeypatch):
     assert [path.name for path in sorted((tmp_path / "pictures").iterdir())] == names
 
 
-def test_an_unknown_place_or_method_is_named(tmp_path, capsys):
-    assert main(["reproduce", "radio-table1", "--places", "semi-outdoor", "--cache", str(tmp_path)]) == 2
-    assert "semi-outdoor" in capsys.readouterr().err
-
-
 def test_a_walk_has_the_printed_length_and_speed_and_turns_no_faster_than_the_robot_can():
     place = PLACES["semi-indoor"]
     poses = true_path(place, 3)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from twc_env.__main__ import main as command
-from twc_env.errors import ConfigError, DataError
-from twc_env.reproduce.runner import TABLES, Runner, data_folder, main, parse_seeds, print_rows
+from twc_env.errors import DataError
+from twc_env.reproduce.runner import TABLES, Runner, data_folder, main, print_rows, seeds_argument
 
 
 def test_finished_parts_are_read_back_after_an_interruption(tmp_path):
@@ -57,9 +57,7 @@ def test_rows_are_printed_in_aligned_columns(capsys):
 
 
 def test_seeds_are_a_count_or_a_range():
-    assert parse_seeds("3") == [0, 1, 2] and parse_seeds("4-6") == [4, 5, 6]
-    with pytest.raises(ConfigError, match="got 'many'"):
-        parse_seeds("many")
+    assert seeds_argument("3") == [0, 1, 2] and seeds_argument("4-6") == [4, 5, 6]
 
 
 def test_a_missing_data_folder_is_named(monkeypatch):
@@ -87,10 +85,10 @@ def test_parts_of_another_code_are_not_taken(tmp_path, monkeypatch, capsys):
     assert "1 finished parts were computed by other code" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("text", ["0", "5-1", "-1", "1.5", ""])
+@pytest.mark.parametrize("text", ["0", "5-1", "-1", "1.5", "", "many"])
 def test_no_seeds_at_all_are_refused(text):
-    with pytest.raises(ConfigError, match="--seeds takes a count"):
-        parse_seeds(text)
+    with pytest.raises(argparse.ArgumentTypeError, match="takes a count"):
+        seeds_argument(text)
 
 
 @pytest.mark.parametrize(
@@ -142,6 +140,16 @@ def test_an_error_in_a_part_stands_on_a_line_of_its_own(tmp_path, capsys):
     assert capsys.readouterr().err.endswith("\n")
 
 
-def test_an_unknown_experiment_is_refused_with_those_there_are(capsys, tmp_path):
-    assert command(["reproduce", "sfw-table1", "--experiments", "E9", "--cache", str(tmp_path)]) == 2
-    assert "takes numbers out of 1,2,3,4,5,6; got 'E9'" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("sfw-table1 --experiments E9", "unknown choice 'E9'; choose from 1,2,3,4,5,6"),
+        ("radio-table1 --places semi-outdoor", "unknown choice 'semi-outdoor'; choose from indoor,semi-indoor,outdoor"),
+        ("real-radio --floors B1", "unknown choice 'B1'; choose from site1_B1,site2_F6,uw_floor"),
+        ("solver --datasets ,", "unknown choice ','; choose from intel,MIT,M3500,ringCity"),
+    ],
+)
+def test_an_unknown_choice_is_refused_with_those_there_are(arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("TWC_DATA", str(tmp_path))
+    assert command(["reproduce", *arguments.split(), "--cache", str(tmp_path)]) == 2
+    assert message in capsys.readouterr().err

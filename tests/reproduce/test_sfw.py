@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twc_env.maps import load_map
+from twc_env.metrics import path_length_m
 from twc_env.metrics.k_visibility import score_structure
 from twc_env.reproduce import sfw_authors, sfw_ble, sfw_houseexpo, sfw_table1
 from twc_env.reproduce.runner import Runner
@@ -13,7 +14,7 @@ from twc_env.reproduce.sfw_flats import flat
 from twc_env.reproduce.sfw_registration import register
 from twc_env.reproduce.sfw_scoring import Mapped, at_coverage
 from twc_env.reproduce.sfw_slam import slam_walk
-from twc_env.reproduce.sfw_walks import STANDOFF_M, length_m, wall_following_route
+from twc_env.reproduce.sfw_walks import STANDOFF_M, wall_following_route
 from twc_env.world.floor_cells import Cells
 
 
@@ -25,12 +26,12 @@ def test_the_route_follows_every_wall_at_its_distance(name):
     middles = plan.walls_m.mean(axis=1)
     gaps = np.linalg.norm(middles[:, None] - way[None], axis=2).min(axis=1)
     assert gaps.max() < STANDOFF_M + 0.3
-    assert length_m(way) > 0.8 * np.linalg.norm(plan.walls_m[:, 0] - plan.walls_m[:, 1], axis=1).sum()
+    assert path_length_m(way) > 0.8 * np.linalg.norm(plan.walls_m[:, 0] - plan.walls_m[:, 1], axis=1).sum()
 
 
 def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(tmp_path, monkeypatch):
     monkeypatch.setitem(sfw_table1.POINTS, 1, 600)
-    options = argparse.Namespace(seeds="1", experiments="1", routers="known", flats=0, out=tmp_path)
+    options = argparse.Namespace(seeds=[0], experiments="1", routers="known", flats=0, out=tmp_path)
     rows = sfw_table1.rows(options, Runner("sfw-table1", tmp_path, {}))
     assert [row["method"] for row in rows] == ["paper", "paper, distance", "ours", "ours, SLAM"]
     assert rows[3]["iou_free"] > 0.9
@@ -84,7 +85,7 @@ def test_flats_are_drawn_by_seed_and_all_their_rooms_can_be_walked():
         plan = flat(seed, routers=2)
         assert np.array_equal(plan.walls_m, flat(seed, routers=2).walls_m)
         walls = np.linalg.norm(plan.walls_m[:, 0] - plan.walls_m[:, 1], axis=1).sum()
-        assert length_m(wall_following_route(plan)) > 0.75 * walls
+        assert path_length_m(wall_following_route(plan)) > 0.75 * walls
 
 
 def test_the_engine_drives_the_route_and_believes_it_was_there():
@@ -115,7 +116,7 @@ def test_pictures_asked_for_in_another_folder_are_drawn_again(table, flats, tmp_
     labels = []
     for folder in ("a", "b"):
         runner = _Labels()
-        options = argparse.Namespace(out=folder, seeds="2", experiments="1", routers="known", flats=flats, plans=1)
+        options = argparse.Namespace(out=folder, seeds=[0, 1], experiments="1", routers="known", flats=flats, plans=1)
         with pytest.raises(StopIteration):
             table.rows(options, runner)
         labels.append(runner.seen)

@@ -34,8 +34,3 @@ def test_without_gtsam_the_table_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "gtsam", None)
     with pytest.raises(ConfigError, match="pip install"):
         table(tmp_path, "--datasets", "MIT", "--repeats", "1")
-
-
-def test_unknown_sets_are_named(tmp_path):
-    with pytest.raises(ConfigError, match="choose from"):
-        table(tmp_path, "--datasets", "Vienna")

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from twc_env.geometry import between
+from twc_env.geometry import between, poses_along
 from twc_env.metrics.trajectory import absolute_trajectory_error_m
 from twc_env.slam.building_axes import BuildingAxes
-from twc_env.slam.odometry_calibration import Motions, reckoned_poses
+from twc_env.slam.odometry_calibration import Motions
 from twc_env.slam.radio_evidence import FieldEvidence
 from twc_env.slam.radio_refinement import jacobian, refined
 
@@ -12,7 +12,7 @@ RANDOM = np.random.default_rng(4)
 ANGLES = np.linspace(0.0, 4 * np.pi, 80)
 PATH = np.column_stack([18 * np.cos(ANGLES), 12 * np.sin(ANGLES), ANGLES + np.pi / 2])
 MOTIONS = between(PATH[:-1], PATH[1:])
-TRUTH = reckoned_poses(MOTIONS)
+TRUTH = poses_along(MOTIONS)
 BOXES = RANDOM.uniform(-30, 30, (40, 2)) + TRUTH[:, :2].mean(axis=0)
 AWAY_M = np.linalg.norm(TRUTH[:, None, :2] - BOXES, axis=2)
 HEARD = np.maximum(65 - 30 * np.log10(np.maximum(AWAY_M, 1.0)) + RANDOM.normal(size=AWAY_M.shape), 0.0)
@@ -23,14 +23,14 @@ def test_slopes_by_motions_are_those_of_the_places():
     for motion, axis in ((0, 2), (30, 0), (60, 1), (78, 2)):
         step = np.zeros_like(MOTIONS)
         step[motion, axis] = 1e-5
-        ahead, behind = (reckoned_poses(MOTIONS + sign * step)[:, :2] for sign in (1, -1))
+        ahead, behind = (poses_along(MOTIONS + sign * step)[:, :2] for sign in (1, -1))
         assert slopes[:, :, motion, axis] == pytest.approx((ahead - behind) / 2e-5, abs=1e-5)
 
 
 def test_what_is_heard_takes_the_noise_out_of_a_path():
     std = np.array([0.05, 0.05, 0.02])
     noisy = MOTIONS + std * RANDOM.normal(size=MOTIONS.shape)
-    before = reckoned_poses(noisy)
+    before = poses_along(noisy)
     information = np.tile(np.diag(1.0 / std**2), (len(noisy), 1, 1))
     after = refined(before, Motions(noisy, noisy[:, 2]), information, [FieldEvidence(HEARD)]).poses
     errors = [absolute_trajectory_error_m(poses, TRUTH) for poses in (before, after)]
@@ -63,14 +63,14 @@ def test_ways_along_walls_keep_the_heading_of_a_map():
     random, corners = np.random.default_rng(5), np.repeat([0, 1, 1, 0, 1, 1], 2)
     turns = np.where(np.arange(120) % 10 == 9, np.tile(corners, 10) * np.pi / 2, 0.0)
     motions = np.column_stack([np.full(120, 3.0), np.zeros(120), turns])
-    truth = reckoned_poses(motions)
+    truth = poses_along(motions)
     away = np.linalg.norm(truth[:, None, :2] - 2 * BOXES, axis=2)
     heard = np.maximum(65 - 30 * np.log10(np.maximum(away, 1.0)) + 6 * random.normal(size=away.shape), 0.0)
     std = np.array([0.05, 0.05, 0.03])
     noisy = motions + std * random.normal(size=motions.shape)
     information = np.tile(np.diag(1.0 / std**2), (len(noisy), 1, 1))
     free, held = (
-        refined(reckoned_poses(noisy), Motions(noisy, noisy[:, 2]), information, [FieldEvidence(heard)], axes).poses
+        refined(poses_along(noisy), Motions(noisy, noisy[:, 2]), information, [FieldEvidence(heard)], axes).poses
         for axes in (BuildingAxes(0.0), BuildingAxes())
     )
     errors = [np.linalg.norm(poses[:, :2] - truth[:, :2], axis=1).mean() for poses in (free, held)]
@@ -83,5 +83,5 @@ def test_how_noisy_the_odometry_is_follows_from_what_was_heard(noise):
     random = np.random.default_rng(11)
     noisy = MOTIONS + noise * std * random.normal(size=MOTIONS.shape)
     information = np.tile(np.diag(1.0 / std**2), (len(noisy), 1, 1))
-    found = refined(reckoned_poses(noisy), Motions(noisy, noisy[:, 2]), information, [FieldEvidence(HEARD)]).noise
+    found = refined(poses_along(noisy), Motions(noisy, noisy[:, 2]), information, [FieldEvidence(HEARD)]).noise
     assert noise / 3 < found < 3 * noise

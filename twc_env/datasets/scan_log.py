@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
-from twc_env.geometry import between
+from twc_env.geometry import between, wrap_angle
 from twc_env.messages import UNSEEN_M, SensorFrame
 
 Array = NDArray
@@ -83,6 +83,11 @@ class Relations:
     """(relations, 3)."""
     away_s: Array
     """(relations,) how far a stamp lies from that of its scan, at the worse end; 0 where both are theirs."""
+
+    def errors(self, poses: Array) -> tuple[Array, Array]:
+        """Translation [m] and rotation [deg] error (relations,) of poses (scans, 3)."""
+        error = between(poses[self.first], poses[self.second]) - self.pose_first_second
+        return np.hypot(error[:, 0], error[:, 1]), np.degrees(np.abs(wrap_angle(error[:, 2])))
 
 
 def read_scan_log(path: str | Path) -> ScanLog:

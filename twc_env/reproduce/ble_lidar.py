@@ -26,9 +26,11 @@ from twc_env.command_line import count
 from twc_env.config import EnvConfig, from_dict
 from twc_env.datasets.ble_drive import DRIVES, Drive, read_ble_drive
 from twc_env.datasets.ble_flat import read_flat
-from twc_env.geometry import compose
+from twc_env.geometry import compose, poses_along
 from twc_env.messages import SensorFrame
+from twc_env.reproduce.drawing import draw_grid, new_figure
 from twc_env.reproduce.intel import place_frames
+from twc_env.reproduce.radio_places import flat
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.occupancy_grid import OccupancyGrid
@@ -99,7 +101,7 @@ def judge_drive(folder: Path, run: str, count: int) -> dict:
     paths = {"commands": _summed(frames), "scan odometry": _summed(matched)}
     for method, recogniser in RECOGNISERS.items():
         paths[method] = place_frames(CooperativeSlam(_config(recogniser), 1), [matched])[0]
-    plan = plan_of_flat(folder)
+    plan = flat(read_flat(folder), wall_db=12.0)
     aligned = {method: _on_plan(path, tracked_m) for method, path in paths.items()}
     scans = np.array([frame.ranges_m for frame in frames])
     table = [_row(run, method, path, Drive(frames, tracked_m), scans, plan) for method, path in aligned.items()]
@@ -113,10 +115,7 @@ def _config(recogniser: str) -> EnvConfig:
 
 
 def _summed(frames: list[SensorFrame]) -> Array:
-    path = np.zeros((len(frames), 3))
-    for k in range(1, len(frames)):
-        path[k] = compose(path[k - 1], frames[k].odometry)
-    return path
+    return poses_along(np.array([frame.odometry for frame in frames[1:]]).reshape(-1, 3))
 
 
 def scan_odometry(frames: list[SensorFrame]) -> list[SensorFrame]:
@@ -136,15 +135,6 @@ def scan_odometry(frames: list[SensorFrame]) -> list[SensorFrame]:
         turn_rate_rad_s = float(motion[2] / (frame.time_s - before.time_s))
         out.append(dataclasses.replace(frame, odometry=motion, turn_rate_rad_s=turn_rate_rad_s))
     return out
-
-
-def plan_of_flat(folder: Path) -> Floorplan:
-    """The outline of the flat as a floor plan."""
-    ring = read_flat(folder).outline_m
-    walls_m = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
-    start_m = read_ble_drive(folder, DRIVES[0], BEAMS, RANGE_MAX_M).tracked_m
-    inside = start_m[np.isfinite(start_m[:, 0])][:1]
-    return Floorplan(name="flat", walls_m=walls_m, wall_loss_db=np.full(len(walls_m), 6.0), interior_m=inside)
 
 
 def _on_plan(path: Array, tracked_m: Array) -> Array:
@@ -181,31 +171,23 @@ def draw_map(path: Array, scans: Array) -> OccupancyGrid:
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
     """Each drive's map by radio and LiDAR under the outline of the flat."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     data = data_folder() / "wifi" / "ble_lidar"
     ring = read_flat(data).outline_m
     written = []
     for run, result in zip(options.runs, _results(options, runner), strict=True):
         drive = read_ble_drive(data, run, BEAMS, RANGE_MAX_M)
-        figure = Figure(figsize=(5 * len(result["paths"]), 6), layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = new_figure(5 * len(result["paths"]), 6, dpi=80)
         for axes, (method, poses) in zip(
             figure.subplots(1, len(result["paths"])), result["paths"].items(), strict=True
         ):
             path = np.array(poses)
             scans = np.array([frame.ranges_m for frame in drive.frames[: len(path)]])
-            grid = draw_map(path, scans)
-            shown = np.where(grid.log_odds > 0, 0.0, np.where(grid.log_odds < 0, 1.0, 0.6))
-            high = grid.origin_m + np.array(shown.shape[::-1]) * CELL_M
-            extent = (grid.origin_m[0], high[0], grid.origin_m[1], high[1])
-            axes.imshow(shown, cmap="gray", vmin=0, vmax=1, origin="lower", extent=extent, interpolation="none")
+            draw_grid(axes, draw_map(path, scans))
             axes.plot(*np.append(ring, ring[:1], axis=0).T, color="tab:red", linewidth=1)
             axes.plot(*drive.tracked_m.T, color="tab:green", linewidth=0.8)
             axes.plot(*path[:, :2].T, color="tab:blue", linewidth=0.8)
             low, top = ring.min(axis=0) - 1, ring.max(axis=0) + 1
             axes.set(xlim=(low[0], top[0]), ylim=(low[1], top[1]), title=f"{run}: {method}", xlabel="x [m]")
         written.append(folder / f"ble-lidar-{run}.png")
-        figure.savefig(written[-1], dpi=80)
+        figure.savefig(written[-1])
     return written

@@ -35,8 +35,9 @@ from twc_env.datasets.scan_log import (
     read_scan_log,
     sensor_frames,
 )
-from twc_env.geometry import between, compose, wrap_angle
+from twc_env.geometry import between, compose
 from twc_env.messages import SensorFrame
+from twc_env.reproduce.drawing import draw_grid, new_figure
 from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.occupancy_grid import OccupancyGrid
@@ -144,15 +145,9 @@ def _in_map(engine: CooperativeSlam, robot: int, poses_odom: Array) -> Array:
     return compose(engine.team.poses_of(robot)[last], between(poses_odom[steps[last]], poses_odom))
 
 
-def errors(poses: Array, relations: Relations) -> tuple[Array, Array]:
-    """Translation [m] and rotation [deg] error of poses (scans, 3) at each relation (k,)."""
-    error = between(poses[relations.first], poses[relations.second]) - relations.pose_first_second
-    return np.hypot(error[:, 0], error[:, 1]), np.degrees(np.abs(wrap_angle(error[:, 2])))
-
-
 def row(method: str, poses: Array, group: Array, relations: Relations, robots: int) -> dict:
     """Errors of poses (scans, 3), each in the frame of its group (scans,), at the relations (k,) inside one group."""
-    translation_m, rotation_deg = errors(poses, relations)
+    translation_m, rotation_deg = relations.errors(poses)
     judged = group[relations.first] == group[relations.second]
     exact = judged & (relations.away_s < SAME_SCAN_S)
     starts = [piece[0] for piece in np.array_split(np.arange(len(poses)), robots)]
@@ -173,9 +168,6 @@ def row(method: str, poses: Array, group: Array, relations: Relations, robots: i
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
     """The map of the largest group of each run, from the log's scans at the engine's poses."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     log, _ = read_log(options.scans)
     scans = np.array([frame.ranges_m for frame in sensor_frames(log, BEAMS, RANGE_MAX_M)])
     written = []
@@ -184,18 +176,14 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
         inside = group == np.argmax(np.bincount(group))
         grid = OccupancyGrid(0.05, RANGE_MAX_M, BEAMS)
         grid.integrate(poses[inside], scans[inside])
-        shown = np.where(grid.log_odds > 0, 0.0, np.where(grid.log_odds < 0, 1.0, 0.6))
-        figure = Figure(figsize=(9, 9), layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = new_figure(9, 9, dpi=110)
         axes = figure.add_subplot()
-        high = grid.origin_m + np.array(shown.shape[::-1]) * 0.05
-        extent = (grid.origin_m[0], high[0], grid.origin_m[1], high[1])
-        axes.imshow(shown, cmap="gray", vmin=0, vmax=1, origin="lower", extent=extent, interpolation="none")
+        draw_grid(axes, grid)
         for k, piece in enumerate(np.array_split(np.arange(len(poses)), robots)):
             axes.plot(*poses[piece[inside[piece]], :2].T, linewidth=0.6, color=f"C{k}")
         near = poses[inside, :2]
         axes.set(xlim=(near[:, 0].min() - 6, near[:, 0].max() + 6), ylim=(near[:, 1].min() - 6, near[:, 1].max() + 6))
         axes.set(xlabel="x [m]", ylabel="y [m]", title=f"Intel Lab, {robots} robot(s)")
         written.append(folder / f"intel-{robots}.png")
-        figure.savefig(written[-1], dpi=110)
+        figure.savefig(written[-1])
     return written

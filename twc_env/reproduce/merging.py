@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.exploration.evaluation import map_at
 from twc_env.maps import load_map
 from twc_env.messages import GridMap
-from twc_env.metrics import wall_thickness_m
+from twc_env.metrics import path_length_m, wall_thickness_m
 from twc_env.reproduce.routes import RoutePlanner, room_tour, steer
 from twc_env.reproduce.runner import Runner
 from twc_env.slam.exchange import KINDS
@@ -58,18 +58,17 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     settings = assignments(options.set)
     override(EnvConfig(), settings)  # a misspelt setting fails now
     found = runner.each(names, lambda name: merge_in(name, options.robots, options.seed, settings))
-    merged = [row["first_merge_s"] for row in found if row["first_merge_s"] is not None]
     total = {
         "building": f"all {len(found)}",
         "rooms": sum(row["rooms"] for row in found),
         "steps": sum(row["steps"] for row in found),
         "fully_merged": sum(row["fully_merged"] for row in found),
         "wrong_merges": sum(row["wrong_merges"] for row in found),
-        "first_merge_s": float(np.median(merged)) if merged else None,
-        "all_merged_s": _median([row["all_merged_s"] for row in found]),
+        "first_merge_s": _known(np.median, (row["first_merge_s"] for row in found)),
+        "all_merged_s": _known(np.median, (row["all_merged_s"] for row in found)),
         "undone": sum(row["undone"] for row in found),
-        **{key: _median([row[key] for row in found]) for key in BYTES},
-        **{key: _mean([row[key] for row in found]) for key in THICKNESS},
+        **{key: _known(np.median, (row[key] for row in found)) for key in BYTES},
+        **{key: _known(np.mean, (row[key] for row in found)) for key in THICKNESS},
         "team_ate_m": float(np.mean([row["team_ate_m"] for row in found])),
         "team_ate_max_m": max(row["team_ate_max_m"] for row in found),
     }
@@ -80,18 +79,14 @@ def merge_in(name: str, robots: int, seed: int, changes: dict[str, object] | Non
     """One episode in one building, with some settings changed."""
     plan = load_map(name)
     ways = overlapping_ways(plan, robots)
-    longest = max(float(np.hypot(*np.diff(way, axis=0).T).sum()) for way in ways)
+    longest = max(path_length_m(way) for way in ways)
     settings = {**(changes or {}), "map": name, "robots": robots, "max_cycles": int(longest * STEPS_PER_M) + 50}
     env = ExplorationEnv(config=override(EnvConfig(), settings))
-    headings = [math.atan2(*(way[min(5, len(way) - 1)] - way[0])[::-1]) for way in ways]
-    starts = np.array([[*way[0], heading] for way, heading in zip(ways, headings, strict=True)])
-    env.reset(seed=seed, options={"starts": starts})
-    walkers = [Walker(way) for way in ways]
+    walkers = begin(env, ways, seed)
     first = everyone = None
     sent: dict[str, int] = {}
     while env.agents and not all(walker.is_done for walker in walkers):
-        poses = env.state().reshape(robots, 6)[:, :3]
-        env.step({a: w.act(p, env) for a, w, p in zip(env.agents, walkers, poses, strict=True)})
+        walk_on(env, walkers)
         sharing = [len(view.robots) for view in env.engine.views()]
         if max(sharing) > 1 and first is None:
             first, sent = env.frames[0].time_s, dict(env.engine.bytes_sent)
@@ -152,14 +147,9 @@ def _apart(ways: list[Array]) -> list[Array]:
     return cut
 
 
-def _mean(values: Sequence[float | None]) -> float | None:
+def _known(statistic: Callable, values: Iterable[float | None]) -> float | None:
     known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
-
-
-def _median(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else None
+    return float(statistic(known)) if known else None
 
 
 class Walker:
@@ -188,3 +178,17 @@ class Walker:
             return np.zeros(2)
         dynamics = env.config.dynamics
         return np.clip([command[0] / dynamics.speed_max_m_s, command[1] / dynamics.turn_rate_max_rad_s], -1.0, 1.0)
+
+
+def begin(env: ExplorationEnv, ways: Sequence[Array], seed: int) -> list[Walker]:
+    """Begin an episode in which each robot looks along its way from where that begins; who walks there."""
+    headings = [math.atan2(*(way[min(5, len(way) - 1)] - way[0])[::-1]) for way in ways]
+    starts = np.array([[*way[0], heading] for way, heading in zip(ways, headings, strict=True)])
+    env.reset(seed=seed, options={"starts": starts})
+    return [Walker(way) for way in ways]
+
+
+def walk_on(env: ExplorationEnv, walkers: Sequence[Walker]) -> None:
+    """One step of all."""
+    poses = env.state().reshape(len(walkers), 6)[:, :3]
+    env.step({a: w.act(p, env) for a, w, p in zip(env.agents, walkers, poses, strict=True)})

@@ -8,6 +8,7 @@ judged at the same pairs of scans by the same code. The means over all relations
 from __future__ import annotations
 
 import argparse
+import itertools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from twc_env.command_line import number
 from twc_env.config import OdometryConfig
 from twc_env.datasets.scan_log import Relations, read_relations, read_scan_log
-from twc_env.geometry import between, compose, wrap_angle
+from twc_env.geometry import compose, poses_along, travelled_m
 from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
 from twc_env.world.odometry import PRESETS, Odometry
 
@@ -77,18 +78,13 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 def dead_reckoning(path: Array, config: OdometryConfig, seed: int) -> Array:
     """Poses (k, 3) that the platform's odometry gives for a true path (k, 3), begun at its first pose."""
     odometry = Odometry(config, 1.0, 1, seed)
-    poses = np.array(path, float)
-    for k in range(1, len(path)):
-        motion = odometry.measure(path[k - 1 : k], path[k : k + 1])[0][0]
-        poses[k] = compose(poses[k - 1], motion)
-    return poses
+    motions = [odometry.measure(a[None], b[None])[0][0] for a, b in itertools.pairwise(path)]
+    return compose(path[0], poses_along(np.array(motions)))
 
 
 def figures(poses: Array, relations: Relations, groups: dict[str, Array]) -> dict[str, float]:
     """Mean translation [m] and rotation [deg] error of poses (k, 3) over each group of relations."""
-    errors = between(poses[relations.first], poses[relations.second]) - relations.pose_first_second
-    translation_m = np.hypot(errors[:, 0], errors[:, 1])
-    rotation_deg = np.degrees(np.abs(wrap_angle(errors[:, 2])))
+    translation_m, rotation_deg = relations.errors(poses)
     found = {}
     for name, chosen in groups.items():
         found[f"{name}: translation_m"] = float(translation_m[chosen].mean())
@@ -98,7 +94,7 @@ def figures(poses: Array, relations: Relations, groups: dict[str, Array]) -> dic
 
 def _groups(relations: Relations, times_s: Array, path: Array) -> dict[str, Array]:
     """Which relations belong together: all, those over a long time, and bands of the path in between."""
-    travel_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1))])
+    travel_m = travelled_m(path)
     between_m = np.abs(travel_m[relations.second] - travel_m[relations.first])
     groups = {
         "all relations": np.ones(len(between_m), bool),

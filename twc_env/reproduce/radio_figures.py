@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.errors import MapError
 from twc_env.maps import load_map
 from twc_env.messages import GridMap
+from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.radio_methods import Outcome
 
 Array = NDArray
@@ -54,28 +54,25 @@ def _picture(grid: GridMap) -> dict[str, Any]:
     return {"shape": cells.shape, "resolution_m": grid.resolution_m, "cells": packed}
 
 
-def check() -> None:
-    """Raise MapError now where `draw` could not draw later."""
-    _figure((1, 1))
-
-
 def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> None:
     """Write `NAME-models.png`, `NAME-trajectories.png` and `NAME-map.png`, as far as the walk (`shown`) has them.
 
-    `twin` names the map. Raises MapError when matplotlib is missing.
+    `twin` names the map. Raises DataError when matplotlib is missing.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if walk["models"]:
-        figure, axes = _figure((8, 4))
+        figure = new_figure(8, 4, dpi=110)
+        axes = figure.add_subplot()
         for kind, model in walk["models"].items():
             centre, mean, std = (np.array(model[key]) for key in ("centre", "mean_m", "std_m"))
             axes.plot(centre, mean, color=PATHS[kind], label=kind)
             axes.fill_between(centre, mean - std, mean + std, color=PATHS[kind], alpha=0.2, lw=0)
         axes.set(xlabel="similarity", ylabel="distance [m], mean and deviation", title=name, ylim=(0, None))
         axes.legend()
-        figure.savefig(folder / f"{name}-models.png", dpi=110)
+        figure.savefig(folder / f"{name}-models.png")
     if walk["paths"]:
-        figure, axes = _figure((10, 7))
+        figure = new_figure(10, 7, dpi=110)
+        axes = figure.add_subplot()
         walls = load_map(twin).walls_m
         apart = np.concatenate([walls, np.full((len(walls), 1, 2), np.nan)], axis=1)  # (walls, 3, 2)
         axes.plot(*apart.reshape(-1, 2).T, color="0.75", lw=0.8)
@@ -83,23 +80,12 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> None:
             axes.plot(*np.transpose(path), color=PATHS.get(method, "k"), lw=0.9, label=method)
         axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=name)
         axes.legend(loc="upper right")
-        figure.savefig(folder / f"{name}-trajectories.png", dpi=110)
+        figure.savefig(folder / f"{name}-trajectories.png")
     for method, picture in walk["maps"].items():
-        figure, axes = _figure((10, 7))
+        figure = new_figure(10, 7, dpi=110)
+        axes = figure.add_subplot()
         cells = np.frombuffer(zlib.decompress(base64.b64decode(picture["cells"])), np.uint8).reshape(picture["shape"])
         height, width = np.array(cells.shape) * picture["resolution_m"]
         axes.imshow(cells, cmap="gray", origin="lower", extent=(0, width, 0, height), vmin=0, vmax=255)
         axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=f"{name}: occupancy map of {method}")
-        figure.savefig(folder / f"{name}-map.png", dpi=110)
-
-
-def _figure(size: tuple[float, float]) -> tuple[Any, Any]:
-    """A figure and its axes."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MapError("drawing needs matplotlib: pip install 'twc_env[viz]'") from error
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, figure.subplots()
+        figure.savefig(folder / f"{name}-map.png")

@@ -18,6 +18,7 @@ from twc_env.config import RADIO_PRESETS, RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.datasets.raster import plan_from_free
 from twc_env.datasets.sfw_authors import THRESHOLDS_DBM, AuthorsWalk
+from twc_env.geometry import travelled_m
 from twc_env.maps import load_map
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio_study import Figures, Spread, Study, share_near, similarity_figures, with_settings
@@ -232,7 +233,7 @@ def _low_band(walk: AuthorsWalk) -> list[Array]:
 def _walk_and_plan(laid: LaidWalk) -> tuple[RadioSurvey, Floorplan]:
     """The walk as an empty survey, and the rooms of the LiDAR map with the authors' routers."""
     at_m = laid.placed.position_m
-    travel_m = np.append(0.0, np.linalg.norm(np.diff(at_m, axis=0), axis=1)).cumsum()
+    travel_m = travelled_m(at_m)
     zeros = np.zeros(len(at_m), int)
     walk = RadioSurvey("authors' flat", at_m, zeros, travel_m / _WALK_SPEED_M_S, zeros, (), np.zeros((len(at_m), 0)))
     plan = plan_from_free(laid.cells.free, _MAP_CELL_M, walk.name, laid.cells.origin_m.tolist())

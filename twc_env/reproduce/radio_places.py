@@ -16,6 +16,8 @@ from scipy.ndimage import distance_transform_edt
 from twc_env.config import RadioConfig
 from twc_env.datasets.ble_flat import Flat
 from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.geometry import points_along
+from twc_env.metrics import path_length_m
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.routes import RoutePlanner
 from twc_env.world.floor_cells import Cells
@@ -187,15 +189,13 @@ def stroll(plan: Floorplan, length_m: float, spacing_m: float, speed_m_s: float,
     cells = plan.cells()
     rows, columns = np.nonzero(cells.free)
     way = np.zeros((0, 2))
-    while _length(way) < length_m:
+    while path_length_m(way) < length_m:
         stops = random.integers(0, len(rows), 6)
         places = cells.origin_m + (np.column_stack([columns[stops], rows[stops]]) + 0.5) * cells.resolution_m
         way = np.concatenate([way, planner.route([*way[-1:], *places])])
-    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     at = np.arange(0.0, length_m, spacing_m)
-    places = np.column_stack([np.interp(at, travel, way[:, k]) for k in (0, 1)])
-    zeros = np.zeros(len(at), int)
-    return RadioSurvey(plan.name, places, zeros, at / speed_m_s, zeros, (), np.zeros((len(at), 0), np.float32))
+    zeros, nothing = np.zeros(len(at), int), np.zeros((len(at), 0), np.float32)
+    return RadioSurvey(plan.name, points_along(way, at), zeros, at / speed_m_s, zeros, (), nothing)
 
 
 def merged(surveys: Sequence[RadioSurvey]) -> RadioSurvey:
@@ -205,7 +205,3 @@ def merged(surveys: Sequence[RadioSurvey]) -> RadioSurvey:
     total = np.nansum(readings, axis=0)
     mean = np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
     return dataclasses.replace(surveys[0], rssi_dbm=mean)
-
-
-def _length(way: Array) -> float:
-    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())

@@ -22,7 +22,7 @@ from twc_env.maps import load_map
 from twc_env.messages import Fingerprint
 from twc_env.reproduce import radio_walks
 from twc_env.reproduce.radio_twins import PLACES, radio_config
-from twc_env.reproduce.runner import Runner, parse_seeds
+from twc_env.reproduce.runner import Runner, seeds_argument
 from twc_env.slam.radio_similarity import FingerprintStore, all_similarities, feature_rows
 from twc_env.slam.radio_trail import RadioTrail
 
@@ -39,7 +39,9 @@ BULK, REPEATS = 4000, 5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce radio-scale`."""
-    parser.add_argument("--seeds", default="2", help="a count or a range like 0-9 (default: %(default)s)")
+    parser.add_argument(
+        "--seeds", type=seeds_argument, default="2", help="drives: a count or a range like 0-9 (default: %(default)s)"
+    )
     parser.add_argument(
         "--length", type=number(100.0, 1e6), default=10_000.0, help="metres to drive (default: %(default)s)"
     )
@@ -48,8 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """{travel_km, places, memory_kib, scan_ms, scan_ms_max, error_mean_m, error_sd_m, odometry_mean_m, seeds}."""
-    seeds = parse_seeds(options.seeds)
-    parts = [(options.length, seed) for seed in seeds]
+    parts = [(options.length, seed) for seed in options.seeds]
     runs = runner.each(parts, run, lambda part: f"{part[0]:g} m, seed {part[1]}", processes=min(2, len(parts)))
     speeds = runner.each(
         list(SPREADS.values()), lambda spread: similarity_speed(options.stored, spread), lambda n: f"similarity {n}"

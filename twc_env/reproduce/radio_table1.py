@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from twc_env.command_line import count, number
-from twc_env.errors import ConfigError
 from twc_env.reproduce import radio_figures, radio_sweep
+from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.radio_methods import METHODS, means, outcomes
 from twc_env.reproduce.radio_twins import PLACES, Place
-from twc_env.reproduce.runner import Runner, parse_seeds
+from twc_env.reproduce.runner import Runner, chosen, seeds_argument
 
 SUMMARY = "radio SLAM in twins of its three environments: WiFi, LTE, WiFi with laser"
 CHOOSES = ("seeds", "places")
@@ -34,7 +34,7 @@ SURVEY_PRINTED_S = 8619.2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce radio-table1`."""
-    parser.add_argument("--seeds", default="4-8", help="count or range; 0-3 chose settings (default: %(default)s)")
+    parser.add_argument("--seeds", type=seeds_argument, default="4-8", help="0-3 chose settings (default: %(default)s)")
     parser.add_argument("--places", default=",".join(PLACES), help="default: %(default)s")
     parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
     parser.add_argument("--processes", type=count, default=2, help="walks measured at once (default: %(default)s)")
@@ -50,14 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row an environment and method; means over seeds."""
-    places = {name: PLACES[name] for name in _chosen(options.places, PLACES)}
-    seeds = parse_seeds(options.seeds)
+    places = {name: PLACES[name] for name in chosen(options.places, PLACES)}
     if options.sweep:
-        return radio_sweep.rows(seeds, runner, options.share, options.processes)
+        return radio_sweep.rows(options.seeds, runner, options.share, options.processes)
     if options.out:
-        radio_figures.check()
-    methods = _chosen(options.methods, METHODS)
-    parts = [(name, place.shortened(options.share), seed) for name, place in places.items() for seed in seeds]
+        new_figure(1, 1)  # fails now without matplotlib, not after the walks
+    methods = chosen(options.methods, METHODS)
+    parts = [(name, place.shortened(options.share), seed) for name, place in places.items() for seed in options.seeds]
     work = functools.partial(_measured, methods=methods)
     found = runner.each(parts, work, lambda part: f"{part[0]} seed {part[2]}", processes=options.processes)
     table = []
@@ -114,11 +113,3 @@ def _note_survey(runner: Runner, table: list[dict]) -> None:
             f"survey effort: the indoor walk takes {duration_s:.0f} s in large loops; the printed laser survey of "
             f"small loops took {SURVEY_PRINTED_S:.0f} s, {SURVEY_PRINTED_S / duration_s:.1f} times as long"
         )
-
-
-def _chosen(text: str, known) -> list[str]:
-    chosen = [name.strip() for name in text.split(",") if name.strip()]
-    for name in chosen:
-        if name not in known:
-            raise ConfigError(f"unknown choice {name!r}; choose from {', '.join(known)}")
-    return chosen

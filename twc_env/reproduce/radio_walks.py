@@ -17,9 +17,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from twc_env.config import LidarConfig, OdometryConfig, RadioConfig
 from twc_env.errors import ConfigError
-from twc_env.geometry import compose, wrap_angle
+from twc_env.geometry import compose, points_along, poses_along, wrap_angle
 from twc_env.maps import load_map
 from twc_env.messages import Fingerprint
+from twc_env.metrics import path_length_m
 from twc_env.random_streams import random_stream
 from twc_env.reproduce import radio_places
 from twc_env.reproduce.routes import RoutePlanner
@@ -68,10 +69,6 @@ class RadioWalk:
         """(n, 3) dead reckoning from the true first pose."""
         return dead_reckoning(self.true_poses[0], self.motions)
 
-    def errors_m(self, poses: Array) -> Array:
-        """(n,) distance of each position to the truth; both start at the same pose."""
-        return np.linalg.norm(poses[:, :2] - self.true_poses[:, :2], axis=1)
-
 
 @lru_cache(maxsize=4)
 def planner(name: str, resolution_m: float) -> RoutePlanner:
@@ -86,7 +83,7 @@ def drive(name: str, length_m: float, speed_m_s: float, seed: int, resolution_m:
     cells = plan.cells(resolution_m)
     rows, columns = np.nonzero(cells.free)
     way = np.zeros((0, 2))
-    while _length(way) < length_m + 1.0:
+    while path_length_m(way) < length_m + 1.0:
         stops = random.integers(0, len(rows), LEGS_AT_ONCE)
         places = cells.origin_m + (np.column_stack([columns[stops], rows[stops]]) + 0.5) * resolution_m
         way = np.concatenate([way, ways.route([*way[-1:], *places])])
@@ -94,10 +91,10 @@ def drive(name: str, length_m: float, speed_m_s: float, seed: int, resolution_m:
 
 
 def _poses_along(way: Array, length_m: float, speed_m_s: float) -> Array:
-    fine = _resampled(way, np.arange(0.0, _length(way), 0.1))
+    fine = points_along(way, np.arange(0.0, path_length_m(way), 0.1))
     fine = gaussian_filter1d(fine, ROUNDING_M / 0.1, axis=0, mode="nearest")
     step_m = speed_m_s * ODOMETRY_STEP_S
-    positions = _resampled(fine, np.arange(0.0, min(length_m, _length(fine)), step_m))
+    positions = points_along(fine, np.arange(0.0, min(length_m, path_length_m(fine)), step_m))
     ahead = np.gradient(positions, axis=0)
     return _turning_slowly(positions, np.arctan2(ahead[:, 1], ahead[:, 0]))
 
@@ -161,11 +158,7 @@ def scan_lidar(plan: Floorplan, lidar: LidarConfig, poses: Array, seed: int) -> 
 
 def dead_reckoning(start: Array, motions: Array) -> Array:
     """(n, 3) poses from a first one and the motions (n - 1, 3) that follow."""
-    poses = np.empty((len(motions) + 1, 3))
-    poses[0] = start
-    for k, motion in enumerate(motions):
-        poses[k + 1] = compose(poses[k], motion)
-    return poses
+    return compose(start, poses_along(motions))
 
 
 def measured_odometry(true_poses: Array, at: Array, drift: float, seed: int) -> tuple[Array, Array]:
@@ -208,12 +201,3 @@ def _odometry_error_m(true_poses: Array, at: Array, drift: float, stream: int) -
 @lru_cache(maxsize=2)
 def _model(radio: RadioConfig, plan: Floorplan) -> RadioModel:
     return radio_places.RememberingModel(radio, plan)
-
-
-def _length(way: Array) -> float:
-    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-
-
-def _resampled(way: Array, at_m: Array) -> Array:
-    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
-    return np.column_stack([np.interp(at_m, travel, way[:, k]) for k in (0, 1)])

@@ -57,14 +57,14 @@ from twc_env.geometry import align_rigidly, between, transform_points, wrap_angl
 from twc_env.messages import Fingerprint
 from twc_env.random_streams import random_stream
 from twc_env.reproduce import real_radio_oracle
-from twc_env.reproduce.runner import Runner, data_folder
+from twc_env.reproduce.runner import Runner, chosen, data_folder
 from twc_env.slam import radio_slam, trace_joining
 
 Array = NDArray
 
 SUMMARY = "real phone walks joined by WiFi alone, and a robot's floor with drift"
 CHOOSES = ("floors",)
-FLOORS = ("site1_B1", "site2_F6")
+FLOORS, ROBOT_FLOOR = ("site1_B1", "site2_F6"), "uw_floor"
 WEIGHTINGS = ("paper", "ours")
 SCALE_STD, CURL_STD_RAD_M, HEADING_STD_RAD = 0.03, 0.01, 0.01
 """Drift put on the surveyed path of uw_floor: scale and curl of the whole run, heading noise over one metre."""
@@ -72,7 +72,7 @@ SCALE_STD, CURL_STD_RAD_M, HEADING_STD_RAD = 0.03, 0.01, 0.01
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce real-radio`."""
-    parser.add_argument("--floors", default=",".join((*FLOORS, "uw_floor")), help="default: %(default)s")
+    parser.add_argument("--floors", default=",".join((*FLOORS, ROBOT_FLOOR)), help="default: %(default)s")
     parser.add_argument("--seeds", type=count, default=5, help="drifts put on uw_floor (default: %(default)s)")
     parser.add_argument("--traces", type=count, metavar="N", help="only the first N walks of a mall")
 
@@ -80,8 +80,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """{floor, method, traces_joined, error_mean_m, error_std_m}; traces_joined is "joined / all recorded"."""
     folder = data_folder()
-    floors = [floor for floor in options.floors.split(",") if floor]
-    found = runner.each(floors, lambda floor: _floor(folder, floor, options.seeds, options.traces))
+    found = runner.each(
+        chosen(options.floors, (*FLOORS, ROBOT_FLOOR)),
+        lambda floor: _floor(folder, floor, options.seeds, options.traces),
+    )
     table = [dict(row) for part in found for row in part]
     for row in table:
         half_m = row.pop("error_median_m")
@@ -90,7 +92,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def _floor(folder: Path, floor: str, seeds: int, traces_max: int | None) -> list[dict]:
-    if floor == "uw_floor":
+    if floor == ROBOT_FLOOR:
         return _robot_floor(read_uw_floor(folder / "wifi" / "uw_floor" / "uw-floor.txt"), seeds)
     place = folder / "indoor20" / floor
     recorded = len(sorted((place / "traces").glob("*.txt*"))[:traces_max])
@@ -125,7 +127,8 @@ def _robot_floor(survey: RadioSurvey, seeds: int) -> list[dict]:
             away[name].append(_apart_m([poses[:, :2]], [survey.position_m]))
     drift = f"scale {SCALE_STD:g}, curl {CURL_STD_RAD_M:g} rad/m, {seeds} drifts"
     return [
-        _row("uw_floor", f"{name} ({drift})", "1 / 1", np.concatenate(away[name])) for name in ("odometry", *WEIGHTINGS)
+        _row(ROBOT_FLOOR, f"{name} ({drift})", "1 / 1", np.concatenate(away[name]))
+        for name in ("odometry", *WEIGHTINGS)
     ]
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -28,7 +27,7 @@ from twc_env.config import PoseGraphConfig
 from twc_env.datasets.g2o import read_g2o
 from twc_env.errors import ConfigError, DataError
 from twc_env.geometry import align_rigidly, between, compose, inverse
-from twc_env.reproduce.runner import Runner, data_folder, parse_seeds
+from twc_env.reproduce.runner import Runner, chosen, data_folder, seeds_argument
 from twc_env.slam import robust_backend
 from twc_env.slam.pose_graph import Graph
 
@@ -66,8 +65,10 @@ class Case:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce robustness`."""
-    parser.add_argument("--seeds", default="6", help="of `ours`: a count or a range like 0-9 (default: %(default)s)")
-    parser.add_argument("--other-seeds", default="1", help="of the other methods (default: %(default)s)")
+    parser.add_argument("--seeds", type=seeds_argument, default="6", help="of `ours` (default: %(default)s)")
+    parser.add_argument(
+        "--other-seeds", type=seeds_argument, default="1", help="of the other methods (default: %(default)s)"
+    )
     parser.add_argument("--datasets", default=",".join(DATASETS), help="default: %(default)s")
     parser.add_argument("--shares", default="0,0.2,0.5,0.8", help="of false closures (default: %(default)s)")
     parser.add_argument("--processes", type=count, default=2, help="default: %(default)s")
@@ -77,9 +78,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row a set, kind, share and method; means over the seeds, and the worst error."""
     folder = data_folder() / "posegraph"
-    datasets, methods = _choices(options.datasets, DATASETS), _choices(options.methods, METHODS)
+    datasets, methods = chosen(options.datasets, DATASETS), chosen(options.methods, METHODS)
     shares = _shares(options.shares)
-    seeds = dict.fromkeys(methods, parse_seeds(options.other_seeds)) | {"ours": parse_seeds(options.seeds)}
+    seeds = dict.fromkeys(methods, options.other_seeds) | {"ours": options.seeds}
     cases = [
         Case(dataset, kind, share, method, seed)
         for dataset in datasets
@@ -208,14 +209,6 @@ def _row(key: tuple, parts: list[dict]) -> dict:
         "time_s": means["time_s"],
         "seeds": len(parts),
     }
-
-
-def _choices(text: str, known: Iterable[str]) -> list[str]:
-    chosen = [name for name in text.split(",") if name]
-    for name in chosen:
-        if name not in known:
-            raise ConfigError(f"unknown choice {name!r}; choose from {', '.join(known)}")
-    return chosen
 
 
 def _shares(text: str) -> list[float]:

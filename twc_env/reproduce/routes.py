@@ -21,6 +21,7 @@ from twc_env.config import EnvConfig
 from twc_env.errors import MapError
 from twc_env.geometry import wrap_angle
 from twc_env.messages import Keyframe
+from twc_env.metrics import path_length_m
 from twc_env.slam.robot import FrontEnds
 from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.world import World
@@ -127,7 +128,7 @@ def walk(config: EnvConfig, plan: Floorplan, way_m: Array, robot: int, seed: int
     world.reset(1000 * seed + robot, starts=np.array([[*way_m[0], heading]]))
     front_end = FrontEnds(config, 1)
     result, passes, waiting, at = Walk(), _Passes(), [], 0
-    limit = 20 * int(np.hypot(*np.diff(way_m, axis=0).T).sum() / (CRUISE_M_S * config.dynamics.time_step_s) + 100)
+    limit = 20 * int(path_length_m(way_m) / (CRUISE_M_S * config.dynamics.time_step_s) + 100)
     for _ in range(limit):
         (frame,) = world.sense()
         pose = world.poses[0]

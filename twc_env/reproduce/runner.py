@@ -137,24 +137,25 @@ def data_folder() -> Path:
     return Path(folder)
 
 
-def parse_seeds(text: str) -> list[int]:
-    """Seeds of a command line: a count ("20": 0 to 19) or a range ("0-9")."""
+def seeds_argument(text: str) -> list[int]:
+    """Seeds as an argument's type: a count ("20": 0 to 19) or a range ("0-9")."""
     try:
         first, dash, last = text.partition("-")
         seeds = list(range(int(first), int(last) + 1)) if dash else list(range(int(first)))
     except ValueError:
         seeds = []
     if not seeds:
-        raise ConfigError(f"--seeds takes a count like 20 or a range like 0-9; got {text!r}")
+        raise argparse.ArgumentTypeError(f"takes a count like 20 or a range like 0-9; got {text!r}")
     return seeds
 
 
-def seeds_argument(text: str) -> list[int]:
-    """`parse_seeds` as an argument's type."""
-    try:
-        return parse_seeds(text)
-    except ConfigError as error:
-        raise argparse.ArgumentTypeError(str(error).removeprefix("--seeds ")) from None
+def chosen(text: str, known: Iterable[str]) -> list[str]:
+    """The names of a list like "intel,MIT". Raises ConfigError for one that is not known, or where there is none."""
+    known, names = list(known), [name.strip() for name in text.split(",") if name.strip()]
+    for name in names or [text]:
+        if name not in known:
+            raise ConfigError(f"unknown choice {name!r}; choose from {','.join(known)}")
+    return names
 
 
 def add_parser(commands) -> None:

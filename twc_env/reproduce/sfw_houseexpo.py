@@ -17,10 +17,12 @@ from twc_env.command_line import count
 from twc_env.config import radio_preset
 from twc_env.datasets.house_expo import read_house_expo
 from twc_env.errors import MapError
+from twc_env.metrics import path_length_m
 from twc_env.metrics.k_visibility import calibration_error, reliability
 from twc_env.reproduce import sfw_scoring as scoring
+from twc_env.reproduce.drawing import can_draw, new_figure
 from twc_env.reproduce.runner import Runner, data_folder
-from twc_env.reproduce.sfw_walks import length_m, read_walk, resampled, wall_following_route
+from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_route
 from twc_env.world.floorplan import Floorplan
 
 SUMMARY = "structure from WiFi on HouseExpo plans, route along all walls, with a reliability curve"
@@ -71,7 +73,7 @@ def measure(path: Path, options: argparse.Namespace) -> dict | None:
     if found is None:
         return None
     standoff_m, way = found
-    route = resampled(way, int(np.clip(_READINGS_PER_M * length_m(way), 300, 6000)))
+    route = resampled(way, int(np.clip(_READINGS_PER_M * path_length_m(way), 300, 6000)))
     nearest = min(plan.access_points, key=lambda p: float(np.linalg.norm(route - p.position_m, axis=1).mean()))
     plan = dataclasses.replace(plan, access_points=(nearest,))
     radio = dataclasses.replace(radio_preset("sfw"), wall_loss_scale=_WALL_LOSS_SCALE)
@@ -107,7 +109,7 @@ def _route(plan: Floorplan) -> tuple[float, np.ndarray] | None:
             way = wall_following_route(plan, standoff_m)
         except MapError:
             continue
-        if length_m(way) >= _ALONG_SHARE * walls:
+        if path_length_m(way) >= _ALONG_SHARE * walls:
             return standoff_m, way
     return None
 
@@ -130,14 +132,10 @@ def _names(rows_: list[dict]) -> str:
 
 def draw_reliability(path: Path, probability: np.ndarray, is_wall: np.ndarray) -> None:
     """The share of walls among cells of each probability. Says nothing where matplotlib is missing."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
+    if not can_draw():
         return
     mean, share, count = reliability(probability, is_wall)
-    figure = Figure(figsize=(5, 5), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(5, 5)
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.7")
     axes.plot(mean, share, "o-")

@@ -11,7 +11,7 @@ import numpy as np
 
 from twc_env.config import radio_preset
 from twc_env.maps import load_map
-from twc_env.reproduce.runner import Runner, parse_seeds
+from twc_env.reproduce.runner import Runner, seeds_argument
 from twc_env.reproduce.sfw_table1 import POINTS
 from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_route
 from twc_env.slam.k_visibility_signal import locate_router
@@ -24,14 +24,13 @@ CHOOSES = ("seeds",)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-routers`."""
     parser.add_argument(
-        "--seeds", default="10", help="noise seeds: a count, or a range like 0-9 (default: %(default)s)"
+        "--seeds", type=seeds_argument, default="10", help="noise: a count, or a range like 0-9 (default: %(default)s)"
     )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per experiment, and one for all."""
-    seeds = parse_seeds(options.seeds)
-    parts = [(experiment, seed) for experiment in POINTS for seed in seeds]
+    parts = [(experiment, seed) for experiment in POINTS for seed in options.seeds]
     errors = runner.each(parts, lambda part: errors_m(*part), lambda part: f"experiment {part[0]} seed {part[1]}")
     table = []
     for experiment in (*POINTS, "all"):
@@ -42,7 +41,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
                 "routers_located": len(own),
                 "median_error_m": float(np.median(own)),
                 "error_90_percent_m": float(np.quantile(own, 0.9)),
-                "seeds": len(seeds),
+                "seeds": len(options.seeds),
             }
         )
     return table

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.metrics.k_visibility import StructureScore, calibration_error, score_structure, truth_map
+from twc_env.reproduce.drawing import can_draw, new_figure
 from twc_env.reproduce.sfw_walks import RadioWalk
 from twc_env.slam import k_visibility_rules as published
 from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, sliding_window
@@ -142,14 +143,10 @@ def _judged(
 
 def draw_maps(path: Path, title: str, walk: RadioWalk, cells: Cells, maps: dict[str, Mapped]) -> None:
     """Truth, and each method's map beside it. Says nothing where matplotlib is missing."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
+    if not can_draw():
         return
     rows, columns = cells.free.shape
-    figure = Figure(figsize=(5.0 * (len(maps) + 1), 5.0 * rows / columns + 1.0), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(5.0 * (len(maps) + 1), 5.0 * rows / columns + 1.0)
     figure.suptitle(title)
     axes = figure.subplots(1, len(maps) + 1)
     x0, y0 = cells.origin_m

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import DynamicsConfig, EnvConfig
-from twc_env.geometry import compose, inverse, transform_points
+from twc_env.geometry import compose, inverse, transform_points, travelled_m
 from twc_env.reproduce.routes import steer
 from twc_env.slam.modes import make_engine
 from twc_env.world.floorplan import Floorplan
@@ -42,7 +42,7 @@ def slam_walk(plan: Floorplan, way_m: Array, count: int, seed: int) -> tuple[Arr
     places, poses = np.array(true)[:, :2], np.array(believed)
     frame = compose(true[0], inverse(poses[0]))
     believed_m = transform_points(frame, poses[:, :2])
-    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
+    travel = travelled_m(places)
     even = np.linspace(0.0, travel[-1], count)
     return tuple(  # type: ignore[return-value]
         np.column_stack([np.interp(even, travel, path[:, axis]) for axis in (0, 1)]) for path in (places, believed_m)

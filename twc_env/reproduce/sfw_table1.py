@@ -18,13 +18,13 @@ import numpy as np
 
 from twc_env.command_line import natural
 from twc_env.config import radio_preset
-from twc_env.errors import ConfigError
 from twc_env.maps import load_map
+from twc_env.metrics import path_length_m
 from twc_env.reproduce import sfw_scoring as scoring
-from twc_env.reproduce.runner import Runner, parse_seeds
+from twc_env.reproduce.runner import Runner, chosen, seeds_argument
 from twc_env.reproduce.sfw_flats import flat
 from twc_env.reproduce.sfw_slam import slam_walk
-from twc_env.reproduce.sfw_walks import length_m, read_walk, resampled, wall_following_route
+from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_route
 from twc_env.slam.radio_structure import update_reading
 from twc_env.world.floorplan import Floorplan
 
@@ -45,7 +45,7 @@ _FLAT_NOISE_SEED = 100
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-table1`."""
     parser.add_argument(
-        "--seeds", default="10", help="noise seeds: a count, or a range like 0-9 (default: %(default)s)"
+        "--seeds", type=seeds_argument, default="10", help="noise: a count, or a range like 0-9 (default: %(default)s)"
     )
     parser.add_argument("--experiments", default="1,2,3,4,5,6", help="which of the six (default: %(default)s)")
     parser.add_argument(
@@ -64,24 +64,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/sfw-table1"), help="pictures (default: %(default)s)")
 
 
-def _experiments(text: str) -> list[int]:
-    numbers = text.split(",")
-    if not set(numbers) <= {str(number) for number in _PRINTED_IOU}:
-        known = ",".join(map(str, _PRINTED_IOU))
-        raise ConfigError(f"--experiments takes numbers out of {known}; got {text!r}")
-    return [int(number) for number in numbers]
-
-
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per experiment and method."""
     if options.flats:
         return _flat_rows(options, runner)
-    seeds = parse_seeds(options.seeds)
-    experiments = _experiments(options.experiments)
-    parts = [(experiment, seed) for experiment in experiments for seed in seeds]
+    experiments = [int(number) for number in chosen(options.experiments, map(str, POINTS))]
+    parts = [(experiment, seed) for experiment in experiments for seed in options.seeds]
 
     def drawn_in(part: tuple[int, int]) -> Path | None:
-        return options.out if part[1] == seeds[0] else None
+        return options.out if part[1] == options.seeds[0] else None
 
     runs = runner.each(
         parts,
@@ -162,7 +153,7 @@ def measure(experiment: int, seed: int, out: Path | None, router_known: bool = T
 def measure_flat(number: int, routers: int, out: Path, router_known: bool = True) -> dict:
     """All methods on one flat drawn by seed: {method: figures}, and the number of readings under `points`."""
     plan = flat(number, routers)
-    points = round(_READINGS_PER_M * length_m(wall_following_route(plan)))
+    points = round(_READINGS_PER_M * path_length_m(wall_following_route(plan)))
     picture = out / f"{plan.name}-{routers}.png"
     return {"points": points, **_measured(plan, points, _FLAT_NOISE_SEED + number, picture, router_known)}
 

@@ -11,6 +11,7 @@ from scipy.ndimage import binary_dilation, label, uniform_filter1d
 
 from twc_env.config import RadioConfig
 from twc_env.errors import MapError
+from twc_env.geometry import points_along, travelled_m
 from twc_env.reproduce.routes import RoutePlanner
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.radio import RadioModel
@@ -101,14 +102,7 @@ def _trace(inside: Array, hole: Array, start: Array) -> Array:
 
 def resampled(way_m: Array, count: int) -> Array:
     """(count, 2) points evenly spaced along a way."""
-    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way_m, axis=0), axis=1))])
-    at = np.linspace(0.0, travel[-1], count)
-    return np.column_stack([np.interp(at, travel, way_m[:, axis]) for axis in (0, 1)])
-
-
-def length_m(way_m: Array) -> float:
-    """Length of a way (points, 2)."""
-    return float(np.linalg.norm(np.diff(way_m, axis=0), axis=1).sum())
+    return points_along(way_m, np.linspace(0.0, travelled_m(way_m)[-1], count))
 
 
 def read_walk(

@@ -20,7 +20,7 @@ from twc_env.command_line import count
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import ConfigError
 from twc_env.reproduce.robustness import DATASETS, absolute_error_m, dead_reckoning, read_graph
-from twc_env.reproduce.runner import Runner, data_folder
+from twc_env.reproduce.runner import Runner, chosen, data_folder
 from twc_env.slam import pose_graph
 from twc_env.slam.pose_graph import Graph
 
@@ -38,11 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """Two rows a set: ours and gtsam's."""
-    chosen = [name for name in options.datasets.split(",") if name]
-    unknown = [name for name in chosen if name not in DATASETS]
-    if unknown:
-        raise ConfigError(f"unknown set {unknown[0]!r}; choose from {', '.join(DATASETS)}")
-    return [row for pair in runner.each(chosen, lambda name: compare(name, options.repeats)) for row in pair]
+    names = chosen(options.datasets, DATASETS)
+    return [row for pair in runner.each(names, lambda name: compare(name, options.repeats)) for row in pair]
 
 
 def compare(dataset: str, repeats: int) -> list[dict]:

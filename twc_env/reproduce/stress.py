@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import itertools
-import math
 import re
 from collections import Counter
 
@@ -23,8 +22,9 @@ from numpy.typing import NDArray
 from twc_env.command_line import count, natural
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
+from twc_env.metrics import path_length_m
 from twc_env.random_streams import random_stream
-from twc_env.reproduce.merging import STEPS_PER_M, Walker, overlapping_ways
+from twc_env.reproduce.merging import STEPS_PER_M, begin, overlapping_ways, walk_on
 from twc_env.reproduce.runner import Runner
 from twc_env.world.floorplan import Floorplan
 
@@ -60,20 +60,16 @@ def episode(building: str, condition: str, robots: int, seed: int) -> dict:
     """One building under one condition."""
     plan = load_map(building)
     ways = overlapping_ways(plan, robots)
-    longest_m = max(float(np.hypot(*np.diff(way, axis=0).T).sum()) for way in ways)
+    longest_m = max(path_length_m(way) for way in ways)
     changes = settings(condition, int(longest_m * CRUISE_STEPS_PER_M))
     if condition == "repeated names":
         plan = with_repeated_names(plan)
     base = {"map": building, "robots": robots, "max_cycles": int(longest_m * STEPS_PER_M) + 50}
     env = ExplorationEnv(config={**base, **changes}, floorplan=plan)
-    headings = [math.atan2(*(way[min(5, len(way) - 1)] - way[0])[::-1]) for way in ways]
-    starts = np.array([[*way[0], heading] for way, heading in zip(ways, headings, strict=True)])
-    env.reset(seed=seed, options={"starts": starts})
-    walkers = [Walker(way) for way in ways]
+    walkers = begin(env, ways, seed)
     lost = changes.get("failure.robots", 0)
     while env.agents and not all(walker.is_done for walker in walkers[: robots - lost]):
-        poses = env.state().reshape(robots, 6)[:, :3]
-        env.step({a: w.act(p, env) for a, w, p in zip(env.agents, walkers, poses, strict=True)})
+        walk_on(env, walkers)
     env.engine.finish()
     figures = env.result().figures
     return {

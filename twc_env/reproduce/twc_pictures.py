@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from twc_env import metrics
 from twc_env.config import EnvConfig
-from twc_env.errors import DataError
 from twc_env.geometry import compose
 from twc_env.maps import load_map
+from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.offline_mapping import Matched, OfflineMap, point_cloud, wall_thickness_m
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.twc_scenes import SCENES
@@ -37,13 +37,10 @@ def draw_scene(scene: str, walks: Sequence[Walk], maps: Sequence[Entry], folder:
 
 
 def _sheet(scene: str, walks: Sequence[Walk], maps: Sequence[Entry], folder: Path, what: str, draw: Callable) -> Path:
-    figure_type, canvas_type = matplotlib_figure()
     plan = load_map(SCENES[scene][0])
     x0, y0, x1, y1 = plan.bounds_m
     height = PANEL_INCHES * (y1 - y0 + 2 * MARGIN_M) / (x1 - x0 + 2 * MARGIN_M) + 0.3
-    size = PANEL_INCHES * len(METHODS), height * len(BACKENDS)
-    figure = figure_type(figsize=size, dpi=90, layout="constrained")
-    canvas_type(figure)
+    figure = new_figure(PANEL_INCHES * len(METHODS), height * len(BACKENDS), dpi=90)
     panels = figure.subplots(len(BACKENDS), len(METHODS), squeeze=False)
     for method, backend, matched, built in maps:
         if method not in METHODS or backend not in BACKENDS:
@@ -59,16 +56,6 @@ def _sheet(scene: str, walks: Sequence[Walk], maps: Sequence[Entry], folder: Pat
     path = folder / f"twc-{scene.lstrip('#')}-{what}.png"
     figure.savefig(path)
     return path
-
-
-def matplotlib_figure():
-    """Figure and canvas classes; DataError where matplotlib is missing."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise DataError("pictures need matplotlib; run `pip install twc_env[viz]`") from error
-    return Figure, FigureCanvasAgg
 
 
 def _paths(axes, scene: str, walks: Sequence[Walk], matched: Sequence[Matched], built: OfflineMap) -> str:
@@ -116,9 +103,7 @@ def _closures(axes, scene: str, walks: Sequence[Walk], matched: Sequence[Matched
 
 def draw_curves(recall: Array, curves: dict[str, dict[str, dict[str, list[float]]]], folder: Path) -> Path:
     """Precision over recall of every method, a panel per scene, before (left) and after (right) verification."""
-    figure_type, canvas_type = matplotlib_figure()
-    figure = figure_type(figsize=(10.0, 4.0 * len(curves)), dpi=90, layout="constrained")
-    canvas_type(figure)
+    figure = new_figure(10.0, 4.0 * len(curves), dpi=90)
     panels = figure.subplots(len(curves), 2, squeeze=False, sharex=True, sharey=True)
     for row, (scene, methods) in zip(panels, curves.items(), strict=True):
         for axes, when in zip(row, ("before", "after"), strict=True):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.geometry import between, wrap_angle
+from twc_env.geometry import between, poses_along, wrap_angle
 
 Array = NDArray
 
@@ -80,7 +80,7 @@ class Calibration:
 
 def between_places(steps: Motions, places: Array) -> Motions:
     """The motions between some poses of a chain, by their numbers (k,) from 0 on, and how constant errors bend them."""
-    poses = reckoned_poses(steps.motion)
+    poses = poses_along(steps.motion)
     starts, ends = poses[places[:-1]], poses[places[1:]]
     motion_of = np.repeat(np.arange(len(starts)), np.diff(places))
     arm = ends[motion_of, :2] - 0.5 * (poses[:-1, :2] + poses[1:, :2])[: len(motion_of)]
@@ -109,12 +109,3 @@ def calibration(motions: Motions, poses: Array) -> Calibration:
 def calibrated(motions: Motions, poses: Array) -> Motions:
     """The odometry with the constant errors taken out that poses show against its beginning."""
     return calibration(motions, poses).applied(motions)
-
-
-def reckoned_poses(motions: Array) -> Array:
-    """(n, 3) poses from (0, 0, 0) along motions (n - 1, 3)."""
-    heading = np.concatenate([[0.0], np.cumsum(motions[:, 2])])
-    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
-    x = np.concatenate([[0.0], np.cumsum(c * motions[:, 0] - s * motions[:, 1])])
-    y = np.concatenate([[0.0], np.cumsum(s * motions[:, 0] + c * motions[:, 1])])
-    return np.column_stack([x, y, wrap_angle(heading)])

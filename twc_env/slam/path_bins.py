@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm
 
 from twc_env.errors import DataError
+from twc_env.geometry import travelled_m
 from twc_env.slam.given_arrays import given_points
 
 Array = NDArray
@@ -51,7 +52,7 @@ def bin_along_path(position_m: Array, rssi_dbm: Array, step_m: float = 0.1) -> P
             "k-visibility needs positions (n, 2) and readings (n, routers), n >= 2 and a router at least; "
             f"got {position.shape}, {rssi.shape}"
         )
-    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+    travel = travelled_m(position)
     _, bin_of = np.unique(np.floor(travel / step_m).astype(np.int64), return_inverse=True)
     total = np.bincount(bin_of).astype(float)
     heard = np.isfinite(rssi)

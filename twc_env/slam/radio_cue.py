@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from twc_env.config import RadioSlamConfig
+from twc_env.geometry import poses_along
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_field
 from twc_env.slam.distance_factor import Distances
-from twc_env.slam.odometry_calibration import Motions, reckoned_poses
+from twc_env.slam.odometry_calibration import Motions
 from twc_env.slam.radio_evidence import FieldEvidence
 from twc_env.slam.radio_similarity import all_similarities, averaged, feature_rows, split_cues
 from twc_env.slam.similarity_model import SimilarityModel, train_on_path
@@ -74,7 +75,7 @@ class RadioCue:
         bandwidths = BANDWIDTHS_M[self.name]
         bandwidth_m = max(bandwidths[min(round_, len(bandwidths) - 1)], 1.5 * cell_m / 2)
         if bandwidth_m not in self.worth:
-            reckoned = reckoned_poses(motions.motion)
+            reckoned = poses_along(motions.motion)
             self.worth[bandwidth_m] = radio_field.learn_worth(self.feature, reckoned[:, :2], self.travel_m, bandwidth_m)
         return radio_field.ties(
             self.feature, poses[:, :2], self.travel_m, bandwidth_m, apart_m, self.worth[bandwidth_m],

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import RadioSlamConfig
-from twc_env.geometry import compose
+from twc_env.geometry import compose, poses_along
 from twc_env.slam import radio_field
 from twc_env.slam.distance_factor import NO_DISTANCES, Distances, RadioEquations
-from twc_env.slam.odometry_calibration import Motions, calibrated, reckoned_poses
+from twc_env.slam.odometry_calibration import Motions, calibrated
 from twc_env.slam.radio_cue import RadioCue
 
 Array = NDArray
@@ -44,7 +44,7 @@ class PathFit:
         while rounds_left:
             is_whole = end_m >= total_m
             count = len(self._travel_m) if is_whole else max(int(np.searchsorted(self._travel_m, end_m)), 2)
-            rest = reckoned_poses(motions.motion[len(poses) - 1 : count - 1])
+            rest = poses_along(motions.motion[len(poses) - 1 : count - 1])
             poses = np.concatenate([poses[:-1], compose(poses[-1], rest)])
             within = closures[last < count]
             if len(within) >= radio_field.NEIGHBOURS_MIN:

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky
 from scipy.optimize import minimize_scalar
 
-from twc_env.geometry import between, wrap_angle
+from twc_env.geometry import between, poses_along, wrap_angle
 from twc_env.slam.building_axes import BuildingAxes
-from twc_env.slam.odometry_calibration import CURL_STD_RAD_M, TURN_STD, Motions, calibration, reckoned_poses
+from twc_env.slam.odometry_calibration import CURL_STD_RAD_M, TURN_STD, Motions, calibration
 from twc_env.slam.radio_evidence import FieldEvidence
 
 Array = NDArray
@@ -106,7 +106,7 @@ class _Fit:
 
     def poses(self, missed: Array) -> Array:
         """(p, 3)."""
-        return reckoned_poses(self._motion + missed)
+        return poses_along(self._motion + missed)
 
     def cost(self, missed: Array, noise: float, sizes: Sequence[Array]) -> float:
         """Minus the logarithm of the probability of a path, under the likeliest constant errors."""

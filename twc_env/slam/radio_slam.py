@@ -22,12 +22,12 @@ from scipy.stats import spearmanr
 
 from twc_env.config import RadioSlamConfig
 from twc_env.errors import DataError
-from twc_env.geometry import between, compose, inverse, wrap_angle
+from twc_env.geometry import between, compose, inverse, poses_along, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_cue, radio_field
 from twc_env.slam.distance_factor import Distances, together
 from twc_env.slam.given_fingerprints import given_fingerprints
-from twc_env.slam.odometry_calibration import Calibration, Motions, between_places, calibrated, reckoned_poses
+from twc_env.slam.odometry_calibration import Calibration, Motions, between_places, calibrated
 from twc_env.slam.pose_graph import squared_errors
 from twc_env.slam.radio_cue import CUES, RadioCue
 from twc_env.slam.radio_path import PathFit
@@ -85,7 +85,7 @@ class RadioLog:
     @property
     def odometry(self) -> Array:
         """(n, 3) dead reckoning from (0, 0, 0)."""
-        return reckoned_poses(self.motions)
+        return poses_along(self.motions)
 
     @property
     def travel_m(self) -> Array:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from twc_env.config import RadioSlamConfig
-from twc_env.geometry import between, compose
+from twc_env.geometry import between, compose, poses_along
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_field
 from twc_env.slam.distance_factor import NO_DISTANCES, Distances, RadioEquations, together
-from twc_env.slam.odometry_calibration import Calibration, Motions, calibration, reckoned_poses
+from twc_env.slam.odometry_calibration import Calibration, Motions, calibration
 from twc_env.slam.radio_similarity import all_similarities, features, split_cues
 from twc_env.slam.radio_slam import motion_information
 from twc_env.slam.similarity_model import SimilarityModel, train_on_path
@@ -167,7 +167,7 @@ class RadioTrail:
         similarity = all_similarities(csr_array(feature))
         if heard.model is None or not self._is_full:
             window_m = rule.window_wifi_m if heard.cue == "wifi" else rule.window_lte_m
-            reckoned = reckoned_poses(self._steps[1:, :3])
+            reckoned = poses_along(self._steps[1:, :3])
             heard.model = train_on_path(
                 similarity, travel, reckoned[:, :2], rule.similarity_min, window_m, rule.bin_width, warns=False
             )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.geometry import wrap_angle
+from twc_env.geometry import points_along, travelled_m, wrap_angle
 from twc_env.kernels import kernel
 
 Array = NDArray
@@ -117,9 +117,8 @@ def wall_candidates(path_m: Array, standoff_m: float) -> WallCandidates:
 
 def _respaced(path_m: Array) -> Array:
     """The path in even steps."""
-    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path_m, axis=0), axis=1))])
-    at = np.linspace(0.0, travel[-1], max(int(travel[-1] / SPACING_M) + 1, 3))
-    return np.column_stack([np.interp(at, travel, path_m[:, axis]) for axis in (0, 1)])
+    length_m = travelled_m(path_m)[-1]
+    return points_along(path_m, np.linspace(0.0, length_m, max(int(length_m / SPACING_M) + 1, 3)))
 
 
 def _have_tip(gaps: Array, standoff_m: float) -> Array:

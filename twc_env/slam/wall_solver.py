@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.sparse import coo_array
 
+from twc_env.geometry import travelled_m
 from twc_env.slam.change_points import settle_changes
 from twc_env.slam.k_visibility_signal import DISTANCE_MIN_M, SignalFit, smooth_along_path
 from twc_env.slam.path_bins import PathBins
@@ -132,7 +133,7 @@ class WallSolver:
         walls, loss = self._through_walls(position_m)
         apart_m = np.linalg.norm(position_m[:, None] - self._routers, axis=2)
         excess = self.power_dbm - self.exponent * 10 * np.log10(np.maximum(apart_m, DISTANCE_MIN_M)) - rssi_dbm
-        travel_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position_m, axis=0), axis=1))])
+        travel_m = travelled_m(position_m)
         for router in range(len(self._routers)):
             walls[:, router] = settle_changes(walls[:, router], loss[:, router], excess[:, router], travel_m)
         return walls

@@ -34,11 +34,6 @@ class Tile:
     use: str
     """"room", "open" (floor without walls to other open tiles) or "void" (closed, no floor)."""
 
-    @property
-    def centre_m(self) -> tuple[float, float]:
-        """Its middle."""
-        return (self.x0 + self.x1) / 20, (self.y0 + self.y1) / 20
-
 
 @dataclass(frozen=True, slots=True)
 class Edge:
