@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
+from twc_env.slam.lost_beams import bridge, mark_lost, opening_beams
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
 from twc_env.slam.odometry_filter import CompiledFilters, believe_match, make_filters, predict_state
 from twc_env.slam.radio_fingerprint import NO_AGES, ScanWindows, ages_of, keep
@@ -25,14 +26,19 @@ Array = NDArray
 
 @borrowing_kernel
 def _see(
-    robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, cells, lines, origins, rule,
+    robots, ranges, states, directions, opening, mate_radius, marked, discs, disc_counts, cells, lines, origins, rule,
     has_lidar, room, matched, information, is_matched, is_clear, explained,
 ):  # fmt: skip
-    """Mark the mates in the scans and lay what is left on the fields, near the robots' states."""
-    (is_jump, jumps), for_match = room
+    """Mark lost beams and mates in the scans and lay what is left on the fields, near the robots' states."""
+    (is_jump, jumps), (is_lost, bridged), for_match = room
     for a in range(robots.shape[0]):
         k = robots[a]
-        disc_counts[k] = mark_mates(ranges[a], rule[0], mate_radius, directions, is_jump, jumps, marked[k], discs[k])
+        scan, has_lost = ranges[a], False
+        if opening > 1:
+            scan, has_lost = bridged, bridge(ranges[a], rule[0], opening, is_lost, bridged)
+        disc_counts[k] = mark_mates(scan, rule[0], mate_radius, directions, is_jump, jumps, marked[k], discs[k])
+        if has_lost:
+            mark_lost(is_lost, marked[k])
         if has_lidar:
             is_matched[k], is_clear[k], explained[k] = match_scan(
                 cells[k], lines[k], origins[k], marked[k], directions, rule, states[k], for_match, matched[k],
@@ -69,9 +75,9 @@ def _track(
 ):  # fmt: skip
     """A whole step with the compiled filters, and what was heard in it; whether a robot has come to a new place."""
     (
-        states, covariances, noise, believes_scans, directions, mate_radius, marked, discs, disc_counts, cells, lines,
-        origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps, is_new,
-        dts, matched, is_matched, is_clear, explained, kept_scans,
+        states, covariances, noise, believes_scans, directions, opening, mate_radius, marked, discs, disc_counts, cells,
+        lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps,
+        is_new, dts, matched, is_matched, is_clear, explained, kept_scans,
     ) = parts_of(apparatus)  # fmt: skip
     keep(kept_scans, now_s, robots, whose, macs, levels, ages, heard)
     for a in range(robots.shape[0]):
@@ -81,8 +87,8 @@ def _track(
         if dts[a] > 0.0:
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
     _see(
-        robots, ranges, states, directions, mate_radius, marked, discs, disc_counts, cells, lines, origins, match_rule,
-        has_lidar, room, matched, information, is_matched, is_clear, explained,
+        robots, ranges, states, directions, opening, mate_radius, marked, discs, disc_counts, cells, lines, origins,
+        match_rule, has_lidar, room, matched, information, is_matched, is_clear, explained,
     )  # fmt: skip
     for a in range(robots.shape[0]):
         k = robots[a]
@@ -112,7 +118,7 @@ class Tracker:
         self.poses_odom = np.zeros((count, 3))
         """(n, 3) the estimates after the latest frames; a new array with every update."""
         self.marked_m = np.zeros((count, beams))
-        """(n, beams) the scans, in which the beams that met a mate are negative: free up to there, but no wall."""
+        """(n, beams) scans; beams that met a mate or may be lost are negative: free up to there, but no wall."""
         self.discs, self.disc_counts = np.zeros((count, DISCS_MAX, 4)), np.zeros(count, np.int64)
         """A row (x [m], y [m], first beam, beams) for each mate last seen, its centre in the robot frame; and how many
         there are (n,)."""
@@ -126,9 +132,11 @@ class Tracker:
         """(n,) whether it has come to a new place; and whether one of those in the latest frames has."""
         masks = rule.mask_mates and config.robots > 1
         mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
-        self._marking = (beam_directions(beams), mate_radius_m, self.marked_m, self.discs, self.disc_counts)
+        opening = opening_beams(beams, config.lidar.dropout_probability)
+        self._marking = (beam_directions(beams), opening, mate_radius_m, self.marked_m, self.discs, self.disc_counts)
         for_mates = np.empty(beams, bool), np.empty(beams + 1, np.int64)
-        room = for_mates, matching_room(beams)
+        for_lost = np.zeros(beams, bool), np.empty(beams)
+        room = for_mates, for_lost, matching_room(beams)
         self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, config.slam.cues.lidar, room)
         self._run: Callable[..., bool] | None = None
         """`_track` with all that it needs in every step."""
