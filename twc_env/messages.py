@@ -155,6 +155,10 @@ class LoopCandidate:
         return not self.text_similarity < 1.0
 
 
+LOOSE_M = 0.5
+"""A closure that may err by more (one sigma) leaves a direction open."""
+
+
 @dataclass(slots=True, eq=False)
 class LoopClosure:
     """A candidate after scan matching, and what the back end thinks of it now."""
@@ -172,6 +176,11 @@ class LoopClosure:
     """Why it is not accepted."""
     number: int = -1
     """Its place among the closures of the mapper that verified it."""
+
+    @property
+    def is_loose(self) -> bool:
+        """Whether it leaves a direction open: along a bare corridor scans fit everywhere."""
+        return bool(self.covariance[0, 0] + self.covariance[1, 1] > LOOSE_M**2)
 
     def joins(self, a: Collection[int], b: Collection[int]) -> bool:
         """Whether one end is a keyframe of robots `a` and the other of robots `b`."""

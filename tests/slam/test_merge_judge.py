@@ -72,3 +72,14 @@ def test_signs_weigh_more_than_any_number_of_places_that_sound_alike(recogniser)
     sounds, signs = say(9, TRUE, recogniser), say(2, ELSEWHERE, "twc")
     assert judge().weight(sounds, (0,)) < judge().weight(signs, (0,))
     assert judge(doubts_sounds=False).weight(sounds, (0,)) > judge(doubts_sounds=False).weight(signs, (0,))
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_closures_that_leave_a_direction_open_have_no_say(axis):
+    loose = say(8, TRUE, "wifi")
+    for closure in loose:
+        closure.covariance[axis, axis] = 4.0
+    assert all(closure.is_loose for closure in loose)
+    assert place_said(loose) is None
+    assert judge(doubts_sounds=False).proposal(loose, (0,)) is None
+    assert place_said(say(3, ELSEWHERE, "twc") + loose) == ELSEWHERE

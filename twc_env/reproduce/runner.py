@@ -31,6 +31,7 @@ TABLES: dict[str, str] = {
     "robustness": "robustness",
     "solver": "solver",
     "stress": "stress",
+    "bare-places": "bare_places",
     "sfw-table1": "sfw_table1",
     "sfw-routers": "sfw_routers",
     "sfw-authors": "sfw_authors",

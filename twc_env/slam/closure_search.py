@@ -54,23 +54,23 @@ class ClosureSearch:
         self._without_scans: list[LoopCandidate] = []
         self._searched_m = [0.0] * robot_count
         self._tied_m = [-np.inf] * robot_count
+        self._loosely_tied_m = [-np.inf] * robot_count
 
     def propose(self, keyframe: Keyframe) -> None:
         """Queue what a new keyframe looks like."""
-        is_tied = self._is_tied(keyframe)
+        is_loosely_tied = self._is_tied(keyframe, loosely=True)
         mates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots
-        not_compared = mates if is_tied else ()
         tried = self._filters[self._recogniser.name]
         candidates = self._recogniser.propose(
             keyframe,
-            not_compared,
+            mates if self._is_tied(keyframe) else (),
             lambda target: not tried.was_tried(target, keyframe, self._reach_m(target, keyframe)),
         )
         if self._signless is not None:
-            candidates += self._signless.propose(keyframe, not_compared)
+            candidates += self._signless.propose(keyframe, mates if is_loosely_tied else ())
         if self._meetings is not None:
             candidates += self._meetings.propose(keyframe, mates)
-        near = None if is_tied else self._near_keyframe(keyframe)
+        near = None if is_loosely_tied else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)
         for candidate in candidates:
@@ -84,9 +84,12 @@ class ClosureSearch:
         is_one_map = self._maps.group_of[target.robot] == self._maps.group_of[source.robot]
         return REPEAT_REACH_M if is_one_map else REPEAT_REACH_APART_M
 
-    def _is_tied(self, keyframe: Keyframe) -> bool:
-        """Whether a closure already ties this part of its robot's path to the map."""
-        return keyframe.travel_m - self._tied_m[keyframe.robot] < TIED_M
+    def _is_tied(self, keyframe: Keyframe, loosely: bool = False) -> bool:
+        """Whether a closure already ties this part of its robot's path to the map; loosely: a loose one will do."""
+        tied_m = self._tied_m[keyframe.robot]
+        if loosely:
+            tied_m = max(tied_m, self._loosely_tied_m[keyframe.robot])
+        return keyframe.travel_m - tied_m < TIED_M
 
     def _near_keyframe(self, keyframe: Keyframe) -> LoopCandidate | None:
         """The nearest keyframe of the same map that the path alone does not tie to this one."""
@@ -107,14 +110,15 @@ class ClosureSearch:
         return LoopCandidate(best, (keyframe.robot, keyframe.index), guess, "proximity")
 
     def note_tie(self, closure: LoopClosure) -> None:
-        """A closure was accepted: its robots need no other for a while."""
+        """A closure was accepted: its robots need no other for a while, or none of its kind where it is loose."""
+        tied_m = self._loosely_tied_m if closure.is_loose else self._tied_m
         for key in (closure.candidate.target, closure.candidate.source):
-            self._tied_m[key[0]] = max(self._tied_m[key[0]], float(self._graph.travels_m[self._graph.node(key)]))
+            tied_m[key[0]] = max(tied_m[key[0]], float(self._graph.travels_m[self._graph.node(key)]))
 
     def untie(self, robots: tuple[int, ...]) -> None:
         """The ties of these robots were a mistake: look for others at once."""
         for robot in robots:
-            self._tied_m[robot] = -np.inf
+            self._tied_m[robot] = self._loosely_tied_m[robot] = -np.inf
 
     def forget(self, _: Array) -> None:
         """Keyframes have been forgotten: nothing is compared with them, and what they were tried with is no matter."""
@@ -147,7 +151,7 @@ class ClosureSearch:
             (target, _), (source, index) = candidate.target, candidate.source
             paths = self._graph.keyframes[target], self._graph.keyframes[source]
             is_one_map = self._maps.group_of[target] == self._maps.group_of[source]
-            if is_one_map and self._is_tied(self._graph.keyframe((source, index))):
+            if is_one_map and self._is_tied(self._graph.keyframe((source, index)), candidate.sign_m is None):
                 continue
             if self._on_request and self._maps.ask_for(self._verifier.compared(candidate, *paths)):
                 self._without_scans.append(candidate)

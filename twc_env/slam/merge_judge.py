@@ -36,9 +36,11 @@ class MergeJudge:
     def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int], others: int = 0) -> MergeProposal | None:
         """Where the robots that are not in `a` lie in the map of `a`, by closures between the two.
 
-        By those of signs alone where places that only sound alike are doubted and too few of all agree, or too many
-        disagree: the rest of the closures, and so many others that hold the two together elsewhere.
+        Loose closures have no say: places that sound alike may lie metres apart. By those of signs alone where places
+        that only sound alike are doubted and too few of all agree, or too many disagree: the rest of the closures, and
+        so many others that hold the two together elsewhere.
         """
+        closures = [c for c in closures if not c.is_loose]
         by_signs = [c for c in closures if not _is_by_sound(c)] if self._doubts_sounds else closures
         count, count_min = len(closures), self._rule.closures_min
         if len(by_signs) < count and count - OTHERS_WEIGHT * others > count_min:

@@ -140,7 +140,7 @@ class MergeReview:
             merge.interval_steps *= 2
             merge.due_step = step + merge.interval_steps
         a, b = self.sides(merge)
-        supporters = self._graph.closures_between(a, b, "accepted")
+        supporters = [c for c in self._graph.closures_between(a, b, "accepted") if not c.is_loose]
         if not supporters:
             return "no closure is left that speaks for it"
         if merge is self._latest(a + b) and self._is_strained(a + b):

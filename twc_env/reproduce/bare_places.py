@@ -1,0 +1,157 @@
+"""Three robots where scans fix little: bare corridors, in which all places look alike, and a hall beyond laser range.
+
+Robots start at random places without a common frame and drive to the nearest frontier. Scans fix nobody along a
+corridor but at its ends; signs hang 8 m apart, access points 10 m (`without WiFi`: nowhere). `words`: every sign has a
+text of its own; `numbers`: texts that differ in a digit alone, which recognition takes for alike. The hall has 60 m a
+side, signs 10 m apart along two walls and nine access points; from its middle the laser reaches no wall.
+`wrong_merges` counts pairs of robots that ever shared a map although their own paths place it more than 1 m or 10
+degrees apart, `wrong_episodes` the episodes with any; `undone` merges that the engine took back. `ate_m` aligns every
+group of merged robots once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.command_line import add_set, assignments, count
+from twc_env.config import EnvConfig, override
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.reproduce.runner import Runner, seeds_argument
+from twc_env.world.floorplan import AccessPoint, Floorplan, Sign
+
+Array = NDArray
+
+SUMMARY = "merges where scans fix little: bare corridors and a hall beyond laser range"
+CHOOSES = ("seeds", "scenes")
+WORDS = (
+    "OPTICS LAB", "CERAMICS", "LIBRARY", "SERVER ROOM", "KITCHEN", "WORKSHOP", "ARCHIVE", "MEETING", "STORE", "EXIT",
+)  # fmt: skip
+SIGN_SPACING_M, FIRST_SIGN_M = 8.0, 4.0
+AP_SPACING_M = 10.0
+MAC_FIRST = 0x02005E110010
+WALL_LOSS_DB = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Corridor:
+    """A straight one, closed at both ends."""
+
+    length_m: float
+    width_m: float
+    signs: str = ""
+    """"words", "numbers" or none."""
+    has_wifi: bool = True
+
+    def plan(self) -> Floorplan:
+        """Its floor plan."""
+        along_m = np.arange(FIRST_SIGN_M, self.length_m, SIGN_SPACING_M) if self.signs else ()
+        texts = itertools.cycle(WORDS) if self.signs == "words" else (f"DOOR {k}" for k in itertools.count())
+        signs = [Sign(text, np.array([x, 0.0]), math.pi / 2) for x, text in zip(along_m, texts, strict=False)]
+        places = [(x, self.width_m / 2) for x in np.arange(AP_SPACING_M / 2, self.length_m, AP_SPACING_M)]
+        return _box(self.length_m, self.width_m, signs, places if self.has_wifi else [])
+
+
+@dataclass(frozen=True, slots=True)
+class Hall:
+    """A square one."""
+
+    side_m: float
+    has_signs: bool = True
+
+    def plan(self) -> Floorplan:
+        """Its floor plan."""
+        along_m = np.arange(AP_SPACING_M / 2, self.side_m, AP_SPACING_M) if self.has_signs else ()
+        signs = [Sign(f"GATE {k}", np.array([x, 0.0]), math.pi / 2) for k, x in enumerate(along_m)]
+        signs += [Sign(f"DOCK {k}", np.array([x, self.side_m]), -math.pi / 2) for k, x in enumerate(along_m)]
+        thirds_m = (np.arange(3) + 0.5) * self.side_m / 3
+        return _box(self.side_m, self.side_m, signs, list(itertools.product(thirds_m, thirds_m)))
+
+
+SCENES: dict[str, Corridor | Hall] = {
+    "corridor 1.2 m": Corridor(80.0, 1.2),
+    "corridor 2 m": Corridor(80.0, 2.0),
+    "corridor 3 m": Corridor(80.0, 3.0),
+    "corridor 2 m, 160 m long": Corridor(160.0, 2.0),
+    "corridor 1.2 m, words": Corridor(80.0, 1.2, "words"),
+    "corridor 2 m, words": Corridor(80.0, 2.0, "words"),
+    "corridor 1.2 m, words, without WiFi": Corridor(80.0, 1.2, "words", has_wifi=False),
+    "corridor 2 m, numbers": Corridor(80.0, 2.0, "numbers"),
+    "corridor 2 m, numbers, without WiFi": Corridor(80.0, 2.0, "numbers", has_wifi=False),
+    "hall": Hall(60.0),
+    "hall, no signs": Hall(60.0, has_signs=False),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of this table."""
+    parser.add_argument("--seeds", type=seeds_argument, default=seeds_argument("10"), help="default: 10 (0 to 9)")
+    parser.add_argument(
+        "--scenes", nargs="+", choices=SCENES, default=list(SCENES), metavar="SCENE", help="default: all"
+    )
+    parser.add_argument("--robots", type=count, default=3, help="default: %(default)s")
+    parser.add_argument("--steps", type=count, default=2000, help="of an episode at most (default: %(default)s)")
+    add_set(parser)
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per scene."""
+    settings = assignments(options.set)
+    override(EnvConfig(), settings)  # a misspelt setting fails now
+    parts = [(scene, str(seed)) for scene in dict.fromkeys(options.scenes) for seed in options.seeds]
+    found = runner.each(
+        parts, lambda part: episode(part[0], int(part[1]), options.robots, options.steps, settings), " ".join
+    )
+    size = len(options.seeds)
+    return [_row(parts[k][0], found[k : k + size]) for k in range(0, len(parts), size)]
+
+
+def episode(scene: str, seed: int, robots: int, steps: int, changes: dict[str, object] | None = None) -> dict:
+    """One episode in one scene, with some settings changed."""
+    settings = {"robots": robots, "max_cycles": steps, "action.kind": "frontier", **(changes or {})}
+    env = ExplorationEnv(config=override(EnvConfig(), settings), floorplan=SCENES[scene].plan())
+    observations, _ = env.reset(seed=seed)
+    while env.agents:  # the first frontier that the mask allows is the nearest
+        observations, *_ = env.step({agent: int(observations[agent]["action_mask"].argmax()) for agent in env.agents})
+    env.engine.finish()
+    figures = env.result().figures
+    return {
+        "merged_share": figures["merged_robots"] / robots,
+        "wrong_merges": figures["wrong_merges"],
+        "undone": sum(mapper.merges_undone for mapper in env.engine.mappers),
+        "ate_m": figures["team_ate_m"],
+    }
+
+
+def _row(scene: str, runs: list[dict]) -> dict:
+    ate_m = [run["ate_m"] for run in runs]
+    return {
+        "scene": scene,
+        "episodes": len(runs),
+        "merged_share": round(float(np.mean([run["merged_share"] for run in runs])), 3),
+        "wrong_merges": sum(run["wrong_merges"] for run in runs),
+        "wrong_episodes": sum(run["wrong_merges"] > 0 for run in runs),
+        "undone": sum(run["undone"] for run in runs),
+        "ate_m": round(float(np.mean(ate_m)), 4),
+        "ate_worst_m": round(max(ate_m), 4),
+    }
+
+
+def _box(length_m: float, width_m: float, signs: list[Sign], access_points_m: list[tuple[float, float]]) -> Floorplan:
+    """Four walls with signs and access points."""
+    corners = np.array([(0.0, 0.0), (length_m, 0.0), (length_m, width_m), (0.0, width_m)])
+    return Floorplan(
+        f"bare {length_m:g} x {width_m:g} m",
+        np.stack([corners, np.roll(corners, -1, axis=0)], axis=1),
+        np.full(4, WALL_LOSS_DB),
+        signs=tuple(signs),
+        access_points=tuple(
+            AccessPoint(f"AP {k}", np.array(place), (MAC_FIRST + 256 * k,)) for k, place in enumerate(access_points_m)
+        ),
+        interior_m=np.array([[length_m / 2, width_m / 2]]),
+    )
