@@ -79,8 +79,7 @@ class Velocities:
                 ahead, left = action.tolist()  # of another shape: not two, or no numbers
                 if not ahead * ahead <= 1.0 >= left * left:  # so it is for NaN
                     raise ValueError
-                commands.append(ahead * speed_max_m_s)
-                commands.append(left * turn_rate_max_rad_s)
+                commands += (ahead * speed_max_m_s, left * turn_rate_max_rad_s)
             self._write(*commands)
         except Exception:  # an object of the user's may raise anything; what does not fit is named below
             self._commands[:] = _one_by_one(actions, agents) * self._maxima

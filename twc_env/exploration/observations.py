@@ -13,7 +13,7 @@ from twc_env.config import EnvConfig
 from twc_env.exploration import map_view
 from twc_env.exploration.observation_blocks import block_spaces, joined
 from twc_env.exploration.recent_signs import RecentSigns
-from twc_env.exploration.small_blocks import SmallBlocks
+from twc_env.exploration.small_blocks import SMALL, SmallBlocks
 from twc_env.messages import Belief, GridMap, SensorFrame
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
 from twc_env.slam.dead_reckoning import DeadReckoning
@@ -22,6 +22,8 @@ from twc_env.team_messages import TeamBeliefs, TeamFrames
 Array = NDArray
 
 OVERVIEW_PERIOD_STEPS = 10
+_USUAL = "lidar", "map", "pose", "wifi", "signs", "team"
+"""The blocks of most observations."""
 
 
 class ObservationBuilder:
@@ -39,7 +41,7 @@ class ObservationBuilder:
         self._robots = range(robots)
         self._blank: dict[str, Any] = dict.fromkeys(self._names)
         self._signs = RecentSigns(robots, shape.sign_slots)
-        self._small = SmallBlocks(config, self._signs, self._names)
+        self._small = SmallBlocks(config, self._signs)
         self._map_cells, self._map_cell_m = shape.map_cells, shape.map_cell_m
         self._views = map_view.MapViews(
             shape.map_cells, shape.map_cell_m, self._small.paths_odom, self._small.path_counts, self._small.mate_places
@@ -64,10 +66,10 @@ class ObservationBuilder:
         beliefs, names = self._beliefs, self._names
         self._signs.know(beliefs.signs)
         first, small = self._small.build()
+        if names == _USUAL and not self._is_flat:
+            return _usual(first, *small, self._maps())
         # Not before: the map shows where the mates are.
-        blocks: list[tuple[str, Sequence[Array] | Array]] = []
-        for name, make in self._makers:
-            blocks.append((name, make()))
+        blocks: list[tuple[str, Sequence[Array] | Array]] = [(name, make()) for name, make in self._makers]
         if "frontiers" in names:
             slots, lists = self._config.action.frontier_slots, candidates or [NOTHING] * len(beliefs)
             pairs = zip(lists, beliefs, strict=True)
@@ -77,9 +79,10 @@ class ObservationBuilder:
             blocks.append(("action_mask", given))
         seen = []
         for robot in self._robots:
-            own, row = self._blank.copy(), first + robot  # quicker to fill than an empty one
-            for name, block in small:
-                own[name] = block[row]
+            own = self._blank.copy()
+            for name, block in zip(SMALL, small, strict=True):
+                if name in own:
+                    own[name] = block[first + robot]
             for name, each in blocks:
                 own[name] = each[robot]
             seen.append(own)
@@ -120,6 +123,25 @@ class ObservationBuilder:
             if 0 <= row < cells and 0 <= column < cells:
                 out[channel, row, column] = 255
         return out
+
+
+def _usual(
+    row: int, lidar: Array, pose: Array, wifi: Array, signs: Array, team: Array, maps: Array
+) -> list[dict[str, Array]]:
+    """The usual blocks of each robot, the first of which has that row in the small ones.
+
+    With names that stand in the code a dict is there in a third of the time that a loop over them takes.
+    """
+    seen = []
+    for around in maps:
+        seen.append(
+            {
+                "lidar": lidar[row], "map": around, "pose": pose[row], "wifi": wifi[row], "signs": signs[row],
+                "team": team[row],
+            }
+        )  # fmt: skip
+        row += 1
+    return seen
 
 
 def first_observations(config: EnvConfig, frames: TeamFrames) -> list[dict[str, Array]] | list[Array]:

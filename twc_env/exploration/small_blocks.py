@@ -6,7 +6,7 @@ What is kept of a robot for them stands in a row of an array, so that one compil
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames
 
 Array = NDArray
 
+SMALL = "lidar", "pose", "wifi", "signs", "team"
+"""Names of the blocks."""
 HALF_WAY_M = 10.0
 """Distances d are shown as d / (d + this)."""
 HALF_AGE_S = 10.0
@@ -34,10 +36,7 @@ _STEPS_AT_ONCE = 16
 class SmallBlocks:
     """Remembers the WiFi slots and the path of each robot; a block of all robots is one new array."""
 
-    _names = ("lidar", "pose", "wifi", "signs", "team")
-
-    def __init__(self, config: EnvConfig, signs: RecentSigns, names: Collection[str]):
-        """names: the blocks that are shown; others have no part in it."""
+    def __init__(self, config: EnvConfig, signs: RecentSigns):
         robots, shape = config.robots, config.observation
         mates = max(robots - 1, 1)
         self.paths_odom = np.zeros((robots, 2, max(1, round(shape.path_m / PATH_SPACING_M))))
@@ -54,11 +53,8 @@ class SmallBlocks:
         self._run: Callable[..., None] | None = None
         """`_fill_small` with what is kept."""
         self._robots = robots
-        self._wanted = set(names)
         self._room, self._unseen = self._blocks_of(0), self._blocks_of(1)
         """Blocks of some steps, of which the rows before the next one are given away; and what nobody gets."""
-        self._shown: list[tuple[str, Array]] = []
-        """Those of them that are shown, with their names."""
         self._next_row = 0
         self._frames: TeamFrames | None = None
         """What was noticed last; taken in once it is shown, or once there is more."""
@@ -70,18 +66,17 @@ class SmallBlocks:
             self._fill(0, self._unseen, False)
         self._frames, self._beliefs, self._is_taken_in = frames, beliefs, False
 
-    def build(self) -> tuple[int, list[tuple[str, Array]]]:
-        """The row of the first robot, which those of the others follow, in these named blocks; after the step that was
+    def build(self) -> tuple[int, tuple[Array, ...]]:
+        """The row of the first robot, which those of the others follow, in the blocks `SMALL`; after the step that was
         noticed last.
         """
         first, blocks = self._next_row, self._room
         if first == len(blocks[0]):
             first, blocks = 0, self._blocks_of(_STEPS_AT_ONCE)
-            self._room, pairs = blocks, zip(self._names, blocks, strict=True)
-            self._shown = [(name, block) for name, block in pairs if name in self._wanted]
+            self._room = blocks
         self._next_row = first + self._robots
         self._fill(first, blocks, True)
-        return first, self._shown
+        return first, blocks
 
     def _blocks_of(self, steps: int) -> tuple[Array, ...]:
         """New blocks with a row for each robot and step."""
