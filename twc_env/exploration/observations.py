@@ -65,9 +65,9 @@ class ObservationBuilder:
         """The observation of each robot after the step that was noticed last; `masks`: its choices that count."""
         beliefs, names = self._beliefs, self._names
         self._signs.know(beliefs.signs)
-        first, small = self._small.build()
+        rows = self._small.build()
         if names == _USUAL and not self._is_flat:
-            return _usual(first, *small, self._maps())
+            return _usual(rows, self._maps())
         # Not before: the map shows where the mates are.
         blocks: list[tuple[str, Sequence[Array] | Array]] = [(name, make()) for name, make in self._makers]
         if "frontiers" in names:
@@ -80,9 +80,9 @@ class ObservationBuilder:
         seen = []
         for robot in self._robots:
             own = self._blank.copy()
-            for name, block in zip(SMALL, small, strict=True):
+            for name, block in zip(SMALL, rows[robot], strict=True):
                 if name in own:
-                    own[name] = block[first + robot]
+                    own[name] = block
             for name, each in blocks:
                 own[name] = each[robot]
             seen.append(own)
@@ -125,22 +125,14 @@ class ObservationBuilder:
         return out
 
 
-def _usual(
-    row: int, lidar: Array, pose: Array, wifi: Array, signs: Array, team: Array, maps: Array
-) -> list[dict[str, Array]]:
-    """The usual blocks of each robot, the first of which has that row in the small ones.
-
-    With names that stand in the code a dict is there in a third of the time that a loop over them takes.
+def _usual(rows: Sequence[tuple[Array, ...]], maps: Array) -> list[dict[str, Array]]:
+    """The usual blocks of each robot: a dict with names that stand in the code is there in a third of the time that a
+    loop over them takes.
     """
     seen = []
-    for around in maps:
-        seen.append(
-            {
-                "lidar": lidar[row], "map": around, "pose": pose[row], "wifi": wifi[row], "signs": signs[row],
-                "team": team[row],
-            }
-        )  # fmt: skip
-        row += 1
+    for row, around in zip(rows, maps, strict=False):
+        lidar, pose, wifi, signs, team = row
+        seen.append({"lidar": lidar, "map": around, "pose": pose, "wifi": wifi, "signs": signs, "team": team})
     return seen
 
 

@@ -6,7 +6,8 @@ What is kept of a robot for them stands in a row of an array, so that one compil
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,8 @@ class SmallBlocks:
         self._room, self._unseen = self._blocks_of(0), self._blocks_of(1)
         """Blocks of some steps, of which the rows before the next one are given away; and what nobody gets."""
         self._next_row = 0
+        self._rows: Iterator[tuple[Array, ...]] = iter(())
+        """Those from that row on."""
         self._frames: TeamFrames | None = None
         """What was noticed last; taken in once it is shown, or once there is more."""
         self._is_taken_in = True
@@ -66,17 +69,16 @@ class SmallBlocks:
             self._fill(0, self._unseen, False)
         self._frames, self._beliefs, self._is_taken_in = frames, beliefs, False
 
-    def build(self) -> tuple[int, tuple[Array, ...]]:
-        """The row of the first robot, which those of the others follow, in the blocks `SMALL`; after the step that was
-        noticed last.
-        """
+    def build(self) -> list[tuple[Array, ...]]:
+        """The blocks `SMALL` of each robot after the step that was noticed last."""
         first, blocks = self._next_row, self._room
         if first == len(blocks[0]):
             first, blocks = 0, self._blocks_of(_STEPS_AT_ONCE)
-            self._room = blocks
-        self._next_row = first + self._robots
+            self._room, self._rows = blocks, zip(*blocks, strict=True)
         self._fill(first, blocks, True)
-        return first, blocks
+        rows = list(islice(self._rows, self._robots))
+        self._next_row = first + self._robots
+        return rows
 
     def _blocks_of(self, steps: int) -> tuple[Array, ...]:
         """New blocks with a row for each robot and step."""
@@ -95,7 +97,7 @@ class SmallBlocks:
         self._is_taken_in = True
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None, "_room": self._blocks_of(0), "_next_row": 0}
+        return self.__dict__ | {"_run": None, "_room": self._blocks_of(0), "_next_row": 0, "_rows": iter(())}
 
 
 @borrowing_kernel
