@@ -3,6 +3,7 @@ import argparse
 import numpy as np
 import pytest
 
+from twc_env.errors import ConfigError
 from twc_env.maps import load_map
 from twc_env.reproduce.merging import BYTES, THICKNESS, add_arguments, merge_in, overlapping_ways, rows
 from twc_env.reproduce.runner import Runner
@@ -34,6 +35,11 @@ def test_one_building_is_merged_rightly(small):
     assert row["wall_thickness_m"] < 1.3 * row["wall_thickness_true_m"]
 
 
+def test_more_robots_than_rooms_are_refused():
+    with pytest.raises(ConfigError, match="test/0000 has 7 rooms for 8 robots: choose fewer robots"):
+        overlapping_ways(load_map("test/0000"), 8)
+
+
 def test_the_table_ends_with_the_sum_over_buildings(tmp_path, monkeypatch):
     found = {"test/0000": 1, "test/0001": 0}
     monkeypatch.setattr(
@@ -49,5 +55,6 @@ def test_the_table_ends_with_the_sum_over_buildings(tmp_path, monkeypatch):
     add_arguments(parser)
     table = rows(parser.parse_args(["--buildings", "2"]), Runner("merging", tmp_path, {}))
     assert [row["building"] for row in table] == ["test/0000", "test/0001", "all 2"]
+    assert [row.get("buildings") for row in table] == [None, None, 2]
     assert table[-1]["fully_merged"] == 1 and table[-1]["first_merge_s"] == 4.0
     assert table[-1]["team_ate_m"] == pytest.approx(0.6) and table[-1]["team_ate_max_m"] == pytest.approx(1.1)

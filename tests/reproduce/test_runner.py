@@ -119,9 +119,19 @@ def test_numbers_that_make_no_table_are_refused_by_the_command_line(arguments, m
         ("merging --set robotz=3", "there is no setting robotz; did you mean 'robots'?"),
         ("merging --cache {file}", "file is a file; choose another folder"),
         ("sfw-table1 --out {file}", "file is a file; choose another folder"),
+        ("real-radio --floors uw_floor,B1", "unknown choice 'B1'; choose from site1_B1,site2_F6,uw_floor"),
+        ("real-radio --floors ,", "unknown choice ','; choose from site1_B1"),
+        ("radio-table1 --places ,", "unknown choice ','; choose from indoor"),
+        ("solver --datasets intel,x", "unknown choice 'x'; choose from intel"),
+        ("robustness --shares ,", "--shares takes numbers like 0,0.5; got ','"),
+        ("merging --buildings 101", "the test split holds 100 buildings; got 101"),
+        ("stress --buildings 101", "the test split holds 100 buildings; got 101"),
+        ("intel --robots 1 3 --scans 2", "3 robots need 3 scans or more; got 2"),
+        ("sfw-houseexpo", "holds no plans"),
     ],
 )
-def test_what_cannot_be_done_is_said_before_the_first_part(arguments, message, tmp_path, capsys):
+def test_what_cannot_be_done_is_said_before_the_first_part(arguments, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("TWC_DATA", str(tmp_path))
     file = tmp_path / "file"
     file.write_text("")
     texts = arguments.format(file=file).split()

@@ -35,6 +35,7 @@ from twc_env.datasets.scan_log import (
     read_scan_log,
     sensor_frames,
 )
+from twc_env.errors import ConfigError
 from twc_env.geometry import between, compose
 from twc_env.messages import SensorFrame
 from twc_env.reproduce.drawing import draw_grid, new_figure
@@ -66,6 +67,9 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     {method, robots, relations, translation_error_m, rotation_error_deg, translation_median_m, rotation_median_deg,
     relations_exact, translation_exact_m, rotation_exact_deg, robots_in_one_map}.
     """
+    if max(options.robots) > options.scans:
+        most = max(options.robots)
+        raise ConfigError(f"{most} robots need {most} scans or more; got {options.scans}")
     log, relations = read_log(options.scans)
     corrected = read_scan_log(_folder() / "intel_corrected_log.json.gz").poses
     alone = np.zeros(len(corrected), int)

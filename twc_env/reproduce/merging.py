@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from twc_env.command_line import add_set, assignments, count, natural
 from twc_env.config import EnvConfig, override
+from twc_env.errors import ConfigError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.exploration.evaluation import map_at
 from twc_env.maps import load_map
@@ -30,6 +31,7 @@ from twc_env.reproduce.routes import RoutePlanner, room_tour, steer
 from twc_env.reproduce.runner import Runner
 from twc_env.slam.exchange import KINDS
 from twc_env.world.floorplan import Floorplan
+from twc_env.world.splits import split_names
 
 Array = NDArray
 
@@ -53,13 +55,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
-    """A row per building, and one for all of them at the end."""
-    names = [f"test/{k:04d}" for k in range(options.buildings)]
+    """A row per building, and one for all `buildings` at the end."""
+    names = test_buildings(options.buildings)
     settings = assignments(options.set)
     override(EnvConfig(), settings)  # a misspelt setting fails now
     found = runner.each(names, lambda name: merge_in(name, options.robots, options.seed, settings))
     total = {
         "building": f"all {len(found)}",
+        "buildings": len(found),
         "rooms": sum(row["rooms"] for row in found),
         "steps": sum(row["steps"] for row in found),
         "fully_merged": sum(row["fully_merged"] for row in found),
@@ -73,6 +76,14 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         "team_ate_max_m": max(row["team_ate_max_m"] for row in found),
     }
     return [*found, total]
+
+
+def test_buildings(count: int) -> tuple[str, ...]:
+    """The first buildings of the test split. Raises ConfigError for more than it holds."""
+    names = split_names("test")
+    if count > len(names):
+        raise ConfigError(f"the test split holds {len(names)} buildings; got {count}")
+    return names[:count]
 
 
 def merge_in(name: str, robots: int, seed: int, changes: dict[str, object] | None = None) -> dict:
@@ -117,7 +128,12 @@ def _thickness(grid: GridMap, pose_building_map: Array, plan: Floorplan) -> floa
 
 
 def overlapping_ways(plan: Floorplan, robots: int) -> list[Array]:
-    """A way (points, 2) for each robot: the rooms of its strip, then the first room of the next."""
+    """A way (points, 2) for each robot: the rooms of its strip, then the first room of the next.
+
+    Raises ConfigError where there are fewer rooms than robots.
+    """
+    if len(plan.rooms) < robots:
+        raise ConfigError(f"{plan.name} has {len(plan.rooms)} rooms for {robots} robots: choose fewer robots")
     planner = RoutePlanner(plan)
     rooms = sorted(plan.rooms, key=lambda room: tuple(np.round(room.polygon_m.mean(axis=0), 3)))
     strips = [list(strip) for strip in np.array_split(np.arange(len(rooms)), robots)]

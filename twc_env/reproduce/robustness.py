@@ -215,7 +215,9 @@ def _shares(text: str) -> list[float]:
     try:
         shares = [float(word) for word in text.split(",") if word]
     except ValueError:
-        raise ConfigError(f"--shares takes numbers like 0,0.5; got {text!r}") from None
+        shares = []
+    if not shares:
+        raise ConfigError(f"--shares takes numbers like 0,0.5; got {text!r}")
     for share in shares:
         if not 0.0 <= share < 1.0:
             raise ConfigError(f"a share of false closures lies in 0..1 (without 1); got {share:g}")

@@ -16,7 +16,7 @@ import numpy as np
 from twc_env.command_line import count
 from twc_env.config import radio_preset
 from twc_env.datasets.house_expo import read_house_expo
-from twc_env.errors import MapError
+from twc_env.errors import DataError, MapError
 from twc_env.metrics import path_length_m
 from twc_env.metrics.k_visibility import calibration_error, reliability
 from twc_env.reproduce import sfw_scoring as scoring
@@ -46,7 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per plan and method, and the mean of all at the end."""
-    paths = sorted((data_folder() / "houseexpo").glob("*.json"), key=lambda path: path.stat().st_size)[: options.plans]
+    folder = data_folder() / "houseexpo"
+    paths = sorted(folder.glob("*.json"), key=lambda path: path.stat().st_size)[: options.plans]
+    if not paths:
+        raise DataError(f"{folder} holds no plans (*.json); check the path")
     found = runner.each(
         paths, lambda path: measure(path, options), lambda path: f"{path.stem[:8]}, drawn in {options.out}"
     )
