@@ -58,6 +58,20 @@ def test_rooms_of_twin_01_are_congruent():
     assert all(np.array_equal(rooms[0], room) for room in rooms[1:])
 
 
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("TWIN-01", "twin-01"),
+        ("Train/0001", "train/0001"),
+        ("test/1", "test/0001"),
+        ("GEN:office:800:7", "gen:office:800:7"),
+    ],
+)
+def test_names_in_another_case_are_answered_with_the_right_one(written, meant):
+    with pytest.raises(MapError, match=f"did you mean '{meant}'"):
+        load_map(written)
+
+
 def test_an_unknown_name_is_answered_with_the_nearest_and_the_list():
     with pytest.raises(MapError) as caught:
         load_map("twin-1")

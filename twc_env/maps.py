@@ -95,8 +95,12 @@ def _in_folder(folder: Path) -> str:
 
 
 def _unknown(name: str) -> str:
-    names = map_names()
-    near = difflib.get_close_matches(name, names, n=1)
+    from twc_env.world.splits import is_of_split
+
+    names, lower = map_names(), name.lower()
+    split, _, number = lower.partition("/")
+    drawn = [recipe for recipe in (lower, f"{split}/{number:0>4}") if is_of_split(recipe) or recipe.startswith("gen:")]
+    near = drawn or difflib.get_close_matches(lower, names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     return (
         f"no map named {name!r} and no such file; {hint}bundled maps: {', '.join(names)}; "

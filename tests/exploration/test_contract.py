@@ -1,4 +1,4 @@
-import inspect
+from functools import partial
 
 import gymnasium
 import numpy as np
@@ -15,7 +15,6 @@ from pettingzoo.test import (
 )
 
 import twc_env
-from twc_env.exploration.single_agent import ARGUMENTS, SingleRobotEnv
 
 ID = "twc/Explore-v0"
 ROBOTS = [1, 2, 3]
@@ -109,12 +108,16 @@ def test_the_single_view_says_what_to_do_instead_of_arguments_it_has_not(argumen
         gymnasium.make(ID, **arguments)
 
 
-def test_the_single_view_knows_the_arguments_it_names_and_one_robot():
-    known = [
-        name for name, kind in inspect.signature(SingleRobotEnv).parameters.items() if kind.kind != kind.VAR_KEYWORD
-    ]
-    assert list(ARGUMENTS) == known
+def test_the_single_view_takes_one_robot():
     assert len(gymnasium.make(ID, robots=1).unwrapped.parallel.possible_agents) == 1
+
+
+@pytest.mark.parametrize("make", [twc_env.parallel_env, twc_env.env, partial(pettingzoo.make, "parallel", ID)])
+def test_an_argument_that_there_is_not_is_answered_with_the_nearest(make):
+    with pytest.raises(twc_env.ConfigError, match=r"no argument robot; known are map, .* did you mean robots"):
+        make(robot=3)
+    with pytest.raises(twc_env.ConfigError, match="settings go into config"):
+        make(beams=90)
 
 
 @pytest.mark.parametrize("robots", ROBOTS)

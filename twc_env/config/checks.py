@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import inspect
 import math
 import os
 import typing
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import field
 
 import numpy as np
@@ -33,6 +34,16 @@ def whole_number(name: str, value, least: int) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise ConfigError(f"{name} must be a whole number from {least} on; got {value!r}")
     return int(value)
+
+
+def refuse_arguments(unknown: Iterable[str], function: Callable) -> None:
+    """Raise ConfigError for arguments that a function has not, with the nearest of those it has."""
+    for name in unknown:
+        given = inspect.signature(function).parameters.values()
+        known = [argument.name for argument in given if argument.kind != argument.VAR_KEYWORD]
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]}?" if near else "settings go into config, as in config={'lidar.beam_count': 90}"
+        raise ConfigError(f"there is no argument {name}; known are {', '.join(known)}: {hint}")
 
 
 def choice(default: str, *others: str, or_class: bool = False):

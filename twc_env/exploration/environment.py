@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from twc_env.config import EnvConfig, override
-from twc_env.config.checks import whole_number
+from twc_env.config.checks import refuse_arguments, whole_number
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration import evaluation, rewards
 from twc_env.exploration.actions import velocity_space
@@ -129,7 +129,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         floorplan: Floorplan | None = None,
         task: str | None = None,
         render_signal: bool = False,
+        **unknown: Any,
     ):
+        refuse_arguments(unknown, ExplorationEnv)
         if not isinstance(floorplan, (Floorplan, NoneType)):
             raise ConfigError(f"floorplan must be a Floorplan; got {floorplan!r}: name a map or a file as `map`")
         announce_compilation()

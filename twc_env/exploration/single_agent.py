@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from os import PathLike
 from typing import Any
@@ -10,12 +9,10 @@ from typing import Any
 import gymnasium
 
 from twc_env.config import EnvConfig
-from twc_env.config.checks import whole_number
+from twc_env.config.checks import refuse_arguments, whole_number
 from twc_env.errors import ConfigError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.messages import Belief
-
-ARGUMENTS = ("map", "max_cycles", "config", "render_mode", "task", "render_signal")
 
 
 class SingleRobotEnv(gymnasium.Env):
@@ -88,7 +85,4 @@ def _refuse(unknown: Mapping[str, Any]) -> None:
             f"robots={robots!r}: this is the view of one robot; a team is twc_env.parallel_env(robots={robots!r}), "
             "or pettingzoo.make with the same id"
         )
-    for name in unknown.keys() - {"robots"}:
-        near = difflib.get_close_matches(name, ARGUMENTS, n=1)
-        hint = f"did you mean {near[0]}?" if near else "settings go into config, as in config={'lidar.beam_count': 90}"
-        raise ConfigError(f"there is no argument {name}; known are {', '.join(ARGUMENTS)}: {hint}")
+    refuse_arguments(unknown.keys() - {"robots"}, SingleRobotEnv)
