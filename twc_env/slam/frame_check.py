@@ -28,7 +28,7 @@ def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int)
     if not frames:
         raise DataError("there are no frames to take in: give those of one robot at least")
     robots = [frame.robot for frame in frames]
-    if len(set(robots)) < len(robots) or not set(robots) <= set(range(robot_count)):
+    if len(set(robots)) < len(robots) or not all(_is_whole(k) and 0 <= k < robot_count for k in robots):
         raise DataError(f"frames of one step are of different robots 0 to {robot_count - 1}; got robots {robots}")
     for frame in frames:
         try:
@@ -39,12 +39,19 @@ def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int)
             raise DataError(f"the frame of robot {frame.robot} in step {frame.step} {fault}")
 
 
+def _is_whole(value: object) -> bool:
+    return isinstance(value, (int, np.integer))
+
+
 def _fault(frame: SensorFrame, beam_count: int) -> str | None:
+    if not _is_whole(frame.step):
+        return "has a step that is no whole number"
     if np.shape(frame.ranges_m) != (beam_count,):
         beams = np.shape(frame.ranges_m)
         return f"has ranges of shape {beams}, but lidar.beam_count is {beam_count}: set it to that of the scanner"
-    if not (np.asarray(frame.ranges_m) > -np.inf).all():
-        return "has ranges that are no numbers: a beam without return reads the maximum range, an unseen one UNSEEN_M"
+    ranges_m = np.asarray(frame.ranges_m)
+    if not ((ranges_m > -np.inf) & (ranges_m != 0.0)).all():
+        return "has ranges that are 0 or no numbers: a beam without return reads the maximum range, an unseen one UNSEEN_M"
     if np.shape(frame.odometry) != (3,) or not (np.abs(frame.odometry) <= JUMP_MAX_M).all():
         return f"has odometry {frame.odometry!r}: give the motion since the last frame, x [m], y [m] and turn [rad]"
     if not math.isfinite(frame.turn_rate_rad_s) or not math.isfinite(frame.time_s):
