@@ -23,6 +23,37 @@ def test_a_line_of_carmen_is_a_scan_with_its_pose(tmp_path):
     assert np.degrees(log.beam_angles_rad) == pytest.approx([-90.0, 0.0, 90.0])
 
 
+LINE = "FLASER 3 1.0 2.0 81.9 4 5 0.5 9 9 9 7.25 host 7.3"
+
+
+def test_lines_of_carmen_may_be_indented_and_have_tabs(tmp_path):
+    path = tmp_path / "drive.log"
+    path.write_text("  " + LINE.replace(" ", "\t") + "\r\n")
+    assert read_carmen_log(path).ranges_m.tolist() == [[1.0, 2.0, 81.9]]
+
+
+@pytest.mark.parametrize(
+    ("last", "fault"),
+    [
+        (LINE[:20], "it is cut off"),
+        (LINE.replace("3 1.0", "2"), "2 beams, where those before have 3"),
+        (LINE.replace("2.0", "2.x"), "could not convert string to float"),
+    ],
+)
+def test_a_line_of_carmen_that_is_no_scan_is_named(tmp_path, last, fault):
+    path = tmp_path / "drive.log"
+    path.write_text(f"# a log\n{LINE}\n{last}\n")
+    with pytest.raises(DataError, match=f"line 3 is no scan: {fault}.*; mend or delete it"):
+        read_carmen_log(path)
+
+
+def test_a_log_of_deep_nesting_is_refused(tmp_path):
+    path = tmp_path / "drive.json"
+    path.write_text("[" * 100_000)
+    with pytest.raises(DataError, match="is no scan log"):
+        read_scan_log(path)
+
+
 def test_a_scan_of_the_front_says_nothing_of_the_back():
     scan = onto_circle(np.array([1.0, 12.0, 81.9]), np.deg2rad([-90.0, 0.0, 90.0]), 8, 10.0)
     assert scan.tolist() == [10.0, *[UNSEEN_M] * 5, 1.0, UNSEEN_M]

@@ -99,7 +99,7 @@ def read_scan_log(path: str | Path) -> ScanLog:
         ranges_m = np.array([scans[t]["range"] for t in times], float)
         poses = [[scans[t][key] for key in ("x", "y", "theta")] for t in times]
         return _log(np.array(times, float), np.array(poses, float), ranges_m)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise DataError(
             f"{path} is no scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
         ) from error
@@ -112,23 +112,36 @@ def read_any_log(path: str | Path) -> ScanLog:
 
 def read_carmen_log(path: str | Path) -> ScanLog:
     """Read the scans of a CARMEN log in the order of its lines. Raises DataError for anything without such scans."""
-    scans, poses, times = [], [], []
-    text = read_text(path)
+    scans: list[list[float]] = []
+    poses, times = [], []
+    for k, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.split()
+        if words[:1] != ["FLASER"]:
+            continue
+        try:
+            ranges_m, pose, time_s = _flaser(words[1:])
+            if scans and len(ranges_m) != len(scans[0]):
+                raise ValueError(f"{len(ranges_m)} beams, where those before have {len(scans[0])}")
+        except (ValueError, IndexError) as error:
+            reason = "it is cut off" if isinstance(error, IndexError) else _short(error)
+            raise DataError(f"{path}, line {k} is no scan: {reason}; mend or delete it") from error
+        scans.append(ranges_m)
+        poses.append(pose)
+        times.append(time_s)
+    if not scans:
+        raise DataError(f"{path} is no CARMEN log: expected lines FLASER n r1 .. rn x y theta")
     try:
-        for line in text.splitlines():
-            if line.startswith("FLASER "):
-                _, beams, *values = line.split()
-                count = int(beams)
-                if count < 1:
-                    raise ValueError(f"a scan of {count} beams")
-                scans.append([float(v) for v in values[:count]])
-                poses.append([float(v) for v in values[count : count + 3]])
-                times.append(float(values[count + 6]))
         return _log(np.array(times), np.array(poses), np.array(scans, float))
-    except (ValueError, IndexError) as error:
-        raise DataError(
-            f"{path} is no CARMEN log: {_short(error)}; expected lines FLASER n r1 .. rn x y theta"
-        ) from error
+    except ValueError as error:
+        raise DataError(f"{path} is no CARMEN log: {_short(error)}") from error
+
+
+def _flaser(words: Sequence[str]) -> tuple[list[float], list[float], float]:
+    """Ranges, pose and time of a line; IndexError where it ends early."""
+    count, values = int(words[0]), words[1:]
+    if count < 1:
+        raise ValueError(f"a scan of {count} beams")
+    return [float(v) for v in values[:count]], [float(v) for v in values[count : count + 3]], float(values[count + 6])
 
 
 def _log(times_s: Array, poses: Array, ranges_m: Array) -> ScanLog:

@@ -51,7 +51,7 @@ def _fault(frame: SensorFrame, beam_count: int) -> str | None:
         return f"has ranges of shape {beams}, but lidar.beam_count is {beam_count}: set it to that of the scanner"
     ranges_m = np.asarray(frame.ranges_m)
     if not ((ranges_m > -np.inf) & (ranges_m != 0.0)).all():
-        return "has ranges that are 0 or no numbers: a beam without return reads the maximum range, an unseen one UNSEEN_M"
+        return "has ranges that are 0 or no numbers: a beam without return reads the maximum, an unseen one UNSEEN_M"
     if np.shape(frame.odometry) != (3,) or not (np.abs(frame.odometry) <= JUMP_MAX_M).all():
         return f"has odometry {frame.odometry!r}: give the motion since the last frame, x [m], y [m] and turn [rad]"
     if not math.isfinite(frame.turn_rate_rad_s) or not math.isfinite(frame.time_s):
