@@ -116,38 +116,6 @@ def test_shares_lie_between_zero_and_one_and_match_a_plain_loop(x_cm, y_cm, head
     assert alone == result.correct_area_m2
 
 
-WALL_M = np.array([[[1.0, 1.0], [3.0, 1.0]]])
-
-
-def thickness(rows, pose=(0.0, 0.0, 0.0), walls_m=WALL_M):
-    """Of a map that shows the wall from (1, 1) to (3, 1) in these rows of cells."""
-    log_odds = np.zeros((40, 40), np.int16)
-    log_odds[np.array(rows), 10:30] = WALL
-    return mapping.wall_thickness_m(log_odds, ORIGIN_M, 0.1, np.array(pose, float), walls_m)
-
-
-def test_a_wall_drawn_twice_is_twice_as_thick_as_one_drawn_once():
-    assert thickness([10]) == pytest.approx(0.1, rel=0.02)
-    assert thickness([10, 13]) == pytest.approx(0.2, rel=0.02)
-    assert thickness([10, 11, 12]) == pytest.approx(0.3, rel=0.02)
-
-
-def test_what_stands_far_from_all_walls_has_no_thickness():
-    assert thickness([10, 35]) == pytest.approx(0.1, rel=0.02)
-    assert np.isnan(thickness([35]))
-
-
-def test_walls_that_the_map_does_not_show_are_not_thin():
-    with_unseen = np.concatenate([WALL_M, [[[1.0, 20.0], [30.0, 20.0]]]])
-    assert thickness([10], walls_m=with_unseen) == pytest.approx(thickness([10]))
-
-
-def test_thickness_is_measured_where_the_alignment_lays_the_map():
-    pose = np.array([2.0, -1.0, 0.7])
-    turned = np.stack([geometry.transform_points(pose, WALL_M[0])])
-    assert thickness([10, 12], pose, turned) == pytest.approx(thickness([10, 12]), rel=0.03)
-
-
 @settings(max_examples=20)
 @given(st.integers(0, 10_000))
 def test_the_area_under_a_mask_of_the_floor_is_the_area_counted_on_the_floor(seed):
@@ -215,9 +183,3 @@ def test_maps_that_cannot_be_compared_are_refused(changes, message):
         parts.pop("truth_wall")
         with pytest.raises(DataError, match=message):
             mapping.correct_area_m2(**{**parts, **changes})
-
-
-def test_walls_that_are_no_segments_are_refused():
-    free, wall = room()
-    with pytest.raises(DataError, match="both ends of each"):
-        mapping.wall_thickness_m(drawn(free, wall), ORIGIN_M, 0.1, np.zeros(3), np.zeros((1, 4)))

@@ -12,12 +12,9 @@ from twc_env.config import EnvConfig, override
 from twc_env.exploration.team_alignment import team_error_m
 from twc_env.geometry import between, compose
 from twc_env.messages import SignObservation
-from twc_env.slam import pose_graph
 from twc_env.slam.device_offsets import DeviceOffsets
 from twc_env.slam.forgotten_paths import ForgottenPaths
 from twc_env.slam.graph_arrays import ODOMETRY
-from twc_env.slam.graph_thinning import Edges, thinned
-from twc_env.slam.known_places import VIEWS_ENOUGH, carriers_of
 from twc_env.slam.map_optimiser import MapOptimiser
 from twc_env.slam.place_evidence import PlaceMemory
 from twc_env.slam.place_recognition import ProposalFilter
@@ -241,139 +238,6 @@ def test_a_merge_of_a_map_that_forgot_is_undone_whole():
             away = between(own[0], own) - between(true[0], true)
             assert np.abs(away[:, :2]).max() < 0.5
         assert (team.grid_of(team.group_index(group.robots[0])).log_odds != 0).sum() > 1000
-
-
-# --- which keyframes go
-
-
-def open_scans(count, reach_m=5.0):
-    return np.full((count, 36), reach_m)
-
-
-def carriers(poses, scans=None, robots=None, signs=None, may_go=None):
-    count = len(poses)
-    poses = np.array([[*place, 0.3] for place in poses])
-    read = [[] for _ in poses] if signs is None else signs
-    return carriers_of(
-        poses, open_scans(count) if scans is None else scans, np.array(robots or [0] * count),
-        np.ones(count, bool) if may_go is None else may_go, np.cumsum([len(own) for own in read]),
-        np.array([place for own in read for place in own], float).reshape(-1, 2),
-    ).tolist()  # fmt: skip
-
-
-def test_a_keyframe_goes_where_an_earlier_one_of_its_robot_sees_the_same():
-    assert carriers([(0, 0), (3, 0), (0.5, 0.5), (2.8, 0)]) == [-1, -1, 0, 1]
-    assert carriers([(0, 0), (0.5, 0), (1.2, 0)]) == [-1, 0, -1]  # what went itself carries nothing
-    assert carriers([(0, 0), (0.5, 0)], robots=[0, 1]) == [-1, -1]
-    assert carriers([(0, 0), (0.5, 0)], may_go=np.array([True, False])) == [-1, -1]
-
-
-def test_a_keyframe_stays_behind_a_wall():
-    scans = open_scans(2)
-    scans[1] = 0.2
-    assert carriers([(0, 0), (0.5, 0)], scans) == [-1, -1]
-
-
-def test_a_keyframe_stays_until_its_signs_were_read_often():
-    often, sign = VIEWS_ENOUGH, [(4.0, 0.0)]
-    places = [(0.01 * k, 0) for k in range(often + 2)]
-    assert carriers(places, signs=[sign] * len(places)) == [-1] * often + [often - 1] * 2
-    assert carriers(places, signs=[[]] + [[(4.0 * k, 0.0)] for k in range(1, often + 2)]) == [-1] * len(places)
-
-
-# --- what becomes of the graph
-
-
-def chain(motions, std):
-    """Edges of odometry along these motions (k, 3), and the poses that they lead to."""
-    poses = np.zeros((len(motions) + 1, 3))
-    for k, motion in enumerate(motions):
-        poses[k + 1] = compose(poses[k], motion)
-    information = np.repeat(np.diag(1 / np.square(std))[None], len(motions), axis=0)
-    ends = np.array([(k, k + 1) for k in range(len(motions))])
-    return Edges(ends, motions, information, np.full(len(motions), ODOMETRY), np.ones(len(motions), bool)), poses
-
-
-def with_closures(edges, closures, std):
-    ends = np.array([ends for ends, _ in closures])
-    information = np.repeat(np.diag(1 / np.square(std))[None], len(closures), axis=0)
-    parts = (
-        ends,
-        np.array([z for _, z in closures]),
-        information,
-        np.arange(len(closures)),
-        np.ones(len(closures), bool),
-    )
-    return Edges(*(np.concatenate(pair) for pair in zip(edges.parts, parts, strict=True)))
-
-
-def fitted(edges, poses):
-    return pose_graph.weighted(poses, edges.ends, edges.measured, edges.information, np.ones(len(edges.ends)), 100)
-
-
-def without(count, *nodes):
-    is_gone = np.zeros(count, bool)
-    is_gone[list(nodes)] = True
-    return is_gone
-
-
-def test_odometry_past_what_is_gone_says_what_its_parts_said_together():
-    random = np.random.default_rng(0)
-    motions = random.normal((0.7, 0.0, 0.2), (0.1, 0.1, 0.3), (6, 3))
-    edges, poses = chain(motions, (0.02, 0.02, 0.01))
-    left = thinned(edges, without(7, 1, 2, 4, 5))
-    assert left.ends.tolist() == [[0, 3], [3, 6]]
-    assert left.measured == pytest.approx(between(poses[[0, 3]], poses[[3, 6]]))
-    many = np.zeros((20000, 3))
-    for motion in motions[:3]:
-        many = compose(many, compose(motion, random.normal(0, (0.02, 0.02, 0.01), (20000, 3))))
-    spread = np.cov(between(left.measured[0], many).T)
-    assert np.linalg.inv(left.information[0]) == pytest.approx(spread, abs=4e-5)
-
-
-def test_a_closure_handed_on_holds_the_rest_where_it_was():
-    random = np.random.default_rng(1)
-    motions = random.normal((0.7, 0.0, 0.2), (0.02, 0.02, 0.01), (8, 3))
-    edges, poses = chain(motions, (0.02, 0.02, 0.01))
-    met = compose(between(poses[0], poses[5]), (0.1, -0.05, 0.03))
-    whole = with_closures(edges, [((0, 5), met)], (0.01, 0.01, 0.005))
-    best = fitted(whole, poses)
-    for gone in ((5,), (4, 5), (5, 6), (1, 2, 5)):
-        left = thinned(whole, without(9, *gone))
-        handed = left.of(left.closure >= 0)
-        assert handed.closure.tolist() == [0] and not np.isin(left.ends, gone).any()
-        kept = [k for k in range(9) if k not in gone]
-        assert np.abs(fitted(left, poses) - best)[kept, :2].max() < 0.03 < np.abs(poses - best)[kept, :2].max()
-
-
-def test_nodes_with_closures_enough_take_over_no_other():
-    edges, poses = chain(np.tile((0.7, 0.0, 0.0), (20, 1)), (0.02, 0.02, 0.01))
-    pairs = [(0, 10), (1, 10), (2, 10), (5, 14), (5, 16), (5, 18), (5, 11)]
-    for first, left in ((0, range(6)), (1, range(6))):  # without the first of them the node at 10 has two
-        graph = with_closures(
-            edges, [(pair, between(*poses[list(pair)])) for pair in pairs[first:]], (0.01, 0.01, 0.005)
-        )
-        assert thinned(graph, without(21)).closure.tolist() == graph.closure.tolist()
-        thin = thinned(graph, without(21, 11))
-        assert sorted(thin.closure[thin.closure >= 0].tolist()) == list(left)
-
-
-def test_what_is_said_again_of_two_nodes_is_put_into_one():
-    edges, poses = chain(np.tile((0.7, 0.0, 0.0), (20, 1)), (0.001, 0.001, 0.001))
-    first, second = between(poses[0], poses[10]), between(poses[11], poses[0])
-    graph = with_closures(edges, [((0, 10), compose(first, (0.1, 0.0, 0.0))), ((11, 0), second)], (0.1, 0.1, 0.05))
-    left = thinned(graph, without(21, 11))
-    assert left.closure[left.closure >= 0].tolist() == [0]
-    tie = left.of(left.closure >= 0)
-    assert tie.measured[0] == pytest.approx(compose(first, (0.05, 0.0, 0.0)), abs=1e-3)
-    assert np.linalg.inv(tie.information[0])[2, 2] < 0.51 * 0.05**2
-
-
-def test_a_closure_that_would_say_nothing_is_not_handed_on():
-    motions = np.tile((0.7, 0.0, 0.0), (8, 1))
-    edges, poses = chain(motions, (2.0, 2.0, 0.01))
-    graph = with_closures(edges, [((0, 4), between(poses[0], poses[4]))], (0.01, 0.01, 0.005))
-    assert thinned(graph, without(9, 3, 4, 5)).closure.max() == ODOMETRY
 
 
 # --- what else was known of forgotten keyframes

@@ -1,14 +1,7 @@
 """Numbers that say how good an episode was: plain arrays in, numbers out."""
 
 from twc_env.metrics.closures import ClosureScore, closure_is_correct, closures_are_correct, score_closures
-from twc_env.metrics.mapping import (
-    MapScore,
-    correct_area_m2,
-    floor_mask,
-    recount_free,
-    score_map,
-    wall_thickness_m,
-)
+from twc_env.metrics.mapping import MapScore, correct_area_m2, floor_mask, recount_free, score_map
 from twc_env.metrics.merging import implied_frames, wrong_pairs
 from twc_env.metrics.trajectory import (
     absolute_trajectory_error_m,
@@ -18,6 +11,7 @@ from twc_env.metrics.trajectory import (
     path_length_m,
     stuck_share,
 )
+from twc_env.metrics.wall_thickness import wall_thickness_m
 
 __all__ = [
     "ClosureScore",

@@ -10,14 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up_row, span_inside
 from twc_env.errors import DataError
-from twc_env.geometry import transform_points
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import BLOCK_SHAPE
 
 Array = NDArray
-
-STRETCH_M, SAMPLE_M = 0.25, 0.05
-"""Walls are known or not by stretches of the first length; the second is how finely they are sampled."""
 
 REACH_CELLS = 1e9
 """Map and building lie at most so many cells apart: further, and steps in fixed point would overflow."""
@@ -56,7 +52,7 @@ def correct_area_m2(
 
     box: first row and column, end row and column of the cells that are looked at; None: all.
     """
-    log_odds, truth_free = _grid(log_odds, "log_odds"), _grid(truth_free, "truth_free")
+    log_odds, truth_free = given_grid(log_odds, "log_odds"), given_grid(truth_free, "truth_free")
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
     box = box or (0, 0, *log_odds.shape)
     count = _count_free(np.ascontiguousarray(log_odds), box, row, column, step, truth_free, free_below)
@@ -73,7 +69,7 @@ def floor_mask(
     truth_resolution_m: float,
 ) -> Array:
     """(h, w) bool: cells of a map of that shape whose centres lie on explorable floor; arguments as in `score_map`."""
-    truth_free = _grid(truth_free, "truth_free")
+    truth_free = given_grid(truth_free, "truth_free")
     row, column, step = _sampling_back(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
     mask = np.zeros(shape, bool)
     _look_up_floor(np.ascontiguousarray(truth_free), row, column, step, mask)
@@ -104,8 +100,8 @@ def score_map(
 
     Raises DataError for grids and poses that cannot be meant.
     """
-    log_odds = _grid(log_odds, "log_odds")
-    truth_free, truth_wall = _grid(truth_free, "truth_free"), _grid(truth_wall, "truth_wall")
+    log_odds = given_grid(log_odds, "log_odds")
+    truth_free, truth_wall = given_grid(truth_free, "truth_free"), given_grid(truth_wall, "truth_wall")
     if truth_free.shape != truth_wall.shape:
         raise DataError(f"truth_free {truth_free.shape} and truth_wall {truth_wall.shape} must have one shape")
     if not log_odds.size:
@@ -131,54 +127,11 @@ def score_map(
     )
 
 
-def wall_thickness_m(
-    log_odds: Array,
-    origin_m: Array,
-    resolution_m: float,
-    pose_building_map: Array,
-    walls_m: Array,
-    reach_m: float = 1.0,
-    wall_above: int = 0,
-) -> float:
-    """Mean width of what a map shows as wall, along the walls that it shows: ghosts make it grow (papers.md T21).
-
-    Each occupied cell belongs to the nearest true wall, if one is at most `reach_m` away; the area of these cells is
-    divided by the length of all stretches of wall that own one. walls_m (k, 2, 2) are segments in the building frame;
-    the other arguments as in `score_map`. A sharp map of thin walls gives one to two cells. NaN where no wall is shown.
-    """
-    from scipy.spatial import cKDTree  # slow to import, and needed by this figure alone
-
-    walls_m, log_odds = np.asarray(walls_m, float), _grid(log_odds, "log_odds")
-    if walls_m.ndim != 3 or walls_m.shape[1:] != (2, 2):
-        raise DataError(f"walls_m must have shape (walls, 2, 2), both ends of each; got {walls_m.shape}")
-    samples, stretches, spacings_m = _sampled_walls(walls_m)
-    rows, columns = np.nonzero(log_odds > wall_above)
-    if not len(rows) or not len(samples):
-        return float("nan")
-    centres = np.asarray(origin_m) + (np.stack([columns, rows], axis=1) + 0.5) * resolution_m
-    away, nearest = cKDTree(samples).query(transform_points(pose_building_map, centres), distance_upper_bound=reach_m)
-    owned = np.isfinite(away)
-    known_m = float(spacings_m[np.isin(stretches, stretches[nearest[owned]])].sum())
-    return float(owned.sum()) * resolution_m**2 / known_m if known_m else float("nan")
-
-
-def _sampled_walls(walls_m: Array) -> tuple[Array, Array, Array]:
-    """Points along all walls (n, 2), the number of the stretch each is part of (n,), and the length it stands for."""
-    begin, along = walls_m[:, 0], walls_m[:, 1] - walls_m[:, 0]
-    length = np.hypot(along[:, 0], along[:, 1])
-    counts = np.maximum(np.round(length / SAMPLE_M).astype(np.int64), 1)
-    wall = np.repeat(np.arange(len(walls_m)), counts)
-    share = (np.arange(len(wall)) - (np.cumsum(counts) - counts)[wall] + 0.5) / counts[wall]
-    stretch = (share * length[wall] / STRETCH_M).astype(np.int64)
-    is_new = np.append(True, (np.diff(wall) != 0) | (np.diff(stretch) != 0))[: len(wall)]
-    return begin[wall] + share[:, None] * along[wall], np.cumsum(is_new), (length / counts)[wall]
-
-
 def _share(part: float, whole: float) -> float:
     return float(part / whole) if whole > 0 else 0.0
 
 
-def _grid(values: ArrayLike, name: str) -> Array:
+def given_grid(values: ArrayLike, name: str) -> Array:
     """(h, w). Raises DataError for what has another number of axes."""
     grid = np.asarray(values)
     if grid.ndim != 2:
@@ -306,45 +259,36 @@ def _count_row(levels, mask):
 @kernel
 def _count_true_walls_met(log_odds, row0, column0, step, truth_free, truth_wall, wall_above):
     """(met, all) of the true wall cells that border free cells; met: a wall of the map at most one cell away."""
-    rows, columns = log_odds.shape
-    height, width = truth_wall.shape
     c, s = step[0], step[1]
     met, count = 0, 0
-    for i in range(height):
-        for j in range(width):
-            if not truth_wall[i, j]:
-                continue
-            borders = False
-            for a in range(max(i - 1, 0), min(i + 2, height)):
-                for b in range(max(j - 1, 0), min(j + 2, width)):
-                    borders = borders or truth_free[a, b]
-            if not borders:
-                continue
-            count += 1
-            r, k = int(np.floor(row0 + c * i + s * j)), int(np.floor(column0 - s * i + c * j))
-            found = False
-            for a in range(max(r - 1, 0), min(r + 2, rows)):
-                for b in range(max(k - 1, 0), min(k + 2, columns)):
-                    found = found or log_odds[a, b] > wall_above
-            met += found
+    for i in range(truth_wall.shape[0]):
+        for j in range(truth_wall.shape[1]):
+            if truth_wall[i, j] and _is_beside(truth_free, i, j, 0):
+                count += 1
+                r, k = int(np.floor(row0 + c * i + s * j)), int(np.floor(column0 - s * i + c * j))
+                met += _is_beside(log_odds, r, k, wall_above)
     return met, count
 
 
 @kernel
 def _count_map_walls_met(log_odds, row0, column0, step, truth_wall, wall_above):
     """(met, all) of the map's wall cells; met: a true wall at most one cell away."""
-    height, width = truth_wall.shape
     c, s = step[0], step[1]
     met, count = 0, 0
     for i in range(log_odds.shape[0]):
         for j in range(log_odds.shape[1]):
-            if log_odds[i, j] <= wall_above:
-                continue
-            count += 1
-            r, k = int(np.floor(row0 + c * i + s * j)), int(np.floor(column0 - s * i + c * j))
-            found = False
-            for a in range(max(r - 1, 0), min(r + 2, height)):
-                for b in range(max(k - 1, 0), min(k + 2, width)):
-                    found = found or truth_wall[a, b]
-            met += found
+            if log_odds[i, j] > wall_above:
+                count += 1
+                r, k = int(np.floor(row0 + c * i + s * j)), int(np.floor(column0 - s * i + c * j))
+                met += _is_beside(truth_wall, r, k, 0)
     return met, count
+
+
+@kernel
+def _is_beside(values, row, column, above):
+    """Whether a cell at most one away from this one lies above; none does outside of the values."""
+    found = False
+    for a in range(max(row - 1, 0), min(row + 2, values.shape[0])):
+        for b in range(max(column - 1, 0), min(column + 2, values.shape[1])):
+            found = found or values[a, b] > above
+    return found

@@ -1,0 +1,58 @@
+"""How thick the walls of a map are: ghosts make them so."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.errors import DataError
+from twc_env.geometry import transform_points
+from twc_env.metrics.mapping import given_grid
+
+Array = NDArray
+
+STRETCH_M, SAMPLE_M = 0.25, 0.05
+"""Walls are known or not by stretches of the first length; the second is how finely they are sampled."""
+
+
+def wall_thickness_m(
+    log_odds: Array,
+    origin_m: Array,
+    resolution_m: float,
+    pose_building_map: Array,
+    walls_m: Array,
+    reach_m: float = 1.0,
+    wall_above: int = 0,
+) -> float:
+    """Mean width of what a map shows as wall, along the walls that it shows: ghosts make it grow (papers.md T21).
+
+    Each occupied cell belongs to the nearest true wall, if one is at most `reach_m` away; the area of these cells is
+    divided by the length of all stretches of wall that own one. walls_m (k, 2, 2) are segments in the building frame;
+    the other arguments as in `score_map`. A sharp map of thin walls gives one to two cells. NaN where no wall is shown.
+    """
+    from scipy.spatial import cKDTree  # slow to import, and needed by this figure alone
+
+    walls_m, log_odds = np.asarray(walls_m, float), given_grid(log_odds, "log_odds")
+    if walls_m.ndim != 3 or walls_m.shape[1:] != (2, 2):
+        raise DataError(f"walls_m must have shape (walls, 2, 2), both ends of each; got {walls_m.shape}")
+    samples, stretches, spacings_m = _sampled_walls(walls_m)
+    rows, columns = np.nonzero(log_odds > wall_above)
+    if not len(rows) or not len(samples):
+        return float("nan")
+    centres = np.asarray(origin_m) + (np.stack([columns, rows], axis=1) + 0.5) * resolution_m
+    away, nearest = cKDTree(samples).query(transform_points(pose_building_map, centres), distance_upper_bound=reach_m)
+    owned = np.isfinite(away)
+    known_m = float(spacings_m[np.isin(stretches, stretches[nearest[owned]])].sum())
+    return float(owned.sum()) * resolution_m**2 / known_m if known_m else float("nan")
+
+
+def _sampled_walls(walls_m: Array) -> tuple[Array, Array, Array]:
+    """Points along all walls (n, 2), the number of the stretch each is part of (n,), and the length it stands for."""
+    begin, along = walls_m[:, 0], walls_m[:, 1] - walls_m[:, 0]
+    length = np.hypot(along[:, 0], along[:, 1])
+    counts = np.maximum(np.round(length / SAMPLE_M).astype(np.int64), 1)
+    wall = np.repeat(np.arange(len(walls_m)), counts)
+    share = (np.arange(len(wall)) - (np.cumsum(counts) - counts)[wall] + 0.5) / counts[wall]
+    stretch = (share * length[wall] / STRETCH_M).astype(np.int64)
+    is_new = np.append(True, (np.diff(wall) != 0) | (np.diff(stretch) != 0))[: len(wall)]
+    return begin[wall] + share[:, None] * along[wall], np.cumsum(is_new), (length / counts)[wall]
