@@ -21,7 +21,7 @@ from agents.radio_bound import shortest_known_walk_m
 from twc_env import load_map
 from twc_env.config import EnvConfig, override
 from twc_env.finished_parts import FinishedParts
-from twc_env.geometry import transform_points
+from twc_env.geometry import inverse, transform_points
 from twc_env.messages import GridMap
 
 Array = NDArray
@@ -141,10 +141,7 @@ def score(radio: GridMap, pose_building_map: Array, plan) -> tuple[float, float,
     is_scored = cells.free | cells.wall
     rows, columns = np.nonzero(is_scored)
     centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
-    x, y, angle = pose_building_map
-    c, s = math.cos(angle), math.sin(angle)
-    inverse = np.array([-c * x - s * y, s * x - c * y, -angle])
-    at = radio.cell_of(transform_points(inverse, centres))
+    at = radio.cell_of(transform_points(inverse(pose_building_map), centres))
     inside = np.all((at >= 0) & (at < radio.log_odds.shape), axis=1)
     level = np.where(inside, radio.log_odds[tuple(np.where(inside[:, None], at, 0).T)], 0)
     free, known, truly = level < 0, level != 0, cells.free[rows, columns]

@@ -40,7 +40,7 @@ def test_seeds_are_numbers_and_ranges():
     assert parse_seeds("1,5,7-8") == (1, 5, 7, 8)
 
 
-@pytest.mark.parametrize("text", ["", "a", "3-1", "-2", "1;2"])
+@pytest.mark.parametrize("text", ["", "a", "3-1", "-2", "1;2", "²"])
 def test_other_seeds_are_refused(text):
     with pytest.raises(ConfigError, match="seeds must be"):
         parse_seeds(text)

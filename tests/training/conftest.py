@@ -1,0 +1,42 @@
+"""A short training that several tests look at, and what it was of."""
+
+import os
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def torch():
+    """Skips where it is not installed, but not in continuous integration, which has to have it."""
+    if "CI" not in os.environ:
+        for name in ("torch", "stable_baselines3"):
+            pytest.importorskip(name, reason="needs torch and stable-baselines3: pip install 'twc_env[train]'")
+    import torch
+
+    return torch
+
+
+@pytest.fixture(scope="session")
+def task(torch):
+    from training.run_folder import Task
+
+    return Task(
+        area_m2=100.0, buildings=2, max_cycles=80, overrides={"lidar.beam_count": 60, "action.decision_max_s": 2.0}
+    )
+
+
+@pytest.fixture(scope="session")
+def settings(torch):
+    from training.ppo import Settings
+
+    return Settings(seed=3, environments=2, workers=0, rollout_steps=16, batch_size=32, epochs=2)
+
+
+@pytest.fixture(scope="session")
+def run(task, settings, tmp_path_factory):
+    """A folder with 128 decisions of training in it."""
+    from training.ppo import train
+
+    folder = tmp_path_factory.mktemp("ppo")
+    train(task, settings, 128, folder, show_progress=False)
+    return folder

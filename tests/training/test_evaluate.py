@@ -1,0 +1,69 @@
+"""Trained teams are judged and filmed on buildings of their own."""
+
+import json
+import math
+import shutil
+import zipfile
+from dataclasses import replace
+
+import pytest
+
+from training.__main__ import main
+
+pytestmark = pytest.mark.usefixtures("torch")
+
+
+def test_a_trained_model_is_evaluated_against_random_actions(run, tmp_path, capsys):
+    figures = tmp_path / "figures.json"
+    assert main(["evaluate", "--model", str(run / "model.zip"), "--seeds", "0-1", "--json", str(figures)]) == 0
+    table = capsys.readouterr().out.splitlines()
+    written = json.loads(figures.read_text())
+    assert set(written) == {"trained", "random", "nearest", "nearest-frontier"}
+    assert all(f"{of['means']['coverage']:+.3f}" in line for of, line in zip(written.values(), table[1:], strict=True))
+    assert [line.split()[0] for line in table] == ["policy", "trained", "random", "nearest", "nearest-frontier"]
+    assert all(math.isfinite(float(line.split()[1])) for line in table[1:])
+
+
+def test_a_trained_team_is_filmed_and_plays_as_it_does_unseen(run, tmp_path):
+    pytest.importorskip("PIL", reason="needs the extra 'viz'")
+    from training.evaluate import evaluate
+
+    plain, filmed = (evaluate(run / "model.zip", [0, 1], False, films) for films in (None, tmp_path / "films"))
+    assert sorted(path.name for path in (tmp_path / "films").iterdir()) == ["episode-0.gif", "episode-1.gif"]
+    assert filmed.episodes == plain.episodes
+
+
+def test_what_a_team_covers_does_not_depend_on_how_it_is_paid(task):
+    from training.evaluate import _choosing, _nearest, _scripted
+
+    team = replace(task, robots=3, max_cycles=60)
+    alone = replace(team, overrides={**team.overrides, "reward.sharing": "individual"})
+    for play in (lambda task: _choosing(task, 1, _nearest), lambda task: _scripted(task, 1)):
+        assert play(alone) == play(team)
+
+
+def test_a_model_that_is_broken_or_of_another_task_is_named(task, run, tmp_path, capsys):
+    from stable_baselines3 import PPO
+
+    from training.run_folder import write_settings
+
+    shutil.copy(run / "config.json", tmp_path)
+    sound, model = (run / "model.zip").read_bytes(), tmp_path / "model.zip"
+    bent = bytearray(sound)
+    bent[len(bent) // 2] ^= 255
+    with zipfile.ZipFile(tmp_path / "foreign.zip", "w") as file:
+        file.writestr("hello", "")
+    PPO("MlpPolicy", "CartPole-v1", device="cpu").save(tmp_path / "other.zip")
+    foreign = [(tmp_path / name).read_bytes() for name in ("foreign.zip", "other.zip")]
+    for content in (sound[:1000], bytes(bent), b"", *foreign):
+        model.write_bytes(content)
+        assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
+        assert f"cannot read the model {model}" in capsys.readouterr().err
+    model.write_bytes(sound)
+    task = task
+    write_settings(tmp_path, "ppo", replace(task, overrides={**task.overrides, "observation.sign_slots": 2}), {})
+    assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
+    assert "was trained to see or choose something else" in capsys.readouterr().err
+    model.unlink()
+    assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
+    assert "there is no model" in capsys.readouterr().err

@@ -1,0 +1,63 @@
+"""Commands of training end in one line after what cannot be meant."""
+
+import subprocess
+import sys
+
+import pytest
+
+from training.__main__ import main
+
+
+@pytest.mark.usefixtures("torch")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["evaluate", "--model", "nowhere/model.zip"], "nowhere holds no training run"),
+        (["evaluate", "--seeds", "a-b"], "seeds must be numbers and ranges"),
+        (["ppo", "--steps", "0"], "--steps must be at least 1; got 0"),
+        (["ppo", "--set", "lidar.beam_count"], "--set takes KEY=VALUE"),
+        (["ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
+        (["ppo", "--resume"], "holds no training run"),
+        (["ppo", "--seed", "-1"], "--seed must be 0 to"),
+        (
+            ["ppo", "--out", "/dev/null/run"],
+            "cannot write to the folder /dev/null/run: /dev/null is a file; choose another",
+        ),
+    ],
+)
+def test_a_wrong_command_ends_in_one_line_that_names_the_remedy(arguments, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and message in error
+    assert error.count("\n") == 1
+
+
+def test_without_torch_the_error_names_what_to_install():
+    code = "import sys; sys.modules['torch'] = None; from training.__main__ import main; sys.exit(main(['ppo']))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "training needs torch; install it with: pip install 'twc_env[train]'" in done.stderr
+
+
+@pytest.mark.usefixtures("torch")
+def test_another_kind_of_action_or_observation_is_refused(tmp_path, capsys):
+    for setting in ("action.kind=velocity", "observation.kind=flat"):
+        assert main(["ppo", "--steps", "8", "--out", str(tmp_path / "run"), "--set", setting]) == 2
+        assert "action.kind=frontier" in capsys.readouterr().err
+    for block in ("pose", "team"):
+        assert main(["ppo", "--out", str(tmp_path / "run"), "--set", f"observation.{block}=false"]) == 2
+        assert "leave observation.pose=true and observation.team=true" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("torch")
+def test_an_interrupted_training_says_so_on_a_line_of_its_own(tmp_path, monkeypatch, capsys):
+    from twc_env.sb3 import TeamVecEnv
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(TeamVecEnv, "step_wait", interrupt)
+    assert main(["ppo", "--workers", "0", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 130
+    *_, last = capsys.readouterr().err.splitlines()
+    assert last == "interrupted; --resume goes on from the last model that was saved, if any"
