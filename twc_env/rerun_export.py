@@ -55,7 +55,7 @@ def write_rerun(run: Path, path: Path) -> Path:
         for count, moment in enumerate(moments):
             _set_time(recording, moment["step"], config)
             _log_moment(rerun, moment, cells[count])
-        _log_robots(rerun, recording, trace, config)
+        _log_robots(rerun, trace, config)
         recording.flush()
     return path
 
@@ -170,7 +170,7 @@ def rectangles(kinds: Array) -> tuple[Array, Array]:
     return np.column_stack([first[begin], end[begin], row[begin], row[last] + 1]), kind[begin]
 
 
-def _log_robots(rerun: Any, recording: Any, trace: dict[str, Array], config: EnvConfig) -> None:
+def _log_robots(rerun: Any, trace: dict[str, Array], config: EnvConfig) -> None:
     """Every step's true and estimated places, and the way so far as one line each."""
     radius = config.dynamics.robot_radius_m
     for robot in range(config.robots):

@@ -141,8 +141,6 @@ _AUTHORS_FLAT = {
 """Fitted to E3 with its rooms known; further walls cost next to nothing there, as in the flat with BLE anchors. How
 strong routers are is told by each experiment's readings near by and in sight. The preset stands for the twins, whose
 rooms are drawn so that the printed classes come out: there strength falls less with distance."""
-_WALL_FACES = 2
-"""Rims of free space that a line through one wall meets."""
 _MANY_WALLS = 3
 _MAP_CELL_M = 0.1
 _NEAR_M = 3.0
@@ -212,7 +210,7 @@ def _first_wall_evidence(folder: Path, quick: bool) -> Figures:
         laid = _laid(folder, routers)
         walk, plan = _walk_and_plan(laid)
         faces = plan.wall_index.crossing(plan.access_points[0].position_m, walk.position_m)[0]
-        walls, level = (faces + 1) // _WALL_FACES, _low_band(laid.walk)[0]
+        walls, level = places.walls_of(faces), _low_band(laid.walk)[0]
         in_sight, first, further = (
             float(level[mine].mean()) for mine in (walls == 0, walls == 1, walls >= _MANY_WALLS)
         )
@@ -241,7 +239,9 @@ def _walk_and_plan(laid: LaidWalk) -> tuple[RadioSurvey, Floorplan]:
         laid.placed.router_m[np.flatnonzero(laid.walk.router_of == k)[0]] for k in np.unique(laid.walk.router_of)
     ]
     points = tuple(AccessPoint(f"router-{k}", place, (k + 1,)) for k, place in enumerate(routers))
-    return walk, dataclasses.replace(plan, wall_loss_db=np.full(len(plan.walls_m), _WALL_DB / 2), access_points=points)
+    return walk, dataclasses.replace(
+        plan, wall_loss_db=np.full(len(plan.walls_m), _WALL_DB / places.WALL_FACES), access_points=points
+    )
 
 
 def _range(real: float, mine: list[float], others: list[float]) -> tuple[float, float, float]:

@@ -28,6 +28,8 @@ from twc_env.world.reception import WifiReceiver
 Array = NDArray
 
 _VENDOR = 0x02_00_5E << 24
+WALL_FACES = 2
+"""Lines of a flat's outline, or rims of its free space, that a way through one wall crosses."""
 
 
 def office(
@@ -61,12 +63,17 @@ def office(
 
 
 def flat(plan: Flat, wall_db: float) -> Floorplan:
-    """The outline itself: a wall has two faces, each of which takes half of its loss."""
+    """The outline itself: each face of a wall takes half of its loss."""
     ends = np.stack([plan.outline_m, np.roll(plan.outline_m, -1, axis=0)], axis=1)
     points = [AccessPoint(f"anchor-{i}", place, (i + 1,)) for i, place in enumerate(plan.anchors_m)]
     return Floorplan(
-        "flat", ends, np.full(len(ends), wall_db / 2), access_points=tuple(points), interior_m=np.ones((1, 2))
+        "flat", ends, np.full(len(ends), wall_db / WALL_FACES), access_points=tuple(points), interior_m=np.ones((1, 2))
     )
+
+
+def walls_of(faces: Array) -> Array:
+    """Walls crossed where so many faces are; what ends inside a wall has crossed it."""
+    return (faces + WALL_FACES - 1) // WALL_FACES
 
 
 def another(plan: Floorplan, seed: int) -> Floorplan:

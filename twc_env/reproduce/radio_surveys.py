@@ -31,8 +31,6 @@ from twc_env.world.floorplan import Floorplan
 Array = NDArray
 
 _WALLS_MAX = 2
-_WALL_FACES = 2
-"""Lines of the flat's outline that one wall crossing meets."""
 _HEARD_MIN = 8
 
 # --- samples at fixed points (UJI library) ----------------------------------------------------------------------------
@@ -161,7 +159,7 @@ def _flat_ways(surveys: list[RadioSurvey], plan: Floorplan) -> tuple[Array, Arra
         transmitter_m = survey.transmitters[0]
         crossed = np.array([plan.wall_index.crossing(place, transmitter_m)[0] for place in survey.position_m])
         distances.append(np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2))
-        walls.append((crossed + 1) // _WALL_FACES)
+        walls.append(places.walls_of(crossed))
     return np.concatenate(distances), np.concatenate(walls)
 
 

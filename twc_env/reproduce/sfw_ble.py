@@ -29,7 +29,6 @@ from twc_env.slam.path_bins import bin_along_path
 Array = NDArray
 
 SUMMARY = "walls crossed in a real flat with six BLE transmitters"
-_WALL_FACES = 2
 _WINDOW = 7
 _RUNS = ("calibration", "calib3", "calib4")
 """The first is reported; priors of the signal model were chosen on the two others."""
@@ -77,9 +76,7 @@ def measure(run: str, folder: Path, out: Path | None) -> dict:
     plan = places.flat(read_flat(folder), 6.0)
     routers = survey.transmitters[0]
     crossed = np.column_stack([plan.wall_index.crossing(router, survey.position_m)[0] for router in routers])
-    walk = RadioWalk(
-        survey.position_m, survey.rssi_dbm.astype(float), routers, (crossed + _WALL_FACES - 1) // _WALL_FACES
-    )
+    walk = RadioWalk(survey.position_m, survey.rssi_dbm.astype(float), routers, places.walls_of(crossed))
     heard = np.isfinite(walk.rssi_dbm)
     bins = bin_along_path(walk.position_m, walk.rssi_dbm)
     figures = {"true": walk.walls[heard]}

@@ -18,9 +18,10 @@ from twc_env.config import radio_preset
 from twc_env.datasets.house_expo import read_house_expo
 from twc_env.errors import DataError, MapError
 from twc_env.metrics import path_length_m
-from twc_env.metrics.k_visibility import calibration_error, reliability
+from twc_env.metrics.k_visibility import UNKNOWN, WALL, calibration_error, reliability
 from twc_env.reproduce import sfw_scoring as scoring
 from twc_env.reproduce.drawing import can_draw, new_figure
+from twc_env.reproduce.radio_places import WALL_FACES
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_route
 from twc_env.world.floorplan import Floorplan
@@ -28,7 +29,6 @@ from twc_env.world.floorplan import Floorplan
 SUMMARY = "structure from WiFi on HouseExpo plans, route along all walls, with a reliability curve"
 CHOOSES = ("plans",)
 _READINGS_PER_M = 40.0
-_WALL_FACES = 2
 _WALL_LOSS_SCALE = 1.6
 """The plans' walls are drawn with 5 dB: 8 dB is what walls take in the paper's experiments."""
 _STANDOFFS_M = (0.3, 0.25, 0.2, 0.15)
@@ -80,13 +80,13 @@ def measure(path: Path, options: argparse.Namespace) -> dict | None:
     nearest = min(plan.access_points, key=lambda p: float(np.linalg.norm(route - p.position_m, axis=1).mean()))
     plan = dataclasses.replace(plan, access_points=(nearest,))
     radio = dataclasses.replace(radio_preset("sfw"), wall_loss_scale=_WALL_LOSS_SCALE)
-    walk = read_walk(plan, radio, route, seed=0, faces_per_wall=_WALL_FACES)
+    walk = read_walk(plan, radio, route, seed=0, faces_per_wall=WALL_FACES)
     cells = plan.cells(scoring.RESOLUTION_M)
     maps = {"paper": scoring.by_paper(walk, cells), "ours": scoring.by_ours(walk, cells, seed=0)}
     scoring.draw_maps(options.out / f"{path.stem[:8]}.png", path.stem, walk, cells, maps)
     ours = maps["ours"]
-    told = np.isfinite(ours.probability) & (ours.truth != 127)
-    pairs = np.column_stack([ours.probability[told], ours.truth[told] == 0]).round(3)
+    told = np.isfinite(ours.probability) & (ours.truth != UNKNOWN)
+    pairs = np.column_stack([ours.probability[told], ours.truth[told] == WALL]).round(3)
     return {
         "rows": [
             {

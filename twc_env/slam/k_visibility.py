@@ -112,7 +112,7 @@ def map_structure(
     )  # fmt: skip
     return Structure(
         router_m=router_m,
-        walls=solver.count_walls(np.asarray(position_m, float), np.asarray(rssi_dbm, float)),
+        walls=solver.count_walls(position_m, np.asarray(rssi_dbm, float)),
         wall_probability=solver.count_probability(),
         bins=bins,
         candidates=solver.candidates,

@@ -1,6 +1,6 @@
 """Inverse k-visibility as published: dense inverse, rules, Eq. 4 and 5, and Algorithm 1 (papers.md K3, K7-K15).
 
-Grids are coded 255 free, 127 unknown, 0 wall. Where the paper leaves a choice open, it is an argument.
+Where the paper leaves a choice open, it is an argument.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.kernels import kernel
+from twc_env.slam.k_visibility_grid import FREE, UNKNOWN, WALL
 
 Array = NDArray
 
-FREE, UNKNOWN, WALL = 255, 127, 0
 LITERAL, MIXTURE = 0, 1
 _EQUATIONS = {"literal": LITERAL, "mixture": MIXTURE}
 

@@ -146,7 +146,7 @@ class RadioTrail:
     def _optimise(self) -> None:
         travel, poses = np.cumsum(self._steps[:, 5]), self._poses
         for round_ in range(ROUNDS):
-            closures = together([self._closures(heard, poses, travel) for heard in self._heard if round_ == 0])
+            closures = together([self._closures(heard, travel) for heard in self._heard if round_ == 0])
             found = [self._ties(heard, round_, poses, travel) for heard in self._heard]
             poses = self._fit(poses, [ties for ties in found if len(ties[0])], closures)
             if not self._is_full:
@@ -161,7 +161,7 @@ class RadioTrail:
         self._steps[1:, :3], self._steps[1:, 3] = right.motion, right.turned_rad
         self._calibration = self._calibration.then(found)
 
-    def _closures(self, heard: _Heard, poses: Array, travel: Array) -> Distances:
+    def _closures(self, heard: _Heard, travel: Array) -> Distances:
         """Distances between places that sound alike, as of the batch."""
         rule, feature = self._config, heard.of(self._rows)
         similarity = all_similarities(csr_array(feature))

@@ -42,7 +42,7 @@ def finish(
         rooms=tuple(drawing.rooms),
         signs=tuple(drawing.signs),
         access_points=_access_points(drawing, random, access_points, macs),
-        interior_m=_clear_point(drawing, start),
+        interior_m=_clear_point(start),
     )
 
 
@@ -292,6 +292,6 @@ def _shares(total: int, count: int) -> list[int]:
     return [total // count + (i < total % count) for i in range(count)]
 
 
-def _clear_point(drawing: Drawing, tile: Tile) -> Array:
+def _clear_point(tile: Tile) -> Array:
     """A point of an open tile that lies on no box: near its lower left corner, half a metre off its walls."""
     return np.array([[tile.x0 + 5.5, tile.y0 + 5.5]]) / 10
