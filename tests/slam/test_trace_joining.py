@@ -66,6 +66,14 @@ def test_a_walk_whose_parts_do_not_fit_is_refused(poses):
         Trace(poses, [Fingerprint(np.array([1]), np.array([-50.0]))])
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_walks_too_short_for_a_model_of_distance_are_refused_where_it_is_asked_for(count):
+    traces = [Trace(np.array([[0.0, 0, 0], [1.0, 0, 0]]), [Fingerprint(np.array([1]), np.array([-50.0]))] * 2)] * count
+    with pytest.raises(DataError, match="too few pairs"):
+        join(traces, RadioSlamConfig(weighting="paper"))
+    assert join(traces, RadioSlamConfig()).is_joined.all()
+
+
 @pytest.mark.parametrize("traces", [[], [Trace(np.zeros((0, 3)), [])]])
 def test_walks_without_any_scan_are_refused(traces):
     with pytest.raises(DataError, match="nothing to join"):

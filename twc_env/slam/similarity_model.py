@@ -14,6 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.errors import DataError
+
 Array = NDArray
 
 BIN_STEP = 0.01
@@ -42,9 +44,9 @@ class SimilarityModel:
     """Longest path between two fingerprints of a training pair."""
 
     def distance(self, similarity: Array) -> tuple[Array, Array]:
-        """Mean [m] and variance [m2] of the distance at similarities (k,)."""
+        """Mean [m] and variance [m2] of the distance at similarities (k,). Raises DataError for a model of no bins."""
         if not len(self.centre):
-            raise ValueError("the model was trained on too few pairs to hold a bin; record a longer path")
+            raise DataError("the model was trained on too few pairs to hold a bin; record a longer path")
         mean = np.interp(similarity, self.centre, self.mean_m)
         return mean, np.maximum(np.interp(similarity, self.centre, self.variance_m2), VARIANCE_MIN_M2)
 
@@ -57,9 +59,9 @@ class SimilarityModel:
 def train(
     similarity: Array, distance_m: Array, window_m: float, bin_width: float = 0.05, formula: str = "repaired"
 ) -> SimilarityModel:
-    """A model from training pairs (k,)."""
+    """A model from training pairs (k,). Raises DataError for a formula that there is not."""
     if formula not in FORMULAS:
-        raise ValueError(f"a formula is one of {', '.join(FORMULAS)}; got {formula!r}")
+        raise DataError(f"a formula is one of {', '.join(FORMULAS)}; got {formula!r}")
     order = np.argsort(similarity, kind="stable")
     similarity, distance_m = np.asarray(similarity)[order], np.asarray(distance_m)[order]
     centres = np.arange(0.0, 1.0 + BIN_STEP / 2, BIN_STEP)

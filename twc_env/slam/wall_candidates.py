@@ -82,8 +82,8 @@ def wall_candidates(path_m: Array, standoff_m: float) -> WallCandidates:
     vertices = _respaced(path_m)
     tangent = np.gradient(vertices, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    gaps, partners = np.empty((2, len(vertices))), np.empty((2, len(vertices)), np.int64)
-    _opposite_tracks(vertices, tangent, _FAR * standoff_m, gaps, partners)
+    gaps = np.empty((2, len(vertices)))
+    _opposite_tracks(vertices, tangent, _FAR * standoff_m, gaps)
     lines = [
         line
         for run, direction in _runs(tangent, _have_tip(gaps, standoff_m))
@@ -264,14 +264,14 @@ def _drop_repeated(ends, stretch, reach, keep):
 
 
 @kernel
-def _opposite_tracks(vertices, tangent, reach, gaps, partners):
-    """For each vertex and side: distance to the next track along the normal (inf: none), and which vertex it is."""
+def _opposite_tracks(vertices, tangent, reach, gaps):
+    """For each vertex and side: distance to the next track along the normal; inf: none."""
     count = vertices.shape[0]
     for i in range(count):
         for side in range(2):
             sign = 1.0 if side == 0 else -1.0
             nx, ny = -sign * tangent[i, 1], sign * tangent[i, 0]
-            gaps[side, i], partners[side, i] = np.inf, -100
+            gaps[side, i] = np.inf
             for j in range(count - 1):
                 if abs(j - i) < 3:
                     continue
@@ -289,4 +289,4 @@ def _opposite_tracks(vertices, tangent, reach, gaps, partners):
                 length = np.sqrt(ex * ex + ey * ey)
                 if abs(ex * tangent[i, 0] + ey * tangent[i, 1]) < _FACING_COS * length:
                     continue
-                gaps[side, i], partners[side, i] = t, j
+                gaps[side, i] = t
