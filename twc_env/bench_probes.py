@@ -119,10 +119,14 @@ def _first_step(map_name: str) -> list[float]:
 
 def _memory_mb(steps: int) -> float:
     """Resident memory that each further environment adds, in a building of its own, after an episode."""
+    from twc_env.process_memory import resident_mb
+
     envs = [_played(_MEMORY_MAP.format(100), steps)]
-    before = _resident_mb()
+    gc.collect()
+    before = resident_mb()
     envs += [_played(_MEMORY_MAP.format(101 + k), steps) for k in range(_MEMORY_ENVS)]
-    return (_resident_mb() - before) / (len(envs) - 1)
+    gc.collect()
+    return (resident_mb() - before) / (len(envs) - 1)
 
 
 def _played(map_name: str, steps: int) -> Any:
@@ -134,16 +138,6 @@ def _played(map_name: str, steps: int) -> Any:
     for actions in wander(env, 0):
         env.step(actions)
     return env
-
-
-def _resident_mb() -> float:
-    gc.collect()
-    try:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-    except OSError:
-        import resource
-
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def _worker(map_name: str, steps: int, core: int, seed: int, gate: Path, say: Callable[[str], object]) -> None:

@@ -6,7 +6,6 @@ import base64
 import copy
 import gzip
 import json
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ import numpy as np
 from twc_env.datasets.map_export import export_map
 from twc_env.errors import MapError
 from twc_env.maps import load_map
+from twc_env.process_memory import peak_mb
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan_file import write_floorplan
 from twc_env.world.generate import generate
@@ -72,14 +72,14 @@ def fuzz_maps(count: int, seed: int = 0) -> FuzzReport:
         samples = _samples(folder)
         for path in samples:  # kernels compile before the clock runs
             load_map(path)
-        before_mb = _peak_mb()
+        before_mb = peak_mb()
         for number in range(count):
             sample = samples[number % len(samples)]
             raw, what = _mutated(sample, random)
             target = folder / "mutated" / sample.name
             target.write_bytes(raw)
             _read(target, f"#{number} {sample.name}: {what}", report)
-        report.grown_mb = _peak_mb() - before_mb
+        report.grown_mb = peak_mb() - before_mb
     return report
 
 
@@ -233,15 +233,6 @@ def _somewhere(values, random: np.random.Generator):
 def _key(holder, random: np.random.Generator):
     keys = list(holder) if isinstance(holder, dict) else range(len(holder))
     return keys[int(random.integers(len(keys)))]
-
-
-def _peak_mb() -> float:
-    try:
-        import resource
-    except ImportError:
-        return float("nan")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1e6 if sys.platform == "darwin" else peak / 1e3
 
 
 def _polygon(corners: list[tuple[float, float]], **properties) -> dict:

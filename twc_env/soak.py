@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import gc
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +12,7 @@ import numpy as np
 from twc_env.bench import wander
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.process_memory import resident_mb
 
 WARM_UP_SHARE = 0.3
 """Of all steps: caches of buildings fill in this time; growth is counted from its end on."""
@@ -69,18 +68,3 @@ def _figures(rows: list[tuple[int, float]], buildings: int, episodes: int, secon
         "memory_peak_mb": max(mb for _, mb in rows),
         "steps_per_s": rows[-1][0] / seconds,
     }
-
-
-def resident_mb() -> float:
-    """Memory of this process [MB]: what it holds now on Linux, its peak so far elsewhere."""
-    status = Path("/proc/self/statm")
-    if status.exists():
-        import resource
-
-        return int(status.read_text().split()[1]) * resource.getpagesize() / 1e6
-    if sys.platform == "win32":
-        return float("nan")
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1e6 if sys.platform == "darwin" else 1e3)

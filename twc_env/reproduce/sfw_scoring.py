@@ -14,7 +14,7 @@ from twc_env.reproduce.sfw_walks import RadioWalk
 from twc_env.slam import k_visibility_rules as published
 from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, sliding_window
 from twc_env.slam.k_visibility import Structure, map_structure
-from twc_env.slam.k_visibility_grid import FREE_BELOW, WALL_ABOVE
+from twc_env.slam.k_visibility_grid import FREE_BELOW, UNKNOWN, WALL, WALL_ABOVE
 from twc_env.world.floor_cells import Cells
 
 Array = NDArray
@@ -85,7 +85,7 @@ def by_rules(walk: RadioWalk, cells: Cells, walls: Array) -> Mapped:
     routers = ((walk.router_m - cells.origin_m) / cells.resolution_m)[:, ::-1]
     settings = published.RuleSettings(equation_4="literal")
     classes, _ = published.map_by_rules(at, walls, focus, routers, cells.free.shape, settings)
-    probability = np.where(classes == published.UNKNOWN, np.nan, (classes == published.WALL).astype(float))
+    probability = np.where(classes == UNKNOWN, np.nan, (classes == WALL).astype(float))
     return _judged(
         float(np.mean(walls == walk.walls[rows, focus])), classes, probability, truth_map(cells.free, cells.wall)
     )
@@ -99,7 +99,7 @@ def by_ours(walk: RadioWalk, cells: Cells, seed: int, router_known: bool = True)
     )  # fmt: skip
     rows, focus = focus_of(walk)
     accuracy = float(np.mean(structure.walls[rows, focus] == walk.walls[rows, focus]))
-    classes = on_grid(structure.grid.classes(), structure.grid.origin_m, cells, published.UNKNOWN)
+    classes = on_grid(structure.grid.classes(), structure.grid.origin_m, cells, UNKNOWN)
     probability = on_grid(structure.grid.probability, structure.grid.origin_m, cells, np.nan)
     return _judged(accuracy, classes, probability, truth_map(cells.free, cells.wall), structure)
 
@@ -113,12 +113,12 @@ def at_coverage(made: Mapped, rays: Array, coverage: float) -> Mapped:
     doubt = 0.5 * (FREE_BELOW + WALL_ABOVE)
     sureness = np.abs(np.nan_to_num(made.probability, nan=doubt) - doubt)
     surest = np.lexsort((-rays.ravel(), -sureness.ravel()))
-    surest = surest[made.classes.ravel()[surest] != published.UNKNOWN]
-    is_scored = made.truth.ravel()[surest] != published.UNKNOWN
-    kept = surest[np.cumsum(is_scored) <= coverage * np.sum(made.truth != published.UNKNOWN)]
-    classes = np.full(made.classes.shape, published.UNKNOWN, np.uint8)
+    surest = surest[made.classes.ravel()[surest] != UNKNOWN]
+    is_scored = made.truth.ravel()[surest] != UNKNOWN
+    kept = surest[np.cumsum(is_scored) <= coverage * np.sum(made.truth != UNKNOWN)]
+    classes = np.full(made.classes.shape, UNKNOWN, np.uint8)
     classes.flat[kept] = made.classes.flat[kept]
-    probability = np.where(classes == published.UNKNOWN, np.nan, made.probability)
+    probability = np.where(classes == UNKNOWN, np.nan, made.probability)
     return _judged(made.k_accuracy, classes, probability, made.truth, made.structure)
 
 
@@ -135,8 +135,8 @@ def on_grid(values: Array, origin_m: Array, cells: Cells, outside) -> Array:
 def _judged(
     accuracy: float, classes: Array, probability: Array, truth: Array, structure: Structure | None = None
 ) -> Mapped:
-    told = np.isfinite(probability) & (truth != published.UNKNOWN)
-    error = calibration_error(probability[told], truth[told] == published.WALL)
+    told = np.isfinite(probability) & (truth != UNKNOWN)
+    error = calibration_error(probability[told], truth[told] == WALL)
     score = score_structure(classes, truth, probability)
     return Mapped(accuracy, score, error, classes, truth, probability, structure)
 
