@@ -91,3 +91,23 @@ def test_pose_functions_broadcast_over_leading_axes(pose):
     many = geometry.compose(stack, np.stack([pose, pose, pose]))  # (2, 3, 3)
     assert many.shape == (2, 3, 3)
     assert_same_pose(many[1, 2], geometry.compose(pose + 1.0, pose))
+
+
+def test_poses_along_motions_are_these_put_one_after_the_other():
+    motions = np.random.default_rng(0).normal(0.0, 2.0, (20, 3))
+    pose = np.zeros(3)
+    for motion, found in zip(motions, geometry.poses_along(motions)[1:], strict=True):
+        pose = geometry.compose(pose, motion)
+        assert_same_pose(found, pose)
+    assert geometry.poses_along(motions[:0]).tolist() == [[0.0, 0.0, 0.0]]
+
+
+def test_points_along_a_path_lie_at_lengths_from_its_beginning():
+    corners = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 14.0]])
+    assert geometry.travelled_m(corners).tolist() == [0.0, 5.0, 15.0]
+    assert geometry.points_along(corners, np.array([0.0, 2.5, 10.0, 99.0])).tolist() == [
+        [0, 0],
+        [1.5, 2],
+        [3, 9],
+        [3, 14],
+    ]
