@@ -163,14 +163,12 @@ def test_schema_prints_the_schema(capsys):
         (["show", "twin-01", "--out", "taken/a.png"], "cannot write taken/a.png: taken is no place"),
         (["generate", "castle", "300"], "kinds are office, ring"),
         (["generate", "office", "30"], "must be 100 to 10000 m2"),
-        (["generate", "office", "300", "--count", "0"], "--count must be 1 or more"),
         (["generate", "office", "300", "--out", "a.png"], "--out must end in .json"),
         (["import", "none.yaml"], "no such file"),
         (["import", "none.yaml", "--resolution", "0.1"], "--resolution is for .png and .pgm"),
         (["import", "none.pgm", "--resolution", "0"], "--resolution must be 0.005 to 10"),
         (["export", "twin-01", "a.dxf"], "use a name that ends in"),
         (["export", "twin-01", "a.json", "--resolution", "0.1"], "--resolution is for .yaml and .png"),
-        (["check", "--fuzz", "0"], "--fuzz must be 1 or more"),
         (["generate", "office", "300", "--out", "taken/a.json"], "cannot write taken/a.json: "),
         (["check", "none"], "one check failed"),
     ],
@@ -181,6 +179,23 @@ def test_mistakes_end_with_one_line_and_status_2(arguments, message, capsys, tmp
     assert run(*arguments) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and message in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "least"),
+    [
+        ("generate office 300 --count 0", 1),
+        ("generate office 300 --seed -1", 0),
+        ("import plan.png --seed -1", 0),
+        ("check --fuzz 0", 1),
+        ("check --fuzz 2 --seed -3", 0),
+    ],
+)
+def test_numbers_that_cannot_be_meant_are_refused(arguments, least, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run(*arguments.split())
+    assert stopped.value.code == 2
+    assert f"must be a whole number from {least} on" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", [[], ["list"], ["show"], ["generate"], ["import"], ["export"], ["check"]])

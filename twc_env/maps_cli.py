@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from twc_env.command_line import Paragraphs
+from twc_env.command_line import Paragraphs, count, natural
 from twc_env.errors import MapError
 from twc_env.json_values import check_writable, write_json
 from twc_env.maps import load_map, map_names, schema
@@ -72,8 +72,10 @@ def add_maps_parser(commands) -> None:
 
     make.add_argument("kind", metavar="KIND", help=f"one of {', '.join(KINDS)}")
     make.add_argument("area", type=float, metavar="AREA", help=f"gross floor area, {AREA_MIN_M2} to {AREA_MAX_M2} m2")
-    make.add_argument("--seed", type=int, default=0, help="of the building (default: %(default)s)")
-    make.add_argument("--count", type=int, default=1, help="this many, with seeds that count on (default: %(default)s)")
+    make.add_argument("--seed", type=natural, default=0, help="of the building (default: %(default)s)")
+    make.add_argument(
+        "--count", type=count, default=1, help="this many, with seeds that count on (default: %(default)s)"
+    )
     make.add_argument("--out", type=Path, metavar="FILE.json", help="default: KIND-AREA-SEED.json in this folder")
 
     bring = _part(
@@ -118,7 +120,7 @@ def add_maps_parser(commands) -> None:
         "maps", nargs="*", metavar="MAP", help="default: all bundled maps, unless an option asks for more"
     )
     check.add_argument("--splits", action="store_true", help="are the splits disjoint, and what are their digests")
-    check.add_argument("--fuzz", type=int, metavar="COUNT", help="read COUNT mutated map files")
+    check.add_argument("--fuzz", type=count, metavar="COUNT", help="read COUNT mutated map files")
     check.add_argument("--json", type=Path, metavar="FILE", help="write the findings")
     _seed(check)
 
@@ -144,7 +146,7 @@ def _part(parts, name: str, run, help_text: str, epilog: str = "") -> argparse.A
 
 
 def _seed(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seed", type=int, default=0, help="furnishes maps without signs (default: %(default)s)")
+    parser.add_argument("--seed", type=natural, default=0, help="furnishes maps without signs (default: %(default)s)")
 
 
 def _list(options: argparse.Namespace) -> None:
@@ -183,8 +185,6 @@ def _show(options: argparse.Namespace) -> None:
 def _generate(options: argparse.Namespace) -> None:
     from twc_env.world.generate import generate
 
-    if options.count < 1:
-        raise MapError(f"--count must be 1 or more; got {options.count}")
     for seed in range(options.seed, options.seed + options.count):
         plan = generate(options.kind, options.area, seed)
         path = options.out or Path(f"{options.kind}-{options.area:g}-{seed}.json")
@@ -289,12 +289,10 @@ def _check_splits(findings: dict[str, object]) -> list[str]:
     return faults
 
 
-def _check_fuzz(count: int, seed: int, findings: dict[str, object]) -> list[str]:
+def _check_fuzz(files: int, seed: int, findings: dict[str, object]) -> list[str]:
     from twc_env.map_fuzz import MEMORY_MAX_MB, SECONDS_MAX, fuzz_maps
 
-    if count < 1:
-        raise MapError(f"--fuzz must be 1 or more; got {count}")
-    report = fuzz_maps(count, seed)
+    report = fuzz_maps(files, seed)
     print(
         f"{report.count} mutated files: {report.refused} refused, {report.loaded} still sound, "
         f"{len(report.escaped)} raised something else; slowest {report.slowest_s:.3f} s ({report.slowest}); "
