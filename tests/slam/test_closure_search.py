@@ -27,3 +27,17 @@ def test_signs_are_compared_along_a_corridor_although_its_walls_were_met_again(
     mapper._search.note_tie(LoopClosure(near, np.zeros(3), covariance, 1.0, "accepted"))
     mapper.update(1, [made(1, 1, 1.0, True)])
     assert [closure.candidate.recogniser for closure in mapper.closures] == ["twc"] * is_compared
+
+
+@pytest.mark.parametrize(("is_end_seen", "status"), [(False, "rejected"), (True, "pending")])
+def test_robots_in_the_way_do_not_fix_a_place_along_a_corridor(keyframe, scan, walls, is_end_seen, status):
+    corridor = walls((-40.0, -0.6), (3.0 if is_end_seen else 40.0, -0.6), (3.0, 0.6), (-40.0, 0.6))
+    mate = np.concatenate([corridor, walls((-0.8, -0.15), (-0.5, -0.15), (-0.5, 0.15), (-0.8, 0.15))])
+    mapper = TeamMapper(EnvConfig(), 2)
+    mapper.update(0, [keyframe(robot, 0, (0.0, 0.0, 0.0), 0.0, scan(mate, (0.0, 0.0, 0.0))) for robot in (0, 1)])
+    mapper._search._waiting["wifi"].append(LoopCandidate((0, 0), (1, 0), np.array([0.1, 0.0, 0.0]), "wifi"))
+    mapper._search.waiting_count = 1
+    mapper.update(1, [keyframe(0, 1, (0.0, 0.0, 0.0), 0.0, scan(mate, (0.0, 0.0, 0.0)))])
+    (closure,) = mapper.closures
+    assert closure.pose_target_source == pytest.approx(0.0, abs=0.02) and not closure.is_loose
+    assert closure.status == status and ("robots" in closure.reason) is not is_end_seen

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from twc_env.geometry import beam_directions
-from twc_env.slam.mate_detection import DISCS_MAX, StillDiscs, mark_mates, unmark
+from twc_env.slam.mate_detection import DISCS_MAX, StillDiscs, mark_mates, unmark, without_narrow
 
 RANGE_MAX_M, RADIUS_M = 10.0, 0.2
 
@@ -89,3 +89,19 @@ def test_a_disc_that_stays_where_it_is_becomes_a_wall_again_and_a_moving_one_doe
 
     assert seen_again(0.0).tolist() == [0, 1, 2, 178, 179]
     assert seen_again(0.5).tolist() == []
+
+
+@pytest.mark.parametrize("centre", [(1.5, 0.4), (0.45, 0.1), (-0.6, -0.5), (3.0, 1.5), (1.5, 0.0)])
+@pytest.mark.parametrize("far_m", [3.5, np.inf])
+def test_whatever_is_as_narrow_as_a_mate_is_left_out(room, centre, far_m):
+    ranges, is_mate = disc(np.where(room > 3.5, far_m, room), centre)
+    ranges[is_mate] += np.random.default_rng(0).normal(0, 0.02, is_mate.sum())
+    scan = without_narrow(ranges, 2 * RADIUS_M + 0.1)
+    assert np.array_equal(scan < 0, is_mate)
+    assert not (without_narrow(ranges, 0.5 * RADIUS_M) < 0).any()
+
+
+def test_walls_and_the_ends_of_corridors_are_not_narrow(room, walls, scan):
+    end = scan(walls((-40, -0.6), (5, -0.6), (5, 0.6), (-40, 0.6)), (0.0, 0.0, 0.0))
+    for ranges in (room, end):
+        assert np.array_equal(without_narrow(ranges, 2 * RADIUS_M + 0.1), ranges)

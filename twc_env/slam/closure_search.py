@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from twc_env.config import EnvConfig
 from twc_env.geometry import between
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.group_maps import GroupMaps
-from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
+from twc_env.slam.loop_verification import ANYWHERE, LoopVerifier, SignVerifier
 from twc_env.slam.meeting_recogniser import MEETING, MeetingRecogniser
 from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
 from twc_env.slam.signless_recogniser import SignlessRecogniser
@@ -25,6 +26,8 @@ REPEAT_REACH_APART_M = 0.75
 """... while the two robots do not share a map yet, when every closure counts."""
 PROXIMITY_PERIOD_M = 1.5
 """Path length between two searches for near keyframes."""
+MATE_MARGIN_M = 0.1
+"""Things wider than a robot by more are none."""
 TIED_M = 3.0
 """Inside one map, a robot whose last closure is nearer than this along its path needs no other yet."""
 
@@ -48,6 +51,7 @@ class ClosureSearch:
         if config.slam.cues.lidar:
             noise, range_max_m = config.slam.odometry_filter, config.lidar.range_max_m
             self._verifier = LoopVerifier(config.slam.verification, noise, range_max_m)
+        self._mate_width_m = 2 * config.dynamics.robot_radius_m + MATE_MARGIN_M
         self._waiting: dict[str, deque[LoopCandidate]] = {name: deque() for name in self._filters}
         self.waiting_count = 0
         """Candidates that may have their turn."""
@@ -157,10 +161,19 @@ class ClosureSearch:
                 self._without_scans.append(candidate)
             else:
                 closure = self._verifier.verify(candidate, *paths)
+                if not is_one_map and candidate.recogniser in ANYWHERE:
+                    self._doubt(closure, *paths)
                 if self._meetings is not None and candidate.recogniser == MEETING:
                     self._meetings.note(closure)
                 return closure
         return None
+
+    def _doubt(self, closure: LoopClosure, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]) -> None:
+        """Refuse a closure by sound that only robots in the way hold in place along a corridor."""
+        if closure.status != "accepted" or closure.is_loose or not isinstance(self._verifier, LoopVerifier):
+            return
+        if not self._verifier.rests_on_walls(closure, target_path, source_path, self._mate_width_m):
+            closure.status, closure.reason = "rejected", "nothing but what may be robots fixes its place"
 
     def wake(self) -> None:
         """Scans have come: candidates that waited for them have their turn first."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.given_arrays import given_pose
 from twc_env.slam.global_matching import match_globally
 from twc_env.slam.keyframe_paths import place_on
+from twc_env.slam.mate_detection import without_narrow
 from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.odometry_filter import invert_symmetric
 from twc_env.slam.point_matching import PointMatch, match_points
@@ -79,6 +81,16 @@ class LoopVerifier:
         covariance = invert_symmetric(seen_from(information, match.pose[2])) + MATCH_COVARIANCE_MIN
         status = "rejected" if reason else "accepted"
         return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
+
+    def rests_on_walls(
+        self, closure: LoopClosure, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe], width_m: float
+    ) -> bool:
+        """Whether a match leaves no direction open without all things narrower than so much: they may be robots."""
+        target, source = _ends(closure.candidate, target_path, source_path)
+        self._draw_target(target, target_path)
+        seen = _neighbours(source, source_path, min(self._config.cloud_reach_m, SPACING_M))
+        points = self._walls.points([replace(k, ranges_m=without_narrow(k.ranges_m, width_m)) for k in seen])
+        return not self._walls.refine(points, closure.pose_target_source)[0].is_degenerate
 
     def _match(
         self, candidate: LoopCandidate, target: Keyframe, target_path: Sequence[Keyframe], points: Array

@@ -27,6 +27,8 @@ DISCS_MAX = 32
 """In one scan."""
 STILL_M, STILL_S, STILL_TRAVEL_M = 0.2, 5.0, 2.0
 """A disc met again this near after so long, from that much further along the path, stands there for good."""
+NO_RETURN_M = 1e6
+"""In place of infinity."""
 MEMORY = 100
 """Discs remembered."""
 
@@ -124,3 +126,21 @@ class StillDiscs:
         """Rows (x, y in the odom frame, travel and time when first seen there) of each robot."""
         self.following = np.zeros(robots, np.int64)
         """(robots,) the row that is overwritten next, the oldest."""
+
+
+def without_narrow(ranges_m: Array, width_m: float) -> Array:
+    """A scan (beams,) in which things narrower than so much, with more room on both sides, are marked as mates are.
+
+    Whatever their shape, and if they stood still for long: one may be a robot that waits.
+    """
+    ranges = np.minimum(np.abs(ranges_m), NO_RETURN_M)
+    starts = np.flatnonzero(np.abs(ranges - np.roll(ranges, 1)) > STEP_MAX_M)
+    marked, beams = np.array(ranges_m), len(ranges)
+    for first, end in zip(starts, np.roll(starts, -1), strict=True):
+        last = end - 1
+        angle = ((last - first) % beams) * 2 * math.pi / beams
+        a, b = ranges[first], ranges[last]
+        if a < ranges[first - 1] and b < ranges[end] and a * a + b * b - 2 * a * b * math.cos(angle) < width_m**2:
+            thing = np.arange(first, first + (last - first) % beams + 1) % beams
+            marked[thing] = -ranges[thing]
+    return marked
