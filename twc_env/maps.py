@@ -138,7 +138,7 @@ def _read_file(path: Path, modified: int, seed: int, level: str | None) -> Floor
 
 def _read_json(path: Path, seed: int, level: str | None) -> Floorplan:
     values = load_json(path)
-    if isinstance(values, dict) and values.get("type") == "FeatureCollection":
+    if isinstance(values, dict) and values.get("type") in ("FeatureCollection", "Feature", "Polygon", "MultiPolygon"):
         from twc_env.datasets.geojson import geojson_plan
 
         return geojson_plan(values, path, seed, "0" if level is None else level)

@@ -207,6 +207,31 @@ def test_another_level_is_asked_for_by_its_number(tmp_path):
         load_map(f"{path}#7")
 
 
+@pytest.mark.parametrize("floor", ["0", 0, "0;1"])
+@pytest.mark.parametrize("scheme", ["buildingpart", "indoor"])
+def test_tags_may_be_properties_in_either_scheme(tmp_path, scheme, floor):
+    values, path = level(), tmp_path / "building.geojson"
+    path.write_text(json.dumps(values))
+    rooms = [room.name for room in load_map(path).rooms]
+    for feature in values["features"]:
+        own = feature["properties"]
+        is_above = own.get("relations", [{}])[0].get("reltags") == {"level": "1"}
+        own |= {scheme if key == "buildingpart" else key: value for key, value in own.pop("tags").items()}
+        own["level"] = "1" if is_above else floor
+        own.pop("relations", None)
+    outline = polygon(box(-1, -1, 9, 9), indoor="wall", level="0")
+    path = tmp_path / "flat.geojson"
+    path.write_text(json.dumps({**values, "features": [*values["features"], outline]}))
+    assert [room.name for room in load_map(path).rooms] == rooms
+
+
+def test_one_feature_is_no_floor(tmp_path):
+    path = tmp_path / "room.geojson"
+    path.write_text(json.dumps(polygon(box(0, 0, 8, 6))))
+    with pytest.raises(MapError, match="is no GeoJSON FeatureCollection with features"):
+        load_map(path)
+
+
 @pytest.mark.parametrize("width", ["1.2m", "wide", "", "900"])
 def test_door_widths_that_are_no_numbers_become_plain_doors(tmp_path, width):
     path = tmp_path / "building.geojson"
@@ -236,7 +261,7 @@ def test_faulty_floors_are_refused(floor, changes, expected):
 @pytest.mark.parametrize(
     ("info", "expected"),
     [
-        (None, "no floor_info.json beside it"),
+        (None, "has no OpenStreetMap tags .* no floor_info.json beside it"),
         ("{}", "must hold map_info with width and height"),
         ('{"map_info": {"width": 1e9, "height": 5}}', "must be 1 to 2000 m"),
     ],

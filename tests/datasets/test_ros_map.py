@@ -138,6 +138,13 @@ def test_lists_of_several_lines_and_a_byte_order_mark_are_read(tmp_path, origin)
     assert read_ros_cells(path).origin.tolist() == [-3.0, 1.5, 0.0]
 
 
+def test_the_end_of_a_document_is_no_value(tmp_path):
+    path = write_ros_map(grid(), tmp_path, "mine")
+    plain = read_ros_map(path)
+    path.write_text(f"---\n{path.read_text()}...\n")
+    assert np.array_equal(read_ros_map(path).walls_m, plain.walls_m)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
@@ -146,6 +153,9 @@ def test_lists_of_several_lines_and_a_byte_order_mark_are_read(tmp_path, origin)
         ("resolution: 0.1", "resolution: fine", "resolution must be a number; got 'fine'"),
         ("resolution: 0.1", "resolution: -0.1", "resolution must be metres per pixel, 0.005 to 10; got -0.1"),
         ("free_thresh: 0.196", "free_thresh: nan", "free_thresh must be finite; got 'nan'"),
+        ("free_thresh: 0.196", "free_thresh: 0.7", "the first not above the second; got 0.7 and 0.65"),
+        ("occupied_thresh: 0.65", "occupied_thresh: 65", "must be shares from 0 to 1, .* got 0.196 and 65"),
+        ("1.5, 0.0]", "1.5, 90]", "yaw, the last of origin, is in radians, at most a turn; got 90"),
         ("[-3.0, 1.5, 0.0]", "[-3.0, 1.5]", r"origin must be \[x, y, yaw\]"),
         ("image: mine.pgm", "image: other.pgm", "names the picture 'other.pgm', which is not beside it"),
         ("free_thresh: 0.196", "free_thresh: 0.0", "shows no free space"),

@@ -56,7 +56,10 @@ def competition_floor(features: list[dict], path: Path, name: str) -> Floorplan:
 def _floor_size(path: Path) -> Array:
     info_path = path.with_name("floor_info.json")
     if not info_path.is_file():
-        raise MapError(f"{path.name} has no floor_info.json beside it, which tells its size; put it there")
+        raise MapError(
+            f"{path.name} has no OpenStreetMap tags (indoor or buildingpart=room), and no floor_info.json beside it, "
+            "which tells the size of a floor of the competition: put it there"
+        )
     info = load_json(info_path)
     try:
         size = np.array([float(info["map_info"][key]) for key in ("width", "height")])  # type: ignore[index]

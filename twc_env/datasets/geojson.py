@@ -10,7 +10,7 @@ from pathlib import Path
 
 from twc_env.datasets.competition_floor import competition_floor
 from twc_env.datasets.furnish import place_access_points
-from twc_env.datasets.geojson_features import check_reference, properties_of
+from twc_env.datasets.geojson_features import check_reference, part_of, properties_of
 from twc_env.datasets.osm_level import osm_level
 from twc_env.errors import MapError
 from twc_env.random_streams import random_stream
@@ -39,7 +39,7 @@ def geojson_plan(values: object, path: Path, seed: int = 0, level: str = "0") ->
         raise MapError(f"{path.name} is no GeoJSON FeatureCollection with features; export the floor again")
     check_reference(table, path.name)
     name = _plan_name(path)
-    if any("tags" in properties_of(feature) for feature in features):
+    if any("tags" in properties_of(feature) or part_of(feature) for feature in features):
         plan = osm_level(features, path.name, f"{name}-{level}", level)
     else:
         plan = competition_floor(features, path, name)

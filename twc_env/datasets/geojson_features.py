@@ -19,6 +19,8 @@ _DOOR_WIDTH_M = 1.0
 _DOOR_WIDTHS_M = (0.9, 3.0)
 _DEGREES = ("CRS84", ":4326")
 """How the names of WGS 84 in degrees end."""
+_NO_FLOOR = ("shell", "wall", "door", "yes", "no")
+"""Tags of outlines, not of what one walks on."""
 _REMEDY = "export it in longitude and latitude (WGS 84, EPSG:4326)"
 
 
@@ -68,17 +70,26 @@ def name_of(feature: dict) -> str:
 
 
 def tag_of(feature: dict, key: str) -> str:
-    """An OpenStreetMap tag; "" where there is none."""
-    tags = properties_of(feature).get("tags")
+    """An OpenStreetMap tag, which stands in a table of its own or among the properties; "" where there is none."""
+    tags = properties_of(feature).get("tags", properties_of(feature))
     value = tags.get(key, "") if isinstance(tags, dict) else ""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return f"{value:g}"
     return value.strip() if isinstance(value, str) else ""
 
 
+def part_of(feature: dict) -> str:
+    """What part of a building an OpenStreetMap feature is, in either scheme of tags; "" where it is none."""
+    kind = tag_of(feature, "buildingpart") or tag_of(feature, "indoor")
+    return kind if kind not in _NO_FLOOR else ""
+
+
 def levels_of(feature: dict) -> list[str]:
-    """The levels that an OpenStreetMap feature is part of."""
+    """The levels that an OpenStreetMap feature is part of: those of its relations, or its own, as in "0;1"."""
     relations = properties_of(feature).get("relations")
     tables = [r.get("reltags") for r in relations if isinstance(r, dict)] if isinstance(relations, list) else []
-    return [t["level"] for t in tables if isinstance(t, dict) and isinstance(t.get("level"), str)]
+    related = [t["level"] for t in tables if isinstance(t, dict) and isinstance(t.get("level"), str)]
+    return related or [level.strip() for level in tag_of(feature, "level").split(";") if level.strip()]
 
 
 def width_m_of(feature: dict) -> float:

@@ -12,6 +12,7 @@ from twc_env.datasets.geojson_features import (
     Area,
     levels_of,
     metric,
+    part_of,
     point_of,
     polygons_of,
     sides_of,
@@ -37,7 +38,7 @@ _PLATE_OFFSET_M = 0.3
 
 def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorplan:
     """Rooms of one level, joined by the doors that are corners of their outlines."""
-    parts = [feature for feature in features if tag_of(feature, "buildingpart") not in ("", "shell")]
+    parts = [feature for feature in features if part_of(feature)]
     levels = sorted({lvl for feature in parts for lvl in levels_of(feature)})
     chosen = [feature for feature in parts if level in levels_of(feature)]
     polygons = [(tag_of(feature, "name"), rings) for feature in chosen for rings in polygons_of(feature, where)]

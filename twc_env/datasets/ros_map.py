@@ -69,9 +69,15 @@ def read_ros_cells(path: str | Path) -> RosMap:
     resolution_m = _number(values, "resolution", path)
     if not RESOLUTION_MIN_M <= resolution_m < 10:
         raise MapError(f"{path.name}: resolution must be metres per pixel, 0.005 to 10; got {resolution_m:g}")
+    free_below, occupied_above = _number(values, "free_thresh", path), _number(values, "occupied_thresh", path)
+    if not 0.0 <= free_below <= occupied_above <= 1.0:
+        raise MapError(
+            f"{path.name}: free_thresh and occupied_thresh must be shares from 0 to 1, the first not above the second; "
+            f"got {free_below:g} and {occupied_above:g}"
+        )
     return RosMap(
-        free=occupancy < _number(values, "free_thresh", path),
-        occupied=occupancy > _number(values, "occupied_thresh", path),
+        free=occupancy < free_below,
+        occupied=occupancy > occupied_above,
         resolution_m=resolution_m,
         origin=_origin(values["origin"], path),
     )
@@ -132,6 +138,8 @@ def _read_yaml(path: Path) -> dict[str, str]:
         raise MapError(f"{path.name} is no text: {error}; export the map again") from error
     values, key = {}, ""
     for line in text.split("\n"):
+        if line.rstrip() == "...":  # the document ends
+            break
         name, separator, value = line.partition(":")
         if separator and "#" not in name:
             key = name.strip()
@@ -175,4 +183,6 @@ def _origin(text: str, path: Path) -> Array:
         origin = np.zeros(0)
     if origin.shape != (3,) or not np.isfinite(origin).all():
         raise MapError(f"{path.name}: origin must be [x, y, yaw]; got {text!r}")
+    if abs(origin[2]) > 2 * np.pi:
+        raise MapError(f"{path.name}: yaw, the last of origin, is in radians, at most a turn; got {origin[2]:g}")
     return origin
