@@ -7,6 +7,7 @@ import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 
 import twc_env
+from twc_env.errors import ConfigError
 from twc_env.geometry import compose
 from twc_env.slam.dead_reckoning import DeadReckoning
 from twc_env.slam.modes import MODES, make_engine
@@ -114,3 +115,9 @@ def test_dead_reckoning_takes_a_recording_like_the_engine_does(log):
     engine.update(log.env.frames)
     assert engine.belief(1).step == STEPS
     assert engine.pose_map_robot(1) == pytest.approx(log.env.frames[1].odometry)
+
+
+@pytest.mark.parametrize("kind", ["frontier", "waypoint"])
+def test_actions_that_are_planned_on_a_map_are_refused_where_there_is_none(kind):
+    with pytest.raises(ConfigError, match="'velocity'"):
+        twc_env.parallel_env(config={**OFF, "action.kind": kind})

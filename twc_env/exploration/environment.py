@@ -96,7 +96,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     holds the scalar figures of the report (docs/figures.md).
 
     `slam.mode = "off"` runs no engine: `pose` is odometry summed up, `map` and `team` stay zero, `coverage` pays
-    nothing (there is no map), and `result()` judges dead reckoning.
+    nothing (there is no map: `velocity` alone can be commanded), and `result()` judges dead reckoning.
 
     Arguments: `map` (bundled name or file), `robots`, `max_cycles` and `render_mode` ("human", "rgb_array" or None);
     `config` (an EnvConfig, a dict of overrides, dotted keys allowed) holds everything else; `task` names a standard

@@ -15,7 +15,7 @@ def resolve(
 ) -> EnvConfig:
     """One config from a ready one, or from overrides (nested or dotted) of a task, with shortcuts that are set on top.
 
-    Raises ConfigError for settings that are no such thing.
+    Raises ConfigError for settings that are no such thing, or cannot go together.
     """
     config = _base(settings, task)
     if config is None:
@@ -32,6 +32,11 @@ def resolve(
     resolved = override(resolved, {key: value for key, value in shortcuts.items() if value is not None})
     if resolved.slam.oracle == "poses":
         resolved = override(resolved, {"odometry.drift": 0.0})
+    if resolved.slam.mode == "off" and resolved.action.kind != "velocity":
+        raise ConfigError(
+            f"action.kind = {resolved.action.kind!r} is planned on the map, and slam.mode = 'off' has none: "
+            "take action.kind = 'velocity'"
+        )
     return resolved
 
 
