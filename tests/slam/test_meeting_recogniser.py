@@ -5,10 +5,17 @@ import pytest
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import LoopClosure
-from twc_env.slam.meeting_recogniser import CANDIDATES_MAX, REST_M, RESTS_MAX, SILENT_STEP_M, MeetingRecogniser
+from twc_env.slam.meeting_recogniser import (
+    CANDIDATES_MAX,
+    REST_M,
+    RESTS_MAX,
+    SHARED_MIN,
+    SILENT_STEP_M,
+    MeetingRecogniser,
+)
 
-MACS = tuple(range(8))
-HERE, ELSEWHERE = np.linspace(-70.0, -40.0, 8), np.linspace(-40.0, -70.0, 8)
+MACS = tuple(range(12))
+HERE, ELSEWHERE = np.linspace(-70.0, -40.0, 12), np.linspace(-40.0, -70.0, 12)
 
 
 @pytest.fixture
@@ -35,6 +42,12 @@ def test_robots_of_two_maps_are_compared_where_they_hear_alike(recogniser, place
     assert recogniser.propose(place(1, 0.0, ELSEWHERE), (1,)) == []
     (found,) = recogniser.propose(place(2, 0.0, HERE + 1.0), (2,))
     assert (found.target, found.source, found.recogniser) == ((0, 0), (2, 0), "meeting")
+
+
+@pytest.mark.parametrize("heard", [SHARED_MIN - 1, SHARED_MIN])
+def test_two_or_three_access_points_do_not_tell_a_place(recogniser, place, heard):
+    recogniser.propose(place(0, 0.0, HERE[:heard], MACS[:heard]), (0,))
+    assert len(recogniser.propose(place(1, 0.0, HERE[:heard], MACS[:heard]), (1,))) == (heard >= SHARED_MIN)
 
 
 def test_robots_of_one_map_are_not_compared_but_remembered(recogniser, place):

@@ -106,8 +106,9 @@ class PlaceRecognitionConfig(Checked):
     """With `twc`: a robot that long read no sign is compared by WiFi alone, one that long heard nothing by signs alone.
     Without it, and in TWC-SLAM, never."""
     meets_by_wifi: bool = False
-    """With `twc`: robots that share no map are compared by WiFi alone too, wherever they are, and not only where both
-    read a sign. They share one sooner; two of which scans do not fit are compared ever more rarely."""
+    """With `twc`: robots that share no map are compared by WiFi alone too, wherever they are that both hear ten
+    transmitters, and not only where both read a sign. They share one sooner; two of which scans do not fit are compared
+    ever more rarely."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,6 +16,9 @@ MEETING = "meeting"
 """The name of such candidates."""
 STEP_M, SILENT_STEP_M = 1.0, 3.0
 """Places are remembered, and compared, this often along a path; compared so often where none sounded alike."""
+SHARED_MIN = 10
+"""Places that hear fewer transmitters alike are not compared: those of two or three access points tell too little, and
+where rooms repeat, scans that fit by chance agree with each other."""
 CANDIDATES_MAX = 3
 """Of a keyframe so many places, those that sound most alike, are tried; of a robot whose last match was refused one."""
 REST_M, RESTS_MAX = 2.0, 4
@@ -64,7 +67,7 @@ class MeetingRecogniser:
         for row, _, macs, _, distance_db, shared in rows:
             place = self._places[int(row)]
             rssi, is_alike = rssi_cue(distance_db, int(shared), self._config, (place.fingerprint, keyframe.fingerprint))
-            if is_alike:
+            if is_alike and shared >= SHARED_MIN:
                 found.append((distance_db / math.sqrt(max(shared, 1.0)), int(row), macs, rssi))
         candidates: list[LoopCandidate] = []
         tried = set[int]()
