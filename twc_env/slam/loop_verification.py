@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import OdometryFilterConfig, VerificationConfig
-from twc_env.geometry import seen_from
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
+from twc_env.slam.closure_covariance import closure_covariance
 from twc_env.slam.given_arrays import given_pose
 from twc_env.slam.global_matching import match_globally
 from twc_env.slam.keyframe_paths import place_on
 from twc_env.slam.mate_detection import without_narrow
 from twc_env.slam.meeting_recogniser import MEETING
-from twc_env.slam.odometry_filter import invert_symmetric
 from twc_env.slam.point_matching import PointMatch, match_points
 from twc_env.slam.scan_matching import Match
 from twc_env.slam.target_walls import TargetWalls
@@ -39,8 +38,6 @@ MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
 fit less, too many are of other places. A match that scores less does not get there."""
 SIGN_INFORMATION, NEAR_INFORMATION = np.diag(1.0 / np.square(SIGN_STD)), np.diag(1.0 / np.square(NEAR_STD))
 NO_MATCH = Match(np.zeros(3), np.zeros(9), 0.0, False)
-MATCH_COVARIANCE_MIN = np.diag(np.square((0.03, 0.03, 0.01)))
-"""No match is known better than this [m2, m2, rad2]."""
 
 
 class LoopVerifier:
@@ -77,8 +74,8 @@ class LoopVerifier:
             if contradiction > rule.contradiction_max:
                 reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
         prior = NEAR_INFORMATION if candidate.recogniser in SIGNLESS else SIGN_INFORMATION
-        information = match.information(self._noise.match_std_m, self._noise.match_correlation) + prior
-        covariance = invert_symmetric(seen_from(information, match.pose[2])) + MATCH_COVARIANCE_MIN
+        information = match.information(self._noise.match_std_m, self._noise.match_correlation)
+        covariance = closure_covariance(information, prior, match.pose[2])
         status = "rejected" if reason else "accepted"
         return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
 
