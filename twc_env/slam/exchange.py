@@ -94,7 +94,8 @@ class Exchange:
         before = self._held
         if not self._is_central:
             for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
-                self._hand_over(delivery, robot, robot, self._ends[robot])
+                if self._held[robot][robot] < self._ends[robot]:
+                    self._hand_over(delivery, robot, robot, self._lacked(robot, robot, self._ends[robot]))
             before = [held.copy() for held in self._held]
         if contacts is not self._pairs_of:
             self._pairs_of = contacts
@@ -122,24 +123,22 @@ class Exchange:
 
     def _tell_keyframes(self, delivery: Delivery, listener: int, robot: int, end: int, is_heard: bool) -> None:
         """Send what the listener lacks of a robot's keyframes before the one of number `end`."""
-        first = self._held[listener][robot]
-        if first < end:
-            for keyframe in self._between(robot, first, end):
+        if self._held[listener][robot] < end:
+            lacked = self._lacked(listener, robot, end)
+            for keyframe in lacked:
                 self._count(keyframe)
             if is_heard:
-                self._hand_over(delivery, listener, robot, end)
+                self._hand_over(delivery, listener, robot, lacked)
 
-    def _hand_over(self, delivery: Delivery, listener: int, robot: int, end: int) -> None:
-        first = self._held[listener][robot]
-        if end > first:
-            delivery.keyframes += self._between(robot, first, end)
-            self._held[listener][robot] = end
-            self._heard += end - first
+    def _hand_over(self, delivery: Delivery, listener: int, robot: int, lacked: list[Keyframe]) -> None:
+        delivery.keyframes += lacked
+        self._held[listener][robot] += len(lacked)
+        self._heard += len(lacked)
 
-    def _between(self, robot: int, first: int, end: int) -> list[Keyframe]:
-        """A robot's keyframes of these numbers, which some mapper lacks."""
+    def _lacked(self, listener: int, robot: int, end: int) -> list[Keyframe]:
+        """A robot's keyframes before the one of number `end` that the listener does not hold."""
         released = self._released[robot]
-        return self._paths[robot][first - released : end - released]
+        return self._paths[robot][self._held[listener][robot] - released : end - released]
 
     def _release(self, robot: int) -> None:
         """Let go of what all mappers hold: nobody will ask for it again."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_left
+
 import numpy as np
 
 from twc_env.config import PoseGraphConfig
@@ -51,13 +54,15 @@ class MapOptimiser:
         self._soiled[robot] = self._soiled.get(robot, False) or is_urgent
 
     @property
-    def is_soiled(self) -> bool:
-        """Whether any closure came since the last optimisation."""
-        return len(self._soiled) > 0
+    def is_map_large(self) -> bool:
+        """Whether so many keyframes came that what takes long is spread over steps."""
+        return self.settled_maps.is_large(self._graph.arrived_count)
 
     @property
     def due_step(self) -> float:
         """From when on the groups with new closures are optimised: the later, if none of these is urgent."""
+        if not self._soiled:
+            return math.inf
         periods = 1 if any(self._soiled.values()) else PATIENCE_PERIODS
         return self._last_step + periods * self._config.period_steps
 
@@ -131,7 +136,7 @@ class MapOptimiser:
         nodes, edges, graph, is_used = self._graph.part(robots)
         if len(nodes) < 2:
             return
-        fixed = int(np.searchsorted(nodes, self._graph.node((robots[0], 0)))) if self._graph.keyframes[robots[0]] else 0
+        fixed = bisect_left(nodes, self._graph.node((robots[0], 0))) if self._graph.keyframes[robots[0]] else 0
         refused = int(np.count_nonzero(~is_used))
         is_thorough |= self._is_refused_often(robots, refused)
         result = robust_backend.revise(

@@ -134,7 +134,6 @@ class NormalEquations:
         pairs[is_held[pairs]] = -1
         self._cholesky = BlockCholesky(pairs, count)
         self._blocks = self._cholesky.block_of_pair
-        self._edge_block_count = int(self._blocks.max(initial=-1)) + 1
 
     def squared_errors(self, poses: Array) -> Array:
         """(edges,) squared Mahalanobis length of each residual."""
@@ -149,7 +148,7 @@ class NormalEquations:
             self.information,
             weight,
             self._blocks,
-            self._edge_block_count,
+            int(self._blocks.max(initial=-1)) + 1,
             self._held,
         )
 

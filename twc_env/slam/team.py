@@ -103,16 +103,15 @@ class TeamMapper:
             for _ in range(self._config.verification.backlog_per_step):
                 if not self._verify_one():
                     break
-        is_large = self.optimiser.settled_maps.is_large(self._graph.arrived_count)
-        is_turn = not is_large or step % self._turns == self._turn
+        is_turn = step % self._turns == self._turn or not self.optimiser.is_map_large
         if is_turn and step >= self._review.due_step and self._given_starts is None:
-            self._undo_wrong_merge(one_by_one=is_large)
+            self._undo_wrong_merge()
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
         if is_turn and self.optimiser.may_forget:
             self.optimiser.forget()
-        elif is_turn and self.optimiser.is_soiled and step >= self.optimiser.due_step:
+        elif is_turn and step >= self.optimiser.due_step:
             self.optimiser.optimise_soiled(step)
         self._graph.end_step()
         self._due_step, self._settled = self._next_due_step(), self._graph.changes
@@ -122,8 +121,7 @@ class TeamMapper:
         """The first step with anything to do even if nothing arrives."""
         if self._search.waiting_count or self._given_starts is not None or self.optimiser.may_forget:
             return self._step + 1
-        due_step = min(self._review.due_step, self._last_retried_step + RETRY_STEPS)
-        return min(due_step, self.optimiser.due_step) if self.optimiser.is_soiled else due_step
+        return min(self._review.due_step, self._last_retried_step + RETRY_STEPS, self.optimiser.due_step)
 
     def give_starts(self, poses: Array) -> None:
         """Tell the mapper where all robots started (robots, 3), in any one frame: an oracle, for comparison only."""
@@ -307,9 +305,9 @@ class TeamMapper:
             if not any(self._try_merge(a, b) for a, b in sorted(pairs)):
                 return
 
-    def _undo_wrong_merge(self, one_by_one: bool = False) -> None:
+    def _undo_wrong_merge(self) -> None:
         """Take a group apart where its merge turned out to be wrong; its closures do not speak for a merge again."""
-        found = self._review.wrong(self._step, one_by_one)
+        found = self._review.wrong(self._step, one_by_one=self.optimiser.is_map_large)
         if found is None:
             return
         merge, why = found
