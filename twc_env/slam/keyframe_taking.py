@@ -17,7 +17,7 @@ from twc_env.slam.odometry_filter import motion_covariance
 from twc_env.slam.radio_fingerprint import STD_MODES, fingerprint_of
 from twc_env.slam.tracking import Tracker
 from twc_env.slam.wall_cells import LINES_MAX
-from twc_env.slam.wall_drawing import LINES, draw_scans
+from twc_env.slam.wall_drawing import LINES, draw_scans, drawing_room
 
 Array = NDArray
 
@@ -49,7 +49,7 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
     (
         marked, discs, disc_counts, seen, following, travels, steps, information, last_poses, last_travels, variances,
         window, std_mode, cells, lines, origins, drawn, centres, reach, inverse_m, range_max,
-        directions, ends,
+        directions, room,
     ) = parts_of(apparatus)  # fmt: skip
     here = poses[k]
     for i in range(scan.shape[1]):
@@ -71,7 +71,7 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
     is_drawn = (
         math.hypot(dx, dy) <= reach
         and has_room
-        and draw_scans(cells[k], lines[k], origins[k], inverse_m, pose, directions, scan, range_max, ends, drawn[k])
+        and draw_scans(cells[k], lines[k], origins[k], inverse_m, pose, directions, scan, range_max, room, drawn[k])
     )
     return heard, travels[k], is_drawn
 
@@ -119,7 +119,7 @@ class KeyframeTaker:
             tracker.travels_m, tracker.steps, tracker.information, tracker.keyframe_poses, self._last_travels_m,
             self._variances, self._window, self._std_mode, fields.cells, fields.lines, fields.origins_m,
             fields.drawn, self.centres_m, self._reach_m, fields.inverse_m, fields.range_max_m,
-            beam_directions(beams), np.empty((beams + 1, 2)),
+            beam_directions(beams), drawing_room(beams),
         )  # fmt: skip
         return Lent(parts)
 

@@ -30,7 +30,7 @@ from twc_env.slam.line_matching import (
     won_and_lost,
 )
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, told_by
-from twc_env.slam.wall_drawing import BLOCK_CELLS, NOWHERE, draw_scans
+from twc_env.slam.wall_drawing import BLOCK_CELLS, NOWHERE, draw_scans, drawing_room
 
 Array = NDArray
 
@@ -195,7 +195,7 @@ class LineField:
         directions = beam_directions(scans.shape[1])
         if not draw_scans(
             self._cells, self._lines, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m,
-            np.empty((scans.shape[1] + 1, 2)), self._drawn,
+            drawing_room(scans.shape[1]), self._drawn,
         ):  # fmt: skip
             raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
 

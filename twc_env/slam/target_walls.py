@@ -16,7 +16,7 @@ from twc_env.messages import Keyframe
 from twc_env.slam.given_arrays import plain
 from twc_env.slam.line_matching import refine_pose, share_near
 from twc_env.slam.scan_matching import STOP_M, STOP_RAD, LineField, Match
-from twc_env.slam.wall_drawing import draw_scan, forget_walls
+from twc_env.slam.wall_drawing import draw_scan, drawing_room, forget_walls
 
 Array = NDArray
 
@@ -43,11 +43,11 @@ def _draw(walls, is_first, base, pose, ranges):
 
     False for a scan or a pose that is not sound.
     """
-    (cells, lines, origin, inverse_m, drawn, _), (directions, range_max, ends, here, _) = parts_of(walls)
+    (cells, lines, origin, inverse_m, drawn, _), (directions, range_max, room, here, _) = parts_of(walls)
     if is_first:
         forget_walls(cells, drawn)
     _relative(base, pose, here)
-    return draw_scan(cells, lines, origin, inverse_m, here, directions, ranges, range_max, ends, drawn)
+    return draw_scan(cells, lines, origin, inverse_m, here, directions, ranges, range_max, room, drawn)
 
 
 @borrowing_kernel
@@ -140,7 +140,7 @@ class TargetWalls:
     def _kernels(self, beams: int) -> _Kernels:
         if self._bound is None or beams != self._beams:
             self._beams, pose, scan, points = beams, np.empty(3), np.empty(beams), np.empty((0, 2))
-            room = np.empty((beams + 1, 2)), np.empty(3), np.zeros(3)
+            room = drawing_room(beams), np.empty(3), np.zeros(3)
             held = Lent((self.field.parts, (beam_directions(beams), self.field.range_max_m, *room)))
             self._bound = _Kernels(
                 bound(_draw, held, True, pose, pose, scan),

@@ -8,9 +8,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twc_env.kernels import borrowing_kernel
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, distance_in, line_in, wall_cell
+
+Array = NDArray
 
 REACH_M = 0.49
 """Cells further from a wall than this know nothing of it; less than half a metre (`wall_cells`)."""
@@ -85,35 +88,6 @@ def _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn):
 
 
 @borrowing_kernel
-def _add_piece(cells, lines, inverse_m, ends, first, last, drawn):
-    """Draw the piece of wall along the end points first..last: the straight line of least squares through them."""
-    ax, ay, bx, by = ends[first, 0], ends[first, 1], ends[last, 0], ends[last, 1]
-    sx = sy = xx = xy = yy = 0.0
-    for i in range(first, last + 1):
-        dx, dy = ends[i, 0] - ax, ends[i, 1] - ay
-        sx += dx
-        sy += dy
-        xx += dx * dx
-        xy += dx * dy
-        yy += dy * dy
-    mx, my = sx / (last - first + 1), sy / (last - first + 1)
-    xx -= sx * mx
-    xy -= sx * my
-    yy -= sy * my
-    # The normal of the larger eigenvalue's direction, whose doubled angle has tangent 2 xy / (xx - yy).
-    gap = xx - yy
-    root = math.sqrt(gap * gap + 4.0 * xy * xy)
-    nx, ny = 0.0, 1.0
-    if root > 0.0 and gap >= 0.0:
-        ny = math.sqrt(0.5 + 0.5 * gap / root)
-        nx = -xy / (root * ny)
-    elif root > 0.0:
-        nx = -math.copysign(math.sqrt(0.5 - 0.5 * gap / root), xy)
-        ny = -xy / (root * nx)
-    _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, nx * (ax + mx) + ny * (ay + my), drawn)
-
-
-@borrowing_kernel
 def _is_straight(ends, first, last):
     """Whether the end points between first and last lie near the chord from one to the other."""
     ax, ay = ends[first, 0], ends[first, 1]
@@ -130,40 +104,93 @@ def _is_straight(ends, first, last):
 
 
 @borrowing_kernel
-def _add_run(cells, lines, inverse_m, ends, count, drawn):
-    """Draw one surface: end points that follow each other without a jump, cut into straight pieces."""
-    first = 0 * count  # a plain 0 is a type of its own, for which the callees would be compiled again
-    for i in range(1, count):
+def _cut_run(ends, begin, end, pieces, count):
+    """Cut one surface, end points that follow each other without a jump, into straight pieces behind the `count` first.
+
+    pieces (2, n): number of the first and the last end point. Gives how many pieces there are then.
+    """
+    first = begin
+    for i in range(begin + 1, end):
         if not _is_straight(ends, first, i):
-            _add_piece(cells, lines, inverse_m, ends, first, i - 1, drawn)
+            pieces[0, count], pieces[1, count] = first, i - 1
+            count += 1
             first = i - 1
         dx, dy = ends[i, 0] - ends[first, 0], ends[i, 1] - ends[first, 1]
-        if i == count - 1 or dx * dx + dy * dy >= PIECE_M * PIECE_M:
-            _add_piece(cells, lines, inverse_m, ends, first, i, drawn)
+        if i == end - 1 or dx * dx + dy * dy >= PIECE_M * PIECE_M:
+            pieces[0, count], pieces[1, count] = first, i
+            count += 1
             first = i
+    return count
 
 
 @borrowing_kernel
-def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn):
+def _sum_up(ends, first, last, p, sums):
+    """Sums over the end points of a piece of wall, seen from the first of them, to column p of sums."""
+    ax, ay = ends[first, 0], ends[first, 1]
+    sx = sy = xx = xy = yy = 0.0
+    for i in range(first, last + 1):
+        dx, dy = ends[i, 0] - ax, ends[i, 1] - ay
+        sx += dx
+        sy += dy
+        xx += dx * dx
+        xy += dx * dy
+        yy += dy * dy
+    sums[0, p], sums[1, p], sums[2, p], sums[3, p], sums[4, p], sums[5, p] = sx, sy, xx, xy, yy, last - first + 1
+
+
+@borrowing_kernel
+def _fit_lines(count, sums, fits):
+    """The straight lines of least squares through pieces of wall, from sums (6, n) over their end points.
+
+    fits (4, n): a normal, and the middle of the end points seen from the first. For many pieces at once.
+    """
+    sum_x, sum_y, sum_xx, sum_xy, sum_yy, number = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+    normal_x, normal_y, middle_x, middle_y = fits[0], fits[1], fits[2], fits[3]
+    for p in range(count):
+        sx, sy = sum_x[p], sum_y[p]
+        mx, my = sx / number[p], sy / number[p]
+        xx, xy, yy = sum_xx[p] - sx * mx, sum_xy[p] - sx * my, sum_yy[p] - sy * my
+        # The normal of the larger eigenvalue's direction, whose doubled angle has tangent 2 xy / (xx - yy).
+        gap = xx - yy
+        root = math.sqrt(gap * gap + 4.0 * xy * xy)
+        large = math.sqrt(0.5 + abs(0.5 * gap / root))
+        small = xy / (root * large)
+        nx, ny = (-small, large) if gap >= 0.0 else (-large if xy >= 0.0 else large, abs(small))
+        normal_x[p], normal_y[p] = nx if root > 0.0 else 0.0, ny if root > 0.0 else 1.0
+        middle_x[p], middle_y[p] = mx, my
+
+
+@borrowing_kernel
+def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, room, drawn):
+    """Where beams end, the pieces of wall that they make up, the lines of these, and the cells around them."""
+    ends, pieces, sums, fits = room
     beams = ranges.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] - origin[0], pose[1] - origin[1]
-    count = np.int64(0)
+    begin = end = count = np.int64(0)
     for k in range(-1, beams):
         i = k if k >= 0 else beams - 1
         r = ranges[i]
         if r >= range_max or r < 0.0:
-            _add_run(cells, lines, inverse_m, ends, count, drawn)
-            count = np.int64(0)
+            count = _cut_run(ends, begin, end, pieces, count)
+            begin = end
             continue
         dx, dy = directions[i, 0], directions[i, 1]
         qx, qy = x + r * (c * dx - s * dy), y + r * (s * dx + c * dy)
-        if count and (qx - ends[count - 1, 0]) ** 2 + (qy - ends[count - 1, 1]) ** 2 >= JUMP_MAX_M**2:
-            _add_run(cells, lines, inverse_m, ends, count, drawn)
-            count = np.int64(0)
-        ends[count, 0], ends[count, 1] = qx, qy
-        count += 1
-    _add_run(cells, lines, inverse_m, ends, count, drawn)
+        if end > begin and (qx - ends[end - 1, 0]) ** 2 + (qy - ends[end - 1, 1]) ** 2 >= JUMP_MAX_M**2:
+            count = _cut_run(ends, begin, end, pieces, count)
+            begin = end
+        ends[end, 0], ends[end, 1] = qx, qy
+        end += 1
+    count = _cut_run(ends, begin, end, pieces, count)
+    for p in range(count):
+        _sum_up(ends, pieces[0, p], pieces[1, p], p, sums)
+    _fit_lines(count, sums, fits)
+    for p in range(count):
+        first, last, nx, ny = pieces[0, p], pieces[1, p], fits[0, p], fits[1, p]
+        ax, ay, bx, by = ends[first, 0], ends[first, 1], ends[last, 0], ends[last, 1]
+        offset = nx * (ax + fits[2, p]) + ny * (ay + fits[3, p])
+        _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn)
 
 
 @borrowing_kernel
@@ -176,20 +203,20 @@ def _is_sound(pose, ranges):
 
 
 @borrowing_kernel
-def draw_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn):
+def draw_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, room, drawn):
     """`draw_scans` of one scan (beams,) at a pose (3,)."""
     if not _is_sound(pose, ranges):
         return False
-    _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, ends, drawn)
+    _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, room, drawn)
     return True
 
 
 @borrowing_kernel
-def draw_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_max, ends, drawn):
+def draw_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_max, room, drawn):
     """Draw scans (k, beams) [m] taken at poses (k, 3) into cells (rows, columns), see `wall_cells`, and lines (n, 3).
 
     A line is a normal and an offset. origin (2,): the field's corner, from which the offsets are measured. directions
-    (beams, 2): cosine and sine. ends (beams + 1, 2) is room to work in. drawn (5,): left, bottom, right and top end of
+    (beams, 2): cosine and sine. room: of `drawing_room`. drawn (5,): left, bottom, right and top end of
     the cells drawn so far, widened here, and how many lines there are. Gives False, and draws nothing, where a range is
     no number or a pose is not finite; walls for which there are no lines left are left out.
     """
@@ -197,7 +224,7 @@ def draw_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_
         if not _is_sound(poses[k], scans[k]):
             return False
     for k in range(poses.shape[0]):
-        _add_scan(cells, lines, origin, inverse_m, poses[k], directions, scans[k], range_max, ends, drawn)
+        _add_scan(cells, lines, origin, inverse_m, poses[k], directions, scans[k], range_max, room, drawn)
     return True
 
 
@@ -208,3 +235,8 @@ def forget_walls(cells, drawn):
         for column in range(drawn[0], drawn[2]):
             cells[row, column] = NO_WALL
     drawn[0], drawn[1], drawn[2], drawn[3], drawn[LINES] = NOWHERE, NOWHERE, 0, 0, 0
+
+
+def drawing_room(beams: int) -> tuple[Array, Array, Array, Array]:
+    """Room for `draw_scans` to work in, for scans of so many beams: end points, pieces of wall, their sums and lines."""
+    return np.empty((beams + 1, 2)), np.empty((2, beams), np.int64), np.empty((6, beams)), np.empty((4, beams))
