@@ -88,16 +88,34 @@ def _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn):
 
 
 @borrowing_kernel
+def _place_ends(x, y, c, s, directions, ranges, range_max, ends, follows):
+    """Where beams end, the last one first and last: ends (2, beams + 1), NaN where they met nothing.
+
+    follows (beams + 1,): whether an end point lies on the same surface as the one before. For many beams at once.
+    """
+    beams, along, across = ranges.shape[0], ends[0], ends[1]
+    for i in range(beams):
+        r, dx, dy = ranges[i], directions[i, 0], directions[i, 1]
+        is_met = (r >= 0.0) & (r < range_max)
+        along[i + 1] = x + r * (c * dx - s * dy) if is_met else math.nan
+        across[i + 1] = y + r * (s * dx + c * dy)
+    along[0], across[0], follows[0] = along[beams], across[beams], False
+    for i in range(beams):
+        dx, dy = along[i + 1] - along[i], across[i + 1] - across[i]
+        follows[i + 1] = dx * dx + dy * dy < JUMP_MAX_M**2
+
+
+@borrowing_kernel
 def _is_straight(ends, first, last):
     """Whether the end points between first and last lie near the chord from one to the other."""
-    ax, ay = ends[first, 0], ends[first, 1]
-    ex, ey = ends[last, 0] - ax, ends[last, 1] - ay
+    ax, ay = ends[0, first], ends[1, first]
+    ex, ey = ends[0, last] - ax, ends[1, last] - ay
     squared = ex * ex + ey * ey
     if squared < CUT_MIN_M * CUT_MIN_M:
         return True
     limit = STRAIGHT_M * STRAIGHT_M * squared
     for i in range(first + 1, last):
-        across = (ends[i, 1] - ay) * ex - (ends[i, 0] - ax) * ey
+        across = (ends[1, i] - ay) * ex - (ends[0, i] - ax) * ey
         if across * across > limit:
             return False
     return True
@@ -115,7 +133,7 @@ def _cut_run(ends, begin, end, pieces, count):
             pieces[0, count], pieces[1, count] = first, i - 1
             count += 1
             first = i - 1
-        dx, dy = ends[i, 0] - ends[first, 0], ends[i, 1] - ends[first, 1]
+        dx, dy = ends[0, i] - ends[0, first], ends[1, i] - ends[1, first]
         if i == end - 1 or dx * dx + dy * dy >= PIECE_M * PIECE_M:
             pieces[0, count], pieces[1, count] = first, i
             count += 1
@@ -126,10 +144,10 @@ def _cut_run(ends, begin, end, pieces, count):
 @borrowing_kernel
 def _sum_up(ends, first, last, p, sums):
     """Sums over the end points of a piece of wall, seen from the first of them, to column p of sums."""
-    ax, ay = ends[first, 0], ends[first, 1]
+    ax, ay = ends[0, first], ends[1, first]
     sx = sy = xx = xy = yy = 0.0
     for i in range(first, last + 1):
-        dx, dy = ends[i, 0] - ax, ends[i, 1] - ay
+        dx, dy = ends[0, i] - ax, ends[1, i] - ay
         sx += dx
         sy += dy
         xx += dx * dx
@@ -163,32 +181,20 @@ def _fit_lines(count, sums, fits):
 @borrowing_kernel
 def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, room, drawn):
     """Where beams end, the pieces of wall that they make up, the lines of these, and the cells around them."""
-    ends, pieces, sums, fits = room
-    beams = ranges.shape[0]
-    c, s = math.cos(pose[2]), math.sin(pose[2])
+    ends, follows, pieces, sums, fits = room
     x, y = pose[0] - origin[0], pose[1] - origin[1]
-    begin = end = count = np.int64(0)
-    for k in range(-1, beams):
-        i = k if k >= 0 else beams - 1
-        r = ranges[i]
-        if r >= range_max or r < 0.0:
-            count = _cut_run(ends, begin, end, pieces, count)
-            begin = end
-            continue
-        dx, dy = directions[i, 0], directions[i, 1]
-        qx, qy = x + r * (c * dx - s * dy), y + r * (s * dx + c * dy)
-        if end > begin and (qx - ends[end - 1, 0]) ** 2 + (qy - ends[end - 1, 1]) ** 2 >= JUMP_MAX_M**2:
-            count = _cut_run(ends, begin, end, pieces, count)
-            begin = end
-        ends[end, 0], ends[end, 1] = qx, qy
-        end += 1
-    count = _cut_run(ends, begin, end, pieces, count)
+    _place_ends(x, y, math.cos(pose[2]), math.sin(pose[2]), directions, ranges, range_max, ends, follows)
+    begin = count = np.int64(0)
+    for i in range(1, follows.shape[0] + 1):
+        if i == follows.shape[0] or not follows[i]:
+            count = _cut_run(ends, begin, i, pieces, count)
+            begin = i
     for p in range(count):
         _sum_up(ends, pieces[0, p], pieces[1, p], p, sums)
     _fit_lines(count, sums, fits)
     for p in range(count):
         first, last, nx, ny = pieces[0, p], pieces[1, p], fits[0, p], fits[1, p]
-        ax, ay, bx, by = ends[first, 0], ends[first, 1], ends[last, 0], ends[last, 1]
+        ax, ay, bx, by = ends[0, first], ends[1, first], ends[0, last], ends[1, last]
         offset = nx * (ax + fits[2, p]) + ny * (ay + fits[3, p])
         _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn)
 
@@ -237,6 +243,8 @@ def forget_walls(cells, drawn):
     drawn[0], drawn[1], drawn[2], drawn[3], drawn[LINES] = NOWHERE, NOWHERE, 0, 0, 0
 
 
-def drawing_room(beams: int) -> tuple[Array, Array, Array, Array]:
-    """Room for `draw_scans` to work in, for scans of so many beams: end points, pieces of wall, their sums and lines."""
-    return np.empty((beams + 1, 2)), np.empty((2, beams), np.int64), np.empty((6, beams)), np.empty((4, beams))
+def drawing_room(beams: int) -> tuple[Array, ...]:
+    """Room for `draw_scans` to work in, for scans of so many beams: where they end and whether on the surface of the
+    one before, pieces of wall, their sums and lines."""
+    ends, pieces = (np.empty((2, beams + 1)), np.empty(beams + 1, bool)), np.empty((2, beams), np.int64)
+    return *ends, pieces, np.empty((6, beams)), np.empty((4, beams))
