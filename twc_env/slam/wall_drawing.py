@@ -184,7 +184,7 @@ def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_m
     ends, follows, pieces, sums, fits = room
     x, y = pose[0] - origin[0], pose[1] - origin[1]
     _place_ends(x, y, math.cos(pose[2]), math.sin(pose[2]), directions, ranges, range_max, ends, follows)
-    begin = count = np.int64(0)
+    begin = count = 0 * ranges.shape[0]  # a plain 0 is a type of its own, for which the callees are compiled again
     for i in range(1, follows.shape[0] + 1):
         if i == follows.shape[0] or not follows[i]:
             count = _cut_run(ends, begin, i, pieces, count)
