@@ -307,7 +307,7 @@ class TeamMapper:
 
     def _undo_wrong_merge(self) -> None:
         """Take a group apart where its merge turned out to be wrong; its closures do not speak for a merge again."""
-        found = self._review.wrong(self._step, one_by_one=self.optimiser.is_map_large)
+        found = self._review.wrong(self._step, self.optimiser.is_map_large)
         if found is None:
             return
         merge, why = found
