@@ -83,3 +83,4 @@ def test_closures_that_leave_a_direction_open_have_no_say(axis):
     assert place_said(loose) is None
     assert judge(doubts_sounds=False).proposal(loose, (0,)) is None
     assert place_said(say(3, ELSEWHERE, "twc") + loose) == ELSEWHERE
+    assert judge(doubts_sounds=False).weight(loose, (0,)) == (0, 0, 0)

@@ -65,7 +65,9 @@ class MergeJudge:
         return self.weight([c for c in after if c.number not in held], robots) >= lost
 
     def weight(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> Weight:
-        """How much some closures say for the place that they give other robots in the map of robots `a`."""
+        """How much some closures say for the place that they give other robots in the map of robots `a`; loose ones
+        nothing."""
+        closures = [c for c in closures if not c.is_loose]
         if not closures:
             return 0, 0, 0
         *_, signs, alike = self._as_a_to_b(closures, a)
