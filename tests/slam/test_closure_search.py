@@ -29,15 +29,28 @@ def test_signs_are_compared_along_a_corridor_although_its_walls_were_met_again(
     assert [closure.candidate.recogniser for closure in mapper.closures] == ["twc"] * is_compared
 
 
+def looked_at(scan_m, keyframe, recogniser) -> LoopClosure:
+    """What becomes of a candidate between two robots that share no map and saw the same."""
+    mapper = TeamMapper(EnvConfig(), 2)
+    mapper.update(0, [keyframe(robot, 0, (0.0, 0.0, 0.0), 0.0, scan_m) for robot in (0, 1)])
+    mapper._search._waiting[recogniser].append(LoopCandidate((0, 0), (1, 0), np.array([0.1, 0.0, 0.0]), recogniser))
+    mapper._search.waiting_count = 1
+    mapper.update(1, [keyframe(0, 1, (0.0, 0.0, 0.0), 0.0, scan_m)])
+    (closure,) = mapper.closures
+    assert closure.pose_target_source == pytest.approx(0.0, abs=0.05) and not closure.is_loose
+    return closure
+
+
+@pytest.mark.parametrize("recogniser", ["wifi", "meeting"])
 @pytest.mark.parametrize(("is_end_seen", "status"), [(False, "rejected"), (True, "pending")])
-def test_robots_in_the_way_do_not_fix_a_place_along_a_corridor(keyframe, scan, walls, is_end_seen, status):
+def test_robots_in_the_way_do_not_fix_a_place_along_a_corridor(keyframe, scan, walls, is_end_seen, status, recogniser):
     corridor = walls((-40.0, -0.6), (3.0 if is_end_seen else 40.0, -0.6), (3.0, 0.6), (-40.0, 0.6))
     mate = np.concatenate([corridor, walls((-0.8, -0.15), (-0.5, -0.15), (-0.5, 0.15), (-0.8, 0.15))])
-    mapper = TeamMapper(EnvConfig(), 2)
-    mapper.update(0, [keyframe(robot, 0, (0.0, 0.0, 0.0), 0.0, scan(mate, (0.0, 0.0, 0.0))) for robot in (0, 1)])
-    mapper._search._waiting["wifi"].append(LoopCandidate((0, 0), (1, 0), np.array([0.1, 0.0, 0.0]), "wifi"))
-    mapper._search.waiting_count = 1
-    mapper.update(1, [keyframe(0, 1, (0.0, 0.0, 0.0), 0.0, scan(mate, (0.0, 0.0, 0.0)))])
-    (closure,) = mapper.closures
-    assert closure.pose_target_source == pytest.approx(0.0, abs=0.02) and not closure.is_loose
+    closure = looked_at(scan(mate, (0.0, 0.0, 0.0)), keyframe, recogniser)
     assert closure.status == status and ("robots" in closure.reason) is not is_end_seen
+
+
+def test_robots_do_not_fix_a_place_where_nothing_else_is_seen(keyframe, scan, walls):
+    others = [walls((x, y), (x + 0.3, y), (x + 0.3, y + 0.3), (x, y + 0.3)) for x, y in ((0.5, 0.4), (-0.6, 0.5))]
+    closure = looked_at(scan(np.concatenate(others), (0.0, 0.0, 0.0)), keyframe, "wifi")
+    assert closure.status == "rejected" and "robots" in closure.reason

@@ -19,10 +19,11 @@ FIRST = [(-2.5, -1.0, 0.0), (-1.5, -1.0, 0.2), (-0.5, -0.6, 0.6), (0.0, 0.3, 1.2
 SECOND = [(2.5, 2.0, 3.0), (1.5, 1.8, -2.9), (0.5, 1.2, -2.5), (-0.3, 0.6, -2.2)]
 
 
-def verify(target_path, source_path, guess, target=-1, source=-1, recogniser="twc", **rule):
+def verify(target_path, source_path, guess, target=-1, source=-1, recogniser="twc", sign_m=None, **rule):
     verifier = LoopVerifier(VerificationConfig(**rule), OdometryFilterConfig(), RANGE_MAX_M)
     ends = (0, target % len(target_path)), (1, source % len(source_path))
-    return verifier.verify(LoopCandidate(*ends, np.asarray(guess, float), recogniser), target_path, source_path)
+    candidate = LoopCandidate(*ends, np.asarray(guess, float), recogniser, sign_m)
+    return verifier.verify(candidate, target_path, source_path)
 
 
 @settings(max_examples=25)
@@ -137,11 +138,14 @@ def test_the_uncertain_axis_of_a_closure_is_told_in_the_frame_in_which_the_pose_
     assert error(0.5, 0.0) < 1.0 < 10.0 < error(0.0, 0.5)
 
 
-def test_a_shared_sign_says_more_about_the_axis_than_nearness_does(walls, path_of):
+@pytest.mark.parametrize("signless", ["proximity", "one of my own"])
+def test_a_shared_sign_says_more_about_the_axis_than_any_other_guess(walls, path_of, signless):
     corridor = walls((-40, -1.2), (40, -1.2), (40, 1.2), (-40, 1.2))
     paths = path_of(0, corridor, [(0, 0, 0), (1, 0.1, 0)]), path_of(1, corridor, [(3, 0.2, 0), (4, 0.1, 0)])
-    along = {r: verify(*paths, (0.4, 0.0, 0.0), recogniser=r).covariance[0, 0] for r in ("twc", "proximity")}
-    assert along["twc"] < along["proximity"] / 10
+    by_sign = verify(*paths, (0.4, 0.0, 0.0), sign_m=np.ones(2))
+    without = verify(*paths, (0.4, 0.0, 0.0), recogniser=signless)
+    assert by_sign.covariance[0, 0] < without.covariance[0, 0] / 10
+    assert without.is_loose and not by_sign.is_loose
 
 
 def test_the_covariance_of_a_closure_is_symmetric_and_positive(office, path_of):

@@ -129,6 +129,15 @@ def test_steps_without_news_in_which_nothing_is_due_are_left_out_and_no_others(r
     assert {what for what, _ in found[0]} == {"merges", "pending"}
 
 
+def test_a_merge_that_only_loose_closures_hold_is_undone(recorded):
+    team = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1)[0].team
+    assert team._review.wrong(PLANTED_STEP + 1, False) is None
+    for closure in team.closures:
+        closure.covariance = np.diag([4.0, 0.01, 0.01])
+    team._review.merges[-1].due_step = PLANTED_STEP + 1
+    assert team._review.wrong(PLANTED_STEP + 1, False)[1] == "no closure is left that speaks for it"
+
+
 def test_without_second_thoughts_the_wrong_merge_stays(recorded):
     engine, groups, _ = run(recorded, **{"slam.merging.undo": False})
     assert any(0 in robots and 1 in robots for robots in groups[-1])

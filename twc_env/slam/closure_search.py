@@ -12,7 +12,7 @@ from twc_env.config import EnvConfig
 from twc_env.geometry import between
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.group_maps import GroupMaps
-from twc_env.slam.loop_verification import ANYWHERE, LoopVerifier, SignVerifier
+from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
 from twc_env.slam.meeting_recogniser import MEETING, MeetingRecogniser
 from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
 from twc_env.slam.signless_recogniser import SignlessRecogniser
@@ -161,7 +161,7 @@ class ClosureSearch:
                 self._without_scans.append(candidate)
             else:
                 closure = self._verifier.verify(candidate, *paths)
-                if not is_one_map and candidate.recogniser in ANYWHERE:
+                if not is_one_map and candidate.sign_m is None:
                     self._doubt(closure, *paths)
                 if self._meetings is not None and candidate.recogniser == MEETING:
                     self._meetings.note(closure)
@@ -169,7 +169,7 @@ class ClosureSearch:
         return None
 
     def _doubt(self, closure: LoopClosure, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]) -> None:
-        """Refuse a closure by sound that only robots in the way hold in place along a corridor."""
+        """Refuse a closure without a sign that only robots in the way hold in place, as along a corridor."""
         if closure.status != "accepted" or closure.is_loose or not isinstance(self._verifier, LoopVerifier):
             return
         if not self._verifier.rests_on_walls(closure, target_path, source_path, self._mate_width_m):

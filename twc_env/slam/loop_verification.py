@@ -31,7 +31,6 @@ SIGN_STD, NEAR_STD = (0.2, 0.2, 0.1), (2.0, 2.0, 0.5)
 """What the candidate's guess itself is worth [m, m, rad]: a shared sign fixes a corridor's axis, nearness does not."""
 ANYWHERE = ("wifi", "lidar")
 """Recognisers that know the turn at best: their matches are searched for at every heading, within WIDE_WINDOW_M."""
-SIGNLESS = ("proximity", MEETING, *ANYWHERE)
 WIDE_WINDOW_M = 3.0
 MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
 """Where nothing but WiFi says that two robots were at one place, their scans must fit by so much: of those that
@@ -73,21 +72,24 @@ class LoopVerifier:
             contradiction = self._walls.contradiction(target, source, match.pose)
             if contradiction > rule.contradiction_max:
                 reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
-        prior = NEAR_INFORMATION if candidate.recogniser in SIGNLESS else SIGN_INFORMATION
-        information = match.information(self._noise.match_std_m, self._noise.match_correlation)
-        covariance = closure_covariance(information, prior, match.pose[2])
         status = "rejected" if reason else "accepted"
-        return LoopClosure(candidate, match.pose, covariance, overlap, status, reason)
+        return LoopClosure(candidate, match.pose, self._covariance(candidate, match), overlap, status, reason)
+
+    def _covariance(self, candidate: LoopCandidate, match: Match | PointMatch) -> Array:
+        information = match.information(self._noise.match_std_m, self._noise.match_correlation)
+        prior = NEAR_INFORMATION if candidate.sign_m is None else SIGN_INFORMATION
+        return closure_covariance(information, prior, match.pose[2])
 
     def rests_on_walls(
         self, closure: LoopClosure, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe], width_m: float
     ) -> bool:
-        """Whether a match leaves no direction open without all things narrower than so much: they may be robots."""
+        """Whether a closure would not be loose without all things narrower than so much: they may be robots."""
         target, source = _ends(closure.candidate, target_path, source_path)
         self._draw_target(target, target_path)
         seen = _neighbours(source, source_path, min(self._config.cloud_reach_m, SPACING_M))
         points = self._walls.points([replace(k, ranges_m=without_narrow(k.ranges_m, width_m)) for k in seen])
-        return not self._walls.refine(points, closure.pose_target_source)[0].is_degenerate
+        rest, _ = self._walls.refine(points, closure.pose_target_source)
+        return not replace(closure, covariance=self._covariance(closure.candidate, rest)).is_loose
 
     def _match(
         self, candidate: LoopCandidate, target: Keyframe, target_path: Sequence[Keyframe], points: Array
