@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twc_env.errors import MapError
+from twc_env.errors import ConfigError, MapError
 from twc_env.maps import load_map, map_names
 from twc_env.world import floorplan_file
 from twc_env.world.floorplan_file import write_floorplan
@@ -22,6 +22,14 @@ HOUSE = {
 
 def test_the_twin_maps_are_bundled():
     assert {"twin-01", "twin-02"} <= set(map_names())
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5])
+def test_seeds_that_are_no_whole_numbers_from_0_on_are_refused(tmp_path, seed):
+    path = tmp_path / "house.json"
+    path.write_text(json.dumps(HOUSE))
+    with pytest.raises(ConfigError, match=f"seed must be a whole number from 0 on; got {seed}"):
+        load_map(path, seed)
 
 
 @pytest.mark.parametrize("name", map_names())

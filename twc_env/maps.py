@@ -6,6 +6,7 @@ import difflib
 from functools import lru_cache
 from pathlib import Path
 
+from twc_env.config.checks import whole_number
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.floorplan_check import validate
@@ -34,9 +35,10 @@ def load_map(name_or_path: str | Path, seed: int = 0) -> Floorplan:
     of a fixed split (`train/0007`). Files: twc_env or HouseExpo .json, ROS .yaml, indoor .geojson (`FILE#LEVEL` for
     one level), .png or .pgm picture; all but .yaml also packed as .gz.
     Formats without signs and access points are furnished by `seed`. Plans are cached and shared: they are read-only.
-    Raises MapError for an unknown name, an unknown suffix or a plan no robot can explore.
+    Raises MapError for an unknown name, an unknown suffix or a plan no robot can explore, ConfigError for a seed that
+    is no whole number from 0 on.
     """
-    name = str(name_or_path)
+    name, seed = str(name_or_path), whole_number("seed", seed, 0)
     bundled = _bundled()
     if name in bundled:
         return _read_native(bundled[name], bundled[name].stat().st_mtime_ns)

@@ -14,6 +14,9 @@ from twc_env.slam.scan_matching import scan_points
 needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="laser logs: set TWC_DATA to the data folder")
 
 
+LINE = "FLASER 3 1.0 2.0 81.9 4 5 0.5 9 9 9 7.25 host 7.3"
+
+
 def test_a_line_of_carmen_is_a_scan_with_its_pose(tmp_path):
     path = tmp_path / "drive.log"
     path.write_text("# a log\nODOM 1 2 3 0 0 0 5 host 5\nFLASER 3 1.0 2.0 81.9 4 5 0.5 9 9 9 7.25 host 7.3\n")
@@ -23,7 +26,10 @@ def test_a_line_of_carmen_is_a_scan_with_its_pose(tmp_path):
     assert np.degrees(log.beam_angles_rad) == pytest.approx([-90.0, 0.0, 90.0])
 
 
-LINE = "FLASER 3 1.0 2.0 81.9 4 5 0.5 9 9 9 7.25 host 7.3"
+def test_comments_of_carmen_may_be_in_any_encoding(tmp_path):
+    path = tmp_path / "drive.log"
+    path.write_bytes(f"# Büro\n{LINE}\n".encode("latin-1"))
+    assert read_carmen_log(path).ranges_m.tolist() == [[1.0, 2.0, 81.9]]
 
 
 def test_lines_of_carmen_may_be_indented_and_have_tabs(tmp_path):

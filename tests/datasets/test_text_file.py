@@ -37,6 +37,13 @@ def test_a_broken_archive_is_a_data_error(tmp_path, read, kind):
         read(tmp_path / "a.gz")
 
 
+@pytest.mark.parametrize("read", [read_tum, read_g2o, read_scan_log, read_table])
+def test_text_in_another_encoding_is_named_with_the_remedy(tmp_path, read):
+    (tmp_path / "a.txt").write_bytes("Zürich\n".encode("latin-1"))
+    with pytest.raises(DataError, match=r"a\.txt is no text in UTF-8: .*; save it as UTF-8"):
+        read(tmp_path / "a.txt")
+
+
 def test_a_byte_order_mark_does_not_hide_the_first_vertex(tmp_path):
     (tmp_path / "a.g2o").write_text("\ufeffVERTEX_SE2 0 1 2 3\r\n", encoding="utf-8")
     assert read_g2o(tmp_path / "a.g2o")["nodes"].tolist() == [[1.0, 2.0, 3.0]]

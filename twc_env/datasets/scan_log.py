@@ -114,7 +114,7 @@ def read_carmen_log(path: str | Path) -> ScanLog:
     """Read the scans of a CARMEN log in the order of its lines. Raises DataError for anything without such scans."""
     scans: list[list[float]] = []
     poses, times = [], []
-    for k, line in enumerate(read_text(path).splitlines(), 1):
+    for k, line in enumerate(read_text(path, errors="replace").splitlines(), 1):
         words = line.split()
         if words[:1] != ["FLASER"]:
             continue

@@ -10,8 +10,11 @@ from pathlib import Path
 from twc_env.errors import DataError
 
 
-def read_text(path: str | Path) -> str:
-    """The text of a plain, gzip (.gz) or xz (.xz) file, without a byte order mark; DataError if it cannot be read."""
+def read_text(path: str | Path, errors: str = "strict") -> str:
+    """The text of a plain, gzip (.gz) or xz (.xz) file, without a byte order mark; DataError if it cannot be read.
+
+    errors: "replace" takes what is no UTF-8 too, where only comments can hold it.
+    """
     path = Path(path)
     try:
         raw = path.read_bytes()
@@ -19,7 +22,9 @@ def read_text(path: str | Path) -> str:
             raw = gzip.decompress(raw)
         elif path.suffix == ".xz":
             raw = lzma.decompress(raw)
-        return raw.decode("utf-8-sig")
-    except (OSError, EOFError, zlib.error, lzma.LZMAError, UnicodeDecodeError) as error:
+        return raw.decode("utf-8-sig", errors)
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path} is no text in UTF-8: {error}; save it as UTF-8") from error
+    except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
         reason = getattr(error, "strerror", None) or error
         raise DataError(f"cannot read {path}: {reason}; check the path or fetch the file again") from error

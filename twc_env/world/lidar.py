@@ -23,6 +23,8 @@ _QUANTILE_BITS, _QUANTILES_PER_WORD = 12, 5
 """A random number that picks a quantile of the range noise: five of them come out of one 64-bit word."""
 _SPARE_M = 0.5
 """The walls in view are looked up for all places so near, and anew when the robot has come so far."""
+_NEAREST_M = 0.001
+"""However the noise falls, what is there reads so much at least: no scanner measures 0, and the engine takes none."""
 _EDGE_BEAMS = 0.02
 """Ends of walls are looked up this far beyond where their rough angle says, and then tested exactly."""
 
@@ -287,5 +289,5 @@ def _add_noise(ranges, words, quantiles, std, far, deviates):
                 word >>= np.uint64(_QUANTILE_BITS)
         row = ranges[i]
         for b in range(row.shape[0]):
-            noisy = min(max(row[b] + std * deviates[b], 0.0), far)
+            noisy = min(max(row[b] + std * deviates[b], _NEAREST_M), far)
             row[b] = noisy if row[b] < far else far
