@@ -60,7 +60,6 @@ def test_a_model_that_is_broken_or_of_another_task_is_named(task, run, tmp_path,
         assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
         assert f"cannot read the model {model}" in capsys.readouterr().err
     model.write_bytes(sound)
-    task = task
     write_settings(tmp_path, "ppo", replace(task, overrides={**task.overrides, "observation.sign_slots": 2}), {})
     assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
     assert "was trained to see or choose something else" in capsys.readouterr().err

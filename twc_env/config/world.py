@@ -53,8 +53,8 @@ class LidarConfig(Checked):
     range_max_m: float = number(10.0, 0.5, 100.0)
     range_noise_std_m: float = number(0.01, 0.0, 1.0)
     dropout_probability: float = number(0.0, 0.0, 1.0)
-    """Chance that a beam has no return though something is there; the engine knows it, and sees through nothing that so
-    few beams tell."""
+    """Chance that a beam has no return though something is there. The engine knows it: gaps of a few beams are no floor
+    to it."""
     glass_return_probability: float = number(1.0, 0.0, 1.0)
     """Chance that a glass wall hit head-on is seen; 1 makes glass a wall like any other."""
     glass_incidence_max_rad: float = number(0.6, 0.01, math.pi / 2)

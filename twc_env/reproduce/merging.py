@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """A row per building, and one for all `buildings` at the end."""
-    names = test_buildings(options.buildings)
+    names = first_buildings(options.buildings)
     settings = assignments(options.set)
     override(EnvConfig(), settings)  # a misspelt setting fails now
     found = runner.each(names, lambda name: merge_in(name, options.robots, options.seed, settings))
@@ -78,7 +78,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     return [*found, total]
 
 
-def test_buildings(count: int) -> tuple[str, ...]:
+def first_buildings(count: int) -> tuple[str, ...]:
     """The first buildings of the test split. Raises ConfigError for more than it holds."""
     names = split_names("test")
     if count > len(names):

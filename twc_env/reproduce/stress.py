@@ -24,7 +24,7 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
 from twc_env.random_streams import random_stream
-from twc_env.reproduce.merging import STEPS_PER_M, begin, overlapping_ways, test_buildings, walk_on
+from twc_env.reproduce.merging import STEPS_PER_M, begin, first_buildings, overlapping_ways, walk_on
 from twc_env.reproduce.runner import Runner
 from twc_env.world.floorplan import Floorplan
 
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per condition; the normal run is always among them."""
     conditions = list(dict.fromkeys(["normal", *options.conditions]))
-    parts = list(itertools.product(test_buildings(options.buildings), conditions))
+    parts = list(itertools.product(first_buildings(options.buildings), conditions))
     found = runner.each(parts, lambda part: episode(part[0], part[1], options.robots, options.seed), " ".join)
     runs = {c: [run for (_, name), run in zip(parts, found, strict=True) if name == c] for c in conditions}
     return [_row(condition, runs[condition], runs["normal"]) for condition in conditions]
