@@ -11,8 +11,9 @@ from twc_env.bench import wander
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.team_alignment import team_error_m
 from twc_env.geometry import between, compose
-from twc_env.messages import SignObservation
+from twc_env.messages import LoopCandidate, LoopClosure, SignObservation
 from twc_env.slam.device_offsets import DeviceOffsets
+from twc_env.slam.forgetting import TIES, Forgetting
 from twc_env.slam.forgotten_paths import ForgottenPaths
 from twc_env.slam.graph_arrays import ODOMETRY
 from twc_env.slam.map_optimiser import MapOptimiser
@@ -20,6 +21,7 @@ from twc_env.slam.place_evidence import PlaceMemory
 from twc_env.slam.place_recognition import ProposalFilter
 from twc_env.slam.settled_maps import SettledMaps
 from twc_env.slam.sign_readings import SignReadings
+from twc_env.slam.team import TeamMapper
 
 STEPS, SMALL = 3000, (300, 100)
 """Maps of so few keyframes count as large in these tests, the last hundred as not settled."""
@@ -241,6 +243,21 @@ def test_a_merge_of_a_map_that_forgot_is_undone_whole():
 
 
 # --- what else was known of forgotten keyframes
+
+
+def test_what_speaks_for_a_merge_stays_however_many_loose_closures_came_before(keyframe):
+    mapper = TeamMapper(EnvConfig(), 2)
+    mapper.update(0, [keyframe(robot, k, (k, 0.0, 0.0), float(k)) for robot in (0, 1) for k in range(80)])
+    graph, firm = mapper._graph, TIES
+    for k in range(TIES + 2):
+        covariance = np.diag([0.01 if k == firm else 4.0, 0.01, 0.01])
+        near = LoopCandidate((0, 1 + k), (1, 1 + k), np.zeros(3), "wifi")
+        closure = LoopClosure(near, np.zeros(3), covariance, 1.0, "pending")
+        graph.add_closure(closure)
+        graph.accept(closure)
+    may_go = Forgetting(graph, [])._may_go(graph.nodes_of((0, 1)), graph.node_count)
+    assert may_go[graph.node((0, 40))]
+    assert not may_go[graph.node((0, 1 + firm))] and not may_go[graph.node((1, 1 + firm))]
 
 
 def test_proposals_far_back_are_let_go_and_later_ones_still_known(keyframe):

@@ -15,7 +15,8 @@ from twc_env.slam.team_graph import TeamGraph
 Array = NDArray
 
 LATEST, TIES = 30, 12
-"""Of each robot so many of its latest keyframes, and of two robots' first accepted closures, are never forgotten."""
+"""Of each robot so many of its latest keyframes, and of two robots' first accepted closures that are not loose, are
+never forgotten."""
 
 
 class Knower(Protocol):
@@ -64,7 +65,8 @@ class Forgetting:
         for closure in graph.closures:
             ends = closure.candidate.target, closure.candidate.source
             pair = min(ends)[0], max(ends)[0]
-            is_tie = closure.status == "accepted" and pair[0] != pair[1] and ties.get(pair, 0) < TIES
+            speaks = closure.status == "accepted" and pair[0] != pair[1] and not closure.is_loose
+            is_tie = speaks and ties.get(pair, 0) < TIES
             ties[pair] = ties.get(pair, 0) + is_tie
             if is_tie or closure.status == "pending":
                 stay += [graph.node(key) for key in ends]
