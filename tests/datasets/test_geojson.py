@@ -225,6 +225,24 @@ def test_tags_may_be_properties_in_either_scheme(tmp_path, scheme, floor):
     assert [room.name for room in load_map(path).rooms] == rooms
 
 
+@pytest.mark.parametrize("tags", [{}, {"tags": None}])
+def test_rooms_without_a_level_are_those_of_level_0(tmp_path, tags):
+    path = tmp_path / "flat.geojson"
+    rooms = [polygon(box(8 * k, 0, 8 * k + 8, 6), indoor="room", name=f"R{k}", **tags) for k in range(2)]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": rooms}))
+    assert [room.name for room in load_map(path).rooms] == ["R0"]
+    with pytest.raises(MapError, match="has no level '1'; levels are 0: write FILE#LEVEL"):
+        load_map(f"{path}#1")
+
+
+def test_a_building_without_rooms_says_what_rooms_are(tmp_path):
+    path = tmp_path / "flat.geojson"
+    outline = polygon(box(0, 0, 8, 6), tags={"indoor": "wall", "level": "0"})
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [outline]}))
+    with pytest.raises(MapError, match="has no rooms: polygons tagged indoor=room"):
+        load_map(path)
+
+
 def test_one_feature_is_no_floor(tmp_path):
     path = tmp_path / "room.geojson"
     path.write_text(json.dumps(polygon(box(0, 0, 8, 6))))

@@ -71,8 +71,9 @@ def name_of(feature: dict) -> str:
 
 def tag_of(feature: dict, key: str) -> str:
     """An OpenStreetMap tag, which stands in a table of its own or among the properties; "" where there is none."""
-    tags = properties_of(feature).get("tags", properties_of(feature))
-    value = tags.get(key, "") if isinstance(tags, dict) else ""
+    own = properties_of(feature)
+    tags = own.get("tags")
+    value = (tags if isinstance(tags, dict) else own).get(key, "")
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return f"{value:g}"
     return value.strip() if isinstance(value, str) else ""

@@ -37,15 +37,15 @@ _PLATE_OFFSET_M = 0.3
 
 
 def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorplan:
-    """Rooms of one level, joined by the doors that are corners of their outlines."""
+    """Rooms of one level, joined by the doors that are corners of their outlines; where no levels are given, of "0"."""
     parts = [feature for feature in features if part_of(feature)]
+    if not parts:
+        raise MapError(f"{where} has no rooms: polygons tagged indoor=room or buildingpart=room; export these too")
     levels = sorted({lvl for feature in parts for lvl in levels_of(feature)})
-    chosen = [feature for feature in parts if level in levels_of(feature)]
+    chosen = [feature for feature in parts if level in (levels_of(feature) if levels else ("0",))]
     polygons = [(tag_of(feature, "name"), rings) for feature in chosen for rings in polygons_of(feature, where)]
     if not polygons:
-        raise MapError(
-            f"{where} has no level {level!r}; levels are {', '.join(levels) or 'not given'}: write FILE#LEVEL"
-        )
+        raise MapError(f"{where} has no level {level!r}; levels are {', '.join(levels) or '0'}: write FILE#LEVEL")
     origin = np.mean([rings[0].mean(axis=0) for _, rings in polygons], axis=0)
     scale = _METRES_PER_DEGREE * np.array([np.cos(np.deg2rad(origin[1])), 1.0])
     drawn = [Area(text, *_in_metres(rings, origin, scale)) for text, rings in polygons]
