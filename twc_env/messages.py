@@ -67,7 +67,7 @@ class SensorFrame:
     ranges_m: Array
     """(beams,) beam i points to 2 pi i / beams in the robot frame; no return reads the scanner's maximum range.
 
-    A negative range is free up to there without a wall; `UNSEEN_M` says nothing at all."""
+    A negative range is free up to there without a wall; `UNSEEN_M` says nothing at all, and 0 is refused."""
     wifi: WifiScan | None = None
     """The scan that finished in this step, if one did."""
     signs: tuple[SignReading, ...] = ()
