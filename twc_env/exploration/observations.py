@@ -126,9 +126,7 @@ class ObservationBuilder:
 
 
 def _usual(rows: Sequence[tuple[Array, ...]], maps: Array) -> list[dict[str, Array]]:
-    """The usual blocks of each robot: a dict with names that stand in the code is there in a third of the time that a
-    loop over them takes.
-    """
+    """The usual blocks of each robot: a dict whose names stand in the code is made sooner than one filled in a loop."""
     seen = []
     for row, around in zip(rows, maps, strict=False):
         lidar, pose, wifi, signs, team = row
