@@ -66,7 +66,7 @@ An AGENT is
   cost-utility        weighs how near a frontier is against what mates will see of it
   assignment          one frontier each, so that all ways together are shortest
   voronoi             each robot keeps to the frontiers that it is nearest to
-  radio-frontier      the same, sooner where WiFi tells of floor (slam.k_visibility.enabled=true)
+  radio-frontier      nearest-frontier, sooner where WiFi tells of floor (slam.k_visibility.enabled=true)
   radio-walk          walks where walls told from WiFi are least sure
   random              wanders
   wall-follower       keeps along walls

@@ -101,7 +101,7 @@ def explore(
     finally:
         unregister(COMPILER_EVENT, compiling)
     result = env.result()
-    if film is not None:
+    if film is not None and (step == 0 or not film.wants(step)):
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}

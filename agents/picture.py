@@ -48,7 +48,7 @@ class Film:
         """Keep a frame (height, width, 3) uint8 with a line of text under it."""
         self._frames.append(film_frame(frame, caption, GIF_WIDTH_PX))
         self._steps.append(step)
-        if len(self._frames) > FRAME_COUNT_MAX:
+        if len(self._frames) > FRAME_COUNT_MAX and self.wants(step):  # the last of an episode may come between
             self.every *= 2
             kept = [k for k, s in enumerate(self._steps) if s % self.every == 0]
             self._frames, self._steps = [self._frames[k] for k in kept], [self._steps[k] for k in kept]

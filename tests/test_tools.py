@@ -46,6 +46,17 @@ def test_gymnasium_makes_a_vector_of_the_single_view_with_the_autoreset_mode_it_
     envs.close()
 
 
+def test_wrappers_are_told_how_long_an_episode_of_the_single_view_lasts():
+    env = gymnasium.wrappers.TimeAwareObservation(make_alone(), flatten=False, normalize_time=True)
+    env.reset(seed=3)
+    truncated, shares = False, []
+    while not truncated:
+        observation, _, _, truncated, _ = env.step(np.zeros(2, np.float32))
+        shares.append(float(observation["time"][0]))
+    assert shares == [k / 8 for k in range(1, 9)]
+    assert gymnasium.make(ID, max_episode_steps=5, config=SMALL).spec.max_episode_steps == 5
+
+
 def test_gymnasium_runs_the_single_view_in_processes_as_it_does_in_one():
     played = []
     for kind in (gymnasium.vector.SyncVectorEnv, partial(gymnasium.vector.AsyncVectorEnv, context="spawn")):

@@ -175,6 +175,8 @@ def train(
     """
     torch.set_num_threads(1)
     action, observation = task.config.action, task.config.observation
+    if task.config.slam.mode == "off":
+        raise DataError("this policy chooses among frontiers of the map, and slam.mode=off has none: leave it out")
     if (action.kind, observation.kind) != ("frontier", "dict"):
         raise DataError("this policy chooses among frontiers: leave action.kind=frontier and observation.kind=dict")
     if not (observation.pose and observation.team):

@@ -273,6 +273,14 @@ def test_a_film_of_any_length_keeps_a_bounded_number_of_even_frames():
     assert len(set(np.diff(film._steps))) == 1
 
 
+def test_a_film_ends_on_the_last_step_wherever_it_falls():
+    pytest.importorskip("PIL", reason="films need the viz extra")
+    film = Film(every=2)
+    for step in (*range(0, 320, 2), 319):
+        film.add(step, np.zeros((8, 8, 3), np.uint8), "")
+    assert film._steps == [*range(0, 320, 2), 319]
+
+
 def test_progress_is_silent_in_a_pipe(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
     progress = explore_module.Progress(10, "x")

@@ -19,6 +19,7 @@ from training.__main__ import main
         (["ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
         (["ppo", "--resume"], "holds no training run"),
         (["ppo", "--seed", "-1"], "--seed must be 0 to"),
+        (["ppo", "--set", "slam.mode=off"], "slam.mode=off has none: leave it out"),
         (
             ["ppo", "--out", "/dev/null/run"],
             "cannot write to the folder /dev/null/run: /dev/null is a file; choose another",

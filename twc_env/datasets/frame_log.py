@@ -148,8 +148,11 @@ def _read(path: str | Path) -> dict[str, Array]:
 
 def _fault(log: dict[str, Array]) -> str | None:
     """What does not fit together in columns of right length."""
+    for key in ("robot", "wifi_count", "step_frames"):
+        if key in log and log[key].dtype.kind not in "iu":
+            return f"{key} of type {log[key].dtype}, whole numbers are possible"
     frames, readings, counts, robots = len(log["robot"]), len(log["wifi_macs"]), log["wifi_count"], log["robot"]
-    if robots.dtype.kind not in "iu" or robots.min() < 0 or robots.max() >= ROBOTS_MAX:
+    if robots.min() < 0 or robots.max() >= ROBOTS_MAX:
         return f"frames of robots {robots.min()} to {robots.max()}, 0 to {ROBOTS_MAX - 1} are possible"
     if log["odometry"].shape != (frames, 3) or log["ranges_m"].ndim != 2:
         return f"odometry of shape {log['odometry'].shape} and ranges_m of {log['ranges_m'].shape}"
@@ -158,7 +161,7 @@ def _fault(log: dict[str, Array]) -> str | None:
     if "wifi_age_s" in log and log["wifi_age_s"].shape != (readings,):
         return f"wifi_age_s of shape {log['wifi_age_s'].shape} for {readings} readings"
     counted = log.get("step_frames", np.ones(0, int))
-    if "step_frames" in log and (counted.dtype.kind not in "iu" or counted.min() < 0 or counted.sum() != frames):
+    if "step_frames" in log and (counted.sum() != frames or counted.min() < 0):
         return f"step_frames tells of {counted.sum()} frames, and there are {frames}"
     if not np.isin(log["sign_frame"], np.arange(frames)).all():
         return f"sign_frame names frames beyond the {frames} that there are"

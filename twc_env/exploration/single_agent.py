@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from os import PathLike
 from typing import Any
 
 import gymnasium
+from gymnasium.envs.registration import EnvSpec
 
 from twc_env.config import EnvConfig
 from twc_env.config.checks import refuse_arguments, whole_number
@@ -42,6 +44,7 @@ class SingleRobotEnv(gymnasium.Env):
             render_signal=render_signal,
         )
         self._agent = self._team.possible_agents[0]
+        self._spec: EnvSpec | None = None
         self.render_mode = render_mode
         self.observation_space = self._team.observation_space(self._agent)
         self.action_space = self._team.action_space(self._agent)
@@ -50,6 +53,17 @@ class SingleRobotEnv(gymnasium.Env):
     def parallel(self) -> ExplorationEnv:
         """The environment underneath."""
         return self._team
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gymnasium.make` was asked for; it tells how long an episode lasts, which some wrappers want to know."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = copy.copy(spec)
+        if self._spec is not None and self._spec.max_episode_steps is None:
+            self._spec.max_episode_steps = self._team.config.max_cycles
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Begin an episode."""
