@@ -54,3 +54,15 @@ def test_robots_do_not_fix_a_place_where_nothing_else_is_seen(keyframe, scan, wa
     others = [walls((x, y), (x + 0.3, y), (x + 0.3, y + 0.3), (x, y + 0.3)) for x, y in ((0.5, 0.4), (-0.6, 0.5))]
     closure = looked_at(scan(np.concatenate(others), (0.0, 0.0, 0.0)), keyframe, "wifi")
     assert closure.status == "rejected" and "robots" in closure.reason
+
+
+@pytest.mark.parametrize(("waiting", "verified"), [(10, 2), (63, 2), (320, 10)])
+def test_of_many_candidates_a_part_has_its_turn_in_a_step_so_that_they_do_not_become_ever_more(
+    keyframe, scan, walls, waiting, verified
+):
+    mapper, room = TeamMapper(EnvConfig(), 2), scan(walls((-3, -2), (3, -2), (3, 2), (-3, 2)), (0.0, 0.0, 0.0))
+    mapper.update(0, [keyframe(robot, 0, (0.0, 0.0, 0.0), 0.0, room) for robot in (0, 1)])
+    mapper._search._waiting["wifi"].extend([LoopCandidate((0, 0), (1, 0), np.zeros(3), "wifi")] * waiting)
+    mapper._search.waiting_count = waiting
+    mapper.update(1, [keyframe(0, 1, (0.0, 0.0, 0.0), 0.0, room)])
+    assert len(mapper.closures) == verified

@@ -27,6 +27,8 @@ DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
 """A closure inside one map may disagree with the present estimate by this much."""
 MORE_PART = 16
 """Of the closures between two maps that were no case for a merge, this part must come anew for another try."""
+BACKLOG_PART = 32
+"""Of many candidates that wait this part is verified in a step, so that they do not become ever more."""
 RETRY_STEPS = 50
 """Merges that lacked evidence are tried again this often, whether or not another closure came."""
 OVERLAP_REACH_M = 5.0
@@ -100,7 +102,7 @@ class TeamMapper:
             self._merge_given(self._given_starts)
         self._step = step
         if self._search.waiting_count:
-            for _ in range(self._config.verification.backlog_per_step):
+            for _ in range(max(self._config.verification.backlog_per_step, self._search.waiting_count // BACKLOG_PART)):
                 if not self._verify_one():
                     break
         is_turn = step % self._turns == self._turn or not self.optimiser.is_map_large
@@ -262,8 +264,8 @@ class TeamMapper:
         """
         if not self._config.merging.enabled:
             return False
-        pending = [c for c in self._graph.waiting() if set(self._groups_of(c)) == {a, b}]
         robots_a, robots_b = self.groups[a].robots, self.groups[b].robots
+        pending = self._graph.waiting.between(robots_a, robots_b)
         tried = self._no_case.get((robots_a, robots_b), 0)
         if is_patient and tried < len(pending) < tried + tried // MORE_PART:
             return False
@@ -301,7 +303,7 @@ class TeamMapper:
     def _retry_merges(self) -> None:
         """Try all groups with pending closures: new keyframes, walls or merges may have made the case for them."""
         while True:
-            pairs = {tuple(sorted(self._groups_of(c))) for c in self._graph.waiting()}
+            pairs = {tuple(sorted(map(self.group_index, robots))) for robots in self._graph.waiting.pairs()}
             if not any(self._try_merge(a, b) for a, b in sorted(pairs)):
                 return
 

@@ -21,6 +21,7 @@ from twc_env.slam.keyframe_paths import place_on
 from twc_env.slam.odometry_filter import invert_symmetric, squared_error
 from twc_env.slam.pose_graph import Graph
 from twc_env.slam.sign_readings import SignReadings
+from twc_env.slam.waiting_closures import WaitingClosures
 from twc_env.team_messages import KnownSigns
 
 Array = NDArray
@@ -64,8 +65,7 @@ class TeamGraph(GraphArrays):
         """The closures that were verified, with what became of them, but those between keyframes that are forgotten."""
         self.closures_verified = 0
         """How many there ever were."""
-        self._waiting: dict[int, LoopClosure] = {}
-        """By their numbers, ascending, all closures that are pending; others among them have been judged since."""
+        self.waiting = WaitingClosures()
         self._nodes: list[MutableSequence[int]] = [array("q") for _ in range(robot_count)]
         """Of each of these keyframes its node."""
         self._forgotten = ForgottenPaths()
@@ -147,18 +147,14 @@ class TeamGraph(GraphArrays):
         self.closures_verified += 1
         closure.number = len(self.closures)
         self.closures.append(closure)
-        self._waiting[closure.number] = closure
+        if closure.status == "pending":
+            self.waiting.add([closure])
 
     def let_wait(self, closures: Sequence[LoopClosure]) -> None:
         """Noted closures between two maps wait for others that agree with them."""
         for closure in closures:
             closure.status, closure.reason = "pending", "waits for closures that agree"
-        self._waiting = dict(sorted((self._waiting | {c.number: c for c in closures}).items()))
-
-    def waiting(self) -> list[LoopClosure]:
-        """The closures that are pending, in the order of their numbers."""
-        self._waiting = {number: c for number, c in self._waiting.items() if c.status == "pending"}
-        return list(self._waiting.values())
+        self.waiting.add(closures)
 
     def accept(self, closure: LoopClosure) -> None:
         """Use a noted closure as an edge."""
@@ -264,9 +260,9 @@ class TeamGraph(GraphArrays):
         number_of[[closure.number for closure in stay]] = np.arange(len(stay))
         now: list[int] = number_of.tolist()
         self._sound = {now[number] for number in self._sound if now[number] >= 0}
-        self._waiting = {now[number]: closure for number, closure in self._waiting.items() if now[number] >= 0}
         for closure in stay:
             closure.number = now[closure.number]
+        self.waiting = WaitingClosures(c for c in stay if c.status == "pending")
         self.closures[:] = stay
         self._edge_of_closure = {now[n]: e for e, n in enumerate(edges.closure.tolist()) if n != ODOMETRY}
         return number_of
