@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twc_env import metrics
-from twc_env.config import override
+from twc_env.config import EnvConfig, override
 from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate, LoopClosure
 from twc_env.slam import robust_backend
@@ -281,3 +281,13 @@ def test_the_more_closures_wait_the_more_must_come_for_another_try(recorded, mon
         pass
     assert {closure.status for closure in coming} == {"pending"}
     assert min(count, 16) <= len(asked) <= tries
+
+
+@pytest.mark.parametrize(("home", "steps"), [(None, [0, 1, 2, 3, 4, 5]), (0, [0, 3]), (2, [2, 5])])
+def test_of_mappers_on_robots_one_at_a_time_has_second_thoughts(monkeypatch, home, steps):
+    looked, mapper = [], TeamMapper(EnvConfig(), 3, home)
+    monkeypatch.setattr(MergeReview, "due_step", 0)
+    monkeypatch.setattr(MergeReview, "wrong", lambda review, step, one_by_one: looked.append(step))
+    for step in range(6):
+        mapper.update(step, [])
+    assert looked == steps

@@ -44,7 +44,8 @@ class TeamMapper:
     def __init__(self, config: EnvConfig, robot_count: int, home: int | None = None):
         self._config, self._on_request = config.slam, config.link.scan_on_request
         self._turns, self._turn = (1, 0) if home is None else (robot_count, home)
-        """Of so many steps the one in which this mapper, and no other, does what takes long with large maps."""
+        """Of so many steps the one in which this mapper, and no other, has second thoughts about merges and does what
+        takes long with large maps."""
         self._graph = TeamGraph(robot_count, config.lidar.beam_count, config.slam.pose_graph.robust == "ours")
         self._maps = GroupMaps(config, self._graph, home, robot_count)
         self.groups: list[Group] = self._maps.groups
@@ -105,9 +106,10 @@ class TeamMapper:
             for _ in range(max(self._config.verification.backlog_per_step, self._search.waiting_count // BACKLOG_PART)):
                 if not self._verify_one():
                     break
-        is_turn = step % self._turns == self._turn or not self.optimiser.is_map_large
+        is_turn = step % self._turns == self._turn
         if is_turn and step >= self._review.due_step and self._given_starts is None:
             self._undo_wrong_merge()
+        is_turn |= not self.optimiser.is_map_large
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
