@@ -16,12 +16,14 @@ from numba.core.target_extension import current_target
 from numba.core.types.functions import BaseFunction
 from numba.core.typing.context import BaseContext
 
+from tests.forks import Forks
 from twc_env import kernel_compiler
 from twc_env.file_lock import FileLock
 from twc_env.kernel_compiler import Part
 from twc_env.kernels import kernel
 
-ROOT = Path(__file__).parents[1]
+ALONE = {"PYTHONPATH": str(Path(__file__).parents[1]), "PYTHONDONTWRITEBYTECODE": "1"}
+"""All that processes are told."""
 KERNELS = """from twc_env.kernels import kernel
 
 
@@ -65,16 +67,29 @@ def folder(tmp_path):
     return tmp_path
 
 
-def begin(folder, code=CALL):
-    path = {"PYTHONPATH": str(ROOT)}
-    return subprocess.Popen([sys.executable, "-B", "-c", code], cwd=folder, env=path, stdout=subprocess.PIPE, text=True)
+@pytest.fixture(scope="module", autouse=True)
+def forks(tmp_path_factory):
+    """Numba is made ready once, for all processes."""
+    loaded = "from twc_env.kernels import kernel; kernel(lambda x: 2 * x)(1)"
+    global FORKS
+    FORKS = Forks(loaded, tmp_path_factory.mktemp("forks"), ALONE)
+    yield
+    FORKS.close()
+
+
+def said(folder, code=CALL):
+    status, text = FORKS.run(code, folder)
+    assert status == 0, text
+    return text.split()
 
 
 def hits_and_misses(folder, code=CALL):
-    process = begin(folder, code)
-    said, _ = process.communicate()
-    assert process.returncode == 0
-    return tuple(map(int, said.split()[-2:]))
+    return tuple(map(int, said(folder, code)[-2:]))
+
+
+def begin(folder, code):
+    """A process that is new, and goes on meanwhile."""
+    return subprocess.Popen([sys.executable, "-c", code], cwd=folder, env=ALONE, stdout=subprocess.PIPE, text=True)
 
 
 def files(folder, ending="nbc"):
@@ -142,7 +157,7 @@ for call in (lambda: kernels.total(-3, 2), lambda: kernels.doubled(-3)):
         print(error)
 """
     for _ in range(2):  # compiled, then read from disk
-        assert begin(folder, code).communicate()[0].split() == ["negative", "negative"]
+        assert said(folder, code) == ["negative", "negative"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
@@ -189,7 +204,10 @@ def test_where_no_folder_can_be_written_to_kernels_are_compiled_all_the_same(mon
 
 
 NOWHERE = f"""
-import os, numba.core.caching as caching
+import os, numba, numba.core.caching as caching
+
+os.environ.update({{names!r}})
+numba.config.reload_config()
 
 class Refusing:
     @staticmethod
@@ -206,11 +224,7 @@ print(kernels.total.stats.cache_path)
 
 def read_only(folder, writable="nothing", **names):
     """Hits, misses and the folder that files are put into, where nothing else can be written to."""
-    process = subprocess.run(
-        [sys.executable, "-B", "-c", NOWHERE.format(writable=str(writable))],
-        cwd=folder, env={"PYTHONPATH": str(ROOT), **names}, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    hits, misses, place = process.stdout.split()
+    hits, misses, place = said(folder, NOWHERE.format(writable=str(writable), names=names))
     return int(hits), int(misses), place
 
 

@@ -3,13 +3,12 @@
 import importlib.util
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import twc_env
+from tests.forks import Forks
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text()
@@ -24,23 +23,27 @@ def snippets(text: str) -> dict[str, str]:
 
 
 SNIPPETS = snippets(TEXT) | snippets(LIBRARY)
+LIBRARIES = "gymnasium", "pettingzoo", "numba", "torchrl.envs", "stable_baselines3"
 NEEDS = {"stable-baselines3": "stable_baselines3", "TorchRL": "torchrl", "RLlib": "ray", "Seeing it": "PIL"}
 
 
+@pytest.fixture(scope="module")
+def forks(tmp_path_factory):
+    """Libraries of others are loaded once, for all snippets."""
+    loaded = "\n".join(f"import {name}" for name in LIBRARIES if importlib.util.find_spec(name.split(".")[0]))
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    forks = Forks(loaded, tmp_path_factory.mktemp("forks"), {**os.environ, "PYTHONPATH": path})
+    yield forks
+    forks.close()
+
+
 @pytest.mark.parametrize("heading", SNIPPETS)
-def test_a_snippet_runs(heading, tmp_path):
+def test_a_snippet_runs(heading, forks, tmp_path):
     module = NEEDS.get(heading, "numpy")
     if importlib.util.find_spec(module) is None:
         pytest.skip(f"needs {module}")
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-c", SNIPPETS[heading]],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
+    status, said = forks.run(SNIPPETS[heading], tmp_path)
+    assert status == 0, said
 
 
 def test_the_page_names_every_tool_and_every_task():

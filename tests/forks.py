@@ -1,0 +1,60 @@
+"""Processes for tests that want one of their own. They are forked off one that has loaded what takes long, which saves
+nine tenths of the time of a new one; what was not loaded there each of them loads for itself."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SERVER = """
+import atexit, json, os, sys, traceback
+{loaded}
+for line in sys.stdin:
+    folder, code, said = json.loads(line)
+    child = os.fork()
+    if child:
+        print(os.waitpid(child, 0)[1], flush=True)
+        continue
+    os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 1)
+    os.dup2(1, 2)
+    os.chdir(folder)
+    sys.path[0] = folder
+    status = 1
+    try:
+        exec(code, {{"__name__": "__main__"}})
+        status = 0
+    except BaseException:
+        traceback.print_exc()
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    os._exit(status)  # to take down what was loaded would last longer than most programs
+"""
+
+
+class Forks:
+    """Runs programs, each in a process of its own."""
+
+    def __init__(self, loaded: str, folder: Path, env: dict[str, str]):
+        """`loaded` is run once, before the processes part; in the folder their words are kept."""
+        if not hasattr(os, "fork"):
+            pytest.skip("processes cannot be forked here")
+        code = SERVER.format(loaded=loaded)
+        self._said = folder / "said"
+        self._server = subprocess.Popen(
+            [sys.executable, "-c", code], env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+
+    def run(self, code: str, folder: Path) -> tuple[int, str]:
+        """Run a program in a folder: its exit status, 0 where all went well, and what it printed."""
+        server = self._server
+        assert server.stdin is not None and server.stdout is not None
+        server.stdin.write(json.dumps([str(folder), code, str(self._said)]) + "\n")
+        server.stdin.flush()
+        return int(server.stdout.readline()), self._said.read_text()
+
+    def close(self) -> None:
+        """No more programs."""
+        self._server.communicate()
