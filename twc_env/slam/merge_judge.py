@@ -109,17 +109,17 @@ class MergeJudge:
 
     def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
         """Whether places that the merge brings together sound alike; None while too few can be compared."""
-        members = [*a, *b]
-        nodes = [self._graph.path_of(robot) for robot in members]
-        poses = [self._graph.poses[own] for own in nodes]
-        counts = [len(own) for own in poses]
-        positions = [(own if k < len(a) else compose(pose_a_b, own))[:, :2] for k, own in enumerate(poses)]
+        members, graph = [*a, *b], self._graph
+        paths = [graph.path_of(robot) for robot in members]
+        nodes, count_a = np.concatenate(paths), sum(map(len, paths[: len(a)]))
+        poses = graph.poses[nodes]
+        poses[count_a:] = compose(pose_a_b, poses[count_a:])
         return map_merging.wifi_agrees(
-            np.concatenate(positions),
-            np.repeat(members, counts),
-            self._graph.travels_m[np.concatenate(nodes)],
+            poses[:, :2],
+            graph.robot_of_node[nodes],
+            graph.travels_m[nodes],
             HeardPlaces.joined([self._heard_by(robot) for robot in members]),
-            np.repeat(np.arange(len(members)) >= len(a), counts),
+            np.arange(len(nodes)) >= count_a,
         )
 
     def forget(self, _: Array) -> None:
