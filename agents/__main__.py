@@ -15,8 +15,8 @@ from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from agents.seeds import parse_seeds
 from twc_env import EnvConfig, load_map, map_names, task_config
-from twc_env.command_line import Paragraphs, add_set, assignments, count, exit_status, natural
-from twc_env.config import load, override
+from twc_env.command_line import Paragraphs, add_set, add_version, assignments, count, exit_status, natural
+from twc_env.config import digest, load, override
 from twc_env.json_values import TERMINAL, check_folder, check_writable, write_json
 
 _EXPLORE_HELP = """\
@@ -91,7 +91,7 @@ def _explore(options: argparse.Namespace) -> int:
     has_gif = not (options.no_gif or options.no_pictures)
     if not options.no_pictures:
         picture.require_libraries(has_gif)
-    folder = options.out or _run_folder(config.map, options.agent, options.seed)
+    folder = options.out or _run_folder(config, options.agent, options.seed)
     check_folder(folder)
     progress = Progress(config.max_cycles, f"{_folder_name(config.map)} seed {options.seed}")
     try:
@@ -111,8 +111,11 @@ def _explore(options: argparse.Namespace) -> int:
     return 130 if run.was_interrupted else 0
 
 
-def _run_folder(map_name: str, agent: str, seed: int) -> Path:
-    return Path("runs") / f"{_folder_name(map_name)}-{agent.rpartition(':')[2]}-seed{seed}"
+def _run_folder(config: EnvConfig, agent: str, seed: int) -> Path:
+    """Runs that differ in their settings lie side by side."""
+    name = f"{_folder_name(config.map)}-{agent.rpartition(':')[2]}-seed{seed}"
+    is_usual = config == override(EnvConfig(), {"map": config.map})
+    return Path("runs") / (name if is_usual else f"{name}-{digest(config)}")
 
 
 def _folder_name(map_name: str) -> str:
@@ -235,6 +238,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="example:\n  python -m agents explore --map twin-01 --out runs/mine\n\n" + _AGENTS,
         formatter_class=Paragraphs,
     )
+    add_version(parser)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     one = _command(commands, "explore", "run one episode and write a run folder", _EXPLORE_HELP)
     one.add_argument(
@@ -242,7 +246,11 @@ def _parser() -> argparse.ArgumentParser:
         help=f"{', '.join(map_names())}; generated: gen:office:800:7, test/0003; or a file (default: twin-01)",
     )
     one.add_argument("--seed", type=natural, default=0, help="of starts, noise and furnishing (default: 0)")
-    one.add_argument("--out", type=Path, help="run folder (default: runs/MAP-AGENT-seedSEED)")
+    one.add_argument(
+        "--out",
+        type=Path,
+        help="run folder (default: runs/MAP-AGENT-seedSEED, with the settings' digest where they are not the defaults)",
+    )
     one.add_argument("--no-gif", action="store_true", help="do not film the episode")
     one.set_defaults(run=_explore)
     many = _command(

@@ -61,6 +61,13 @@ def test_the_teams_are_told_apart_where_one_is_asked_for():
     assert all(f"\n  {name}  " in text for name in [*policy_names(), "FILE.py:CLASS"])
 
 
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_every_program_tells_its_version(name, capsys):
+    with pytest.raises(SystemExit) as stop:
+        PROGRAMS[name].main(["--version"])
+    assert (stop.value.code, capsys.readouterr().out) == (0, f"twc_env {twc_env.__version__}\n")
+
+
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
 def test_set_says_where_all_settings_stand(parser):
     assert all("twc_env settings" in a.help for a in options(parser) if a.option_strings == ["--set"])

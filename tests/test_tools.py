@@ -57,6 +57,19 @@ def test_wrappers_are_told_how_long_an_episode_of_the_single_view_lasts():
     assert gymnasium.make(ID, max_episode_steps=5, config=SMALL).spec.max_episode_steps == 5
 
 
+def test_the_single_view_says_what_may_be_chosen_through_all_wrappers():
+    env = gymnasium.make(ID, max_cycles=400, config={**SMALL, "action.kind": "frontier"})
+    observation, _ = env.reset(seed=0)
+    for _ in range(2):
+        masks = env.get_wrapper_attr("action_masks")()
+        assert masks.dtype == bool and np.array_equal(masks, observation["action_mask"] > 0) and not masks.all()
+        observation, *_ = env.step(masks.argmax())
+    with pytest.raises(ConfigError, match=r"action\.kind must be 'frontier'; it is 'velocity'"):
+        alone = make_alone()
+        alone.reset(seed=0)
+        alone.get_wrapper_attr("action_masks")()
+
+
 def test_gymnasium_runs_the_single_view_in_processes_as_it_does_in_one():
     played = []
     for kind in (gymnasium.vector.SyncVectorEnv, partial(gymnasium.vector.AsyncVectorEnv, context="spawn")):

@@ -184,6 +184,45 @@ def test_options_of_a_reset_are_refused_where_no_row_could_follow_them():
             rows.set_options(options)
 
 
+def test_a_split_that_is_misspelt_is_answered_with_the_right_one():
+    with pytest.raises(ConfigError, match=r"buildings are a split .* did you mean 'train'\?"):
+        VectorTeams(1, SMALL, buildings="trian")
+
+
+@pytest.mark.parametrize("kind", ["dict", "flat"])
+def test_rows_say_what_may_be_chosen_as_maskable_policies_ask_for_it(kind):
+    pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+    from stable_baselines3.common.vec_env import VecFrameStack
+
+    from twc_env.sb3 import TeamVecEnv
+
+    teams = TeamVecEnv(2, {**CHOICES, "max_cycles": 900, "observation.kind": kind})
+    rows = VecFrameStack(teams, 2)
+    assert rows.has_attr("action_masks")
+    rows.reset()
+    for _ in range(3):
+        *_, infos = rows.step(teams.teams.sample().reshape(-1))
+        masks = np.stack(rows.env_method("action_masks"))
+        assert masks.dtype == bool and not masks.all() and masks.any(axis=1).all()
+        wanted = np.stack([info["action_mask"] for info in infos]) > 0
+        assert np.array_equal(masks, wanted)
+    assert np.array_equal(rows.env_method("action_masks", indices=[2]), masks[2:3])
+    rows.close()
+    with pytest.raises(ConfigError, match="action.kind must be 'frontier'; it is 'velocity'"):
+        TeamVecEnv(1, SMALL).env_method("action_masks")
+
+
+def test_sb3_contrib_learns_with_masks():
+    pytest.importorskip("sb3_contrib", reason="needs sb3-contrib")
+    from sb3_contrib import MaskablePPO
+
+    from twc_env.sb3 import TeamVecEnv
+
+    rows = TeamVecEnv(2, CHOICES)
+    MaskablePPO("MultiInputPolicy", rows, n_steps=16, batch_size=32, n_epochs=1, seed=0, device="cpu").learn(64)
+    rows.close()
+
+
 def test_stable_baselines_trains_on_rows_of_robots():
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
     from stable_baselines3 import PPO

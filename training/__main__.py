@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from agents.seeds import parse_seeds
-from twc_env.command_line import Paragraphs, add_set, assignments, exit_status, natural
+from twc_env.command_line import Paragraphs, add_set, add_version, assignments, exit_status, natural
 from twc_env.errors import DataError
 from twc_env.json_values import check_folder, check_writable, write_json
 
@@ -35,6 +35,7 @@ def _parser() -> argparse.ArgumentParser:
         "  python -m training evaluate --model runs/ppo/model.zip --seeds 0-19",
         formatter_class=Paragraphs,
     )
+    add_version(parser)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     ppo = commands.add_parser(

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from twc_env.bench_cli import add_bench_parser
-from twc_env.command_line import Paragraphs, exit_status
+from twc_env.command_line import Paragraphs, add_version, exit_status
 from twc_env.json_values import check_writable
 from twc_env.log_cli import add_log_parsers
 from twc_env.maps_cli import add_maps_parser
@@ -37,6 +37,7 @@ def _parser() -> argparse.ArgumentParser:
         "python -m agents, and learn by python -m training.",
         formatter_class=Paragraphs,
     )
+    add_version(parser)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for add in (
         add_maps_parser,

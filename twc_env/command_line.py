@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from twc_env._version import __version__
 from twc_env.command_start import begin_work, end_when_interrupted, is_loading
 from twc_env.errors import ConfigError, DataError, TwcError
 from twc_env.file_lock import FileLock
@@ -84,6 +85,11 @@ class Paragraphs(argparse.HelpFormatter):
             lines += textwrap.wrap(" ".join(prose), width) + ([] if line is None else [line])
             prose = []
         return "\n".join(lines)
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """The option `--version`."""
+    parser.add_argument("--version", action="version", version=f"twc_env {__version__}", help="print it and end")
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:

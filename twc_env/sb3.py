@@ -100,8 +100,19 @@ class TeamVecEnv(VecEnv):
         if any(options if isinstance(options, (list, tuple)) else (options,)):
             raise AttributeError(f"episodes of a TeamVecEnv take no options; got {options!r}: choose `buildings`")
 
+    def action_masks(self) -> Array:
+        """(rows, choices) bool: what each robot may choose next. Raises ConfigError unless actions are choices."""
+        masks = self.teams.action_masks()
+        return masks.reshape(self.num_envs, masks.shape[-1])
+
     def env_method(self, method_name: str, *args, indices=None, **kwargs) -> list[Any]:
-        """Not offered: environments live in worker processes. Raises AttributeError."""
+        """`action_masks` row by row, as MaskablePPO of sb3-contrib asks for it.
+
+        Raises AttributeError for all else: environments live in worker processes.
+        """
+        if method_name == "action_masks":
+            masks = self.action_masks()
+            return [masks[row] for row in self._get_indices(indices)]
         raise AttributeError(f"environments of a TeamVecEnv cannot be called; got {method_name!r}")
 
     def env_is_wrapped(self, wrapper_class: type, indices=None) -> list[bool]:

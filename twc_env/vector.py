@@ -13,6 +13,7 @@ numbers, whatever the number of workers.
 from __future__ import annotations
 
 import contextlib
+import difflib
 import math
 import multiprocessing
 from collections.abc import Mapping, Sequence
@@ -114,11 +115,22 @@ class VectorTeams:
 
     def sample(self) -> Array:
         """Random actions for all robots; masked where there is a mask."""
-        mask = self._boards.blocks.get("action_mask")
         space = self.action_space
-        if mask is None or not isinstance(space, spaces.Discrete):
+        if not isinstance(space, spaces.Discrete):
             return np.array([[space.sample() for _ in self.agents] for _ in range(self.count)])
-        return np.array([[space.sample(m.copy()) for m in row] for row in mask])
+        return np.array([[space.sample(mask.astype(np.int8)) for mask in row] for row in self.action_masks()])
+
+    def action_masks(self) -> Array:
+        """(count, robots, choices) bool: what each robot may choose next. Raises ConfigError unless actions are choices
+        (`action.kind = "frontier"`)."""
+        if not isinstance(self.action_space, spaces.Discrete):
+            raise ConfigError(
+                f"only choices have masks: action.kind must be 'frontier'; it is {self.config.action.kind!r}"
+            )
+        blocks = self._boards.blocks
+        return (
+            blocks.get("action_mask", blocks.get(FLAT))[..., -int(self.action_space.n) :] > 0
+        )  # the last of flat ones
 
     def close(self) -> None:
         """Stop the workers."""
@@ -147,6 +159,10 @@ def _building_names(buildings: str | Sequence[str]) -> tuple[str, ...]:
     if isinstance(buildings, str):
         if buildings in SPLITS:
             return split_names(buildings)
+        if near := difflib.get_close_matches(buildings, SPLITS, n=1, cutoff=0.7):
+            raise ConfigError(
+                f"buildings are a split ({', '.join(SPLITS)}) or names of maps; did you mean {near[0]!r}?"
+            )
         buildings = (buildings,)
     if not isinstance(buildings, Sequence) or not all(isinstance(name, (str, PathLike)) for name in buildings):
         raise ConfigError(f"buildings must be a split ({', '.join(SPLITS)}) or names of maps; got {buildings!r}")

@@ -220,6 +220,16 @@ def test_a_standard_task_is_a_config(tmp_path):
     assert written == override(task_config("twc/ExploreHard-v0"), {"map": "sfw-e4", "max_cycles": 5})
 
 
+def test_runs_of_other_settings_do_not_replace_each_other(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for settings in ([], ["--set", "odometry.drift=2"], ["--config", "twc/ExploreHard-v0"], ["--robots", "2"]):
+        assert main(["explore", "--map", "sfw-e4", "--steps", "3", "--no-pictures", *settings]) == 0
+    folders = list((tmp_path / "runs").iterdir())
+    digests = [json.loads((folder / "report.json").read_text())["config_digest"] for folder in folders]
+    assert len(set(digests)) == 4
+    assert {folder.name for folder in folders} == {f"sfw-e4-nearest-frontier-seed0-{digest}" for digest in digests}
+
+
 @pytest.mark.parametrize("command", ["explore", "benchmark"])
 def test_help_teaches_by_example(command, capsys):
     with pytest.raises(SystemExit) as stop:

@@ -1,4 +1,5 @@
 from functools import partial
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -188,6 +189,24 @@ def test_without_a_seed_episodes_differ_and_follow_from_the_first(same):
 def test_options_that_mean_nothing_here_are_tolerated(options):
     observations, infos = twc_env.parallel_env(robots=2).reset(seed=0, options=options)
     assert list(observations) == list(infos) == ["robot_0", "robot_1"]
+
+
+def test_robots_start_where_the_options_put_them():
+    env = twc_env.parallel_env(robots=2)
+    starts = [(9.0, 1.2, 0.5), (9.8, 1.2, -1.0)]
+    env.reset(seed=0, options={"starts": starts})
+    assert np.allclose(env.record.true_poses[0], starts)
+
+
+@pytest.mark.parametrize("config", ["mine.toml", Path("mine.toml")])
+def test_a_config_by_file_name_is_answered_with_who_reads_it(config):
+    with pytest.raises(twc_env.ConfigError, match=r"twc_env\.config\.load reads a file"):
+        twc_env.parallel_env(config=config)
+
+
+def test_a_step_outside_an_episode_says_what_comes_first():
+    with pytest.raises(twc_env.TwcError, match="an episode that has begun and is not over: call reset"):
+        twc_env.parallel_env(robots=2).step({})
 
 
 @pytest.mark.parametrize("starts", ["anywhere", ["map"], [[1, 2, 3]], [[1, 2, 3], [4]], None, [[0, 0, np.nan]] * 2])

@@ -47,7 +47,12 @@ def scan(macs, rssi_dbm) -> WifiScan:
         ({"wifi": scan([1.5, 2.0], [-40.0, -50.0])}, "whole numbers"),
         ({"wifi": replace(scan([1, 2], [-40.0, -50.0]), age_s=np.zeros(1))}, "one age each"),
         ({"wifi": replace(scan([1, 2], [-40.0, -50.0]), age_s=np.array([0.0, np.nan]))}, "one age each"),
-        ({"wifi": scan(["aa:01", "aa:02"], [-40.0, -50.0])}, "values of another kind"),
+        ({"wifi": scan(["aa:01", "aa:02"], [-40.0, -50.0])}, r"such as .*'aa:01'.*: int\(mac.replace\(':', ''\), 16\)"),
+        ({"wifi": scan([1, 2], [40.0, 50.0])}, "strengths up to 50: give dBm, which are negative"),
+        ({"wifi": {1: -40.0}}, r"has dict as WiFi: give WifiScan"),
+        ({"signs": (("A101", 0.0, 2.0),)}, r"holds \('A101', 0.0, 2.0\) as a sign: give SignReading"),
+        ({"signs": (SignReading("A101", 0.0, -2.0),)}, "a finite range from 0 on"),
+        ({"time_s": 1.7e18}, "is of 1.7e\\+18 s, which no clock shows: times are in seconds"),
         ({"wifi": scan([1, 2], ["loud", "low"])}, "values of another kind"),
         ({"ranges_m": np.array(["far"] * 60)}, "values of another kind"),
         ({"turn_rate_rad_s": "left"}, "values of another kind"),
@@ -73,6 +78,15 @@ def test_no_frames_and_two_of_one_robot_are_refused():
     for frames in ([], [SOUND, SOUND]):
         with pytest.raises(DataError, match=r"no frames|different robots"):
             CooperativeSlam(CONFIG, 2).update(frames)
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [(SOUND, "a SensorFrame"), (None, "a NoneType"), ([SOUND, None], "a list of SensorFrame, NoneType")],
+)
+def test_what_is_no_list_of_frames_is_named_in_a_word(given, named):
+    with pytest.raises(DataError, match=f"give a list of SensorFrame, one for each robot; got {named}$"):
+        CooperativeSlam(CONFIG, 2).update(given)
 
 
 @pytest.mark.parametrize("nothing", [np.inf, UNSEEN_M, 1e9])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from os import PathLike
 from typing import Any
 
 from twc_env.config import EnvConfig, from_dict, override
@@ -28,7 +29,8 @@ def resolve(
         nested = {key: value for key, value in config.items() if "." not in key}
         resolved = override(from_dict(nested), {key: value for key, value in config.items() if "." in key})
     else:
-        raise ConfigError(f"config must be an EnvConfig or a dict of settings; got {config!r}")
+        hint = ": twc_env.config.load reads a file" if isinstance(config, (str, PathLike)) else ""
+        raise ConfigError(f"config must be an EnvConfig or a dict of settings; got {config!r}{hint}")
     resolved = override(resolved, {key: value for key, value in shortcuts.items() if value is not None})
     if resolved.slam.oracle == "poses":
         resolved = override(resolved, {"odometry.drift": 0.0})

@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium
 from gymnasium.envs.registration import EnvSpec
+from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.config.checks import refuse_arguments, whole_number
@@ -77,6 +78,16 @@ class SingleRobotEnv(gymnasium.Env):
         observations, rewards, terminated, truncated, infos = self._team.step({self._agent: action})
         agent = self._agent
         return observations[agent], float(rewards[agent]), terminated[agent], truncated[agent], infos[agent]
+
+    def action_masks(self) -> NDArray:
+        """(choices,) bool: what may be chosen next, as MaskablePPO of sb3-contrib asks for it.
+
+        Raises ConfigError unless actions are choices (`action.kind = "frontier"`).
+        """
+        pilot, kind = self._team.episode.pilot, self._team.config.action.kind
+        if pilot is None or kind != "frontier":
+            raise ConfigError(f"only choices have masks: action.kind must be 'frontier'; it is {kind!r}")
+        return pilot.mask(0).astype(bool)
 
     def belief(self) -> Belief:
         """What the robot knows."""

@@ -9,12 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.errors import DataError
-from twc_env.messages import SensorFrame, WifiScan
+from twc_env.messages import SensorFrame, SignReading, WifiScan
 
 Array = NDArray
 
 JUMP_MAX_M = 1000.0
 """No robot moves further between two frames; who does counts in millimetres, or gives positions for motions."""
+TIME_MAX_S = 1e11
+"""Three thousand years; whose clock shows more counts in parts of a second."""
+RSSI_MAX_DBM = 30.0
+"""More than transmitters may send; shares of a hundred and strengths that lost their sign go beyond it."""
 
 
 def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int) -> None:
@@ -24,7 +28,7 @@ def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int)
     """
     robot_count = len(times_s)
     if not isinstance(frames, Sequence) or not all(isinstance(frame, SensorFrame) for frame in frames):
-        raise DataError(f"give a list of SensorFrame, one for each robot; got {frames!r}")
+        raise DataError(f"give a list of SensorFrame, one for each robot; got {_kind(frames)}")
     if not frames:
         raise DataError("there are no frames to take in: give those of one robot at least")
     robots = [frame.robot for frame in frames]
@@ -37,6 +41,12 @@ def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int)
             fault = f"holds values of another kind: {error}"
         if fault:
             raise DataError(f"the frame of robot {frame.robot} in step {frame.step} {fault}")
+
+
+def _kind(value: object) -> str:
+    """What was given instead of frames; their own text would fill a page."""
+    held = {type(each).__name__: None for each in value} if isinstance(value, (list, tuple)) else {}
+    return f"a {type(value).__name__}{' of ' + ', '.join(held) if held else ''}"
 
 
 def _is_whole(value: object) -> bool:
@@ -56,9 +66,13 @@ def _fault(frame: SensorFrame, beam_count: int) -> str | None:
         return f"has odometry {frame.odometry!r}: give the motion since the last frame, x [m], y [m] and turn [rad]"
     if not math.isfinite(frame.turn_rate_rad_s) or not math.isfinite(frame.time_s):
         return f"has turn rate {frame.turn_rate_rad_s!r} at time {frame.time_s!r}: both must be finite"
+    if abs(frame.time_s) > TIME_MAX_S:
+        return f"is of {frame.time_s:g} s, which no clock shows: times are in seconds"
     for sign in frame.signs:
-        if not isinstance(sign.text, str) or not math.isfinite(sign.bearing_rad) or not math.isfinite(sign.range_m):
-            return f"holds {sign!r}: give a text, and a finite bearing and range"
+        if not isinstance(sign, SignReading):
+            return f"holds {sign!r} as a sign: give SignReading(text, bearing_rad, range_m)"
+        if not isinstance(sign.text, str) or not math.isfinite(sign.bearing_rad) or not 0.0 <= sign.range_m < math.inf:
+            return f"holds {sign!r}: give a text, a finite bearing, and a finite range from 0 on"
     return None if frame.wifi is None else _fault_of_scan(frame.wifi)
 
 
@@ -70,14 +84,21 @@ def _fault_of_time(frame: SensorFrame, last_s: float) -> str | None:
 
 
 def _fault_of_scan(scan: WifiScan) -> str | None:
+    if not isinstance(scan, WifiScan):
+        return f"has {type(scan).__name__} as WiFi: give WifiScan(macs, rssi_dbm)"
     if np.shape(scan.macs) != np.shape(scan.rssi_dbm) or np.ndim(scan.macs) != 1:
         return f"has a WiFi scan of {np.shape(scan.macs)} addresses and {np.shape(scan.rssi_dbm)} strengths"
-    if len(scan.macs) and np.asarray(scan.macs).dtype.kind in "fc":
-        return "has a WiFi scan whose addresses are no whole numbers"
+    if len(scan.macs) and np.asarray(scan.macs).dtype.kind not in "iu":
+        return (
+            f"has a WiFi scan whose addresses are no whole numbers, such as {scan.macs[0]!r}: "
+            "int(mac.replace(':', ''), 16) makes one of text"
+        )
     if not (np.diff(scan.macs) > 0).all():
         return "has a WiFi scan whose addresses do not ascend: sort them, each but once"
     if not np.isfinite(scan.rssi_dbm).all():
         return "has a WiFi scan with a strength that is not finite: leave out what was not heard"
+    if len(scan.macs) and np.min(scan.rssi_dbm) > 0.0 and np.max(scan.rssi_dbm) > RSSI_MAX_DBM:
+        return f"has a WiFi scan of strengths up to {np.max(scan.rssi_dbm):g}: give dBm, which are negative"
     ages_s = scan.age_s
     if ages_s is not None and not (np.shape(ages_s) == np.shape(scan.macs) and np.isfinite(ages_s).all()):
         return f"has a WiFi scan with ages {ages_s!r}: readings have one age each [s], or none of them has"
