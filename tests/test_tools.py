@@ -127,6 +127,14 @@ def test_torchrl_chooses_among_frontiers_that_the_mask_allows():
     env.close()
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning", "ignore::FutureWarning")
+def test_torchrl_makes_the_single_view_by_its_id():
+    needs("torch", "tensordict", extra="torchrl")
+    env = needs("torchrl.envs.libs.gym", extra="torchrl").GymEnv(ID, max_cycles=8, config=SMALL)
+    assert env.rollout(20).batch_size == (8,)
+    env.close()
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_rllib_plays_a_team():
     needs("ray", "ray.rllib", extra="ray")

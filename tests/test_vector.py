@@ -208,7 +208,7 @@ def test_rows_say_what_may_be_chosen_as_maskable_policies_ask_for_it(kind):
         assert np.array_equal(masks, wanted)
     assert np.array_equal(rows.env_method("action_masks", indices=[2]), masks[2:3])
     rows.close()
-    with pytest.raises(ConfigError, match="action.kind must be 'frontier'; it is 'velocity'"):
+    with pytest.raises(ConfigError, match=r"action\.kind must be 'frontier'; it is 'velocity'"):
         TeamVecEnv(1, SMALL).env_method("action_masks")
 
 

@@ -12,6 +12,10 @@ class ConfigError(TwcError):
     """A configuration key is unknown, or its value has the wrong type or is out of range."""
 
 
+class ArgumentError(ConfigError, TypeError):
+    """A call has an argument that there is not; tools that try arguments, as TorchRL does, wait for a TypeError."""
+
+
 class MapError(TwcError):
     """A floor plan cannot be read, or it describes no building a robot can explore."""
 

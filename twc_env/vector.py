@@ -128,9 +128,8 @@ class VectorTeams:
                 f"only choices have masks: action.kind must be 'frontier'; it is {self.config.action.kind!r}"
             )
         blocks = self._boards.blocks
-        return (
-            blocks.get("action_mask", blocks.get(FLAT))[..., -int(self.action_space.n) :] > 0
-        )  # the last of flat ones
+        seen = blocks["action_mask"] if "action_mask" in blocks else blocks[FLAT]  # which ends with the mask
+        return seen[..., -int(self.action_space.n) :] > 0
 
     def close(self) -> None:
         """Stop the workers."""

@@ -14,7 +14,7 @@ from dataclasses import field
 import numpy as np
 
 from twc_env.class_file import is_in_file
-from twc_env.errors import ConfigError
+from twc_env.errors import ArgumentError, ConfigError
 
 
 def number(default, minimum: float = -math.inf, maximum: float = math.inf):
@@ -37,13 +37,13 @@ def whole_number(name: str, value, least: int) -> int:
 
 
 def refuse_arguments(unknown: Iterable[str], function: Callable) -> None:
-    """Raise ConfigError for arguments that a function has not, with the nearest of those it has."""
+    """Raise ArgumentError for arguments that a function has not, with the nearest of those it has."""
     for name in unknown:
         given = inspect.signature(function).parameters.values()
         known = [argument.name for argument in given if argument.kind != argument.VAR_KEYWORD]
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]}?" if near else "settings go into config, as in config={'lidar.beam_count': 90}"
-        raise ConfigError(f"there is no argument {name}; known are {', '.join(known)}: {hint}")
+        raise ArgumentError(f"unexpected keyword argument {name!r}; known are {', '.join(known)}: {hint}")
 
 
 def choice(default: str, *others: str, or_class: bool = False):

@@ -103,8 +103,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     task that the overrides change; `render_signal=True` lays WiFi strength over the pictures. In mode "human" a window
     shows every time step, at `metadata["render_fps"]`; who shuts it ends the pictures, not the episode.
     `reset(options=...)` holds for one episode: `{"starts": "map"}` uses the map's own starts instead of drawing them by
-    seed, `{"starts": [(x, y, heading), ...]}` those of each robot in the building, `{"map": NAME}` plays in another one, `{"split": "train"}` (or validation, test) in one of that split,
-    drawn by the seed; `floorplan.name` tells which.
+    seed, `{"starts": [(x, y, heading), ...]}` those of each robot in the building's frame; `{"map": NAME}` plays in
+    another building, `{"split": "train"}` (or validation, test) in one of that split, drawn by the seed;
+    `floorplan.name` tells which.
 
     `belief(agent)` gives a planner what the robot knows; `result()` judges the episode so far against the truth;
     `snapshot()` and `restore()` save and bring back a moment, exactly.
