@@ -291,3 +291,18 @@ def test_of_mappers_on_robots_one_at_a_time_has_second_thoughts(monkeypatch, hom
     for step in range(6):
         mapper.update(step, [])
     assert looked == steps
+
+
+@pytest.mark.parametrize(("loose", "firm", "b"), [(5, 3, (1, 2)), (5, 0, (1,)), (0, 3, (1, 2))])
+def test_who_came_later_stands_where_most_closures_lead_that_are_not_loose(keyframe, scan, walls, loose, firm, b):
+    room = scan(walls((-3, -2), (3, -2), (3, 2), (-3, 2)), (0.0, 0.0, 0.0))
+    team = TeamMapper(EnvConfig(), 3)
+    team.give_starts(np.zeros((3, 3)))
+    team.update(0, [keyframe(robot, 0, (0.0, 0.0, 0.0), 0.0, room) for robot in range(3)])
+    for target, count, axis_m2 in ((0, loose, 4.0), (1, firm, 0.01)):
+        for _ in range(count):
+            candidate = LoopCandidate((target, 0), (2, 0), np.zeros(3), "wifi")
+            team._graph.add_closure(
+                LoopClosure(candidate, np.zeros(3), np.diag([axis_m2, 0.01, 0.01]), 1.0, "accepted")
+            )
+    assert team._review.sides(Merge((0,), (1,), 50))[1] == b

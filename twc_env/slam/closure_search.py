@@ -58,16 +58,18 @@ class ClosureSearch:
         self._without_scans: list[LoopCandidate] = []
         self._searched_m = [0.0] * robot_count
         self._tied_m = [-np.inf] * robot_count
+        """Path length up to the last closure of each robot that was not loose ..."""
         self._loosely_tied_m = [-np.inf] * robot_count
+        """... and up to the last one of any kind."""
 
     def propose(self, keyframe: Keyframe) -> None:
         """Queue what a new keyframe looks like."""
-        is_loosely_tied = self._is_tied(keyframe, loosely=True)
+        is_tied, is_loosely_tied = self._is_tied(keyframe), self._is_tied(keyframe, loosely=True)
         mates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots
         tried = self._filters[self._recogniser.name]
         candidates = self._recogniser.propose(
             keyframe,
-            mates if self._is_tied(keyframe) else (),
+            mates if is_tied else (),
             lambda target: not tried.was_tried(target, keyframe, self._reach_m(target, keyframe)),
         )
         if self._signless is not None:
@@ -90,10 +92,8 @@ class ClosureSearch:
 
     def _is_tied(self, keyframe: Keyframe, loosely: bool = False) -> bool:
         """Whether a closure already ties this part of its robot's path to the map; loosely: a loose one will do."""
-        tied_m = self._tied_m[keyframe.robot]
-        if loosely:
-            tied_m = max(tied_m, self._loosely_tied_m[keyframe.robot])
-        return keyframe.travel_m - tied_m < TIED_M
+        tied_m = self._loosely_tied_m if loosely else self._tied_m
+        return keyframe.travel_m - tied_m[keyframe.robot] < TIED_M
 
     def _near_keyframe(self, keyframe: Keyframe) -> LoopCandidate | None:
         """The nearest keyframe of the same map that the path alone does not tie to this one."""
@@ -115,9 +115,10 @@ class ClosureSearch:
 
     def note_tie(self, closure: LoopClosure) -> None:
         """A closure was accepted: its robots need no other for a while, or none of its kind where it is loose."""
-        tied_m = self._loosely_tied_m if closure.is_loose else self._tied_m
         for key in (closure.candidate.target, closure.candidate.source):
-            tied_m[key[0]] = max(tied_m[key[0]], float(self._graph.travels_m[self._graph.node(key)]))
+            travel_m = float(self._graph.travels_m[self._graph.node(key)])
+            for tied_m in (self._loosely_tied_m,) if closure.is_loose else (self._loosely_tied_m, self._tied_m):
+                tied_m[key[0]] = max(tied_m[key[0]], travel_m)
 
     def untie(self, robots: tuple[int, ...]) -> None:
         """The ties of these robots were a mistake: look for others at once."""

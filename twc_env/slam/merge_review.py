@@ -117,18 +117,23 @@ class MergeReview:
         self._undone.append((i, j, between(self._graph.pose_map_odom(i), self._graph.pose_map_odom(j))))
 
     def sides(self, merge: Merge) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """All robots of the merged group on the two sides of a merge; who came later stands where most ties lead."""
+        """All robots of the merged group on the two sides of a merge; who came later stands where most ties lead.
+
+        Loose ones count between those who have no others.
+        """
         group = self._maps.groups[self._maps.group_of[merge.a[0]]].robots
         a, b = list(merge.a), list(merge.b)
         rest = [r for r in group if r not in a and r not in b]
         while rest:
             ties = [(self._ties(r, a), self._ties(r, b)) for r in rest]
-            first = int(np.argmax([max(pair) for pair in ties]))
+            first = max(range(len(rest)), key=lambda k: max(ties[k]))
             (a if ties[first][0] >= ties[first][1] else b).append(rest.pop(first))
         return tuple(sorted(a)), tuple(sorted(b))
 
-    def _ties(self, robot: int, others: Sequence[int]) -> int:
-        return len(self._graph.closures_between((robot,), others, "accepted"))
+    def _ties(self, robot: int, others: Sequence[int]) -> tuple[int, int]:
+        """Closures between a robot and others that are believed: those that are not loose, and all."""
+        closures = self._graph.closures_between((robot,), others, "accepted")
+        return sum(not closure.is_loose for closure in closures), len(closures)
 
     def _objection(self, merge: Merge, step: int) -> str:
         is_due = step >= merge.due_step
