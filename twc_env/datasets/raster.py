@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from twc_env.errors import MapError
 from twc_env.kernels import kernel
@@ -62,13 +63,17 @@ def free_edges(free: Array) -> Array:
 
 def largest_part(free: Array) -> Array:
     """Only the largest 4-connected part of the free cells."""
-    labels, sizes = _label(np.ascontiguousarray(free), False)
+    labels, sizes = parts(free)
     return labels == np.argmax(sizes) + 1 if len(sizes) else np.zeros_like(free)
 
 
-def parts(free: Array) -> tuple[Array, Array]:
-    """The 4-connected parts of the free cells: labels (rows, columns) from 1, and the parts' sizes in cells."""
-    return _label(np.ascontiguousarray(free), False)
+def parts(free: Array, neighbours: Array | None = None) -> tuple[Array, Array]:
+    """The parts of the free cells: labels (rows, columns) from 1, and the parts' sizes in cells.
+
+    Cells are 4-connected unless `neighbours` (3, 3) says otherwise.
+    """
+    labels, _ = ndimage.label(free, neighbours)
+    return labels, np.bincount(labels.ravel())[1:]
 
 
 def deepest_cell(free: Array) -> tuple[int, int]:
@@ -163,7 +168,7 @@ def _runs(edges: Array) -> Array:
 
 def _without_specks(free: Array, resolution_m: float) -> Array:
     """Fill what is enclosed by free space and too small to be an obstacle."""
-    labels, sizes = _label(np.ascontiguousarray(~np.pad(free, 1)), True)
+    labels, sizes = parts(~np.pad(free, 1), np.ones((3, 3)))
     small = np.append(False, sizes * resolution_m**2 < SPECK_M2)
     filled: Array = small[labels]
     return free | filled[1:-1, 1:-1]
@@ -172,40 +177,7 @@ def _without_specks(free: Array, resolution_m: float) -> Array:
 def _without_strips(free: Array, resolution_m: float) -> Array:
     """Only what a square a little wider than STRIP_M can sweep (a morphological opening)."""
     side = int(STRIP_M / resolution_m + 1e-6) + 1
-    window = np.lib.stride_tricks.sliding_window_view
-    outside = np.pad(free, side)
-    fits = window(window(outside, side, axis=0).all(axis=-1), side, axis=1).all(axis=-1)
-    swept = window(window(fits, side, axis=0).any(axis=-1), side, axis=1).any(axis=-1)
-    return np.asarray(swept)[1:-1, 1:-1]
-
-
-@kernel
-def _label(mask, diagonal):
-    """Connected parts of a mask: (rows, columns) labels from 1, and their sizes."""
-    rows, columns = mask.shape
-    labels = np.zeros((rows, columns), np.int32)
-    stack = np.empty(rows * columns, np.int64)
-    sizes: list[int] = []
-    for r0 in range(rows):
-        for c0 in range(columns):
-            if not mask[r0, c0] or labels[r0, c0] != 0:
-                continue
-            label = len(sizes) + 1
-            labels[r0, c0] = label
-            stack[0] = r0 * columns + c0
-            waiting, size = 1, 0
-            while waiting > 0:
-                waiting -= 1
-                r, c = stack[waiting] // columns, stack[waiting] % columns
-                size += 1
-                for nr in range(max(r - 1, 0), min(r + 2, rows)):
-                    for nc in range(max(c - 1, 0), min(c + 2, columns)):
-                        if (diagonal or nr == r or nc == c) and mask[nr, nc] and labels[nr, nc] == 0:
-                            labels[nr, nc] = label
-                            stack[waiting] = nr * columns + nc
-                            waiting += 1
-            sizes.append(size)
-    return labels, np.array(sizes, dtype=np.int64)
+    return np.asarray(ndimage.binary_opening(free, np.ones((side, side))))
 
 
 @kernel
