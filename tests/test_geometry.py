@@ -85,6 +85,12 @@ def test_one_point_fixes_no_rotation_so_none_is_made():
     assert geometry.align_rigidly([[1, 1]], [[3, 4]]) == pytest.approx([2, 3, 0])
 
 
+def test_points_are_taken_as_far_as_possible_from_those_before():
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [4.0, 0.0], [10.0, 0.0]])
+    assert geometry.farthest_first(points, 3) == [0, 3, 2]
+    assert geometry.farthest_first(points, 9, first=2) == [2, 3, 0, 1]
+
+
 @given(poses)
 def test_pose_functions_broadcast_over_leading_axes(pose):
     stack = np.stack([pose, pose + 1.0])[:, None]  # (2, 1, 3)

@@ -109,6 +109,16 @@ def beam_directions(beam_count: int) -> Array:
     return directions
 
 
+def farthest_first(points: Array, count: int, first: int = 0) -> list[int]:
+    """Numbers of `count` of the points (n, 2), or of all: the first, then each as far as possible from those before."""
+    chosen = [first]
+    gaps = np.linalg.norm(points - points[first], axis=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(np.argmax(gaps)))
+        gaps = np.minimum(gaps, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return chosen
+
+
 def align_rigidly(points_from: ArrayLike, points_to: ArrayLike) -> Array:
     """The pose (3,) that moves points_from (n, 2) onto points_to with least squared error (no scale, no mirror).
 

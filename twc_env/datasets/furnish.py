@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.geometry import farthest_first
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, AccessPoint, Floorplan, Sign
 
@@ -70,7 +71,7 @@ def place_access_points(
     gaps_m = plan.wall_index.distance_m(centres, ACCESS_POINT_CLEARANCE_M)
     centres = centres[gaps_m >= min(ACCESS_POINT_CLEARANCE_M, gaps_m.max())]
     pool = centres[random.permutation(len(centres))[:4000]]
-    chosen = _farthest(pool, count)
+    chosen = pool[farthest_first(pool, count)]
     boxes = random.choice(1 << 16, size=len(chosen), replace=False)
     return tuple(
         AccessPoint(
@@ -125,13 +126,3 @@ def _spread(places: Array, random: np.random.Generator, spacing_m: float) -> lis
             order.append(int(i))
             is_near |= np.linalg.norm(places - places[i], axis=1) < spacing_m
     return order
-
-
-def _farthest(pool: Array, count: int) -> Array:
-    """Up to `count` points of the pool, each as far as possible from those before it."""
-    chosen = [0]
-    gaps = np.linalg.norm(pool - pool[0], axis=1)
-    while len(chosen) < min(count, len(pool)):
-        chosen.append(int(np.argmax(gaps)))
-        gaps = np.minimum(gaps, np.linalg.norm(pool - pool[chosen[-1]], axis=1))
-    return pool[chosen]

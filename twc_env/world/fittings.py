@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.errors import MapError
+from twc_env.geometry import farthest_first
 from twc_env.world.drawing import FURNITURE_DB, INNER_DB, ROOM_MIN, Drawing, Edge, Tile
 from twc_env.world.floorplan import AccessPoint, Floorplan, Room
 
@@ -274,11 +275,7 @@ def _access_points(
     points = np.concatenate(pool)
     area_m2 = sum((t.x1 - t.x0) * (t.y1 - t.y0) for t in drawing.tiles) / 100
     count = count or (max(6, round(area_m2 / 25)) if area_m2 <= 1000 else 40 + round((area_m2 - 1000) / 100))
-    chosen = [int(random.integers(len(points)))]
-    gaps = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(np.argmax(gaps)))
-        gaps = np.minimum(gaps, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    chosen = farthest_first(points, count, int(random.integers(len(points))))
     places = np.round(points[chosen] + random.uniform(-0.6, 0.6, (len(chosen), 2)), 2)
     boxes = random.choice(1 << 16, size=len(chosen), replace=False)
     shares = random.integers(2, 4, len(chosen)) if macs is None else _shares(macs, len(chosen))

@@ -160,9 +160,6 @@ class Floorplan:
         kept = {key: self._cache[key] for key in ("home",) if key in self._cache}
         return {**self.__dict__, "_cache": kept}
 
-    def __setstate__(self, state: dict) -> None:
-        self.__dict__.update(state)
-
 
 def mac_text(mac: int) -> str:
     """48-bit address -> "02:00:5e:10:00:01"."""
