@@ -103,13 +103,14 @@ class TeamMapper:
             self._merge_given(self._given_starts)
         self._step = step
         if self._search.waiting_count:
-            for _ in range(max(self._config.verification.backlog_per_step, self._search.waiting_count // BACKLOG_PART)):
+            backlog = max(self._config.verification.backlog_per_step, self._search.waiting_count // BACKLOG_PART)
+            for _ in range(backlog):
                 if not self._verify_one():
                     break
         is_turn = step % self._turns == self._turn
         if is_turn and step >= self._review.due_step and self._given_starts is None:
             self._undo_wrong_merge()
-        is_turn |= not self.optimiser.is_map_large
+        is_turn = is_turn or not self.optimiser.is_map_large
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             self._retry_merges()
