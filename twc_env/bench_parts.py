@@ -219,7 +219,7 @@ def time_matching(config: EnvConfig, repeats: int = 20) -> dict[str, float]:
         field.add(keyframe.pose_odom[None], keyframe.ranges_m[None])
     points = np.resize(scan_points(path[5].ranges_m, config.lidar.range_max_m), (_MATCHED_POINTS, 2))
     guess = path[5].pose_odom + (0.1, -0.1, 0.05)
-    verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar.range_max_m)
+    verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar)
 
     def verify(k: int, recogniser: str) -> None:
         source = path[5 + 5 * (k % 4)]

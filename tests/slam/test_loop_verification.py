@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.slam.conftest import polygon_walls
-from twc_env.config import OdometryFilterConfig, VerificationConfig
+from twc_env.config import LidarConfig, OdometryFilterConfig, VerificationConfig
 from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate
 from twc_env.slam.loop_verification import MEETING_OVERLAP_MIN, LoopVerifier
@@ -20,7 +20,7 @@ SECOND = [(2.5, 2.0, 3.0), (1.5, 1.8, -2.9), (0.5, 1.2, -2.5), (-0.3, 0.6, -2.2)
 
 
 def verify(target_path, source_path, guess, target=-1, source=-1, recogniser="twc", sign_m=None, **rule):
-    verifier = LoopVerifier(VerificationConfig(**rule), OdometryFilterConfig(), RANGE_MAX_M)
+    verifier = LoopVerifier(VerificationConfig(**rule), OdometryFilterConfig(), LidarConfig(range_max_m=RANGE_MAX_M))
     ends = (0, target % len(target_path)), (1, source % len(source_path))
     candidate = LoopCandidate(*ends, np.asarray(guess, float), recogniser, sign_m)
     return verifier.verify(candidate, target_path, source_path)
@@ -157,7 +157,7 @@ def test_the_covariance_of_a_closure_is_symmetric_and_positive(office, path_of):
 
 
 def test_verifying_twice_gives_the_same_bytes(office, hall, path_of):
-    verifier = LoopVerifier(VerificationConfig(), OdometryFilterConfig(), RANGE_MAX_M)
+    verifier = LoopVerifier(VerificationConfig(), OdometryFilterConfig(), LidarConfig(range_max_m=RANGE_MAX_M))
     first, second = path_of(0, office, FIRST), path_of(1, office, SECOND)
     other = path_of(1, hall, [(-3.0, 1.0, 0.0), (-2.0, 1.0, 0.0)])
     guess = between(np.array(FIRST[-1]), np.array(SECOND[-1]))

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from twc_env.config import OdometryFilterConfig, VerificationConfig
+from twc_env.config import LidarConfig, OdometryFilterConfig, VerificationConfig
 from twc_env.errors import DataError
 from twc_env.geometry import between, compose, inverse, transform_points
 from twc_env.messages import LoopCandidate
@@ -55,7 +55,7 @@ def test_clouds_that_share_nothing_are_no_match():
 def test_the_verifier_matches_points_where_it_is_told_to(office, path_of):
     first, second = [(-1.0, -1.0, 0.0), (0.0, 0.3, 1.2)], [(0.5, 1.2, -2.5), (-0.3, 0.6, -2.2)]
     true = between(np.array(first[-1]), np.array(second[-1]))
-    verifier = LoopVerifier(VerificationConfig(method="point-to-point"), OdometryFilterConfig(), 10.0)
+    verifier = LoopVerifier(VerificationConfig(method="point-to-point"), OdometryFilterConfig(), LidarConfig())
     candidate = LoopCandidate((0, 1), (1, 1), compose(true, [0.1, -0.1, 0.05]), "twc")
     closure = verifier.verify(candidate, path_of(0, office, first), path_of(1, office, second))
     assert closure.status == "accepted"
@@ -68,7 +68,7 @@ def test_points_paired_along_a_corridor_seem_to_fix_its_axis_which_lines_of_wall
     candidate = LoopCandidate((0, 1), (1, 1), np.array([0.4, 0.0, 0.0]), "proximity")
     along_m = {
         method: math.sqrt(
-            LoopVerifier(VerificationConfig(method=method), OdometryFilterConfig(), 10.0)
+            LoopVerifier(VerificationConfig(method=method), OdometryFilterConfig(), LidarConfig())
             .verify(candidate, *paths)
             .covariance[0, 0]
         )

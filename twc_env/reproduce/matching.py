@@ -119,7 +119,7 @@ def _tasks(
 ) -> list[tuple[str, str, str, Callable[[], Array]]]:
     """(task, method, kind of guess, what to do): each gives the pose that it finds."""
     slam, range_max_m = config.slam, config.lidar.range_max_m
-    verifier = LoopVerifier(slam.verification, slam.odometry_filter, range_max_m)
+    verifier = LoopVerifier(slam.verification, slam.odometry_filter, config.lidar)
     field = LineField(2 * range_max_m + 2.0, FIELD_CELL_M, range_max_m)
     paths = [[_keyframe(robot, scan)] for robot, scan in enumerate(scans)]
 

@@ -84,7 +84,7 @@ def in_time(paths: Sequence[Sequence[Keyframe]]) -> list[Keyframe]:
 def match(config: EnvConfig, walks: Sequence[Walk], found: Sequence[LoopCandidate]) -> list[Matched]:
     """Scan matching of every candidate."""
     slam = config.slam
-    verifier = LoopVerifier(slam.verification, slam.odometry_filter, config.lidar.range_max_m)
+    verifier = LoopVerifier(slam.verification, slam.odometry_filter, config.lidar)
     matched = []
     for candidate in found:
         target, source = (walks[robot].keyframes for robot in (candidate.target[0], candidate.source[0]))

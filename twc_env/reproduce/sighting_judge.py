@@ -210,7 +210,7 @@ class _Verified:
 
     def __init__(self, config: EnvConfig, walks: list[Walk], views: list[Keyframe], fused: FusedRecogniser):
         slam = config.slam
-        self._verifier = LoopVerifier(slam.verification, slam.odometry_filter, config.lidar.range_max_m)
+        self._verifier = LoopVerifier(slam.verification, slam.odometry_filter, config.lidar)
         self._paths = [w.keyframes for w in walks]
         self._views, self._fused = views, fused
         self._known: dict[str, dict[int, bool]] = {}

@@ -49,8 +49,7 @@ class ClosureSearch:
                 self._meetings = MeetingRecogniser(self._rule, robot_count)
         self._verifier: LoopVerifier | SignVerifier = SignVerifier()
         if config.slam.cues.lidar:
-            noise, range_max_m = config.slam.odometry_filter, config.lidar.range_max_m
-            self._verifier = LoopVerifier(config.slam.verification, noise, range_max_m)
+            self._verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar)
         self._mate_width_m = 2 * config.dynamics.robot_radius_m + MATE_MARGIN_M
         self._waiting: dict[str, deque[LoopCandidate]] = {name: deque() for name in self._filters}
         self.waiting_count = 0

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.config import OdometryFilterConfig, VerificationConfig
+from twc_env.config import LidarConfig, OdometryFilterConfig, VerificationConfig
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.closure_covariance import closure_covariance
 from twc_env.slam.given_arrays import given_pose
@@ -42,12 +42,11 @@ NO_MATCH = Match(np.zeros(3), np.zeros(9), 0.0, False)
 class LoopVerifier:
     """Scan matching between two keyframes, each with its neighbours along the path."""
 
-    def __init__(self, config: VerificationConfig, noise: OdometryFilterConfig, range_max_m: float):
+    def __init__(self, config: VerificationConfig, noise: OdometryFilterConfig, lidar: LidarConfig):
         self._config = config
         self._noise = noise
-        self._range_max_m = range_max_m
-        size_m = 2 * (range_max_m + config.cloud_reach_m + 1.0)
-        self._walls = TargetWalls(size_m, range_max_m)
+        size_m = 2 * (lidar.range_max_m + config.cloud_reach_m + 1.0)
+        self._walls = TargetWalls(size_m, lidar)
         self._drawn: tuple[int, int] | None = None
 
     def forget(self) -> None:

@@ -69,7 +69,7 @@ def _matched(
     keyframes: Sequence[Keyframe], poses: Array, reach_m: float, source: str, config: EnvConfig
 ) -> list[LoopClosure]:
     """Closures between keyframes that lie near each other but far apart along the path, as scan matching finds them."""
-    verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar.range_max_m)
+    verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar)
     travel_m = np.array([k.travel_m for k in keyframes])
     accepted, last_m = [], -np.inf
     for here, keyframe in enumerate(keyframes):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.config import LocalMapConfig
+from twc_env.config import LidarConfig, LocalMapConfig
 from twc_env.errors import ConfigError, DataError
 from twc_env.geometry import beam_directions
 from twc_env.kernels import borrowing_kernel
@@ -157,9 +157,12 @@ class LineField:
         size_m: float,
         resolution_m: float,
         range_max_m: float,
+        range_noise_std_m: float = 0.0,
         storage: tuple[Array, Array, Array, Array] | None = None,
     ):
         """Empty and centred on 0, 0. storage: as of `field_storage`, to use instead of new arrays.
+
+        The more ranges err, the longer are the pieces of wall that are made of them.
 
         Raises ConfigError for sizes that cannot be meant.
         """
@@ -168,7 +171,7 @@ class LineField:
                 f"a field needs 0 < resolution_m <= size_m, at most {FIELD_SIDE_MAX} cells a side, and a range above "
                 f"0; got size {size_m!r}, resolution {resolution_m!r} and range {range_max_m!r}"
             )
-        self.range_max_m = range_max_m
+        self.range_max_m, self._noise_m = range_max_m, range_noise_std_m
         self._inverse_m = 1.0 / resolution_m
         self._cells, self._lines, self._origin_m, self._drawn = storage or field_storage(size_m, resolution_m)
         self._scratch = line_scratch()
@@ -195,7 +198,7 @@ class LineField:
         directions = beam_directions(scans.shape[1])
         if not draw_scans(
             self._cells, self._lines, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m,
-            drawing_room(scans.shape[1]), self._drawn,
+            drawing_room(scans.shape[1], self._noise_m), self._drawn,
         ):  # fmt: skip
             raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
 
@@ -255,14 +258,15 @@ class LineField:
 class LineFields:
     """One field per robot in common memory, so that all their scans are matched in one compiled call."""
 
-    def __init__(self, count: int, rule: LocalMapConfig, range_max_m: float, variance_m2: float):
+    def __init__(self, count: int, rule: LocalMapConfig, lidar: LidarConfig, variance_m2: float):
         """variance_m2: the squared error of one beam, times how many beams count as one."""
         storage = field_storage(rule.size_m, rule.resolution_m, count)
         self.cells, self.lines, self.origins_m, self.drawn = storage
-        self.inverse_m, self.range_max_m = 1.0 / rule.resolution_m, range_max_m
+        self.inverse_m, self.range_max_m = 1.0 / rule.resolution_m, lidar.range_max_m
+        self.range_noise_std_m = lidar.range_noise_std_m
         self.rule = np.array(
             [
-                range_max_m,
+                lidar.range_max_m,
                 self.inverse_m,
                 rule.match_distance_max_m,
                 rule.degenerate_share,
@@ -272,7 +276,8 @@ class LineFields:
         )
         """What `match_scan` goes by."""
         self.each = [
-            LineField(rule.size_m, rule.resolution_m, range_max_m, storage) for storage in zip(*storage, strict=True)
+            LineField(rule.size_m, rule.resolution_m, lidar.range_max_m, lidar.range_noise_std_m, part)
+            for part in zip(*storage, strict=True)
         ]
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.config import LidarConfig
 from twc_env.errors import DataError
 from twc_env.geometry import beam_directions
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
@@ -127,8 +128,8 @@ class TargetWalls:
     What is given is not looked at: points are those of `points`, guesses poses (3,) of float64.
     """
 
-    def __init__(self, size_m: float, range_max_m: float):
-        self.field = LineField(size_m, FIELD_CELL_M, range_max_m)
+    def __init__(self, size_m: float, lidar: LidarConfig):
+        self.field, self._noise_m = LineField(size_m, FIELD_CELL_M, lidar.range_max_m), lidar.range_noise_std_m
         """To be searched far from a guess."""
         self._bound: _Kernels | None = None
         self._beams = 0
@@ -140,7 +141,7 @@ class TargetWalls:
     def _kernels(self, beams: int) -> _Kernels:
         if self._bound is None or beams != self._beams:
             self._beams, pose, scan, points = beams, np.empty(3), np.empty(beams), np.empty((0, 2))
-            room = drawing_room(beams), np.empty(3), np.zeros(3)
+            room = drawing_room(beams, self._noise_m), np.empty(3), np.zeros(3)
             held = Lent((self.field.parts, (beam_directions(beams), self.field.range_max_m, *room)))
             self._bound = _Kernels(
                 bound(_draw, held, True, pose, pose, scan),

@@ -112,7 +112,7 @@ class Tracker:
         noise, beams, rule = config.slam.odometry_filter, config.lidar.beam_count, config.slam.keyframe
         self._filters = make_filters(noise, count, config.slam.oracle != "poses")
         variance_m2 = noise.match_std_m**2 * noise.match_correlation
-        fields = LineFields(count, config.slam.local_map, config.lidar.range_max_m, variance_m2)
+        fields = LineFields(count, config.slam.local_map, config.lidar, variance_m2)
         self.fields = fields
         """The local maps of all robots."""
         self.poses_odom = np.zeros((count, 3))

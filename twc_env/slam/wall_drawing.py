@@ -19,13 +19,16 @@ REACH_M = 0.49
 """Cells further from a wall than this know nothing of it; less than half a metre (`wall_cells`)."""
 SAME_WALL_M = 0.02
 """A piece of wall this near to a line that is already known adds nothing."""
-JUMP_MAX_M = 0.5
-"""Neighbouring beams whose end points are further apart lie on different surfaces."""
-PIECE_M = 0.3
-"""Neighbouring end points are joined to pieces of wall about this long ..."""
-STRAIGHT_M = 0.02
-"""... if none of them is further than this from the chord, ..."""
-CUT_MIN_M = 0.1
+JUMP_MAX_M, JUMP_BEAMS = 0.5, 180
+"""Neighbouring beams whose end points are further apart lie on different surfaces; where a turn has fewer beams than
+so many, as much further as there are fewer. But what then is further apart than the first needs a third point that
+lies on the same line: alone, it may be two edges of a doorway."""
+PIECE_M, PIECE_NOISES = 0.3, 30.0
+"""Neighbouring end points are joined to pieces of wall about this long, or as many times as long as ranges err: the
+shorter a piece for the error of its points, the more it lies askew."""
+STRAIGHT_M, STRAIGHT_NOISES = 0.02, 2.0
+"""None of them is further than this from the chord ..."""
+CUT_MIN_M, CUT_NOISES = 0.1, 10.0
 """... of which no shorter one is looked at: end points that lie as close as they err give it any direction, and pieces
 of walls that run across a corridor hold the robot back."""
 LINES = 4
@@ -88,10 +91,11 @@ def _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn):
 
 
 @borrowing_kernel
-def _place_ends(x, y, c, s, directions, ranges, range_max, ends, follows):
+def _place_ends(x, y, c, s, directions, ranges, range_max, limits, ends, follows):
     """Where beams end, the last one first and last: ends (2, beams + 1), NaN where they met nothing.
 
     follows (beams + 1,): whether an end point lies on the same surface as the one before. For many beams at once.
+    limits: of `drawing_limits`.
     """
     beams, along, across = ranges.shape[0], ends[0], ends[1]
     for i in range(beams):
@@ -102,18 +106,18 @@ def _place_ends(x, y, c, s, directions, ranges, range_max, ends, follows):
     along[0], across[0], follows[0] = along[beams], across[beams], False
     for i in range(beams):
         dx, dy = along[i + 1] - along[i], across[i + 1] - across[i]
-        follows[i + 1] = dx * dx + dy * dy < JUMP_MAX_M**2
+        follows[i + 1] = dx * dx + dy * dy < limits[0]
 
 
 @borrowing_kernel
-def _is_straight(ends, first, last):
+def _is_straight(ends, first, last, limits):
     """Whether the end points between first and last lie near the chord from one to the other."""
     ax, ay = ends[0, first], ends[1, first]
     ex, ey = ends[0, last] - ax, ends[1, last] - ay
     squared = ex * ex + ey * ey
-    if squared < CUT_MIN_M * CUT_MIN_M:
+    if squared < limits[2]:
         return True
-    limit = STRAIGHT_M * STRAIGHT_M * squared
+    limit = limits[3] * squared
     for i in range(first + 1, last):
         across = (ends[1, i] - ay) * ex - (ends[0, i] - ax) * ey
         if across * across > limit:
@@ -122,19 +126,20 @@ def _is_straight(ends, first, last):
 
 
 @borrowing_kernel
-def _cut_run(ends, begin, end, pieces, count):
+def _cut_run(ends, begin, end, limits, pieces, count):
     """Cut one surface, end points that follow each other without a jump, into straight pieces behind the `count` first.
 
     pieces (2, n): number of the first and the last end point. Gives how many pieces there are then.
     """
     first = begin
     for i in range(begin + 1, end):
-        if not _is_straight(ends, first, i):
+        if not _is_straight(ends, first, i, limits):
             pieces[0, count], pieces[1, count] = first, i - 1
             count += 1
             first = i - 1
         dx, dy = ends[0, i] - ends[0, first], ends[1, i] - ends[1, first]
-        if i == end - 1 or dx * dx + dy * dy >= PIECE_M * PIECE_M:
+        squared = dx * dx + dy * dy
+        if i == end - 1 or (squared >= limits[4] and (i - first > 1 or squared <= limits[1])):
             pieces[0, count], pieces[1, count] = first, i
             count += 1
             first = i
@@ -181,13 +186,13 @@ def _fit_lines(count, sums, fits):
 @borrowing_kernel
 def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, room, drawn):
     """Where beams end, the pieces of wall that they make up, the lines of these, and the cells around them."""
-    ends, follows, pieces, sums, fits = room
+    ends, follows, pieces, sums, fits, limits = room
     x, y = pose[0] - origin[0], pose[1] - origin[1]
-    _place_ends(x, y, math.cos(pose[2]), math.sin(pose[2]), directions, ranges, range_max, ends, follows)
+    _place_ends(x, y, math.cos(pose[2]), math.sin(pose[2]), directions, ranges, range_max, limits, ends, follows)
     begin = count = 0 * ranges.shape[0]  # a plain 0 is a type of its own, for which the callees are compiled again
     for i in range(1, follows.shape[0] + 1):
         if i == follows.shape[0] or not follows[i]:
-            count = _cut_run(ends, begin, i, pieces, count)
+            count = _cut_run(ends, begin, i, limits, pieces, count)
             begin = i
     for p in range(count):
         _sum_up(ends, pieces[0, p], pieces[1, p], p, sums)
@@ -195,6 +200,8 @@ def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_m
     for p in range(count):
         first, last, nx, ny = pieces[0, p], pieces[1, p], fits[0, p], fits[1, p]
         ax, ay, bx, by = ends[0, first], ends[1, first], ends[0, last], ends[1, last]
+        if last - first == 1 and (bx - ax) ** 2 + (by - ay) ** 2 > limits[1]:
+            continue
         offset = nx * (ax + fits[2, p]) + ny * (ay + fits[3, p])
         _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn)
 
@@ -243,8 +250,19 @@ def forget_walls(cells, drawn):
     drawn[0], drawn[1], drawn[2], drawn[3], drawn[LINES] = NOWHERE, NOWHERE, 0, 0, 0
 
 
-def drawing_room(beams: int) -> tuple[Array, ...]:
-    """Room for `draw_scans` to work in, for scans of so many beams: where they end and whether on the surface of the
-    one before, pieces of wall, their sums and lines."""
+def drawing_limits(beams: int, range_noise_std_m: float) -> Array:
+    """(5,) squares [m2]: how far end points may be apart that follow each other, and two of which there is no third;
+    the shortest chord that is looked at, how far points may be from one, and how long a piece is."""
+    jump_m = JUMP_MAX_M * max(1.0, JUMP_BEAMS / beams)
+    cut_m, straight_m = (
+        max(CUT_MIN_M, CUT_NOISES * range_noise_std_m),
+        max(STRAIGHT_M, STRAIGHT_NOISES * range_noise_std_m),
+    )
+    return np.square([jump_m, JUMP_MAX_M, cut_m, straight_m, max(PIECE_M, PIECE_NOISES * range_noise_std_m)])
+
+
+def drawing_room(beams: int, range_noise_std_m: float) -> tuple[Array, ...]:
+    """Room for `draw_scans` to work in, for scans of so many beams that err by so much: where they end and whether on
+    the surface of the one before, pieces of wall, their sums and lines; and `drawing_limits`."""
     ends, pieces = (np.empty((2, beams + 1)), np.empty(beams + 1, bool)), np.empty((2, beams), np.int64)
-    return *ends, pieces, np.empty((6, beams)), np.empty((4, beams))
+    return *ends, pieces, np.empty((6, beams)), np.empty((4, beams)), drawing_limits(beams, range_noise_std_m)
