@@ -121,7 +121,10 @@ def _evaluate(options: argparse.Namespace) -> int:
     from training.evaluate import evaluate
 
     check_writable(options.json)
-    found = evaluate(options.model, parse_seeds(options.seeds), films=options.films)
+    seeds = parse_seeds(options.seeds)
+    if max(seeds) >= SEEDS:
+        raise DataError(f"--seeds must be 0 to {SEEDS - 1}; got {max(seeds)}")
+    found = evaluate(options.model, seeds, films=options.films)
     print(found.table)
     write_json(options.json, found.as_json())
     return 0

@@ -147,7 +147,7 @@ def _team(task: Task, render_mode: str | None = None) -> twc_env.ExplorationEnv:
 
 def _choosing(task: Task, seed: int, choose: Choose, filmed: RecordEpisodes | None = None) -> Episode:
     env = filmed or _team(task)
-    observations, _ = env.reset(seed, {"map": task.held_out_maps(seed + 1)[-1]})
+    observations, _ = env.reset(seed, {"map": task.held_out_map(seed)})
     reached, total, elapsed = 0.0, 0.0, 0
     while env.agents:
         observations, _, _, _, infos = env.step(choose(observations, elapsed))
@@ -162,7 +162,7 @@ def _scripted(task: Task, seed: int) -> Episode:
     """The scripted team of `agents`, which steers by itself: its advantage is that it decides at every time step."""
     config = override(task.config, {"action.kind": "velocity", **_JUDGED})
     env = twc_env.parallel_env(config=config)
-    env.reset(seed, {"map": task.held_out_maps(seed + 1)[-1]})
+    env.reset(seed, {"map": task.held_out_map(seed)})
     policy = make_policy("nearest-frontier", config)
     policy.reset(seed, env.possible_agents)
     reached, total = 0.0, 0.0

@@ -59,9 +59,9 @@ class Task:
         """Where the team learns."""
         return self.names(0, self.buildings)
 
-    def held_out_maps(self, count: int) -> list[str]:
-        """Where it is judged."""
-        return self.names(HELD_OUT_SEED, count)
+    def held_out_map(self, number: int) -> str:
+        """One of those where it is judged."""
+        return self.names(HELD_OUT_SEED + number, 1)[0]
 
 
 def write_settings(folder: Path, algorithm: str, task: Task, settings: dict) -> None:

@@ -14,6 +14,8 @@ from training.__main__ import main
     [
         (["evaluate", "--model", "nowhere/model.zip"], "nowhere holds no training run"),
         (["evaluate", "--seeds", "a-b"], "seeds must be numbers and ranges"),
+        (["evaluate", "--seeds", "0-99999999999"], "a range holds at most 100000 seeds; got 0-99999999999"),
+        (["evaluate", "--seeds", "3,99999999999999999999"], "--seeds must be 0 to 2147483647"),
         (["ppo", "--steps", "0"], "--steps must be at least 1; got 0"),
         (["ppo", "--set", "lidar.beam_count"], "--set takes KEY=VALUE"),
         (["ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
