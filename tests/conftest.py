@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from tests.forks import ALONE, Forks
 from twc_env.errors import ConfigError
 from twc_env.geometry import wrap_angle
 from twc_env.world import ocr
@@ -34,6 +35,15 @@ def wander_by_scan(ranges_m: np.ndarray, step: int = 0, robot: int = 0) -> np.nd
 @pytest.fixture(scope="session")
 def wander():
     return wander_by_scan
+
+
+@pytest.fixture(scope="session")
+def kernel_forks(tmp_path_factory):
+    """Processes that compile kernels; numba is made ready once for all of them."""
+    loaded = "from twc_env.kernels import kernel; kernel(lambda x: 2 * x)(1)"
+    forks = Forks(loaded, tmp_path_factory.mktemp("forks"), ALONE)
+    yield forks
+    forks.close()
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+ALONE = {"PYTHONPATH": str(Path(__file__).parents[1]), "PYTHONDONTWRITEBYTECODE": "1"}
+"""All that is told to processes that should know nothing else."""
 SERVER = """
 import atexit, json, os, sys, traceback
 {loaded}

@@ -4,7 +4,6 @@ import contextlib
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numba
 import numpy as np
@@ -16,14 +15,12 @@ from numba.core.target_extension import current_target
 from numba.core.types.functions import BaseFunction
 from numba.core.typing.context import BaseContext
 
-from tests.forks import Forks
+from tests.forks import ALONE
 from twc_env import kernel_compiler
 from twc_env.file_lock import FileLock
 from twc_env.kernel_compiler import Part
 from twc_env.kernels import kernel
 
-ALONE = {"PYTHONPATH": str(Path(__file__).parents[1]), "PYTHONDONTWRITEBYTECODE": "1"}
-"""All that processes are told."""
 KERNELS = """from twc_env.kernels import kernel
 
 
@@ -68,13 +65,9 @@ def folder(tmp_path):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def forks(tmp_path_factory):
-    """Numba is made ready once, for all processes."""
-    loaded = "from twc_env.kernels import kernel; kernel(lambda x: 2 * x)(1)"
+def forks(kernel_forks):
     global FORKS
-    FORKS = Forks(loaded, tmp_path_factory.mktemp("forks"), ALONE)
-    yield
-    FORKS.close()
+    FORKS = kernel_forks
 
 
 def said(folder, code=CALL):

@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-import subprocess
 import sys
 from pathlib import Path
 
@@ -40,16 +39,15 @@ def scaled(x):
 """
 
 
-def test_a_kernel_is_compiled_anew_when_a_kernel_or_a_constant_of_another_file_changes(tmp_path):
+def test_a_kernel_is_compiled_anew_when_a_kernel_or_a_constant_of_another_file_changes(tmp_path, kernel_forks):
     (tmp_path / "upper.py").write_text(UPPER)
     code = "import upper; print(upper.total(3), len(upper.total.stats.cache_hits))"
 
     def value_and_hits(body: str, factor: int) -> tuple[int, ...]:
         (tmp_path / "lower.py").write_text(LOWER.format(body=body, factor=factor))
-        command, path = [sys.executable, "-B", "-c", code], {"PYTHONPATH": str(ROOT)}
-        said = subprocess.run(command, cwd=tmp_path, env=path, capture_output=True, text=True)
-        assert not said.returncode, said.stderr
-        return tuple(map(int, said.stdout.split()))
+        status, said = kernel_forks.run(code, tmp_path)
+        assert status == 0, said
+        return tuple(map(int, said.split()))
 
     assert value_and_hits("2 * x", 1) == (7, 0)
     assert value_and_hits("2 * x", 1) == (7, 1)

@@ -125,7 +125,7 @@ def _apart(index: WallIndex, glass: tuple[int, ...]) -> tuple[WallIndex, Array]:
 
 @borrowing_kernel
 def _rough_angle(x, y):
-    """The angle of (x, y) in [-pi, pi] to 1e-5 rad, without a branch (Abramowitz and Stegun 4.4.49)."""
+    """The angle of (x, y) in [-pi, pi] to 1e-5 rad, without a branch (Abramowitz and Stegun 4.4.47)."""
     ax, ay = abs(x), abs(y)
     z = min(ax, ay) / max(max(ax, ay), 1e-300)
     q = z * z

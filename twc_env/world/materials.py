@@ -1,7 +1,8 @@
 """What walls are made of: how much each material takes from a radio signal on each band, and what a laser sees of it.
 
-The losses are round numbers within the spread of published indoor measurements (thin partition to reinforced
-concrete); a floor plan's own `wall_loss_db` is its loss at 2.4 GHz, and the table says how other bands differ.
+The losses are round numbers within the spread of published indoor measurements, thin partition to reinforced concrete
+(3GPP TR 38.901, table 7.4.3-1, comes to 2.5, 5.1 and 14.6 dB for glass, wood and concrete at 2.4 GHz). A floor plan's
+own `wall_loss_db` is its loss at 2.4 GHz, and the table says how other bands differ.
 """
 
 from __future__ import annotations
