@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from twc_env.errors import ConfigError
 
-
 RANGE_MAX = 100_000
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
-    """Seeds of a list such as 0-3,7 -> (0, 1, 2, 3, 7). Raises ConfigError for anything else, and for endless ranges."""
+    """Seeds of a list such as 0-3,7 -> (0, 1, 2, 3, 7). Raises ConfigError for others and for endless ranges."""
     seeds: list[int] = []
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
