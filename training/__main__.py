@@ -82,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
         "--model",
         type=Path,
         default=Path("runs/ppo/model.zip"),
-        help="with config.json beside it (default %(default)s)",
+        help="a run folder, or a model with config.json beside it (default %(default)s)",
     )
     evaluate.add_argument("--json", type=Path, metavar="FILE", help="write every episode and the means")
     evaluate.add_argument(

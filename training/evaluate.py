@@ -16,7 +16,7 @@ from agents.policy import make_policy
 from training.model_file import load_model
 from training.ppo import ChoicePolicy
 from training.progress import progress_bar
-from training.run_folder import Task, read_settings, task_of
+from training.run_folder import Task, model_in, read_settings, task_of
 from training.team_notes import TeamNotes
 from twc_env.config import override
 from twc_env.video import RecordEpisodes
@@ -93,9 +93,11 @@ def evaluate(
 ) -> Evaluation:
     """One episode per seed and policy, each seed in its own held-out building; films of the trained team on demand.
 
-    Raises DataError when the model or the settings of its run cannot be read, or films cannot be written.
+    A run folder stands for the model in it. Raises DataError when the model or the settings of its run cannot be read,
+    or films cannot be written.
     """
     torch.set_num_threads(1)
+    model_path = model_in(model_path)
     task = task_of(read_settings(model_path.parent))
     env = twc_env.parallel_env(config=task.config)
     model = load_model(

@@ -239,9 +239,14 @@ def _check_same_run(folder: Path, task: Task, settings: Settings) -> None:
     # However many processes there are, the numbers are the same.
     settings = replace(settings, workers=record["settings"].get("workers", settings.workers))
     asked = {"task": {**asdict(task), "kinds": list(task.kinds)}, "settings": asdict(settings)}
-    changed = [part for part, values in asked.items() if record[part] != values]
+    changed = [
+        f"{name}={record[part].get(name)!r} instead of {value!r}"
+        for part, values in asked.items()
+        for name, value in values.items()
+        if record[part].get(name) != value
+    ]
     if changed:
-        raise DataError(f"{folder} was trained with another {' and '.join(changed)}; name the same or another --out")
+        raise DataError(f"{folder} was trained with {', '.join(changed)}; ask for the same, or name another --out")
 
 
 class Progress(BaseCallback):

@@ -107,6 +107,11 @@ def read_settings(folder: Path) -> dict:
     return record
 
 
+def model_in(path: Path) -> Path:
+    """The model of a run folder, or the one that was named."""
+    return path / "model.zip" if path.is_dir() else path
+
+
 def task_of(record: dict) -> Task:
     """The task of a run from what its folder says."""
     values = dict(record["task"])

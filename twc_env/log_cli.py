@@ -47,7 +47,7 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         "replay",
         help="run the SLAM engine on recorded sensor frames, or make a page or Rerun recording of a run",
         description="The engine sees the frames of a log (frames.npz of a run folder, or a log of one robot's laser: "
-        "FLASER lines of CARMEN, or JSON of the Freiburg benchmark) and nothing else. "
+        "FLASER or ROBOTLASER1 lines of CARMEN, or JSON of the Freiburg benchmark) and nothing else. "
         "Prints what it found; the same log gives the same numbers every time. With --html, nothing is run: the run "
         "folder's trace.npz and report.json become one page with a time slider, to be opened in any browser; with "
         "--rerun a recording for the Rerun viewer (`rerun RUN/replay.rrd`).",

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import twc_env
+from twc_env.config import override
 from twc_env.datasets.frame_log import (
     PER_FRAME,
     PER_READING,
@@ -35,6 +36,20 @@ def test_frames_that_are_not_told_apart_by_step_are_refused(recorded, tmp_path):
     env, steps = recorded
     with pytest.raises(DataError, match="of one robot"):
         write_frame_log(tmp_path / "frames.npz", env.config, [frames[0] for frames in steps])
+
+
+@pytest.mark.parametrize(
+    ("settings", "fault"),
+    [
+        ({"robots": 1}, "config.robots is 1, but there are frames of robots 0, 1"),
+        ({"lidar.beam_count": 90}, r"beam_count is 90, but there are scans of shape \(180,\): set it"),
+    ],
+)
+def test_frames_of_another_team_or_scanner_are_not_written(recorded, tmp_path, settings, fault):
+    env, steps = recorded
+    with pytest.raises(DataError, match=fault):
+        write_frame_log(tmp_path / "frames.npz", override(env.config, settings), steps)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_log_gives_back_every_frame_to_the_bit(recorded, tmp_path):

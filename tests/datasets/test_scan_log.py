@@ -26,6 +26,44 @@ def test_a_line_of_carmen_is_a_scan_with_its_pose(tmp_path):
     assert np.degrees(log.beam_angles_rad) == pytest.approx([-90.0, 0.0, 90.0])
 
 
+ROBOTLASER = "ROBOTLASER1 0 -0.5 1.0 0.5 30 0.01 0 3 1.0 2.0 30.0{} 4 5 0.5 3 5 0.5 0 0 1 1{} 7.25 host 7.3"
+
+
+@pytest.mark.parametrize("parts", [("", ""), (" 0", " 9"), (" 2 0.1 0.2", " 9")])
+def test_a_line_of_newer_carmen_says_where_its_beams_point(tmp_path, parts):
+    path = tmp_path / "drive.log"
+    path.write_text(f"ODOM 1 2 3 0 0 0 5 host 5\n{ROBOTLASER.format(*parts)}\n{LINE}\n")
+    log = read_carmen_log(path)
+    assert log.ranges_m.tolist() == [[1.0, 2.0, np.inf]]
+    assert log.poses.tolist() == [[4.0, 5.0, 0.5]] and log.times_s.tolist() == [7.25]
+    assert log.beam_angles_rad.tolist() == [-0.5, 0.0, 0.5]
+    (frame,) = sensor_frames(log, 8, 20.0)
+    assert frame.ranges_m.tolist() == [2.0, *[UNSEEN_M] * 6, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("last", "fault"),
+    [
+        (ROBOTLASER.format("", "")[:60], "it is cut off"),
+        (ROBOTLASER.format(" 2 0.1", " 9"), "it is cut off"),
+        (ROBOTLASER.format("", "").replace("-0.5", "-0.4"), "its beams point elsewhere than those before"),
+        (ROBOTLASER.format("", "").replace(" 3 1.0", " 2"), "2 beams, where those before have 3"),
+    ],
+)
+def test_a_line_of_newer_carmen_that_is_no_scan_is_named(tmp_path, last, fault):
+    path = tmp_path / "drive.log"
+    path.write_text(f"{ROBOTLASER.format('', '')}\n{last}\n")
+    with pytest.raises(DataError, match=f"line 2 is no scan: {fault}; mend or delete it"):
+        read_carmen_log(path)
+
+
+def test_what_is_no_carmen_log_is_answered_with_the_way_for_other_logs(tmp_path):
+    path = tmp_path / "drive.bag"
+    path.write_bytes(b"#ROSBAG V2.0")
+    with pytest.raises(DataError, match=r"expected lines FLASER or ROBOTLASER1; what else .*write_frame_log"):
+        read_carmen_log(path)
+
+
 def test_comments_of_carmen_may_be_in_any_encoding(tmp_path):
     path = tmp_path / "drive.log"
     path.write_bytes(f"# Büro\n{LINE}\n".encode("latin-1"))

@@ -28,7 +28,8 @@ def test_a_trained_team_is_filmed_and_plays_as_it_does_unseen(run, tmp_path):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
     from training.evaluate import evaluate
 
-    plain, filmed = (evaluate(run / "model.zip", [0, 1], False, films) for films in (None, tmp_path / "films"))
+    plain = evaluate(run, [0, 1], False)  # a run folder stands for its model
+    filmed = evaluate(run / "model.zip", [0, 1], False, tmp_path / "films")
     assert sorted(path.name for path in (tmp_path / "films").iterdir()) == ["episode-0.gif", "episode-1.gif"]
     assert filmed.episodes == plain.episodes
 

@@ -128,7 +128,7 @@ def test_resuming_with_another_task_is_refused(settings, run):
     from training.ppo import train
     from training.run_folder import Task
 
-    with pytest.raises(DataError, match="trained with another task"):
+    with pytest.raises(DataError, match=r"was trained with map=.* instead of 'twin-02'.*; ask for the same"):
         train(Task("twin-02"), settings, 512, run, resume=True)
 
 

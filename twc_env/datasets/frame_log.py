@@ -32,12 +32,23 @@ def write_frame_log(
     """Write the frames of an episode (one sequence of frames per step) to a compressed .npz file.
 
     `contacts`, one per step, say who heard whom; a log without them is replayed with all robots in touch.
+    Raises DataError for frames that are not of the team and scanner of `config`, and where nothing can be written.
     """
     if any(isinstance(step, SensorFrame) for step in steps):
         raise DataError("steps must be sequences of frames, one frame per robot: of one robot [[frame], [frame], ...]")
     frames = [frame for step in steps for frame in step]
     if not frames:
         raise DataError(f"no frames to write to {path}: record at least one step in which a robot works")
+    robots, beams = {frame.robot for frame in frames}, {np.shape(frame.ranges_m) for frame in frames}
+    if not all(robot in range(config.robots) for robot in robots):
+        raise DataError(
+            f"config.robots is {config.robots}, but there are frames of robots {', '.join(map(str, robots))}"
+        )
+    if beams != {(config.lidar.beam_count,)}:
+        raise DataError(
+            f"config.lidar.beam_count is {config.lidar.beam_count}, but there are scans of shape "
+            f"{', '.join(map(str, sorted(beams)))}: set it to that of the scanner"
+        )
     if contacts and len(contacts) != len(steps):
         raise DataError(f"{len(contacts)} contacts for {len(steps)} steps: give one per step, or none")
     heard = [frame.wifi for frame in frames]

@@ -1,16 +1,19 @@
 """Logs of one robot's laser scans with poses, and hand-verified relations between them (Freiburg SLAM benchmark).
 
-A log is JSON {"map": {"<unix seconds>": {"range": [metres], "x": m, "y": m, "theta": rad}}} or a text of CARMEN, whose
-lines `FLASER n r1 .. rn x y theta ...` are read; relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose at
+A log is JSON {"map": {"<unix seconds>": {"range": [metres], "x": m, "y": m, "theta": rad}}} or a text of CARMEN, of
+which the lines `FLASER n r1 .. rn x y theta ...` or, in newer ones, `ROBOTLASER1` are read, with the pose of the laser;
+relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose at
 t2 in the frame of the pose at t1. All may be gzipped. `sensor_frames` makes of a log what the engine takes in.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,43 +114,84 @@ def read_any_log(path: str | Path) -> ScanLog:
 
 
 def read_carmen_log(path: str | Path) -> ScanLog:
-    """Read the scans of a CARMEN log in the order of its lines. Raises DataError for anything without such scans."""
-    scans: list[list[float]] = []
-    poses, times = [], []
+    """Read the scans of a CARMEN log in the order of its lines, all of the kind of the first.
+
+    Raises DataError for anything without such scans.
+    """
+    kind, scans = "", []
     for k, line in enumerate(read_text(path, errors="replace").splitlines(), 1):
         words = line.split()
-        if words[:1] != ["FLASER"]:
+        if not words or words[0] not in ((kind,) if kind else _READERS):
             continue
+        kind = words[0]
         try:
-            ranges_m, pose, time_s = _flaser(words[1:])
-            if scans and len(ranges_m) != len(scans[0]):
-                raise ValueError(f"{len(ranges_m)} beams, where those before have {len(scans[0])}")
+            scans.append(_READERS[kind](words[1:]))
+            beams, before = (len(scan.ranges_m) for scan in (scans[-1], scans[0]))
+            if beams != before:
+                raise ValueError(f"{beams} beams, where those before have {before}")
+            if scans[-1].directions != scans[0].directions:
+                raise ValueError("its beams point elsewhere than those before")
         except (ValueError, IndexError) as error:
             reason = "it is cut off" if isinstance(error, IndexError) else _short(error)
             raise DataError(f"{path}, line {k} is no scan: {reason}; mend or delete it") from error
-        scans.append(ranges_m)
-        poses.append(pose)
-        times.append(time_s)
     if not scans:
-        raise DataError(f"{path} is no CARMEN log: expected lines FLASER n r1 .. rn x y theta")
+        raise DataError(
+            f"{path} is no CARMEN log: expected lines {' or '.join(_READERS)}; what else you can read, "
+            "twc_env.datasets.frame_log.write_frame_log makes a log of (docs/frames.md)"
+        )
+    ranges_m, poses, times_s, (directions, *_) = zip(*scans, strict=True)
     try:
-        return _log(np.array(times), np.array(poses), np.array(scans, float))
+        return _log(np.array(times_s), np.array(poses), np.array(ranges_m, float), directions)
     except ValueError as error:
         raise DataError(f"{path} is no CARMEN log: {_short(error)}") from error
 
 
-def _flaser(words: Sequence[str]) -> tuple[list[float], list[float], float]:
-    """Ranges, pose and time of a line; IndexError where it ends early."""
+class _Scan(NamedTuple):
+    ranges_m: list[float]
+    pose: list[float]
+    time_s: float
+    directions: tuple[float, float] | None = None
+    """That of the first beam, and from each to the next [rad]; None: the half circle ahead."""
+
+
+def _flaser(words: Sequence[str]) -> _Scan:
+    """n r1 .. rn, pose of the laser, that of odometry, time; IndexError where it ends early."""
     count, values = int(words[0]), words[1:]
+    _check_count(count)
+    numbers = [float(v) for v in values[: count + 3]]
+    return _Scan(numbers[:count], numbers[count:], float(values[count + 6]))
+
+
+def _robot_laser(words: Sequence[str]) -> _Scan:
+    """type, first direction, field of view, resolution, range, accuracy, mode, n r1 .. rn, m remissions (old logs have
+    no m), pose of the laser, that of the robot, two speeds, two distances, turn axis (old logs have none), time, host,
+    time. IndexError where it ends early."""
+    first_rad, resolution_rad, range_max_m, count = float(words[1]), float(words[3]), float(words[4]), int(words[7])
+    _check_count(count)
+    rest = words[8 + count : -3]
+    if len(rest) != 10:
+        rest = rest[1 + int(rest[0]) :]
+        if len(rest) != 11:
+            raise IndexError
+    ranges_m = [float(word) for word in words[8 : 8 + count]]
+    told_m = [range_m if range_m < range_max_m else math.inf for range_m in ranges_m]
+    return _Scan(told_m, [float(word) for word in rest[:3]], float(words[-3]), (first_rad, resolution_rad))
+
+
+_READERS = {"FLASER": _flaser, "ROBOTLASER1": _robot_laser}
+
+
+def _check_count(count: int) -> None:
     if count < 1:
         raise ValueError(f"a scan of {count} beams")
-    return [float(v) for v in values[:count]], [float(v) for v in values[count : count + 3]], float(values[count + 6])
 
 
-def _log(times_s: Array, poses: Array, ranges_m: Array) -> ScanLog:
+def _log(times_s: Array, poses: Array, ranges_m: Array, directions: tuple[float, float] | None = None) -> ScanLog:
     if ranges_m.ndim != 2 or not np.isfinite(times_s).all() or not np.isfinite(poses).all():
         raise ValueError("no scans of one length, each with a finite time and pose")
-    return ScanLog(times_s, poses, ranges_m, _half_circle(ranges_m.shape[1]))
+    beams = ranges_m.shape[1]
+    angles_rad = _half_circle(beams) if directions is None else directions[0] + directions[1] * np.arange(beams)
+    return ScanLog(times_s, poses, ranges_m, angles_rad)
 
 
 def _half_circle(beams: int) -> Array:
