@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twc_env.datasets.ros_map import write_ros_map
 from twc_env.errors import ConfigError, MapError
 from twc_env.maps import load_map, map_names
+from twc_env.messages import GridMap
 from twc_env.world import floorplan_file
 from twc_env.world.floorplan_file import write_floorplan
 
@@ -110,6 +112,17 @@ def test_a_changed_file_is_read_again(tmp_path):
     write_floorplan(load_map("twin-02"), path)
     os.utime(path, ns=(1, 1))
     assert load_map(path).digest != first.digest
+
+
+def test_a_file_whose_picture_has_changed_is_read_again(tmp_path):
+    widths_m = []
+    for columns in (40, 60):
+        log_odds = np.where(np.arange(80) < columns, -1, 1) * np.ones((50, 1), np.int16)
+        path = write_ros_map(GridMap(log_odds, np.zeros(2), 0.1), tmp_path, "plan")
+        os.utime(path, ns=(1, 1))
+        os.utime(path.with_suffix(".pgm"), ns=(1, columns))
+        widths_m.append(np.ptp(load_map(path).walls_m[..., 0]))
+    assert widths_m == pytest.approx([4.0, 6.0])
 
 
 def test_house_expo_files_are_known_by_their_keys(tmp_path):

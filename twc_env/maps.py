@@ -49,7 +49,7 @@ def load_map(name_or_path: str | Path, seed: int = 0) -> Floorplan:
     if path is None:
         raise MapError(_in_folder(Path(name)) if _is_folder(name) else _unknown(name))
     try:
-        return _read_file(path, path.stat().st_mtime_ns, seed, level)
+        return _read_file(path, _written(path), seed, level)
     except (RecursionError, MemoryError) as error:
         raise MapError(f"{path.name} is too deeply nested or too large to be a map; export it again") from error
 
@@ -119,8 +119,14 @@ def _read_native(path: Path, modified: int) -> Floorplan:
     return read_floorplan(path)
 
 
+def _written(path: Path) -> tuple[int, ...]:
+    """When a file, and what may be read with it, was written last: the size of a floor, or pictures."""
+    beside = "floor_info.json" if "json" in path.name.lower() else "*.p[gn][mg]*"
+    return tuple(each.stat().st_mtime_ns for each in (path, *sorted(path.parent.glob(beside))))
+
+
 @lru_cache(maxsize=8)
-def _read_file(path: Path, modified: int, seed: int, level: str | None) -> Floorplan:
+def _read_file(path: Path, modified: tuple[int, ...], seed: int, level: str | None) -> Floorplan:
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
     suffix = suffixes[-1] if suffixes else ""
     if suffix in (".json", ".geojson"):
