@@ -41,8 +41,6 @@ class Forks:
 
     def __init__(self, loaded: str, folder: Path, env: dict[str, str]):
         """`loaded` is run once, before the processes part; in the folder their words are kept."""
-        if not hasattr(os, "fork"):
-            pytest.skip("processes cannot be forked here")
         code = SERVER.format(loaded=loaded)
         self._said = folder / "said"
         self._server = subprocess.Popen(
@@ -51,6 +49,8 @@ class Forks:
 
     def run(self, code: str, folder: Path) -> tuple[int, str]:
         """Run a program in a folder: its exit status, 0 where all went well, and what it printed."""
+        if not hasattr(os, "fork"):
+            pytest.skip("processes cannot be forked here")
         server = self._server
         assert server.stdin is not None and server.stdout is not None
         server.stdin.write(json.dumps([str(folder), code, str(self._said)]) + "\n")
