@@ -4,9 +4,9 @@ The wall plan is used for scoring alone. k is cut at each `k_max` in truth and e
 always guessing the commonest k. `signal alone` is the signal model along the path, with power, exponent and wall loss
 shared by all tags, which are alike; `known signal` rounds each smoothed reading with the true power, exponent and
 loss, the best any rule without geometry can know. `ours` counts walls of the map that explains all rays at once
-(`k_visibility.map_structure`, which lays lattices over drives as free as these) where the robot has passed every tag
-nearly, as in the first drive. The two others stay in one room and the hall before it: there a wall that all rays of a
-tag cross is the same as a weaker tag, no map can tell, and `ours` is the signal alone.
+(`k_visibility.map_structure`, at its defaults) where the robot has passed every tag nearly, as in the first drive. The
+two others stay in one room and the hall before it: there a wall that all rays of a tag cross is the same as a weaker
+tag, no map can tell, and `ours` is the signal alone.
 """
 
 from __future__ import annotations

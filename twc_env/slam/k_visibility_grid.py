@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.kernels import kernel
+from twc_env.slam.wall_candidates import WallCandidates
 
 Array = NDArray
 
@@ -41,49 +42,40 @@ class WallGrid:
 
 
 def cell_probabilities(
-    position_m: Array, router_m: Array, is_heard: Array, pieces_m: Array, probability: Array,
+    position_m: Array, router_m: Array, is_heard: Array, candidates: WallCandidates, probability: Array,
     is_told: Array | None, standoff_m: float, resolution_m: float, origin_m: Array | None = None,
 ) -> WallGrid:  # fmt: skip
-    """Lay pieces (pieces, 4) on a grid; positions (bins, 2), is_heard (bins, routers).
+    """Lay candidates with their probabilities (pieces,) on a grid; positions (bins, 2), is_heard (bins, routers).
 
-    Each piece is a wall with a probability (maps, pieces); that of a cell is the mean over maps. is_told (pieces,)
-    given: only pieces that rays have crossed are believed, and what lies between path and walls only where rays pass.
-    None: the path keeps its distance, so that all walls beside it are. A corner of some cell comes to lie at origin_m
-    (2,).
+    is_told (pieces,) given: only pieces that rays have crossed are believed, and what lies between path and walls only
+    where rays pass. None: the path keeps its distance, so that all walls beside it are. A corner of some cell comes to
+    lie at origin_m (2,).
     """
-    everything = np.concatenate([position_m, router_m, pieces_m[probability.max(axis=0) > 0.3].reshape(-1, 2)])
+    everything = np.concatenate([position_m, router_m, candidates.ends_m[probability > 0.3].reshape(-1, 2)])
     corner = np.zeros(2) if origin_m is None else np.asarray(origin_m, float)
     low = corner + np.floor((everything.min(axis=0) - _MARGIN_M - corner) / resolution_m) * resolution_m
     columns, rows = (np.ceil((everything.max(axis=0) + _MARGIN_M - low) / resolution_m).astype(int)).tolist()
     rays, swept = np.zeros((rows, columns), np.int64), np.zeros((rows, columns), np.bool_)
+    likely = np.zeros((rows, columns))
     scaled = (position_m - low) / resolution_m
     for r, router in enumerate((router_m - low) / resolution_m):
         _count_rays(rays, _filled(scaled, is_heard[:, r], _GAP_MAX_M / resolution_m), router)
     _sweep(swept, scaled, BODY_RADIUS_M / resolution_m)
-    ends = (pieces_m - np.tile(low, 2)) / resolution_m
+    ends = (candidates.ends_m - np.tile(low, 2)) / resolution_m
     seen = (rays >= _RAYS_MIN) | swept
     if is_told is None:
         # Nearer to the path than the walls that it follows there is nothing else.
         beside = np.zeros((rows, columns), np.bool_)
         _sweep(beside, scaled, standoff_m / resolution_m - 0.5)
-        likely = _mean_stamp((rows, columns), ends, probability)
+        _stamp(likely, ends, probability)
         seen |= beside | (likely > 0.0)
     else:
-        likely = _mean_stamp((rows, columns), ends[is_told], probability[:, is_told])
-        doubtful = _mean_stamp((rows, columns), ends[~is_told], probability[:, ~is_told])
+        doubtful = np.zeros((rows, columns))
+        _stamp(likely, ends[is_told], probability[is_told])
+        _stamp(doubtful, ends[~is_told], probability[~is_told])
         seen &= swept | (doubtful <= likely)
     value = np.clip(np.where(swept, 0.02, likely), 0.02, 0.98)
     return WallGrid(np.where(seen, value, np.nan), low, resolution_m, rays)
-
-
-def _mean_stamp(shape: tuple[int, int], ends: Array, probability: Array) -> Array:
-    """Pieces (pieces, 4), in cells, on a grid with each row of probability (maps, pieces); the mean of these."""
-    total = np.zeros(shape)
-    for own in probability:
-        one = np.zeros(shape)
-        _stamp(one, ends[own > 0.0], own[own > 0.0])
-        total += one
-    return total / len(probability)
 
 
 def _filled(scaled: Array, is_heard: Array, gap_max: float) -> Array:

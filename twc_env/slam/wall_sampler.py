@@ -56,16 +56,6 @@ def find_crossings(ends, near, far, is_heard, first, members):
     return total
 
 
-def crossings(ends_m: Array, near_m: Array, far_m: Array, is_heard: Array | None = None) -> tuple[Array, Array]:
-    """Rays near -> far (rays, 2) that meet each piece (pieces, 4): members[first[j] : first[j + 1]] of piece j."""
-    is_heard = np.ones(len(near_m), np.bool_) if is_heard is None else is_heard
-    first = np.zeros(len(ends_m) + 1, np.int64)
-    total = find_crossings(ends_m, near_m, far_m, is_heard, first, np.empty(0, np.int64))
-    members = np.empty(total, np.int64)
-    find_crossings(ends_m, near_m, far_m, is_heard, first, members)
-    return first, members
-
-
 @kernel
 def _cost(error, variance, weight):
     return weight * 0.5 * (_TAIL + 1.0) * np.log(1.0 + error * error / (_TAIL * variance))

@@ -12,7 +12,7 @@ from twc_env.slam.change_points import settle_changes
 from twc_env.slam.k_visibility_signal import DISTANCE_MIN_M, SignalFit, smooth_along_path
 from twc_env.slam.path_bins import PathBins
 from twc_env.slam.wall_candidates import WallCandidates
-from twc_env.slam.wall_sampler import COUPLING, crossings, sample_walls
+from twc_env.slam.wall_sampler import COUPLING, find_crossings, sample_walls
 
 Array = NDArray
 
@@ -64,7 +64,7 @@ class WallSolver:
             np.maximum(np.linalg.norm(far - router_m[self._router_of], axis=1), DISTANCE_MIN_M)
         )
         self._shape = (places, routers)
-        self._first, self._members = crossings(candidates.ends_m, router_m[self._router_of], far, self._heard)
+        self._first, self._members = _crossings(candidates.ends_m, router_m[self._router_of], far, self._heard)
         self._sweeps_share = float(np.clip(_CROSSINGS_FULL / max(len(self._members), 1), _SWEEPS_SHARE_MIN, 1.0))
         self.power_dbm = np.array([fit.power_at_1m_dbm for fit in fits])
         self.exponent = np.array([fit.exponent for fit in fits])
@@ -166,7 +166,7 @@ class WallSolver:
         routers = len(self._routers)
         near = np.tile(self._routers, (len(position_m), 1))
         far = np.repeat(position_m, routers, axis=0)
-        first, members = crossings(ends, near, far)
+        first, members = _crossings(ends, near, far, np.ones(len(far), np.bool_))
         losses = np.repeat(self._stretch_loss[self.candidates.stretch[is_wall]], np.diff(first))
         count = np.bincount(members, minlength=len(far)).reshape(-1, routers)
         return count, np.bincount(members, losses, minlength=len(far)).reshape(-1, routers)
@@ -261,3 +261,11 @@ class WallSolver:
             turned = 1.0 - (on[1 - side] + 1.0) / (count[1 - side] + 2.0)
             share = (on[side] + _TURNED_COUNT * turned) / (count[side] + _TURNED_COUNT)
             self._side_odds[side] = np.clip(np.log(share / (1 - share)), -_SIDE_ODDS_MAX, _SIDE_ODDS_MAX)
+
+
+def _crossings(ends: Array, near: Array, far: Array, is_heard: Array) -> tuple[Array, Array]:
+    first = np.zeros(len(ends) + 1, np.int64)
+    total = find_crossings(ends, near, far, is_heard, first, np.empty(0, np.int64))
+    members = np.empty(total, np.int64)
+    find_crossings(ends, near, far, is_heard, first, members)
+    return first, members
