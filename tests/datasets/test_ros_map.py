@@ -60,12 +60,19 @@ def test_the_yaw_of_the_origin_turns_the_building(tmp_path):
     assert turned.digest == straight.digest
 
 
-def test_negate_swaps_black_and_white(tmp_path):
+@pytest.mark.parametrize("negate", ["1", "true", "True"])
+def test_negate_swaps_black_and_white(tmp_path, negate):
     path = write_ros_map(grid(), tmp_path, "mine")
-    path.write_text(path.read_text().replace("negate: 0", "negate: 1"))
+    path.write_text(path.read_text().replace("negate: 0", f"negate: {negate}"))
     ros_map = read_ros_cells(path)
     assert np.array_equal(ros_map.occupied, grid().log_odds <= 0)
     assert np.array_equal(ros_map.free, grid().log_odds > 0)
+
+
+def test_a_picture_that_is_said_to_lie_on_another_machine_is_found_beside_its_map(tmp_path):
+    path = write_ros_map(grid(), tmp_path, "mine")
+    path.write_text(path.read_text().replace("image: mine.pgm", "image: /home/robot/maps/mine.pgm"))
+    assert np.array_equal(read_ros_cells(path).free, grid().log_odds < 0)
 
 
 def test_comments_quotes_and_further_keys_are_read(tmp_path):

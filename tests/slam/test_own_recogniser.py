@@ -97,24 +97,29 @@ def test_what_is_no_recogniser_is_refused_with_the_remedy(own, name, remedy):
 
 
 @pytest.mark.parametrize(
-    ("candidate", "remedy"),
+    ("proposed", "remedy"),
     [
+        ("None", "must propose a list of LoopCandidate; got None"),
+        ("[(0, 0)]", r"must propose a list of LoopCandidate; got \[\(0, 0\)\]"),
         (
-            "LoopCandidate((0, 0), (1, 3), [0.0, 0.0], 'odd')",
+            "[LoopCandidate((0, 0), (1, 3), [0.0, 0.0], 'odd')]",
             r"must guess a pose \(x, y, heading\); got \[0\.0, 0\.0\]",
         ),
-        ("LoopCandidate((0, 0), (1, 3), [0.0, 0.0, float('nan')], 'odd')", "must guess a pose"),
-        ("LoopCandidate((0, 0), (1, 3), [0.0, 0.0, 0.0], 'even')", r"must name candidates 'odd', with source \(1, 3\)"),
-        ("LoopCandidate((1, 3), (0, 0), [0.0, 0.0, 0.0], 'odd')", r"with source \(1, 3\); got 'odd' and \(0, 0\)"),
-        ("LoopCandidate((0, 1), (1, 3), [0.0, 0.0, 0.0], 'odd')", r"shown before; got target \(0, 1\)"),
-        ("LoopCandidate((1, 3), (1, 3), [0.0, 0.0, 0.0], 'odd')", r"shown before; got target \(1, 3\)"),
+        ("[LoopCandidate((0, 0), (1, 3), [0.0, 0.0, float('nan')], 'odd')]", "must guess a pose"),
+        (
+            "[LoopCandidate((0, 0), (1, 3), [0.0, 0.0, 0.0], 'even')]",
+            r"must name candidates 'odd', with source \(1, 3\)",
+        ),
+        ("[LoopCandidate((1, 3), (0, 0), [0.0, 0.0, 0.0], 'odd')]", r"with source \(1, 3\); got 'odd' and \(0, 0\)"),
+        ("[LoopCandidate((0, 1), (1, 3), [0.0, 0.0, 0.0], 'odd')]", r"shown before; got target \(0, 1\)"),
+        ("[LoopCandidate((1, 3), (1, 3), [0.0, 0.0, 0.0], 'odd')]", r"shown before; got target \(1, 3\)"),
     ],
 )
-def test_candidates_that_do_not_fit_are_refused_before_the_engine_takes_them(own, keyframe, candidate, remedy):
+def test_candidates_that_do_not_fit_are_refused_before_the_engine_takes_them(own, keyframe, proposed, remedy):
     Path("odd.py").write_text(
         "from twc_env.messages import LoopCandidate\n\n\nclass Odd:\n    name = 'odd'\n\n"
         "    def __init__(self, *_):\n        pass\n\n    def forget(self, is_held):\n        pass\n\n"
-        f"    def propose(self, keyframe, *_):\n        return [{candidate}] if keyframe.robot else []\n"
+        f"    def propose(self, keyframe, *_):\n        return {proposed} if keyframe.robot else []\n"
     )
     recogniser = make_recogniser(PlaceRecognitionConfig(recogniser="odd.py:Odd"), 8.0)
     assert recogniser.propose(keyframe(0, 0)) == []

@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,8 @@ def read_ros_cells(path: str | Path) -> RosMap:
     """The cells of a map_server yaml. The picture may lie beside it compressed (`map.pgm.gz` for `map.pgm`)."""
     path = Path(path)
     values = _read_yaml(path)
-    picture = _picture(path.parent / values["image"])
+    # Savers write where the picture lay on their machine.
+    picture = _picture(path.parent / values["image"]) or _picture(path.parent / PurePath(values["image"]).name)
     if picture is None:
         raise MapError(f"{path.name} names the picture {values['image']!r}, which is not beside it; put it there")
     occupancy = _occupancy(picture, values, path)
@@ -85,7 +86,8 @@ def read_ros_cells(path: str | Path) -> RosMap:
 
 def _occupancy(picture: Path, values: dict[str, str], path: Path) -> Array:
     """(rows, columns) from 0 (free) to 1, the lowest row first; NaN where a raw picture says "unknown"."""
-    mode, is_negated = values.get("mode", "trinary"), _number(values, "negate", path) != 0
+    mode, negate = values.get("mode", "trinary"), values["negate"].lower()  # a truth value in ROS 2
+    is_negated = negate == "true" or (negate != "false" and _number(values, "negate", path) != 0)
     if mode not in _MODES:
         raise MapError(f"{path.name}: mode must be trinary, scale or raw; got {mode!r}")
     grey = read_grey(picture, 255 if is_negated else 0)[::-1].astype(float)

@@ -31,9 +31,12 @@ class OwnRecogniser:
         skipped_robots: Sequence[int] = (),
         is_wanted: Callable[[Keyframe], bool] | None = None,
     ) -> list[LoopCandidate]:
-        """See `Recogniser`. Raises DataError for candidates with another name or source, a target that is no earlier
-        keyframe, or no pose as guess."""
-        candidates = [self._checked(c, keyframe) for c in self._own.propose(keyframe, skipped_robots, is_wanted)]
+        """See `Recogniser`. Raises DataError for what are no candidates, and for those with another name or source, a
+        target that is no earlier keyframe, or no pose as guess."""
+        proposed = self._own.propose(keyframe, skipped_robots, is_wanted)
+        if not isinstance(proposed, Sequence) or not all(isinstance(each, LoopCandidate) for each in proposed):
+            raise DataError(f"{self._file} must propose a list of LoopCandidate; got {proposed!r}")
+        candidates = [self._checked(candidate, keyframe) for candidate in proposed]
         self._known[keyframe.robot, keyframe.index] = keyframe
         return candidates
 
