@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from agents.ray_gain import RayGain
 from twc_env.config import EnvConfig
+from twc_env.geometry import travelled_m
 from twc_env.messages import Belief
 from twc_env.planning import Driver, PathFinder, Terrain, WalkGraph, as_action, covering_walk, walk_graph
 
@@ -128,7 +129,7 @@ class RadioWalk:
     def _first_stretch(self, agent: str, graph: WalkGraph, turns: Array) -> Array:
         """(2,) the end of the walk's first straight stretch; what comes after it is kept for the next plan."""
         way_m = graph.places_m[graph.way(turns)]
-        along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way_m, axis=0).T))])
+        along_m = travelled_m(way_m)
         last = int(np.argmax(np.linalg.norm(way_m - way_m[0], axis=1) > ARRIVAL_M))
         while last + 1 < len(way_m) and along_m[last + 1] <= STRIDE_M and _strays_m(way_m[: last + 2]) <= STRAY_M:
             last += 1

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import DynamicsConfig
+from twc_env.geometry import points_along, travelled_m
 from twc_env.kernels import kernel
 
 Array = NDArray
@@ -180,9 +181,7 @@ class Follower:
     def ahead(self, pose: Array, length_m: float, step_m: float = 0.1) -> Array:
         """(k, 2) points along the next stretch of the path, from the robot on."""
         corners = np.vstack([pose[:2], self.path_m[self._index + 1 :]])
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
-        at = np.arange(0.0, min(length_m, along[-1]) + 1e-9, step_m)
-        return np.column_stack([np.interp(at, along, corners[:, 0]), np.interp(at, along, corners[:, 1])])
+        return points_along(corners, np.arange(0.0, min(length_m, travelled_m(corners)[-1]) + 1e-9, step_m))
 
     def command(self, pose: Array, ranges_m: Array | None, patience: bool = False) -> tuple[float, float]:
         """Speed [m/s] and turn rate [rad/s] for the next step; (0, 0) without a path."""
