@@ -31,13 +31,8 @@ def told_by_radio_m(belief: Belief, centres_m: Array) -> Array:
     radio, grid = belief.radio_map, belief.grid
     if radio is None or grid.log_odds.size == 0:
         return np.zeros(len(centres_m))
-    free = np.argwhere(radio.log_odds < 0)
-    places = radio.centre_of(free)
-    at = grid.cell_of(places)
-    inside = np.all((at >= 0) & (at < grid.log_odds.shape), axis=1)
-    is_known = np.zeros(len(places), bool)
-    is_known[inside] = grid.log_odds[tuple(at[inside].T)] != 0
-    unseen = places[~is_known]
+    places = radio.centre_of(np.argwhere(radio.log_odds < 0))
+    unseen = places[grid.level_at(places) == 0]
     area_m2 = np.array([np.sum(np.hypot(*(unseen - centre).T) < REACH_M) for centre in centres_m])
     bonus = np.minimum(area_m2 * radio.resolution_m**2 * METRES_PER_M2, BONUS_MAX_M)
     return bonus.max(initial=0.0) - bonus

@@ -139,12 +139,9 @@ def score(radio: GridMap, pose_building_map: Array, plan) -> tuple[float, float,
     """IoU of free floor with unknown as missed, IoU among known cells, and the share of cells known."""
     cells = plan.cells(radio.resolution_m)
     is_scored = cells.free | cells.wall
-    rows, columns = np.nonzero(is_scored)
-    centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
-    at = radio.cell_of(transform_points(inverse(pose_building_map), centres))
-    inside = np.all((at >= 0) & (at < radio.log_odds.shape), axis=1)
-    level = np.where(inside, radio.log_odds[tuple(np.where(inside[:, None], at, 0).T)], 0)
-    free, known, truly = level < 0, level != 0, cells.free[rows, columns]
+    centres = cells.centre_of(np.argwhere(is_scored))
+    level = radio.level_at(transform_points(inverse(pose_building_map), centres))
+    free, known, truly = level < 0, level != 0, cells.free[is_scored]
     right = float((free & truly).sum())
     return right / (free | truly).sum(), right / max((known & (free | truly)).sum(), 1), float(known.mean())
 

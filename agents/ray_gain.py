@@ -26,10 +26,9 @@ class RayGain:
         self._transmitter_m, self._cell_m, self._spacing_m = transmitter_m, seen.resolution_m, spacing_m
         self._origin_m = np.asarray(seen.origin_m, float)
         rows, columns = seen.log_odds.shape
-        row, column = np.mgrid[:rows, :columns]
-        centres = self._origin_m + (np.stack([column, row], axis=-1) + 0.5) * self._cell_m
+        centres = seen.centre_of(np.moveaxis(np.indices((rows, columns)), 0, -1))
         self._is_wall = np.pad(seen.log_odds > Terrain.WALL_ABOVE, 1)
-        is_doubtful = (seen.log_odds < Terrain.FREE_BELOW) & (_levels(radio, centres) > -SURE_LEVELS)
+        is_doubtful = (seen.log_odds < Terrain.FREE_BELOW) & (radio.level_at(centres) > -SURE_LEVELS)
         self._number = np.full((rows + 2, columns + 2), -1)
         self._number[1:-1, 1:-1][is_doubtful] = np.arange(is_doubtful.sum())
 
@@ -65,11 +64,3 @@ class RayGain:
         walls = self._is_wall[row, column]
         runs = walls[:, 0].astype(int) + (walls[:, 1:] & ~walls[:, :-1]).sum(axis=1)
         return runs < WALL_DENSITY * distance_m / self._cell_m
-
-
-def _levels(grid: GridMap, points_m: Array) -> Array:
-    """Log-odds of a grid at points (..., 2); 0 outside."""
-    cells = grid.cell_of(points_m)
-    inside = np.all((cells >= 0) & (cells < grid.log_odds.shape), axis=-1)
-    rows, columns = np.where(inside, cells[..., 0], 0), np.where(inside, cells[..., 1], 0)
-    return np.where(inside, grid.log_odds[rows, columns], 0) if grid.log_odds.size else np.zeros(inside.shape)

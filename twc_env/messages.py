@@ -216,6 +216,14 @@ class GridMap:
         """(..., 2) integer (row, column) -> (..., 2) points in the map frame."""
         return self.origin_m + (np.asarray(cells)[..., ::-1] + 0.5) * self.resolution_m
 
+    def level_at(self, points_m: Array) -> Array:
+        """(..., 2) points in the map frame -> (...) the log-odds there, 0 outside."""
+        cells = self.cell_of(points_m)
+        inside = np.all((cells >= 0) & (cells < self.log_odds.shape), axis=-1)
+        levels = np.zeros(inside.shape, self.log_odds.dtype)
+        levels[inside] = self.log_odds[tuple(cells[inside].T)]
+        return levels
+
 
 @_record
 class KnownSign:

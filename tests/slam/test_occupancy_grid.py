@@ -163,6 +163,8 @@ def test_cells_and_points_are_inverse_to_each_other(room, scan):
     grid = map_of([np.zeros(3)], [scan(room, np.zeros(3), BEAMS)])
     cells = np.stack(np.indices(grid.log_odds.shape), axis=-1).reshape(-1, 2)
     assert np.array_equal(grid.cell_of(grid.centre_of(cells)), cells)
+    levels = grid.level_at(np.vstack([grid.centre_of(cells), grid.origin_m - 0.1]))
+    assert levels.tolist() == [*grid.log_odds.ravel().tolist(), 0]
 
 
 def test_what_stands_there_in_short_keeps_up_with_scans_growth_and_redrawing(room, scan):

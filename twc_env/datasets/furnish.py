@@ -61,13 +61,11 @@ def place_access_points(
     As many as said, or one per 25 m2, 6 to 40.
     """
     cells = plan.cells()
-    rows, columns = np.nonzero(cells.free)
-    area_m2 = len(rows) * cells.resolution_m**2
+    free = np.argwhere(cells.free)
+    area_m2 = len(free) * cells.resolution_m**2
     if count is None:
         count = int(np.clip(round(area_m2 / AREA_PER_ACCESS_POINT_M2), ACCESS_POINTS_MIN, ACCESS_POINTS_MAX))
-    thin = 1 + len(rows) // _POOL_MAX
-    rows, columns = rows[::thin], columns[::thin]
-    centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
+    centres = cells.centre_of(free[:: 1 + len(free) // _POOL_MAX])
     gaps_m = plan.wall_index.distance_m(centres, ACCESS_POINT_CLEARANCE_M)
     centres = centres[gaps_m >= min(ACCESS_POINT_CLEARANCE_M, gaps_m.max())]
     pool = centres[random.permutation(len(centres))[:4000]]

@@ -70,10 +70,8 @@ def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorp
     # Every room seeds the floor; then only what hangs together is kept.
     plan = Floorplan(name, table, np.full(len(table), WALL_LOSS_DB / 2), interior_m=np.array(seeds))
     cells = plan.cells()
-    row, column = deepest_cell(largest_part(cells.free))
-    plan = dataclasses.replace(
-        plan, interior_m=(cells.origin_m + (np.array([column, row]) + 0.5) * cells.resolution_m)[None]
-    )
+    inside_m = cells.centre_of(np.array([deepest_cell(largest_part(cells.free))]))
+    plan = dataclasses.replace(plan, interior_m=inside_m)
     reached = plan.cells().is_free(np.array(seeds))
     rooms = [Room(area.name or f"ROOM {i + 1}", area.ring_m) for i, area in enumerate(areas) if reached[i]]
     tries = [[hung_sign(plan, text, at, normal) for at in sides] for text, sides, normal in plates]

@@ -193,13 +193,11 @@ def simulate(
 def stroll(plan: Floorplan, length_m: float, spacing_m: float, speed_m_s: float, seed: int) -> RadioSurvey:
     """An empty survey along a walk between random places of the open floor."""
     planner, random = RoutePlanner(plan), random_stream(seed, f"stroll {plan.name}")
-    cells = plan.cells()
-    rows, columns = np.nonzero(cells.free)
+    floor_m = plan.cells().centre_of(np.argwhere(plan.cells().free))
     way = np.zeros((0, 2))
     while path_length_m(way) < length_m:
-        stops = random.integers(0, len(rows), 6)
-        places = cells.origin_m + (np.column_stack([columns[stops], rows[stops]]) + 0.5) * cells.resolution_m
-        way = np.concatenate([way, planner.route([*way[-1:], *places])])
+        stops = floor_m[random.integers(0, len(floor_m), 6)]
+        way = np.concatenate([way, planner.route([*way[-1:], *stops])])
     at = np.arange(0.0, length_m, spacing_m)
     zeros, nothing = np.zeros(len(at), int), np.zeros((len(at), 0), np.float32)
     return RadioSurvey(plan.name, points_along(way, at), zeros, at / speed_m_s, zeros, (), nothing)

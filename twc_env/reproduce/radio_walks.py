@@ -81,12 +81,11 @@ def drive(name: str, length_m: float, speed_m_s: float, seed: int, resolution_m:
     plan, ways = load_map(name), planner(name, resolution_m)
     random = random_stream(seed, f"radio walk {name}")
     cells = plan.cells(resolution_m)
-    rows, columns = np.nonzero(cells.free)
+    floor_m = cells.centre_of(np.argwhere(cells.free))
     way = np.zeros((0, 2))
     while path_length_m(way) < length_m + 1.0:
-        stops = random.integers(0, len(rows), LEGS_AT_ONCE)
-        places = cells.origin_m + (np.column_stack([columns[stops], rows[stops]]) + 0.5) * resolution_m
-        way = np.concatenate([way, ways.route([*way[-1:], *places])])
+        stops = floor_m[random.integers(0, len(floor_m), LEGS_AT_ONCE)]
+        way = np.concatenate([way, ways.route([*way[-1:], *stops])])
     return _poses_along(way, length_m, speed_m_s)
 
 

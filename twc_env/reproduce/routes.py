@@ -84,9 +84,7 @@ class RoutePlanner:
             links.append((known, other[known], np.full(len(known), math.hypot(dr, dc))))
         first, second, length = (np.concatenate(parts) for parts in zip(*links, strict=True))
         self._graph = coo_array((length, (first, second)), shape=(len(self._rows),) * 2).tocsr()
-        self._centres_m = self._cells.origin_m + (np.column_stack([self._columns, self._rows]) + 0.5) * (
-            self._cells.resolution_m
-        )
+        self._centres_m = self._cells.centre_of(np.column_stack([self._rows, self._columns]))
 
     def nearest(self, point_m: Array) -> int:
         """The clear cell nearest to a point."""

@@ -47,15 +47,14 @@ def wall_following_route(plan: Floorplan, standoff_m: float = STANDOFF_M) -> Arr
     clear of walls.
     """
     cells = plan.cells(_FINE_M)
-    rows, columns = np.nonzero(cells.free)
-    centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * _FINE_M
+    centres = cells.centre_of(np.argwhere(cells.free))
     clear = np.zeros(cells.free.shape, bool)
-    clear[rows, columns] = plan.wall_index.distance_m(centres, 2 * standoff_m) >= standoff_m
+    clear[cells.free] = plan.wall_index.distance_m(centres, 2 * standoff_m) >= standoff_m
     parts, count = label(clear)
     if count == 0:
         raise MapError(f"map {plan.name!r} has no floor {standoff_m} m clear of walls; use a smaller standoff")
     clear = parts == np.argmax(np.bincount(parts.ravel())[1:]) + 1
-    loops = [cells.origin_m + (loop[:, ::-1] + 0.5) * _FINE_M for loop in _contours(clear)]
+    loops = [cells.centre_of(loop) for loop in _contours(clear)]
     loops = [loop for loop in loops if len(loop) * _FINE_M > 1.0]
     way, planner = loops[0], RoutePlanner(plan)
     for loop in loops[1:]:

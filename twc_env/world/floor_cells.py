@@ -28,6 +28,10 @@ class Cells:
     """(2,) lower left corner of cell [0, 0]."""
     resolution_m: float
 
+    def centre_of(self, cells: Array) -> Array:
+        """(..., 2) integer (row, column) -> (..., 2) points."""
+        return self.origin_m + (np.asarray(cells)[..., ::-1] + 0.5) * self.resolution_m
+
     def is_free(self, points_m: Array) -> Array:
         """(..., 2) points -> (...) bool; False outside the raster."""
         at = np.floor((np.asarray(points_m, float) - self.origin_m) / self.resolution_m)

@@ -40,8 +40,7 @@ def place_routers(plan: Floorplan, count: int, clearance_m: float = 0.3) -> Plac
     if count < 1:
         raise MapError(f"place_routers needs at least one router; got {count}")
     cells = plan.cells()
-    rows, columns = np.nonzero(cells.free)
-    floor = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
+    floor = cells.centre_of(np.argwhere(cells.free))
     floor = floor[:: max(len(floor) // _FLOOR_MAX, 1)]
     places = floor[plan.wall_index.distance_m(floor, 2 * clearance_m) >= clearance_m]
     if len(places) == 0:

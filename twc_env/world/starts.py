@@ -89,8 +89,7 @@ def _drawn(home: Floorplan, robots: int, radius_m: float, random: np.random.Gene
 def start_places(home: Floorplan, clearance_m: float = START_CLEARANCE_M) -> Array:
     """(k, 2) centres of the free cells that lie so far from walls; computed once per plan."""
     cells = home.cells()
-    rows, columns = np.nonzero(cells.free)
-    centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
+    centres = cells.centre_of(np.argwhere(cells.free))
     return centres[home.wall_index.distance_m(centres, clearance_m) >= clearance_m]
 
 
