@@ -198,6 +198,15 @@ def test_a_browser_shows_names_that_look_like_a_page(run, tmp_path, browser):
 
 
 @pytest.mark.parametrize("what", ["--html", "--rerun"])
+def test_missing_folders_are_made(what, run, tmp_path):
+    if what == "--rerun":
+        pytest.importorskip("rerun")
+    path = tmp_path / "new" / "deep" / "replay"
+    assert main(["replay", str(run), what, str(path)]) == 0
+    assert path.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("what", ["--html", "--rerun"])
 def test_a_run_folder_that_is_not_there_is_named(what, tmp_path, capsys):
     assert main(["replay", str(tmp_path / "gone"), what]) == 2
     assert f"there is no run folder {tmp_path / 'gone'}: " in capsys.readouterr().err

@@ -73,4 +73,4 @@ def test_a_broken_run_or_an_unwritable_place_is_named(run, tmp_path):
     with pytest.raises(DataError, match="contradicts itself"):
         write_rerun(tmp_path, tmp_path / "x.rrd")
     with pytest.raises(DataError, match="--rerun"):
-        write_rerun(run, tmp_path / "none" / "x.rrd")
+        write_rerun(run, tmp_path / "report.json" / "x.rrd")

@@ -42,6 +42,7 @@ def write_page(run: Path, path: Path) -> Path:
     title = escape(f"{report.get('agent', 'team')} on {report['map']}, seed {report['seed']}")
     try:
         filled = re.sub("__(TITLE|DATA)__", lambda gap: {"TITLE": title, "DATA": content}[gap[1]], template)
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(filled, encoding="utf-8")
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror}; choose another place with --html FILE") from error

@@ -46,6 +46,7 @@ def write_rerun(run: Path, path: Path) -> Path:
     name = f"{figures.get('agent', 'team')} on {figures['map']}, seed {figures['seed']}"
     recording = rerun.RecordingStream("twc_env", recording_id=name)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         recording.save(path, default_blueprint=_blueprint(corners_m))
     except (OSError, RuntimeError) as error:
         raise DataError(f"cannot write {path}: {error}; choose another place with --rerun FILE") from error

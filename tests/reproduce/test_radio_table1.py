@@ -22,14 +22,18 @@ def test_the_command_writes_its_rows(tmp_path, capsys):
     assert "worse than its odometry in 0 of 1" in capsys.readouterr().out
 
 
-def test_pictures_are_drawn_of_what_an_earlier_run_found(tmp_path, monkeypatch):
+def test_pictures_are_drawn_of_what_an_earlier_run_found(tmp_path, monkeypatch, capsys):
     command = ["reproduce", "radio-table1", "--seeds=1-1", "--places=semi-indoor", "--share=0.2", "--processes=1"]
     command += ["--methods=odometry,wifi,wifi+lidar", "--cache", str(tmp_path / "cache")]
     main(command)
     monkeypatch.setattr(radio_table1, "outcomes", lambda *_: pytest.fail("worked out again"))
-    main([*command, "--out", str(tmp_path / "pictures")])
+    main([*command, "--out", str(tmp_path / "pictures"), "--json", str(tmp_path / "alone" / "rows.json")])
+    main([*command, "--json", str(tmp_path / "rows" / "rows.json")])
     names = [f"semi-indoor-{what}.png" for what in ("map", "models", "trajectories")]
     assert [path.name for path in sorted((tmp_path / "pictures").iterdir())] == names
+    assert [path.name for path in sorted((tmp_path / "rows").iterdir())] == ["rows.json", *names]
+    assert [path.name for path in (tmp_path / "alone").iterdir()] == ["rows.json"]
+    assert str(tmp_path / "rows" / names[0]) in capsys.readouterr().out
 
 
 def test_a_walk_has_the_printed_length_and_speed_and_turns_no_faster_than_the_robot_can():

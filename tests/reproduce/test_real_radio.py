@@ -12,7 +12,7 @@ from twc_env.messages import Fingerprint
 from twc_env.reproduce import real_radio_oracle
 from twc_env.reproduce.real_radio import drifted
 
-KEYS = ["floor", "method", "traces_joined", "error_mean_m", "error_std_m"]
+KEYS = ["floor", "method", "traces_joined", "traces", "error_mean_m", "error_std_m"]
 
 
 @pytest.mark.skipif("TWC_DATA" not in os.environ, reason="phone traces: set TWC_DATA to the data folder")
@@ -22,7 +22,10 @@ def test_the_command_writes_its_rows(tmp_path):
     main(["reproduce", "real-radio", *options, "--json", str(path), "--cache", str(tmp_path)])
     rows = json.loads(path.read_text())
     assert [list(row) for row in rows] == [KEYS] * 8
-    odometry, _, ours = rows[5:]
+    malls, (odometry, paper, ours) = rows[:5], rows[5:]
+    assert [row["method"] for row in (odometry, paper, ours)] == ["odometry", "paper", "ours"]
+    assert [row["traces_joined"] for row in malls[:3]] == [0, 0, 0] and malls[4]["traces_joined"] <= 8
+    assert {row["traces"] for row in malls} == {8} and {row["traces"] for row in rows[5:]} == {1}
     assert ours["error_mean_m"] < odometry["error_mean_m"]
 
 

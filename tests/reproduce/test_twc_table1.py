@@ -7,7 +7,7 @@ import pytest
 from twc_env.config import override
 from twc_env.json_values import plain
 from twc_env.maps import load_map
-from twc_env.reproduce import twc_table1
+from twc_env.reproduce import twc_table1, twc_table2
 from twc_env.reproduce.runner import Runner
 from twc_env.reproduce.sighting_judge import judge_some
 from twc_env.reproduce.twc_scenes import scene_plan, walk_scene
@@ -110,9 +110,11 @@ def test_verification_never_lets_more_through_and_fused_keeps_its_recall(table):
     assert table["fused",]["recall_at_full_precision_verified"] >= 85.0
 
 
-def test_curves_fall_and_reach_what_the_rows_say(table, runner, tmp_path):
+def test_curves_fall_and_reach_what_the_rows_say(table, runner, tmp_path, monkeypatch):
+    monkeypatch.setattr(twc_table2, "METHODS", {"twc": {}})
     paths = twc_table1.draw(options(), runner, tmp_path)
     assert paths[1].stat().st_size > 5000
+    assert [path.name for path in paths[2:]] == ["twc-01-trajectories.png", "twc-01-maps.png", "twc-01-closures.png"]
     written = json.loads(paths[0].read_text())
     for method in twc_table1.METHODS:
         for when in ("before", "after"):

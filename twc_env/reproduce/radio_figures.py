@@ -54,12 +54,13 @@ def _picture(grid: GridMap) -> dict[str, Any]:
     return {"shape": cells.shape, "resolution_m": grid.resolution_m, "cells": packed}
 
 
-def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> None:
+def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> list[Path]:
     """Write `NAME-models.png`, `NAME-trajectories.png` and `NAME-map.png`, as far as the walk (`shown`) has them.
 
-    `twin` names the map. Raises DataError when matplotlib is missing.
+    `twin` names the map. Returns what was written. Raises DataError when matplotlib is missing.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    figures = {}
     if walk["models"]:
         figure = new_figure(8, 4, dpi=110)
         axes = figure.add_subplot()
@@ -69,7 +70,7 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> None:
             axes.fill_between(centre, mean - std, mean + std, color=PATHS[kind], alpha=0.2, lw=0)
         axes.set(xlabel="similarity", ylabel="distance [m], mean and deviation", title=name, ylim=(0, None))
         axes.legend()
-        figure.savefig(folder / f"{name}-models.png")
+        figures["models"] = figure
     if walk["paths"]:
         figure = new_figure(10, 7, dpi=110)
         axes = figure.add_subplot()
@@ -80,7 +81,7 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> None:
             axes.plot(*np.transpose(path), color=PATHS.get(method, "k"), lw=0.9, label=method)
         axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=name)
         axes.legend(loc="upper right")
-        figure.savefig(folder / f"{name}-trajectories.png")
+        figures["trajectories"] = figure
     for method, picture in walk["maps"].items():
         figure = new_figure(10, 7, dpi=110)
         axes = figure.add_subplot()
@@ -88,4 +89,8 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> None:
         height, width = np.array(cells.shape) * picture["resolution_m"]
         axes.imshow(cells, cmap="gray", origin="lower", extent=(0, width, 0, height), vmin=0, vmax=255)
         axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=f"{name}: occupancy map of {method}")
-        figure.savefig(folder / f"{name}-map.png")
+        figures["map"] = figure
+    paths = {what: folder / f"{name}-{what}.png" for what in figures}
+    for what, figure in figures.items():
+        figure.savefig(paths[what])
+    return list(paths.values())

@@ -78,23 +78,24 @@ class Runner:
             return self._each_aside(parts, work, label, processes)
         results = []
         for count, part in enumerate(parts):
-            self._say(f"{count}/{len(parts)} {label(part)}")
+            self.say(f"{count}/{len(parts)} {label(part)}")
             results.append(self._parts.once(label(part), partial(work, part)))
-        self._say(f"{len(parts)}/{len(parts)}", end="\n")
+        self.say(f"{len(parts)}/{len(parts)}", end="\n")
         return results
 
     def _each_aside(self, parts: Sequence, work: Callable[..., object], label: Callable[..., str], count: int) -> list:
         """`each` in several processes."""
         results = {}
-        self._say(f"0/{len(parts)}")
+        self.say(f"0/{len(parts)}")
         labelled = [(label(part), partial(work, part)) for part in parts]
         for k, result in in_processes(partial(_once, self._parts), labelled, count):
             results[k] = result
-            self._say(f"{len(results)}/{len(parts)}")
-        self._say(f"{len(parts)}/{len(parts)}", end="\n")
+            self.say(f"{len(results)}/{len(parts)}")
+        self.say(f"{len(parts)}/{len(parts)}", end="\n")
         return [results[k] for k in range(len(parts))]
 
-    def _say(self, text: str, end: str = "") -> None:
+    def say(self, text: str, end: str = "") -> None:
+        """How far the table is, in the line of the last such message."""
         self._is_in_line = not end
         elapsed = time.monotonic() - self._started
         print(f"\r[{elapsed:5.0f} s] {text[:100]:<100}", end=end, file=sys.stderr, flush=True)
@@ -210,5 +211,6 @@ def main(name: str, module, options: argparse.Namespace) -> None:
         print(remark)
     write_json(options.json, rows)
     if options.json not in (None, TERMINAL):
-        for path in getattr(module, "draw", lambda *_: ())(options, runner, options.json.parent):
-            print(path)
+        paths = getattr(module, "draw", lambda *_: ())(options, runner, options.json.parent)
+        runner.end_line()
+        print("".join(f"{path}\n" for path in paths), end="")

@@ -101,5 +101,7 @@ def measure(run: str, folder: Path, out: Path | None) -> dict:
         figures[f"ours {k_max}"] = np.minimum(ours, k_max)[heard]
         figures[f"known signal {k_max}"] = np.minimum(known, k_max)[heard]
     if out is not None:
-        scoring.draw_maps(out / f"{run}.png", f"flat, {run}", walk, cells, {"ours": mapped})
+        scoring.draw_maps(
+            out / f"{run}.png", f"flat, {run} (k of the strongest transmitter)", walk, cells, {"ours": mapped}
+        )
     return figures

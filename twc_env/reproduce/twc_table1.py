@@ -8,7 +8,8 @@ is of those the text threshold alone lets through, which is how the print's comb
 along the way as the paper sampled it. `_verified` figures are of what scan matching then confirms among
 the pairs that a loose setting of the method lets through: text, twc and fused
 give it the pose that the shared sign implies, WiFi and laser none. With `--json` the precision-recall curves of all
-methods, before and after verification, are written beside it. Methods named like `twc departments` walk past signs like
+methods, before and after verification, are written beside it, and the paper's figures 4 to 6 as by `twc-table2`.
+Methods named like `twc departments` walk past signs like
 those that the print implies (`twc_scenes`). `--alternatives` adds the rows of twc and WiFi for the other readings of
 Eq. 10 and for Eq. 7 as printed (methods named like `twc cosine`). All constants were fixed on scene #01 and drawn
 buildings. Some episodes of scene #02 were looked at while `fused` was being designed, so its figures there are not
@@ -246,8 +247,12 @@ def _best_reading(table: list[dict]) -> list[str]:
 
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
-    """Precision-recall curves of all methods, means over the walks, before and after verification: JSON and picture."""
+    """Precision-recall curves of all methods, means over the walks, before and after verification: JSON and picture.
+
+    And the paper's figures 4 to 6 for the first walk of each scene, with the settings of Table II.
+    """
     from twc_env.reproduce.twc_pictures import draw_curves
+    from twc_env.reproduce.twc_table2 import draw_figures
 
     curves: dict[str, dict] = {}
     for scene in options.scenes:
@@ -261,4 +266,5 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
         }
     path = folder / "twc-table1-curves.json"
     path.write_text(json.dumps({"recall": RECALL_LEVELS.tolist(), "precision": curves}, indent=2) + "\n")
-    return [path, draw_curves(RECALL_LEVELS, curves, folder)]
+    figures = draw_figures(options.scenes, AS_DRAWN, options.seeds[0], False, runner, folder)
+    return [path, draw_curves(RECALL_LEVELS, curves, folder), *figures]

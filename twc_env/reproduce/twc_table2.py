@@ -276,10 +276,18 @@ def reductions(baseline: Sequence[float], improved: Sequence[float]) -> tuple[fl
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
     """The paper's figures 4 to 6 for the first walk of each scene."""
+    return draw_figures(options.scenes, options.signs, options.seeds[0], options.verified, runner, folder)
+
+
+def draw_figures(
+    scenes: Sequence[str], signs: str, seed: int, is_verified: bool, runner: Runner, folder: Path
+) -> list[Path]:
+    """The paper's figures 4 to 6 for one walk of each scene."""
     from twc_env.reproduce.twc_pictures import draw_scene
 
     paths = []
-    for scene in options.scenes:
-        walks = walk_scene(scene_config(scene), scene, options.signs, options.seeds[0])
-        paths += draw_scene(scene, walks, maps_of(scene, walks, options.verified), folder)
+    for scene in scenes:
+        runner.say(f"drawing {scene} seed {seed}")
+        walks = walk_scene(scene_config(scene), scene, signs, seed)
+        paths += draw_scene(scene, walks, maps_of(scene, walks, is_verified), folder)
     return paths
