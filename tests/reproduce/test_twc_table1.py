@@ -111,7 +111,7 @@ def test_verification_never_lets_more_through_and_fused_keeps_its_recall(table):
 
 
 def test_curves_fall_and_reach_what_the_rows_say(table, runner, tmp_path, monkeypatch):
-    monkeypatch.setattr(twc_table2, "METHODS", {"twc": {}})
+    monkeypatch.setattr(twc_table2, "METHODS", {"twc": {}, "fused": {}})
     paths = twc_table1.draw(options(), runner, tmp_path)
     assert paths[1].stat().st_size > 5000
     assert [path.name for path in paths[2:]] == ["twc-01-trajectories.png", "twc-01-maps.png", "twc-01-closures.png"]

@@ -1,0 +1,46 @@
+"""Sensor frames of recordings without a laser: the walks of phones, and a robot that heard WiFi along a path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.errors import DataError
+from twc_env.geometry import between
+from twc_env.messages import UNSEEN_M, Fingerprint, SensorFrame, WifiScan
+
+Array = NDArray
+
+
+def radio_frames(
+    times_s: Array,
+    reckoned: Array,
+    turned_rad: Array,
+    fingerprints: Sequence[Fingerprint],
+    beam_count: int,
+    robot: int = 0,
+) -> list[SensorFrame]:
+    """What a robot would have measured on the way of the log, a frame per scan of its radio.
+
+    Odometry is the motion between the dead-reckoned poses (n, 3) at times (n,), and its turn (n - 1,), not wrapped,
+    stands for the gyro. All `beam_count` ranges say nothing: to be used with `slam.cues.lidar` off. Raises DataError
+    where lengths differ or times do not ascend.
+    """
+    elapsed_s = np.diff(times_s)
+    if not len(times_s) == len(reckoned) == len(fingerprints) == len(turned_rad) + 1:
+        raise DataError("times, poses and scans must be as many, and turns one fewer; take them from one recording")
+    if not (elapsed_s > 0.0).all():
+        raise DataError("the times of the scans do not ascend; sort them, or leave repeated ones out")
+    poses = np.concatenate([reckoned[:1], reckoned])
+    odometry = between(poses[:-1], poses[1:])
+    rates = np.concatenate([[0.0], turned_rad / elapsed_s])
+    unseen = np.full(beam_count, UNSEEN_M)
+    return [
+        SensorFrame(
+            robot, step, float(times_s[step] - times_s[0]), odometry[step], float(rates[step]), unseen,
+            WifiScan(heard.macs, heard.rssi_dbm),
+        )
+        for step, heard in enumerate(fingerprints)
+    ]  # fmt: skip
