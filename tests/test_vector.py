@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import twc_env
-from twc_env.errors import ActionError, ConfigError, MapError, TwcError
+from twc_env.errors import ActionError, ConfigError, MapError, TwcError, WorkerError
 from twc_env.vector import VectorTeams
 
 SMALL = {"lidar.beam_count": 60, "robots": 2, "max_cycles": 25, "observation.map_cells": 36}
@@ -99,7 +99,7 @@ def test_a_dead_worker_is_reported():
     teams.reset(0)
     teams._crews[0]._process.kill()
     teams._crews[0]._process.join()
-    with pytest.raises(TwcError, match="died"):
+    with pytest.raises(WorkerError, match="died"):
         teams.step(np.zeros((1, 2, 2)))
     teams.close()
 

@@ -28,7 +28,7 @@ from training.progress import progress_bar
 from training.run_folder import Task, read_settings, write_settings
 from training.team_notes import NotedTeams
 from twc_env.command_line import alone_in
-from twc_env.errors import DataError
+from twc_env.errors import DataError, WorkerError
 from twc_env.sb3 import TeamVecEnv
 
 COLUMNS = ("steps", "episodes", "mean_return", "mean_length", "steps_per_s")
@@ -202,6 +202,9 @@ def train(
                 progress = Progress(folder, steps, model.num_timesteps, show_progress)
                 try:
                     model.learn(steps - model.num_timesteps, progress, tb_log_name="ppo", reset_num_timesteps=False)
+                except WorkerError as error:
+                    remedy = "--resume goes on from the last model that was saved, if any"
+                    raise DataError(f"a worker process has died (out of memory or killed); {remedy}") from error
                 finally:
                     progress.bar.close()
                 save_model(model, model_path)

@@ -24,5 +24,9 @@ class DataError(TwcError):
     """A log, checkpoint or run folder cannot be read."""
 
 
+class WorkerError(TwcError):
+    """A process that worked for this one has died."""
+
+
 class ActionError(TwcError):
     """An action has the wrong shape or a value that is not finite."""

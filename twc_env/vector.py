@@ -294,13 +294,13 @@ class _Worker:
         try:
             self._pipe.send((what, seed))
         except OSError:
-            raise TwcError(_LOST) from None
+            raise errors.WorkerError(_LOST) from None
 
     def receive(self) -> Any:
         try:
             return self._pipe.recv()
         except (EOFError, OSError):
-            raise TwcError(_LOST) from None
+            raise errors.WorkerError(_LOST) from None
 
     def close(self) -> None:
         with contextlib.suppress(OSError):  # it may be gone already

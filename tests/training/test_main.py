@@ -54,6 +54,22 @@ def test_another_kind_of_action_or_observation_is_refused(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("torch")
+def test_a_training_whose_worker_died_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    from twc_env.sb3 import TeamVecEnv
+
+    step = TeamVecEnv.step_wait
+
+    def killing(self):
+        self.teams._crews[0]._process.kill()
+        return step(self)
+
+    monkeypatch.setattr(TeamVecEnv, "step_wait", killing)
+    assert main(["ppo", "--workers", "1", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 2
+    *_, last = capsys.readouterr().err.splitlines()
+    assert last.startswith("error: a worker process has died") and "--resume goes on from the last model" in last
+
+
+@pytest.mark.usefixtures("torch")
 def test_an_interrupted_training_says_so_on_a_line_of_its_own(tmp_path, monkeypatch, capsys):
     from twc_env.sb3 import TeamVecEnv
 
