@@ -51,10 +51,9 @@ class Evaluation:
     def table(self) -> str:
         """Mean with 95 % interval of each policy, and of each one's paired difference to the trained one, as text."""
         lines = [f"{'policy':<18}{'coverage':>18}{'over time':>18}{'trained is ahead':>22}{'merged':>8}{'wrong':>7}"]
-        trained = np.array([e.mean_coverage for e in self.episodes["trained"]])
         for name, episodes in self.episodes.items():
             end, over = ([getattr(e, key) for e in episodes] for key in ("coverage", "mean_coverage"))
-            ahead = "" if name == "trained" else _interval(trained - np.array(over))
+            ahead = "" if name == "trained" else "{:+.3f} +- {:.3f}".format(*self.ahead(name))
             merged = np.mean([e.merged_robots for e in episodes])
             wrong = sum(e.wrong_merges for e in episodes)
             lines.append(f"{name:<18}{_interval(end):>18}{_interval(over):>18}{ahead:>22}{merged:>8.2f}{wrong:>7}")

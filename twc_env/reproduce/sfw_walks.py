@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, label, uniform_filter1d
 
 from twc_env.config import RadioConfig
+from twc_env.datasets.raster import largest_part
 from twc_env.errors import MapError
 from twc_env.geometry import points_along, travelled_m
 from twc_env.reproduce.routes import RoutePlanner
@@ -50,10 +51,9 @@ def wall_following_route(plan: Floorplan, standoff_m: float = STANDOFF_M) -> Arr
     centres = cells.centre_of(np.argwhere(cells.free))
     clear = np.zeros(cells.free.shape, bool)
     clear[cells.free] = plan.wall_index.distance_m(centres, 2 * standoff_m) >= standoff_m
-    parts, count = label(clear)
-    if count == 0:
+    clear = largest_part(clear)
+    if not clear.any():
         raise MapError(f"map {plan.name!r} has no floor {standoff_m} m clear of walls; use a smaller standoff")
-    clear = parts == np.argmax(np.bincount(parts.ravel())[1:]) + 1
     loops = [cells.centre_of(loop) for loop in _contours(clear)]
     loops = [loop for loop in loops if len(loop) * _FINE_M > 1.0]
     way, planner = loops[0], RoutePlanner(plan)
