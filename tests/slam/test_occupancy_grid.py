@@ -62,7 +62,7 @@ def test_the_heading_only_turns_the_beams(room, scan):
 @given(st.integers(0, 10_000))
 def test_free_space_is_the_polygon_of_the_beams(seed):
     random = np.random.default_rng(seed)
-    beams = 40
+    beams = 200
     ranges = np.minimum(random.uniform(0.3, 4.0, beams), 4.0)
     pose = random.uniform(-1, 1, 3)
     grid = map_of([pose], [ranges], beams)

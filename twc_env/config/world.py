@@ -49,7 +49,7 @@ class LidarConfig(Checked):
     """2D laser scanner over the full circle; beam 0 points ahead, beams run counter-clockwise."""
 
     beam_count: int = number(180, 8, 4096)
-    """With fewer than 90, robots lose track sooner, merge later and draw walls with gaps."""
+    """With fewer than 90, robots merge later."""
     range_max_m: float = number(10.0, 0.5, 100.0)
     range_noise_std_m: float = number(0.01, 0.0, 1.0)
     dropout_probability: float = number(0.0, 0.0, 1.0)

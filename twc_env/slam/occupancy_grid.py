@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.errors import DataError
-from twc_env.geometry import beam_directions
 from twc_env.kernels import Lent, bound, rebound
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import kinds_of
 from twc_env.slam.scan_folding import BLOCK_COLUMNS, BLOCK_ROWS, folding_room, integrate_many
+from twc_env.slam.sparse_scans import SparseScans
 
 Array = NDArray
 
@@ -31,8 +31,9 @@ class OccupancyGrid:
     def __init__(self, resolution_m: float, range_max_m: float, beam_count: int):
         self.resolution_m = resolution_m
         self.range_max_m = range_max_m
-        self._room = folding_room(beam_count, int(2 * range_max_m / resolution_m) + 8)
-        self._directions, self._reached_m = beam_directions(beam_count), np.zeros(4)
+        self._sparse = SparseScans(beam_count, range_max_m)
+        self._room = folding_room(self._sparse.beam_count, int(2 * range_max_m / resolution_m) + 8)
+        self._reached_m = np.zeros(4)
         self._run: Callable[..., bool] | None = None
         """`integrate_many` with all of this."""
         self.clear()
@@ -66,7 +67,7 @@ class OccupancyGrid:
         """
         if len(poses) == 0:
             return
-        poses, scans = np.ascontiguousarray(poses, float), np.ascontiguousarray(scans, float)
+        poses, scans = np.ascontiguousarray(poses, float), self._sparse.filled(np.ascontiguousarray(scans, float))
         if not self._fold_in(poses, scans):
             self._grow(self._reached_m[:2], self._reached_m[2:])
             if not self._fold_in(poses, scans):
@@ -82,7 +83,7 @@ class OccupancyGrid:
         """What `integrate_many` needs every time."""
         parts = (
             self.log_odds, self._kinds, self._touched, self._numbers, self._boxes_m, 1.0 / self.resolution_m,
-            self._directions, self.range_max_m, self._reached_m, self._room,
+            self._sparse.directions, self.range_max_m, self._reached_m, self._room,
         )  # fmt: skip
         return Lent(parts)
 
