@@ -38,7 +38,7 @@ def with_cues(subset) -> CooperativeSlam:
 def drive():
     """Frames, true poses (steps, 3) and odometry's, all seen from the first."""
     world = World(CONFIG, load_map("twin-02"))
-    world.reset(0)
+    world.reset(1)
     frames, truth, odometry = [], [], [np.zeros(3)]
     for step in range(500):
         frames += world.sense()
