@@ -1,8 +1,9 @@
 """Decide when two groups of robots share one building well enough to be put into one frame.
 
 A closure between two groups says where one map lies in the other. One closure is no proof: rooms look alike and signs
-repeat. A merge needs several closures that agree, no walls of one map in the free space of the other, and fingerprints
-that are as alike as the robots' own paths say fingerprints of one place are.
+repeat. A merge needs several closures that agree, no walls of one map in the free space of the other, fingerprints that
+are as alike as the robots' own paths say fingerprints of one place are, and signs most of which read the same where the
+two maps would share a place (`signs_in_place`).
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from twc_env.slam.heard_places import HeardPlaces
 from twc_env.slam.map_merging import MergeProposal, Weight
 from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.sign_table import MISSING_AFTER_S
+from twc_env.slam.signs_in_place import SignsRead, count_shared
 from twc_env.slam.team_graph import TeamGraph
 
 Array = NDArray
@@ -32,6 +33,7 @@ class MergeJudge:
         self._rule, self._graph, self._spares_deaf, self._doubts_sounds = config, graph, spares_deaf, doubts_sounds
         self._heard: dict[int, HeardPlaces] = {}
         """What each robot heard at its keyframes, as far as anybody asked."""
+        self._read = SignsRead()
 
     def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int], others: int = 0) -> MergeProposal | None:
         """Where the robots that are not in `a` lie in the map of `a`, by closures between the two.
@@ -125,6 +127,20 @@ class MergeJudge:
     def forget(self, _: Array) -> None:
         """Keyframes have been forgotten."""
         self._heard.clear()
+        self._read.clear()
+
+    def signs_disagree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
+        """Whether of the places with signs that the merge brings together more read otherwise than alike."""
+        graph, every, texts = self._graph, [], []
+        for robot in (*a, *b):
+            at, numbers, local = self._read.by(robot, graph.keyframes[robot])
+            poses = compose(graph.poses[graph.path_of(robot)[at]], local)
+            every.append(compose(pose_a_b, poses) if robot in b else poses)
+            texts.append(numbers)
+        same, other = count_shared(
+            np.concatenate(texts), np.concatenate(every), np.repeat([r in b for r in (*a, *b)], list(map(len, texts)))
+        )
+        return bool(other > same)
 
     def _heard_by(self, robot: int) -> HeardPlaces:
         """What a robot heard at each of its keyframes."""

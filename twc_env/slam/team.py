@@ -281,6 +281,8 @@ class TeamMapper:
             return False
         if self._config.merging.wifi_check and not self._judge.radio_allows(robots_a, robots_b, pose_a_b):
             return False
+        if self._judge.signs_disagree(robots_a, robots_b, pose_a_b):
+            return False
         if self._on_request and self._maps.ask_for(self._judge.overlap(robots_a, robots_b, pose_a_b, OVERLAP_REACH_M)):
             return False
         grids = self._maps.known_grid(robots_a, a), self._maps.known_grid(robots_b, b)

@@ -1,0 +1,81 @@
+"""Names that hang in one place of two maps say whether it is one place."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twc_env.config import EnvConfig, override
+from twc_env.messages import LoopCandidate, LoopClosure, SignObservation
+from twc_env.slam.signs_in_place import SignsRead, count_shared
+from twc_env.slam.team import TeamMapper
+
+DOORS_M = 3.0
+
+
+def shared(first, second):
+    """`count_shared` of two maps, each a list of (text, x, y, facing)."""
+    texts = {text: k for k, text in enumerate(dict.fromkeys(text for text, *_ in first + second))}
+    poses = np.array([pose for _, *pose in first + second], float)
+    return count_shared(
+        np.array([texts[text] for text, *_ in first + second]), poses, np.arange(len(poses)) >= len(first)
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "pose", "times", "expected"),
+    [
+        ("A101", (0.1, 0.0, 0.0), 1, (1, 0)),
+        ("A121", (0.1, 0.0, 0.0), 1, (0, 0)),
+        ("A121", (0.1, 0.0, 0.0), 2, (0, 1)),
+        ("A121", (0.1, 0.0, math.pi), 2, (0, 0)),
+        ("A121", (0.7, 0.0, 0.0), 2, (0, 0)),
+    ],
+    ids=["alike", "read once", "another", "behind the wall", "beside it"],
+)
+def test_a_place_reads_otherwise_only_where_both_read_something_there_twice(text, pose, times, expected):
+    assert shared([("A101", 0.0, 0.0, 0.0)] * 2, [(text, *pose)] * times) == expected
+
+
+def test_one_reading_in_common_is_enough_among_misreadings():
+    first = [("A101", 0.0, 0.0, 0.0), ("A1O1", 0.1, 0.0, 2 * math.pi), ("A1O1", 0.1, 0.0, 0.1)]
+    assert shared(first, [("AI01", 0.0, 0.1, 0.0)] * 3 + [("A101", 0.0, 0.0, 0.0)]) == (1, 0)
+
+
+def test_readings_are_looked_at_as_they_come(keyframe, scan, walls):
+    room = scan(walls((-3, -2), (3, -2), (3, 2), (-3, 2)), (0.0, 0.0, 0.0))
+    said = [
+        [SignObservation("A101  Lab", np.array([1.0, 2.0]), 0.5), SignObservation("EXIT", np.zeros(2), math.nan)],
+        [],
+        [SignObservation("A101LAB", np.array([0.0, 1.0]), 0.0), SignObservation("EXIT", np.zeros(2), 1.0)],
+    ]
+    path = [keyframe(0, k, (0.0, 0.0, 0.0), float(k), room, signs) for k, signs in enumerate(said)]
+    read = SignsRead()
+    assert [part.tolist() for part in read.by(0, path[:1])] == [[0], [0], [[1.0, 2.0, 0.5]]]
+    at, texts, local = read.by(0, path)
+    assert (at.tolist(), texts.tolist()) == ([0, 2, 2], [0, 0, 1]) and local[2].tolist() == [0.0, 0.0, 1.0]
+    read.clear()
+    assert read.by(0, path[2:])[0].tolist() == [0, 0]
+
+
+NAMES, WING_B = ["A101 LAB", "A102 MAIL", "A103 PRINT", "A104 LAB"], ["B101 LAB", "B102 MAIL", "B103 PRINT", "B104 LAB"]
+
+
+@pytest.mark.parametrize(("names", "is_merged"), [(NAMES, True), (WING_B, False), ([*NAMES[:1], *WING_B[1:]], True)])
+def test_exits_in_common_do_not_merge_maps_whose_doors_bear_other_names(keyframe, scan, walls, names, is_merged):
+    room = scan(walls((-30, -2), (30, -2), (30, 2), (-30, 2)), (0.0, 0.0, 0.0))
+    team = TeamMapper(override(EnvConfig(), {"slam.merging.wifi_check": False}), 2)
+    team._seeks_closures = False
+    for k in range(7):
+        texts = ["EXIT"] * 2 if k % 2 else [NAMES[k // 2], names[k // 2]]
+        made = []
+        for robot, text in enumerate(texts):
+            signs = [SignObservation(text, np.array([0.0, 1.0]), -math.pi / 2)] * 2
+            passed = keyframe(robot, k, (DOORS_M * k, 0.0, 0.0), DOORS_M * k, room, signs)
+            made.append(replace(passed, motion=np.array([DOORS_M * (k > 0), 0.0, 0.0])))
+        team.update(k, made)
+    for k in (1, 3, 5):
+        candidate = LoopCandidate((0, k), (1, k), np.zeros(3), "text", np.array([0.0, 1.0]), text_similarity=1.0)
+        team._graph.add_closure(LoopClosure(candidate, np.zeros(3), np.diag([0.01, 0.01, 0.002]), 0.9, "pending"))
+    assert team._try_merge(0, 1) is is_merged

@@ -1,0 +1,105 @@
+"""Whether two maps have the same signs where they would share a place.
+
+Where rooms look alike the names on their doors are nearly alike, too, and every corridor has an exit: closures by such
+signs agree a room or a wing aside. What hangs there then reads otherwise, time and again, on most of the doors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twc_env.kernels import kernel
+from twc_env.messages import Keyframe
+from twc_env.slam.text_similarity import normalise
+
+Array = NDArray
+
+SAME_PLACE_M, SAME_FACING_RAD = 0.6, 0.8
+"""Signs nearer to each other than this, on walls that face the same way, hang in one place."""
+
+
+class SignsRead:
+    """What was read at the keyframes of each robot, as far as anybody asked."""
+
+    def __init__(self) -> None:
+        self._number_of: dict[str, int] = {}
+        self._readings: dict[int, list[tuple[int, int, float, float, float]]] = {}
+        """Of each robot: place of the keyframe on its path, number of the text, where it hangs and faces there."""
+        self._looked_at: dict[int, int] = {}
+        """How many of its keyframes are among these."""
+
+    def by(self, robot: int, path: Sequence[Keyframe]) -> tuple[Array, Array, Array]:
+        """Of all readings of a robot with these keyframes whose walls are known: (n,) place on the path, (n,) number of
+        the text, (n, 3) where it hangs and faces in the frame of that keyframe."""
+        found, first = self._readings.setdefault(robot, []), self._looked_at.get(robot, 0)
+        for place in range(first, len(path)):
+            for sign in path[place].signs:
+                if not math.isnan(sign.facing_rad):
+                    text = normalise(sign.text).replace(" ", "")  # the space between two words is what OCR loses most
+                    number = self._number_of.setdefault(text, len(self._number_of))
+                    found.append((place, number, *sign.position_m.tolist(), sign.facing_rad))
+        self._looked_at[robot] = len(path)
+        rows = np.array(found).reshape(-1, 5)
+        return rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), rows[:, 2:]
+
+    def clear(self) -> None:
+        """Paths have been thinned: look at all of them anew."""
+        self._readings.clear()
+        self._looked_at.clear()
+
+
+@kernel
+def _hang_together(a, b):
+    turn = (a[2] - b[2] + math.pi) % (2 * math.pi) - math.pi
+    return math.hypot(a[0] - b[0], a[1] - b[1]) < SAME_PLACE_M and abs(turn) < SAME_FACING_RAD
+
+
+@kernel
+def count_shared(texts, poses, is_b):
+    """In how many places of one map the other reads a sign, too, and the same; and in how many another one.
+
+    texts (n,) numbers of readings, poses (n, 3) where each hangs and faces, is_b (n,) whose it is. The same: to the
+    letter at least once. Another: never, although both have read something there twice to the letter.
+    """
+    count, places = texts.shape[0], 0
+    place_of, first = np.empty(count, np.int64), np.empty(count, np.int64)
+    for k in range(count):
+        place_of[k] = places
+        for p in range(places):
+            if is_b[first[p]] == is_b[k] and _hang_together(poses[first[p]], poses[k]):
+                place_of[k] = p
+                break
+        if place_of[k] == places:
+            first[places] = k
+            places += 1
+    starts, members = np.zeros(places + 2, np.int64), np.empty(count, np.int64)
+    for k in range(count):  # place by place the texts that were read there, and where each begins
+        starts[place_of[k] + 2] += 1
+    for p in range(places):
+        starts[p + 2] += starts[p + 1]
+    for k in range(count):
+        members[starts[place_of[k] + 1]] = texts[k]
+        starts[place_of[k] + 1] += 1
+    is_sure = np.zeros(places, np.bool_)
+    for p in range(places):
+        for i in range(starts[p], starts[p + 1]):
+            for j in range(starts[p], i):
+                is_sure[p] |= members[i] == members[j]
+    same = other = 0
+    for p in range(places):
+        if is_b[first[p]]:
+            continue
+        is_same = is_met = False
+        for q in range(places):
+            if is_b[first[q]] and _hang_together(poses[first[p]], poses[first[q]]):
+                is_met |= is_sure[q]
+                for i in range(starts[p], starts[p + 1]):
+                    for j in range(starts[q], starts[q + 1]):
+                        is_same |= members[i] == members[j]
+        same += is_same
+        other += not is_same and is_met and is_sure[p]
+    return same, other
