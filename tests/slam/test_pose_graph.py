@@ -12,7 +12,6 @@ from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
 from twc_env.geometry import align_rigidly, between, compose, wrap_angle
 from twc_env.slam import pose_graph
-from twc_env.slam.covariance_scaling import weights_of_used
 
 PLAIN = PoseGraphConfig(robust="plain", iterations_max=100)
 
@@ -312,22 +311,3 @@ def test_several_held_poses_keep_their_bits_and_the_others_fit_best(seed):
 
     assert fitted[held].tobytes() == start[held].tobytes()
     assert fitted[moves] == pytest.approx(least_squares(errors, start[moves].ravel()).x.reshape(-1, 3), abs=1e-5)
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("used_share", [1.0, 0.9, 0.1])
-def test_one_compiled_optimisation_takes_the_steps_of_the_one_for_any_weights(seed, used_share):
-    """Also where so many closures are not used that a smaller pattern is made."""
-    true, edges, measured, information, is_closure = random_graph(seed)
-    random = np.random.default_rng(seed)
-    start = true + random.normal(0, 0.1, true.shape)
-    used = ~is_closure | (random.random(len(edges)) < used_share)
-    ends = 50, 1e-4, 1e-4
-    equations = pose_graph.NormalEquations(edges, measured, information, len(true), 0)
-    poses, squared = equations.minimise_used(start, is_closure, used, 1.0, *ends)
-    expected = equations.minimise(start, lambda s: weights_of_used(s, is_closure, used, 1.0), *ends)
-    assert poses == pytest.approx(expected, abs=1e-12)
-    assert squared == pytest.approx(pose_graph.squared_errors(expected, edges, measured, information))
-    assert weights_of_used(squared, is_closure, used, 1.0) == pytest.approx(
-        np.where(is_closure, np.minimum(1.0, 2.0 / (1.0 + squared)) ** 2, 1.0) * used
-    )

@@ -13,20 +13,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
-from twc_env.kernels import kernel
 from twc_env.slam.block_cholesky import BlockCholesky
-from twc_env.slam.covariance_scaling import (
-    DECREASE,
-    FIRST_DAMPING,
-    HEARD_SHARE,
-    LAST_DAMPING,
-    NEGLIGIBLE,
-    ROUNDING,
-    STALLED_M,
-    TRIES,
-    minimised_of_used,
-    weights_of_used,
-)  # fmt: skip
 from twc_env.slam.relative_equations import (
     damped,
     linearise_relative,
@@ -42,6 +29,10 @@ GATE = 11.345
 """99 % of chi squared with three degrees of freedom."""
 STEP_M, STEP_RAD = 2e-3, 1e-3
 """A step below both ends the optimisation."""
+NEGLIGIBLE = 1e-6
+"""Weight from which on down an edge is not heard in a step."""
+DECREASE, STALLED_M = 1e-6, 0.1
+"""So does a step shorter than this that takes a smaller share off the error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,13 +122,16 @@ class NormalEquations:
     def __init__(self, edges: Array, measured: Array, information: Array, count: int, fixed: int | Array):
         """fixed: a pose that is held where it is, or several (k,). Raises DataError for edges between other poses."""
         self.edges = np.ascontiguousarray(edges, np.int64)
+        if self.edges.size and not 0 <= self.edges.min() <= self.edges.max() < count:
+            raise DataError(f"edges join poses 0 to {count - 1}; got {self.edges.min()} to {self.edges.max()}")
         self.measured = np.ascontiguousarray(measured, float)
         self.information = np.ascontiguousarray(information, float)
         self._count, self._held = count, np.atleast_1d(np.asarray(fixed, np.int64))
         self._fewer: tuple[bytes, NormalEquations] | None = None
-        pairs, is_fit = _pairs_that_move(self.edges, count, self._held)
-        if not is_fit:
-            raise DataError(f"edges join poses 0 to {count - 1}; got {self.edges.min()} to {self.edges.max()}")
+        pairs = self.edges.copy()
+        is_held = np.zeros(count, bool)
+        is_held[self._held] = True
+        pairs[is_held[pairs]] = -1
         self._cholesky = BlockCholesky(pairs, count)
         self._blocks = self._cholesky.block_of_pair
 
@@ -165,7 +159,7 @@ class NormalEquations:
 
         `weigh` gives the weights (edges,) at squared errors (edges,).
         """
-        damping = FIRST_DAMPING
+        damping = 1e-6
         squared = self.squared_errors(poses)
         for _ in range(iterations_max):
             weight = weigh(squared)
@@ -173,38 +167,20 @@ class NormalEquations:
             if step is None:
                 break
             before, (poses, squared, moved_m, moved_rad) = float(weight @ squared), step
-            damping = max(damping / 10, LAST_DAMPING)
+            damping = max(damping / 10, 1e-12)
             stalled = before - weight @ squared < DECREASE * before and moved_m < STALLED_M
             if stalled or (moved_m < step_m and moved_rad < step_rad):
                 break
         return poses
 
-    def minimise_used(
-        self, poses: Array, is_closure: Array, used: Array, scale: float, iterations_max: int, step_m: float,
-        step_rad: float,
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """`minimise` with dynamic covariance scaling of the closures that are used: poses and squared errors there."""
-        cholesky = self._cholesky
-        if not cholesky.has_dense_rest:
-            found, squared, is_done = minimised_of_used(
-                poses, self.edges, self.measured, self.information, is_closure, used, scale, iterations_max, step_m,
-                step_rad, self._blocks, self._held, *cholesky.pattern, cholesky.block_count,
-            )  # fmt: skip
-            if is_done:
-                return found, squared
-        poses = self.minimise(
-            poses, lambda squared: weights_of_used(squared, is_closure, used, scale), iterations_max, step_m, step_rad
-        )
-        return poses, self.squared_errors(poses)
-
     def _step(self, poses: Array, weight: Array, cost: float, damping: float):
         """One damped step that does not raise the cost: poses, squared errors, longest moves; None if there is none."""
         heard, its_weight = self._heard(weight)
-        for _ in range(TRIES):
+        for _ in range(8):
             is_sound, moved, moved_m, moved_rad = heard._go(poses, its_weight, damping)
             if is_sound:
                 squared = self.squared_errors(moved)
-                if weight @ squared <= cost * ROUNDING:
+                if weight @ squared <= cost * (1 + 1e-12):
                     return moved, squared, moved_m, moved_rad
             damping = max(damping * 10, 1e-9)
         return None
@@ -228,29 +204,13 @@ class NormalEquations:
     def _heard(self, weight: Array) -> tuple[NormalEquations, Array]:
         """The equations of edges that are not weighed away, where these are so few that a smaller pattern pays."""
         heard = weight > NEGLIGIBLE
-        if np.count_nonzero(heard) > HEARD_SHARE * len(weight):
+        if np.count_nonzero(heard) > 0.8 * len(weight):
             return self, weight
         key = heard.tobytes()
         if self._fewer is None or self._fewer[0] != key:
             edges, measured, information = self.edges[heard], self.measured[heard], self.information[heard]
             self._fewer = key, NormalEquations(edges, measured, information, self._count, self._held)
         return self._fewer[1], weight[heard]
-
-
-@kernel
-def _pairs_that_move(edges, count, held):
-    """The edges, -1 for poses that are held (k,); whether all poses are among so many."""
-    pairs, is_held = edges.copy(), np.zeros(count, np.bool_)
-    for pose in held:
-        is_held[pose] = True
-    is_fit = True
-    for e in range(len(edges)):
-        for k in range(2):
-            if not 0 <= edges[e, k] < count:
-                is_fit = False
-            elif is_held[edges[e, k]]:
-                pairs[e, k] = -1
-    return pairs, is_fit
 
 
 def _arrays(poses: Array, edges: Array, measured: Array) -> tuple[Array, Array, Array]:

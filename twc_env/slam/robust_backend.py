@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
 from twc_env.geometry import between, compose
-from twc_env.kernels import borrowing_kernel
+from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam import pose_graph
 from twc_env.slam.closure_agreement import pairwise_consistent
 from twc_env.slam.closure_growth import ClosureGrowth
@@ -121,9 +121,14 @@ def second_thoughts(
     used = is_used | ~graph.is_closure
     equations = NormalEquations(graph.edges, graph.measured, graph.information, len(poses), fixed)
     for _ in range(ROUNDS_MAX):
-        poses, squared = equations.minimise_used(
-            poses, graph.is_closure, used, config.robust_scale, config.iterations_max, EPISODE_STEP_M, EPISODE_STEP_RAD
+        poses = equations.minimise(
+            poses,
+            lambda squared, used=used: _weights_of_used(squared, graph.is_closure, used, config.robust_scale),
+            config.iterations_max,
+            EPISODE_STEP_M,
+            EPISODE_STEP_RAD,
         )
+        squared = equations.squared_errors(poses)
         if not _reconsider(squared, graph.is_closure, used):
             break
     if used.all():
@@ -131,6 +136,16 @@ def second_thoughts(
     reasons = {int(e): f"contradicts the map (squared error {squared[e]:.1f})" for e in np.flatnonzero(~used)}
     group = np.full(len(used), -1)
     return BackendResult(poses, used, _rejections(graph, poses, used, group, reasons, "ours"))
+
+
+@kernel
+def _weights_of_used(squared, is_closure, used, scale):
+    """(edges,) dynamic covariance scaling of closures that are used; odometry always 1."""
+    weight = np.empty(squared.shape[0])
+    for e in range(squared.shape[0]):
+        root = min(1.0, 2 * scale / (scale + squared[e])) if is_closure[e] else 1.0
+        weight[e] = root * root if used[e] else 0.0
+    return weight
 
 
 @borrowing_kernel
