@@ -37,7 +37,7 @@ class Wanderer:
     def act(self, ranges_m: Array) -> Array:
         """(2,) action from a scan (beams,) [m]."""
         beams = len(ranges_m)
-        ahead = beams // 12
+        ahead = max(1, beams // 12)
         front = min(ranges_m[:ahead].min(), ranges_m[-ahead:].min())
         if self._turn_steps > 0:
             self._turn_steps -= 1

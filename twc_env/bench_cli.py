@@ -94,7 +94,7 @@ def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
 
     rows = bench_parts(config, options.episodes, report=_report)
     print(table_of(rows))
-    matching = time_matching(config)
+    matching = {} if config.slam.mode == "off" else time_matching(config)
     for key, value in matching.items():
         print(f"{key:<32}{value:>18.3f}")
     write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows} | matching)

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.bench import wander
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, override
+from twc_env.errors import ConfigError
 from twc_env.exploration.environment import ExplorationEnv
 
 Array = NDArray
@@ -29,7 +30,7 @@ Array = NDArray
 _CALIBRATION_CALLS = 20_000
 REPEATS = 5
 """Runs of each episode, of each kind."""
-_KEYFRAMES, _MATCHED_POINTS = 24, 600
+_KEYFRAMES, _MATCHED_POINTS, _MATCHED_STEPS = 24, 600, 2000
 REST = "the rest"
 
 
@@ -200,20 +201,25 @@ def _time_parts(config: EnvConfig, seed: int) -> tuple[dict[str, float], dict[st
 def time_matching(config: EnvConfig, repeats: int = 20) -> dict[str, float]:
     """CPU time of one match of 600 points, and of one candidate verified with a guess and without [ms]; medians.
 
-    On pairs of neighbouring keyframes of a wandering robot.
+    On pairs of neighbouring keyframes of a wandering robot. Raises ConfigError where it takes too few.
     """
     from twc_env.geometry import between
     from twc_env.messages import LoopCandidate
     from twc_env.slam.loop_verification import LoopVerifier
     from twc_env.slam.scan_matching import LineField, scan_points
 
-    env = ExplorationEnv(config=config)
+    env = ExplorationEnv(config=override(config, {"max_cycles": _MATCHED_STEPS}))
     env.reset(seed=0)
     for actions in wander(env, 0):
         env.step(actions)
         if len(env.engine.team.keyframes[0]) >= _KEYFRAMES:
             break
     path = env.engine.team.keyframes[0]
+    if len(path) < _KEYFRAMES:
+        raise ConfigError(
+            f"bench --parts matches {_KEYFRAMES} keyframes, and a robot took {len(path)} in {_MATCHED_STEPS} steps; "
+            "leave out the settings that hold robots"
+        )
     field = LineField(32.0, 0.1, config.lidar.range_max_m)
     for keyframe in path[:10]:
         field.add(keyframe.pose_odom[None], keyframe.ranges_m[None])

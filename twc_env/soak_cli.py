@@ -23,7 +23,9 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
         "  python -m twc_env soak --actions 100000 --observations 10000",
         formatter_class=Paragraphs,
     )
-    long.add_argument("--steps", type=count, default=1_000_000, help="time steps in all (default: %(default)s)")
+    long.add_argument(
+        "--steps", type=count, default=1_000_000, help="time steps in all, in whole episodes (default: %(default)s)"
+    )
     long.add_argument(
         "--actions",
         type=count,
