@@ -1,3 +1,4 @@
+import copy
 import hashlib
 import pickle
 import subprocess
@@ -7,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import twc_env
 from twc_env.config import EnvConfig, override
 from twc_env.geometry import align_rigidly, between, compose
 from twc_env.messages import Contacts
 from twc_env.slam.engine import CooperativeSlam
+from twc_env.world.world import World
 
 REPLAY = """
 import pickle, sys
@@ -200,3 +203,25 @@ def test_the_pose_graph_has_one_chain_per_robot_and_every_accepted_closure(engin
     for kind, (a, b) in zip(kinds, graph["edges_ij"], strict=True):
         (robot_a, index_a), (robot_b, index_b) = graph["node_ids"][a], graph["node_ids"][b]
         assert kind == "closure" or (robot_a == robot_b and index_b == index_a + 1)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda engine: pickle.loads(pickle.dumps(engine))])
+def test_a_copy_of_the_engine_goes_on_as_the_engine_does(copied):
+    config = override(EnvConfig(), {"robots": 6, "lidar.beam_count": 60})
+    world, random = World(config, twc_env.load_map("twin-01")), np.random.default_rng(1)
+    world.reset(seed=1)
+    engine = CooperativeSlam(config, 6)
+    twin = None
+    for step in range(140):
+        if step % 20 == 0:
+            commands = np.column_stack([random.uniform(0.2, 0.8, 6), random.uniform(-0.8, 0.8, 6)])
+        world.step(commands)
+        frames = list(world.sense())
+        for each in (engine, twin):
+            if each is not None:
+                each.update(frames)
+        if step == 20:
+            twin = copied(engine)
+    assert engine.team.closures, "there is something to optimise"
+    for robot in range(6):
+        assert np.array_equal(twin.belief(robot).pose_map_robot, engine.belief(robot).pose_map_robot)

@@ -7,16 +7,12 @@ import pickle
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from twc_env._version import __version__
 from twc_env.config import EnvConfig, digest
 from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.episode import Episode
+from twc_env.whole_copy import SharingPickler
 from twc_env.world.floorplan import Floorplan
-
-Array = NDArray
 
 _PLAN = "floorplan"
 
@@ -31,8 +27,8 @@ class Snapshot:
     content: bytes
 
 
-class _Pickler(pickle.Pickler):
-    """Leaves the building out, which never changes, and keeps arrays that share memory sharing it."""
+class _Pickler(SharingPickler):
+    """Leaves the building out, which never changes."""
 
     def __init__(self, file: io.BytesIO, floorplan: Floorplan):
         super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
@@ -40,24 +36,6 @@ class _Pickler(pickle.Pickler):
 
     def persistent_id(self, value: Any) -> str | None:
         return _PLAN if value is self._floorplan else None
-
-    def reducer_override(self, value: Any) -> Any:
-        if type(value) is not np.ndarray or not isinstance(value.base, np.ndarray) or value.dtype.hasobject:
-            return NotImplemented
-        whole = value.base
-        while isinstance(whole.base, np.ndarray):
-            whole = whole.base
-        if whole.base is not None or not (whole.flags.c_contiguous or whole.flags.f_contiguous):
-            return NotImplemented
-        offset = value.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
-        return _part_of, (whole, value.dtype, value.shape, value.strides, offset, value.flags.writeable)
-
-
-def _part_of(whole: Array, dtype: np.dtype, shape: tuple, strides: tuple, offset: int, is_writeable: bool) -> Array:
-    """The view of an array that another array was."""
-    part: Array = np.ndarray(shape, dtype, whole.reshape(-1, order="A").view(np.uint8), offset, strides)
-    part.flags.writeable = is_writeable and whole.flags.writeable
-    return part
 
 
 class _Unpickler(pickle.Unpickler):

@@ -25,6 +25,7 @@ from twc_env.slam.robot import FrontEnds
 from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
 from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
+from twc_env.whole_copy import CopiedWhole
 
 Array = NDArray
 
@@ -69,7 +70,7 @@ class View:
         return self.mapper.groups[self.group].robots
 
 
-class CooperativeSlam:
+class CooperativeSlam(CopiedWhole):
     """One front end per robot, and one mapper for all or one on each robot (`link.topology`).
 
     `track` runs the front ends; `absorb` lets the robots talk and the mappers think. `update` does both.
