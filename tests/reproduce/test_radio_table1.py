@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from twc_env.__main__ import main
-from twc_env.reproduce import radio_table1, radio_walks
+from twc_env.json_values import plain
+from twc_env.maps import load_map
+from twc_env.messages import GridMap
+from twc_env.reproduce import radio_figures, radio_table1, radio_walks
+from twc_env.reproduce.radio_methods import Outcome
 from twc_env.reproduce.radio_twins import PLACES, true_path
 
 KEYS = ["environment", "method", "error_mean_m", "error_std_m", "ate_m", "paper_mean_m", "paper_std_m", "seeds"]
@@ -34,6 +38,20 @@ def test_pictures_are_drawn_of_what_an_earlier_run_found(tmp_path, monkeypatch, 
     assert [path.name for path in sorted((tmp_path / "rows").iterdir())] == ["rows.json", *names]
     assert [path.name for path in (tmp_path / "alone").iterdir()] == ["rows.json"]
     assert str(tmp_path / "rows" / names[0]) in capsys.readouterr().out
+
+
+def test_a_map_is_drawn_from_its_start_with_the_true_walls_over_it(tmp_path, monkeypatch):
+    start = np.array([[40.0, 30.0, np.pi / 2], [40.0, 31.0, np.pi / 2]])
+    grid = GridMap(np.zeros((200, 100), np.int16), np.array([-20.0, -50.0]), 0.5)
+    walk = plain(radio_figures.shown({"wifi+lidar": Outcome(start, start, grid=grid)}))
+    figures = []
+    new_figure = radio_figures.new_figure
+    monkeypatch.setattr(radio_figures, "new_figure", lambda *a, **k: figures.append(new_figure(*a, **k)) or figures[-1])
+    assert radio_figures.draw(tmp_path, "there", "radio-ntu", walk) == [tmp_path / "there-map.png"]
+    (axes,) = figures[0].axes
+    assert (axes.get_xlim(), axes.get_ylim()) == ((-20.0, 30.0), (-50.0, 50.0))
+    drawn, true = axes.lines[0].get_xydata(), load_map("radio-ntu").walls_m[0]
+    assert drawn[0] == pytest.approx([true[0, 1] - 30.0, 40.0 - true[0, 0]])  # the map's x points to the twin's y
 
 
 def test_a_walk_has_the_printed_length_and_speed_and_turns_no_faster_than_the_robot_can():

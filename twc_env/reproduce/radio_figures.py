@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twc_env.geometry import inverse, transform_points
 from twc_env.maps import load_map
 from twc_env.messages import GridMap
 from twc_env.reproduce.drawing import new_figure
@@ -38,7 +39,7 @@ def shown(outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
                 std_m = np.sqrt(outcome.model.variance_m2)
                 models[method] = {"centre": outcome.model.centre, "mean_m": outcome.model.mean_m, "std_m": std_m}
         if outcome.grid is not None:
-            maps[method] = _picture(outcome.grid)
+            maps[method] = _picture(outcome.grid, outcome.truth[0])
     return {"paths": paths, "models": models, "maps": maps}
 
 
@@ -46,12 +47,13 @@ def _rounded(positions_m: Array) -> list:
     return np.round(positions_m, DIGITS).tolist()
 
 
-def _picture(grid: GridMap) -> dict[str, Any]:
-    """Free white (255), walls black, in base64 as zlib makes it."""
+def _picture(grid: GridMap, start: Array) -> dict[str, Any]:
+    """Free white (255), walls black, in base64 as zlib makes it; the map's frame is that of the first true pose."""
     free = 1.0 / (1.0 + np.exp(np.clip(grid.log_odds / LOG_ODDS_SCALE, -LOG_ODDS_MAX, LOG_ODDS_MAX)))
     cells = np.round(255 * free).astype(np.uint8)
     packed = base64.b64encode(zlib.compress(cells.tobytes())).decode("ascii")
-    return {"shape": cells.shape, "resolution_m": grid.resolution_m, "cells": packed}
+    place = {"shape": cells.shape, "resolution_m": grid.resolution_m, "origin_m": grid.origin_m, "start": start}
+    return {**place, "cells": packed}
 
 
 def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> list[Path]:
@@ -74,9 +76,7 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> list[Pa
     if walk["paths"]:
         figure = new_figure(10, 7, dpi=110)
         axes = figure.add_subplot()
-        walls = load_map(twin).walls_m
-        apart = np.concatenate([walls, np.full((len(walls), 1, 2), np.nan)], axis=1)  # (walls, 3, 2)
-        axes.plot(*apart.reshape(-1, 2).T, color="0.75", lw=0.8)
+        axes.plot(*_walls_of(twin).T, color="0.75", lw=0.8)
         for method, path in walk["paths"].items():
             axes.plot(*np.transpose(path), color=PATHS.get(method, "k"), lw=0.9, label=method)
         axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=name)
@@ -87,10 +87,20 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> list[Pa
         axes = figure.add_subplot()
         cells = np.frombuffer(zlib.decompress(base64.b64decode(picture["cells"])), np.uint8).reshape(picture["shape"])
         height, width = np.array(cells.shape) * picture["resolution_m"]
-        axes.imshow(cells, cmap="gray", origin="lower", extent=(0, width, 0, height), vmin=0, vmax=255)
-        axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=f"{name}: occupancy map of {method}")
+        x, y = picture["origin_m"]
+        extent = (x, x + width, y, y + height)
+        axes.imshow(cells, cmap="gray", origin="lower", extent=extent, vmin=0, vmax=255)
+        axes.plot(*transform_points(inverse(picture["start"]), _walls_of(twin)).T, color="tab:red", lw=0.4)
+        axes.set(aspect="equal", xlabel="x from the start [m]", ylabel="y [m]", xlim=extent[:2], ylim=extent[2:])
+        axes.set_title(f"{name}: occupancy map of {method} and, red, the true walls")
         figures["map"] = figure
     paths = {what: folder / f"{name}-{what}.png" for what in figures}
     for what, figure in figures.items():
         figure.savefig(paths[what])
     return list(paths.values())
+
+
+def _walls_of(twin: str) -> Array:
+    """(points, 2) of all walls as one line, NaN between them."""
+    walls = load_map(twin).walls_m
+    return np.concatenate([walls, np.full((len(walls), 1, 2), np.nan)], axis=1).reshape(-1, 2)
