@@ -163,3 +163,10 @@ def test_an_unknown_choice_is_refused_with_those_there_are(arguments, message, c
     monkeypatch.setenv("TWC_DATA", str(tmp_path))
     assert command(["reproduce", *arguments.split(), "--cache", str(tmp_path)]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["sfw-ble", "radio-table1"])
+def test_help_says_which_tables_draw_beside_their_rows(name, capsys):
+    with pytest.raises(SystemExit):
+        command(["reproduce", name, "--help"])
+    assert ("and pictures beside" in " ".join(capsys.readouterr().out.split())) == (name == "radio-table1")

@@ -182,9 +182,8 @@ def add_parser(commands) -> None:
             formatter_class=Paragraphs,
         )
         module.add_arguments(table)
-        table.add_argument(
-            "--json", type=Path, metavar="FILE", help="write the rows, and pictures beside them; - for the terminal"
-        )
+        beside = ", and pictures beside them" if hasattr(module, "draw") else ""
+        table.add_argument("--json", type=Path, metavar="FILE", help=f"write the rows{beside}; - for the terminal")
         table.add_argument(
             "--cache", type=Path, default=Path("runs/reproduce"), help="finished parts (default: %(default)s)"
         )
