@@ -2,7 +2,8 @@
 
 Episodes are those of `merging`: robots without a common frame walk through unseen buildings on ways that overlap
 partly. Conditions: no signs are read; no WiFi is heard; the link is cut for the middle third of the episode; the last
-robot stops for good half-way; the last robot's receiver reads 10 dB too much; every name hangs at two places or more.
+robot stops for good half-way; the last robot's receiver reads 10 dB too much; every name hangs at two places or more;
+laser scanners have 60 beams, err by 5 cm (`rough`), or have 36 beams and err by 3 cm (`cheap`).
 `d_` columns are the mean difference to the normal run of the same building, with its spread over buildings (`sd_`).
 `ate_m` aligns every group of merged robots once. `lacked` is what the engine's own report
 names in more episodes than normally (numbers as #).
@@ -30,9 +31,12 @@ from twc_env.world.floorplan import Floorplan
 
 Array = NDArray
 
-SUMMARY = "the engine without signs, WiFi, link or a robot, with an odd device and with repeated names"
+SUMMARY = "the engine without signs, WiFi, link or a robot, with an odd device, repeated names and worse lasers"
 CHOOSES = ("buildings", "conditions")
-CONDITIONS = ("normal", "no signs", "no WiFi", "link cut", "robot lost", "odd device", "repeated names")
+CONDITIONS = (
+    "normal", "no signs", "no WiFi", "link cut", "robot lost", "odd device", "repeated names", "60 beams",
+    "rough laser", "cheap laser",
+)  # fmt: skip
 CRUISE_STEPS_PER_M = 14.0
 """About how many steps a walker needs for a metre; failures come at shares of the longest way."""
 LACKS_SHOWN = 3
@@ -89,6 +93,9 @@ def settings(condition: str, steps: int) -> dict:
         "link cut": {"failure.link_begin_step": steps // 3, "failure.link_end_step": 2 * steps // 3},
         "robot lost": {"failure.robots": 1, "failure.robots_step": steps // 2},
         "odd device": {"failure.device_offset_db": 10.0},
+        "60 beams": {"lidar.beam_count": 60},
+        "rough laser": {"lidar.range_noise_std_m": 0.05},
+        "cheap laser": {"lidar.beam_count": 36, "lidar.range_noise_std_m": 0.03},
     }
     return changes.get(condition, {})
 
