@@ -125,6 +125,12 @@ def test_a_file_whose_picture_has_changed_is_read_again(tmp_path):
     assert widths_m == pytest.approx([4.0, 6.0])
 
 
+def test_a_picture_beside_a_map_that_is_gone_keeps_nobody_from_reading_it(tmp_path):
+    path = write_ros_map(GridMap(np.full((50, 40), -1, np.int16), np.zeros(2), 0.1), tmp_path, "plan")
+    (tmp_path / "other.pgm").symlink_to(tmp_path / "gone.pgm")
+    assert np.ptp(load_map(path).walls_m[..., 0]) == pytest.approx(4.0)
+
+
 def test_house_expo_files_are_known_by_their_keys(tmp_path):
     path = tmp_path / "house.json"
     path.write_text(json.dumps(HOUSE))

@@ -122,7 +122,7 @@ def _read_native(path: Path, modified: int) -> Floorplan:
 def _written(path: Path) -> tuple[int, ...]:
     """When a file, and what may be read with it, was written last: the size of a floor, or pictures."""
     beside = "floor_info.json" if "json" in path.name.lower() else "*.p[gn][mg]*"
-    return tuple(each.stat().st_mtime_ns for each in (path, *sorted(path.parent.glob(beside))))
+    return tuple(each.stat().st_mtime_ns for each in (path, *sorted(path.parent.glob(beside))) if each.is_file())
 
 
 @lru_cache(maxsize=8)
