@@ -2,8 +2,8 @@
 
 A log is JSON {"map": {"<unix seconds>": {"range": [metres], "x": m, "y": m, "theta": rad}}} or a text of CARMEN, of
 which the lines `FLASER n r1 .. rn x y theta ...` or, in newer ones, `ROBOTLASER1` are read, with the pose of the laser;
-relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose at
-t2 in the frame of the pose at t1. All may be gzipped. `sensor_frames` makes of a log what the engine takes in.
+relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose at t2 in the frame of the pose at t1. All may be
+gzipped. `sensor_frames` makes of a log what the engine takes in.
 """
 
 from __future__ import annotations

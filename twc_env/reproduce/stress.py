@@ -3,10 +3,10 @@
 Episodes are those of `merging`: robots without a common frame walk through unseen buildings on ways that overlap
 partly. Conditions: no signs are read; no WiFi is heard; the link is cut for the middle third of the episode; the last
 robot stops for good half-way; the last robot's receiver reads 10 dB too much; every name hangs at two places or more;
-laser scanners have 60 beams, err by 5 cm (`rough`), or have 36 beams and err by 3 cm (`cheap`).
-`d_` columns are the mean difference to the normal run of the same building, with its spread over buildings (`sd_`).
-`ate_m` aligns every group of merged robots once. `lacked` is what the engine's own report
-names in more episodes than normally (numbers as #).
+laser scanners have 60 beams, err by 5 cm (`rough`), or have 36 beams and err by 3 cm (`cheap`). `d_` columns are the
+mean difference to the normal run of the same building, with its spread over buildings (`sd_`). `ate_m` aligns every
+group of merged robots once. `lacked` is what the engine's own report names in more episodes than normally (numbers as
+#).
 """
 
 from __future__ import annotations

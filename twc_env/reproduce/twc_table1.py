@@ -5,15 +5,14 @@ sightings of different robots, and the same are right: one physical sign, sensor
 pairs of one sign from further apart count neither way). `recall_absolute` is of all right pairs; `recall_conditional`
 is of those the text threshold alone lets through, which is how the print's combined recall can exceed that of text.
 `precision_best_match` counts one match per sighting and other robot, `precision_places` is of WiFi alone at places
-along the way as the paper sampled it. `_verified` figures are of what scan matching then confirms among
-the pairs that a loose setting of the method lets through: text, twc and fused
-give it the pose that the shared sign implies, WiFi and laser none. With `--json` the precision-recall curves of all
-methods, before and after verification, are written beside it, and the paper's figures 4 to 6 as by `twc-table2`.
-Methods named like `twc departments` walk past signs like
-those that the print implies (`twc_scenes`). `--alternatives` adds the rows of twc and WiFi for the other readings of
-Eq. 10 and for Eq. 7 as printed (methods named like `twc cosine`). All constants were fixed on scene #01 and drawn
-buildings. Some episodes of scene #02 were looked at while `fused` was being designed, so its figures there are not
-those of a scene never seen.
+along the way as the paper sampled it. `_verified` figures are of what scan matching then confirms among the pairs that
+a loose setting of the method lets through: text, twc and fused give it the pose that the shared sign implies, WiFi and
+laser none. With `--json` the precision-recall curves of all methods, before and after verification, are written beside
+it, and the paper's figures 4 to 6 as by `twc-table2`. Methods named like `twc departments` walk past signs like those
+that the print implies (`twc_scenes`). `--alternatives` adds the rows of twc and WiFi for the other readings of Eq. 10
+and for Eq. 7 as printed (methods named like `twc cosine`). All constants were fixed on scene #01 and drawn buildings.
+Some episodes of scene #02 were looked at while `fused` was being designed, so its figures there are not those of a
+scene never seen.
 """
 
 from __future__ import annotations
