@@ -59,13 +59,9 @@ def _hang_together(a, b):
 
 
 @kernel
-def count_shared(texts, poses, is_b):
-    """In how many places of one map the other reads a sign, too, and the same; and in how many another one.
-
-    texts (n,) numbers of readings, poses (n, 3) where each hangs and faces, is_b (n,) whose it is. The same: to the
-    letter at least once. Another: never, although both have read something there twice to the letter.
-    """
-    count, places = texts.shape[0], 0
+def _places(poses, is_b):
+    """Of each reading its place, of each place its first reading, and (places, places) which of two maps are one."""
+    count, places = poses.shape[0], 0
     place_of, first = np.empty(count, np.int64), np.empty(count, np.int64)
     for k in range(count):
         place_of[k] = places
@@ -76,30 +72,23 @@ def count_shared(texts, poses, is_b):
         if place_of[k] == places:
             first[places] = k
             places += 1
-    starts, members = np.zeros(places + 2, np.int64), np.empty(count, np.int64)
-    for k in range(count):  # place by place the texts that were read there, and where each begins
-        starts[place_of[k] + 2] += 1
+    is_one = np.zeros((places, places), np.bool_)
     for p in range(places):
-        starts[p + 2] += starts[p + 1]
-    for k in range(count):
-        members[starts[place_of[k] + 1]] = texts[k]
-        starts[place_of[k] + 1] += 1
-    is_sure = np.zeros(places, np.bool_)
-    for p in range(places):
-        for i in range(starts[p], starts[p + 1]):
-            for j in range(starts[p], i):
-                is_sure[p] |= members[i] == members[j]
-    same = other = 0
-    for p in range(places):
-        if is_b[first[p]]:
-            continue
-        is_same = is_met = False
         for q in range(places):
-            if is_b[first[q]] and _hang_together(poses[first[p]], poses[first[q]]):
-                is_met |= is_sure[q]
-                for i in range(starts[p], starts[p + 1]):
-                    for j in range(starts[q], starts[q + 1]):
-                        is_same |= members[i] == members[j]
-        same += is_same
-        other += not is_same and is_met and is_sure[p]
-    return same, other
+            is_one[p, q] = is_b[first[p]] < is_b[first[q]] and _hang_together(poses[first[p]], poses[first[q]])
+    return place_of, first[:places], is_one
+
+
+def count_shared(texts: Array, poses: Array, is_b: Array) -> tuple[int, int]:
+    """In how many places of one map the other reads a sign, too, and the same; and in how many another one.
+
+    texts (n,) numbers of readings, poses (n, 3) where each hangs and faces, is_b (n,) whose it is. The same: to the
+    letter at least once. Another: never, although both have read something there twice to the letter.
+    """
+    place_of, first, is_one = _places(poses, is_b)
+    names, name_of = np.unique(texts, return_inverse=True)
+    read = np.zeros((len(first), len(names)))
+    np.add.at(read, (place_of, name_of), 1)
+    is_sure = (read > 1).any(axis=1)
+    is_same = (is_one & (read @ read.T > 0)).any(axis=1)
+    return int(is_same.sum()), int((is_sure & ~is_same & (is_one & is_sure).any(axis=1)).sum())

@@ -129,8 +129,9 @@ class TargetWalls:
     """
 
     def __init__(self, size_m: float, lidar: LidarConfig):
-        self.field, self._noise_m = LineField(size_m, FIELD_CELL_M, lidar.range_max_m), lidar.range_noise_std_m
+        self.field = LineField(size_m, FIELD_CELL_M, lidar.range_max_m)
         """To be searched far from a guess."""
+        self._noise_m = lidar.range_noise_std_m
         self._bound: _Kernels | None = None
         self._beams = 0
         """How many a scan has for which these are bound."""

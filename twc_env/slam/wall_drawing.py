@@ -253,12 +253,11 @@ def forget_walls(cells, drawn):
 def drawing_limits(beams: int, range_noise_std_m: float) -> Array:
     """(5,) squares [m2]: how far end points may be apart that follow each other, and two of which there is no third;
     the shortest chord that is looked at, how far points may be from one, and how long a piece is."""
-    jump_m = JUMP_MAX_M * max(1.0, JUMP_BEAMS / beams)
-    cut_m, straight_m = (
-        max(CUT_MIN_M, CUT_NOISES * range_noise_std_m),
-        max(STRAIGHT_M, STRAIGHT_NOISES * range_noise_std_m),
-    )
-    return np.square([jump_m, JUMP_MAX_M, cut_m, straight_m, max(PIECE_M, PIECE_NOISES * range_noise_std_m)])
+    noise_m = range_noise_std_m
+    return np.square([
+        JUMP_MAX_M * max(1.0, JUMP_BEAMS / beams), JUMP_MAX_M, max(CUT_MIN_M, CUT_NOISES * noise_m),
+        max(STRAIGHT_M, STRAIGHT_NOISES * noise_m), max(PIECE_M, PIECE_NOISES * noise_m),
+    ])  # fmt: skip
 
 
 def drawing_room(beams: int, range_noise_std_m: float) -> tuple[Array, ...]:
