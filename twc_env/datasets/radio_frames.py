@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.errors import DataError
-from twc_env.geometry import between
+from twc_env.geometry import between, wrap_angle
 from twc_env.messages import UNSEEN_M, Fingerprint, SensorFrame, WifiScan
 
 Array = NDArray
@@ -35,6 +35,7 @@ def radio_frames(
         raise DataError("the times of the scans do not ascend; sort them, or leave repeated ones out")
     poses = np.concatenate([reckoned[:1], reckoned])
     odometry = between(poses[:-1], poses[1:])
+    odometry[1:, 2] = turned_rad + wrap_angle(odometry[1:, 2] - turned_rad)  # whole turns are the gyro's
     rates = np.concatenate([[0.0], turned_rad / elapsed_s])
     unseen = np.full(beam_count, UNSEEN_M)
     return [
