@@ -23,7 +23,7 @@ help: ## list the commands
 
 .venv/installed-test: $(PINS) | .venv/bin/python
 	$(INSTALL) torch -e '.[viz,dev,train,ocr]'
-	@$(INSTALL) -e '.[torchrl,rerun]' || echo "TorchRL or Rerun is not to be had here: their tests are skipped"
+	@$(INSTALL) -e '.[torchrl,rerun]' sb3-contrib || echo "TorchRL, Rerun or sb3-contrib is not to be had here: their tests are skipped"
 	@touch $@
 
 setup: .venv/installed-dev ## .venv with everything but torch
