@@ -69,9 +69,10 @@ def test_negate_swaps_black_and_white(tmp_path, negate):
     assert np.array_equal(ros_map.free, grid().log_odds > 0)
 
 
-def test_a_picture_that_is_said_to_lie_on_another_machine_is_found_beside_its_map(tmp_path):
+@pytest.mark.parametrize("place", ["/home/robot/maps/", "C:\\maps\\"])
+def test_a_picture_that_is_said_to_lie_on_another_machine_is_found_beside_its_map(tmp_path, place):
     path = write_ros_map(grid(), tmp_path, "mine")
-    path.write_text(path.read_text().replace("image: mine.pgm", "image: /home/robot/maps/mine.pgm"))
+    path.write_text(path.read_text().replace("image: mine.pgm", f"image: {place}mine.pgm"))
     assert np.array_equal(read_ros_cells(path).free, grid().log_odds < 0)
 
 

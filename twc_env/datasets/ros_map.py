@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ def read_ros_cells(path: str | Path) -> RosMap:
     path = Path(path)
     values = _read_yaml(path)
     # Savers write where the picture lay on their machine.
-    picture = _picture(path.parent / values["image"]) or _picture(path.parent / PurePath(values["image"]).name)
+    picture = _picture(path.parent / values["image"]) or _picture(path.parent / PureWindowsPath(values["image"]).name)
     if picture is None:
         raise MapError(f"{path.name} names the picture {values['image']!r}, which is not beside it; put it there")
     occupancy = _occupancy(picture, values, path)
