@@ -260,7 +260,7 @@ def _fingerprint_distance_db(macs, levels, starts, a, b, differences):
 
 @kernel
 def _compare_places(macs, levels, starts, positions, robots, travels, is_b):
-    """See `wifi_agrees`: 1, 0, or -1 while too few places can be compared."""
+    """The distances of places brought together and of the yardstick's pairs."""
     together, reference = np.empty(256), np.empty(256)
     found = learned = longest = 0
     for i in range(positions.shape[0]):
@@ -291,9 +291,7 @@ def _compare_places(macs, levels, starts, positions, robots, travels, is_b):
                     reference = _doubled(reference)
                 reference[learned] = distance
                 learned += 1
-    if found < PAIRS_MIN or learned < PAIRS_MIN:
-        return -1
-    return 1 if np.median(together[:found]) <= REFERENCE_SLACK * np.median(reference[:learned]) else 0
+    return together[:found], reference[:learned]
 
 
 @kernel
@@ -310,7 +308,9 @@ def wifi_agrees(positions: Array, robots: Array, travels_m: Array, heard: HeardP
     length of each, what was heard at each, is_b (k,) bool. The yardstick is learned here and now: the median distance
     between fingerprints of one robot taken REFERENCE_M apart.
     """
-    agrees = _compare_places(
+    together, reference = _compare_places(
         heard.macs, heard.rssi_dbm, heard.starts, np.ascontiguousarray(positions, float), robots, travels_m, is_b
     )
-    return None if agrees < 0 else agrees == 1
+    if len(together) < PAIRS_MIN or len(reference) < PAIRS_MIN:
+        return None
+    return bool(np.median(together) <= REFERENCE_SLACK * np.median(reference))
