@@ -219,7 +219,14 @@ def test_sb3_contrib_learns_with_masks():
     from twc_env.sb3 import TeamVecEnv
 
     rows = TeamVecEnv(2, CHOICES)
-    MaskablePPO("MultiInputPolicy", rows, n_steps=16, batch_size=32, n_epochs=1, seed=0, device="cpu").learn(64)
+    model = MaskablePPO("MultiInputPolicy", rows, n_steps=16, batch_size=32, n_epochs=1, seed=0, device="cpu")
+    model.learn(64)
+    allowed = model.rollout_buffer.action_masks.astype(bool)
+    chosen = model.rollout_buffer.actions.astype(int)
+    assert model.num_timesteps == 64
+    assert allowed.shape == (len(chosen), rows.action_space.n)
+    assert not allowed.all(axis=1).any(), "masks of the environments, not of ones"
+    assert np.take_along_axis(allowed, chosen, axis=1).all()
     rows.close()
 
 
