@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 import twc_env
 from agents.explore import origin_of
@@ -16,8 +16,6 @@ from agents.policy import make_policy
 from twc_env.config import EnvConfig, override, to_dict
 from twc_env.finished_parts import FinishedParts
 from twc_env.worker_processes import in_processes
-
-Array = NDArray
 
 GOAL = 0.9
 """Share of the floor that is to be mapped rightly."""

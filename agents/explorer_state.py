@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import transform_points
 from twc_env.planning import Follower
-
-Array = NDArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,15 +8,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.optimize import linear_sum_assignment
 
 from agents.nearest_frontier import NearestFrontier
 from twc_env.config import EnvConfig
 from twc_env.messages import Belief
 from twc_env.planning import PathFinder, Terrain
-
-Array = NDArray
 
 WORTH_M = 10.0
 """Detour that a frontier nobody else will see is worth (1 / beta of Burgard et al.)."""

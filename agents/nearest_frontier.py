@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from agents.explorer_state import UNSEEN, ExplorerConfig, ExplorerRobot, Failure
 from agents.openings import is_open_behind, open_bearing
@@ -32,8 +32,6 @@ from twc_env.planning import (
     path_is_blocked,
 )
 
-Array = NDArray
-
 
 class NearestFrontier:
     """The scripted team that the benchmark figures are made with."""
@@ -52,7 +50,7 @@ class NearestFrontier:
         self._terrains: dict[tuple[float, GridMap], tuple[int, Terrain]] = {}
         self._idle_since: int | None = None
 
-    def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
+    def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
         """One command per robot; plans anew where a plan is due."""
         for agent, belief in beliefs.items():
             self._observe(self._robots[agent], belief)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from agents.radio_walk import HUG, SPACING_M
 from agents.ray_gain import RayGain
@@ -17,8 +17,6 @@ from twc_env.config import DynamicsConfig
 from twc_env.datasets.map_export import grid_of
 from twc_env.messages import GridMap
 from twc_env.planning import Terrain, covering_walk, walk_graph
-
-Array = NDArray
 
 PRICES_M = tuple(np.geomspace(0.005, 0.3, 12))
 TRIES = 40_000

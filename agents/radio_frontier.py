@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from agents.nearest_frontier import NearestFrontier
 from twc_env.messages import Belief
 from twc_env.planning import Terrain
-
-Array = NDArray
 
 REACH_M = 4.0
 """How far beyond a frontier unseen floor counts."""

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 import twc_env
 from agents.policy import make_policy
@@ -23,8 +23,6 @@ from twc_env.config import EnvConfig, override
 from twc_env.finished_parts import FinishedParts
 from twc_env.geometry import inverse, transform_points
 from twc_env.messages import GridMap
-
-Array = NDArray
 
 AGENTS = ("wall-follower", "radio-walk")
 STEP_M = 1.0

@@ -10,15 +10,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from agents.ray_gain import RayGain
 from twc_env.config import EnvConfig
 from twc_env.geometry import travelled_m
 from twc_env.messages import Belief
 from twc_env.planning import Driver, PathFinder, Terrain, WalkGraph, as_action, covering_walk, walk_graph
-
-Array = NDArray
 
 SPACING_M = 0.25
 """Between places that the walk may visit."""
@@ -62,7 +60,7 @@ class RadioWalk:
         self._nearest: dict[str, tuple[float, int]] = {}
         self._idle = dict.fromkeys(agents, 0)
 
-    def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
+    def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
         """On along the chosen path, or a new choice."""
         return {agent: self._drive(agent, belief) for agent, belief in beliefs.items()}
 

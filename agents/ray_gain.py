@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.messages import GridMap
 from twc_env.planning import Terrain
-
-Array = NDArray
 
 WALL_DENSITY = 0.04
 """A ray with more walls than this per cell clears nothing: so many there are before anything is known."""

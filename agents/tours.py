@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from agents.explorer_state import ExplorerConfig, ExplorerRobot
 from twc_env.messages import Belief
 from twc_env.planning import Disc, PathFinder, Plan, Terrain
-
-Array = NDArray
 
 
 class Tours:

@@ -6,13 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.messages import Belief
 from twc_env.planning import as_action, drive_to
-
-Array = NDArray
 
 STANDOFF_M = 0.35
 GAIN_RAD_M = 3.0
@@ -38,7 +36,7 @@ class WallFollower:
         self._has_left: set[str] = set()
         self._done: set[str] = set()
 
-    def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
+    def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
         """Along the wall, for every robot."""
         return {agent: self._follow(agent, belief) for agent, belief in beliefs.items()}
 

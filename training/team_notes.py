@@ -10,12 +10,10 @@ from functools import partial
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from twc_env.sb3 import TeamVecEnv
-
-Array = NDArray
 
 HALF_WAY_M = 10.0
 """Observations show a distance d as d / (d + this)."""

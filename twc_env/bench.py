@@ -14,14 +14,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.world.world import World
-
-Array = NDArray
 
 WARM_UP_STEPS = 30
 

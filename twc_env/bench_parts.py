@@ -18,14 +18,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.bench import wander
 from twc_env.config import EnvConfig, override
 from twc_env.errors import ConfigError
 from twc_env.exploration.environment import ExplorationEnv
-
-Array = NDArray
 
 _CALIBRATION_CALLS = 20_000
 REPEATS = 5

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env import bench_probes
 from twc_env.bench import wander
@@ -31,7 +31,6 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.world.floorplan import Floorplan
 
-Array = NDArray
 Report = Callable[[str], None]
 
 WORLD_MAP, WORLD_ACCESS_POINTS = "gen:office:1000:1", 20

@@ -6,9 +6,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-Array = NDArray
+from numpy.typing import ArrayLike
+from numpy.typing import NDArray as Array
 
 
 def wrap_angle(angle_rad: ArrayLike):

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
-
-Array = NDArray
 
 LABELS_MAX = 60
 """With more rooms or signs than this, names are left out: they would lie on top of each other."""

@@ -12,9 +12,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar, dataclass_transform
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray
+from numpy.typing import NDArray as Array
 
 _Record = TypeVar("_Record")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, from_dict
 from twc_env.datasets.arrays_file import read_arrays
@@ -22,8 +22,6 @@ from twc_env.errors import DataError, TwcError
 from twc_env.exploration.rendering import COLOURS
 from twc_env.exploration.trace import FORMAT, TRACE_KEYS
 from twc_env.world.signal_map import SIGNAL_SPAN_DBM
-
-Array = NDArray
 
 DIGITS = 3
 """Positions are written to the millimetre."""

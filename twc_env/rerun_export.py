@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, from_dict
 from twc_env.errors import ConfigError, DataError
@@ -17,8 +17,6 @@ from twc_env.exploration.rendering import ACCEPTED, COLOURS, REJECTED
 from twc_env.exploration.trace import UNKNOWN, WALL
 from twc_env.geometry import transform_points
 from twc_env.replay_page import contradictions, read_report, read_trace
-
-Array = NDArray
 
 TRUE_WALL = (158, 164, 173)
 FLOOR_RGB, WALL_RGB = np.array([235, 238, 245]), np.array([60, 70, 90])

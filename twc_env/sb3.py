@@ -13,15 +13,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from stable_baselines3.common.vec_env import VecEnv
 
 from twc_env.config import EnvConfig
 from twc_env.config.checks import whole_number
 from twc_env.errors import ActionError
 from twc_env.vector import FLAT, VectorTeams
-
-Array = NDArray
 
 
 class TeamVecEnv(VecEnv):

@@ -11,11 +11,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.messages import Belief, GridMap, KnownSign, SensorFrame, SignReading, WifiScan
-
-Array = NDArray
 
 _Record = TypeVar("_Record")
 

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env import errors
 from twc_env.config import EnvConfig, to_dict
@@ -34,8 +34,6 @@ from twc_env.maps import load_map
 from twc_env.threads import single_threaded
 from twc_env.worker_processes import deaf_to_interrupts
 from twc_env.world.splits import SPLITS, is_of_split, split_names
-
-Array = NDArray
 
 FLAT = ""
 """Name of the only block of flat observations."""

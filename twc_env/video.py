@@ -14,15 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from pettingzoo.utils import BaseParallelWrapper
 
 from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.json_values import check_folder
-
-Array = NDArray
 
 WIDTH_MAX_PX = 560
 COLOURS = 64

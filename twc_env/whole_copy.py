@@ -10,9 +10,7 @@ import pickle
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray
+from numpy.typing import NDArray as Array
 
 
 class SharingPickler(pickle.Pickler):

@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
-
-Array = NDArray
 
 
 def write_arrays(path: str | Path, **arrays: Any) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.ble_flat import ANCHORS, POSE_LAYOUT_RUN
 from twc_env.datasets.fingerprints import numbers, read_table
@@ -20,8 +20,6 @@ from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import between, compose, transform_points
 from twc_env.messages import SensorFrame, WifiScan
-
-Array = NDArray
 
 SPEED_M_S = 0.28 / 0.15
 """Metres per second for each unit of commanded speed."""

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.fingerprints import RadioSurvey, numbers, read_table
 from twc_env.errors import DataError
 from twc_env.geometry import transform_points
-
-Array = NDArray
 
 _HALF_TURN_RAD = float(np.deg2rad(179.5))
 POSE_LAYOUT_RUN = {

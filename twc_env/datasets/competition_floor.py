@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.geojson_features import EXTENT_MAX_M, Area, metric, name_of, polygons_of, signed_area_m2, walls_of
 from twc_env.datasets.house_expo import fill_ring
@@ -16,8 +16,6 @@ from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan, Room, Sign
 from twc_env.world.floorplan_file import load_json
-
-Array = NDArray
 
 DRAWING_CLASSES = frozenset({"fuzhumian", "feikaifangquyu", "xishoujianfuzhumian", "kongpu", "zhongkong"})
 """Names that mark how an area is drawn (auxiliary, closed, vacant, void), not what a sign there says."""

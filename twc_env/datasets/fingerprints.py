@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
-
-Array = NDArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import ROBOTS_MAX, EnvConfig, from_dict, to_dict
 from twc_env.datasets.arrays_file import read_arrays, write_arrays
 from twc_env.errors import DataError, TwcError
 from twc_env.messages import Contacts, SensorFrame, SignReading, WifiScan
-
-Array = NDArray
 
 FORMAT = "twc_env/frames-1"
 TRUTH_FORMAT = "twc_env/truth-1"

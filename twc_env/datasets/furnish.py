@@ -5,13 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import farthest_first
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, AccessPoint, Floorplan, Sign
-
-Array = NDArray
 
 AREA_PER_ACCESS_POINT_M2 = 25.0
 ACCESS_POINTS_MIN, ACCESS_POINTS_MAX = 6, 40

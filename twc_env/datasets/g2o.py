@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import compose, inverse
-
-Array = NDArray
 
 _UPPER = np.triu_indices(3)
 _COUNTS = {"VERTEX_SE2": 5, "EDGE_SE2": 12}

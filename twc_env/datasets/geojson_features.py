@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.outline import simplified_ring, without_repeats
 from twc_env.errors import MapError
-
-Array = NDArray
 
 SIMPLIFY_M = 0.05
 EXTENT_MAX_M = 2000.0

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.furnish import furnish
 from twc_env.datasets.outline import simplified_ring
@@ -22,8 +22,6 @@ from twc_env.world.floor_cells import CELLS_MAX, Cells
 from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.floorplan_check import COORDINATE_MAX_M, validate
 from twc_env.world.floorplan_file import load_json
-
-Array = NDArray
 
 SIMPLIFY_M = 0.01
 """The drawn contour is followed this closely: the pixel it was traced from."""

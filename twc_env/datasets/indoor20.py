@@ -6,13 +6,10 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.datasets.fingerprints import RadioSurvey, from_rows
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
-
-Array = NDArray
 
 FRESH_S = 4.0
 """Rows of a scan that were really heard this recently; the rest are the phone's memory."""

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, Sign
-
-Array = NDArray
 
 
 def hung_sign(plan: Floorplan, text: str, at: Array, normal: Array) -> Sign | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.geojson_features import (
     EXTENT_MAX_M,
@@ -25,8 +25,6 @@ from twc_env.datasets.name_plate import hung_sign
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan, Room
-
-Array = NDArray
 
 _METRES_PER_DEGREE = 111_320.0
 _DOOR_WIDTH_MIN_M = 0.6

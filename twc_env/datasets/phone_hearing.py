@@ -7,11 +7,9 @@ sends under several names, which differ in their first byte or last digit: they 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.messages import Fingerprint
-
-Array = NDArray
 
 SWEEP_S = 2.0
 """Time that a phone takes for one sweep of all channels; a list follows its end."""

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy import ndimage
 
 from twc_env.datasets.furnish import furnish
@@ -15,8 +15,6 @@ from twc_env.datasets.raster import parts, plan_from_free, read_grey
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.floorplan_check import validate
-
-Array = NDArray
 
 PICTURE_RESOLUTION_M = 0.05
 """Pixel size assumed where a picture names none."""

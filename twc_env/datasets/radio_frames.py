@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.geometry import between, wrap_angle
 from twc_env.messages import UNSEEN_M, Fingerprint, SensorFrame, WifiScan
-
-Array = NDArray
 
 
 def radio_frames(

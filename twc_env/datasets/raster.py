@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy import ndimage
 
 from twc_env.errors import MapError
@@ -16,8 +16,6 @@ from twc_env.kernels import kernel
 from twc_env.world.floor_cells import CELLS_MAX
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.floorplan_file import load_bytes
-
-Array = NDArray
 
 WALL_LOSS_DB = 5.0
 """Of a whole wall; each of its two faces carries half."""

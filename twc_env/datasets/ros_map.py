@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.furnish import furnish
 from twc_env.datasets.raster import plan_from_free, read_grey
@@ -18,8 +18,6 @@ from twc_env.messages import GridMap
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.floorplan_check import validate
 from twc_env.world.floorplan_file import load_bytes
-
-Array = NDArray
 
 _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES, _RAW_MAX = ("trinary", "scale", "raw"), 100

@@ -16,14 +16,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import between, wrap_angle
 from twc_env.messages import UNSEEN_M, SensorFrame
-
-Array = NDArray
 
 NO_RETURN_M = 30.0
 """Scanners of these logs report more than this (81.83 m, 50 m, 32.7 m) for a beam that came back from nowhere."""

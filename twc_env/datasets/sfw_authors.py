@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.raster import read_grey
 from twc_env.errors import DataError
-
-Array = NDArray
 
 ROUTERS_PX = np.array([(397.0, 236.0), (830.0, 620.0)])
 """Where the authors' program has them; the walk with one router knows the first."""

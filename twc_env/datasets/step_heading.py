@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import find_peaks
 
@@ -20,8 +20,6 @@ from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import wrap_angle
 from twc_env.messages import Fingerprint
-
-Array = NDArray
 
 SMOOTHING_S = 0.16
 STEP_PERIOD_MIN_S = 0.33

@@ -6,13 +6,11 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import wrap_angle
-
-Array = NDArray
 
 
 def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:

@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
 from twc_env.errors import ActionError
-
-Array = NDArray
 
 TOLERANCE = 1e-6
 _SINGLE = np.dtype(np.float32)

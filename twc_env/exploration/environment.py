@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from pettingzoo import ParallelEnv
 
 from twc_env.config import EnvConfig, override
@@ -36,8 +36,6 @@ from twc_env.world.world import World
 
 if TYPE_CHECKING:
     from twc_env.exploration.viewer import Viewer
-
-Array = NDArray
 
 STATE_LIMIT = 1e4
 

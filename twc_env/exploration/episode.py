@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.exploration import actions as action_blocks
@@ -24,8 +24,6 @@ from twc_env.world.failures import Failures, silenced
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.link import Link
 from twc_env.world.world import World
-
-Array = NDArray
 
 _NOT_JUDGED: tuple[object, list[verdicts.GroupVerdict]] = None, []
 

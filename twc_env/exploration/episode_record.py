@@ -6,13 +6,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.exploration.map_judge import MapJudges
 from twc_env.kernels import borrowing_kernel, bound, kernel, rebound
 from twc_env.slam.growing import grown
-
-Array = NDArray
 
 
 class EpisodeRecord:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env._version import __version__
@@ -23,8 +23,6 @@ from twc_env.slam.modes import Engine
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.world.floor_cells import Cells
 from twc_env.world.floorplan import Floorplan
-
-Array = NDArray
 
 STUCK_WINDOW_S = 10.0
 STUCK_RADIUS_M = 0.3

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
@@ -22,8 +22,6 @@ from twc_env.metrics.mapping import recount_free
 from twc_env.metrics.merging import WRONG_M, WRONG_RAD, find_frames, find_wrong
 from twc_env.metrics.trajectory import align
 from twc_env.world.floor_cells import Cells
-
-Array = NDArray
 
 PLACE_M, TURN_RAD = 0.02, 0.001
 """A map's place in the building is rounded to these, so that its mask holds for long."""

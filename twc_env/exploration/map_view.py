@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up, look_up_row, number_square, span_inside
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
@@ -17,8 +17,6 @@ from twc_env.slam.cell_kinds import UNKNOWN as UNKNOWN_CELL
 from twc_env.slam.cell_kinds import WALL as WALL_CELL
 from twc_env.slam.cell_kinds import kinds_of
 from twc_env.team_messages import read_only
-
-Array = NDArray
 
 FREE, WALL, UNKNOWN, FRONTIER, PATH, MATES, SIGNS = range(7)
 CHANNELS = 7

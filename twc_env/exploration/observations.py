@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.exploration import map_view
@@ -18,8 +18,6 @@ from twc_env.messages import Belief, GridMap, SensorFrame
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
 from twc_env.slam.dead_reckoning import DeadReckoning
 from twc_env.team_messages import TeamBeliefs, TeamFrames
-
-Array = NDArray
 
 OVERVIEW_PERIOD_STEPS = 10
 _USUAL = "lidar", "map", "pose", "wifi", "signs", "team"

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import ActionConfig, EnvConfig
 from twc_env.errors import ActionError
@@ -19,8 +19,6 @@ from twc_env.planning.candidates import NOTHING, Candidates, find_candidates
 from twc_env.planning.driver import Driver
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
-
-Array = NDArray
 
 SIGN, MATE, STAY = (EXTRA_CHOICES.index(name) for name in ("sign", "mate", "stay"))
 

@@ -8,13 +8,11 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel, bound
 from twc_env.messages import KnownSign, SignReading
 from twc_env.team_messages import KnownSigns
-
-Array = NDArray
 
 _NO_PLACES = np.zeros((2, 0))
 

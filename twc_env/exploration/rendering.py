@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.verdicts import GroupVerdict
@@ -22,8 +22,6 @@ from twc_env.kernels import kernel
 from twc_env.messages import GridMap
 from twc_env.slam.modes import Engine
 from twc_env.world.floorplan import Floorplan
-
-Array = NDArray
 
 WIDTH_MAX_PX, HEIGHT_MAX_PX = 900, 900
 PIXELS_PER_METRE_MAX = 36.0

@@ -23,11 +23,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RewardConfig
-
-Array = NDArray
 
 POTENTIALS = ("coverage", "merge", "localisation")
 TERMS = (*POTENTIALS, "collision", "time", "bytes")

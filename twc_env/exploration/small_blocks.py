@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.exploration.observation_blocks import POSE_LIMITS
@@ -18,8 +18,6 @@ from twc_env.exploration.recent_signs import RecentSigns
 from twc_env.exploration.wifi_slots import slots_for, take_scans
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames
-
-Array = NDArray
 
 SMALL = "lidar", "pose", "wifi", "signs", "team"
 """Names of the blocks."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env.geometry import compose_rows, inverse
 from twc_env.slam.modes import Engine
 from twc_env.slam.team import TeamMapper
-
-Array = NDArray
 
 
 class TeamPaths:

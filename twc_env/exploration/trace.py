@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import to_dict
 from twc_env.errors import DataError
@@ -23,8 +23,6 @@ from twc_env.exploration.verdicts import GroupVerdict
 from twc_env.geometry import compose
 from twc_env.messages import GridMap
 from twc_env.world.signal_map import signal_map_dbm
-
-Array = NDArray
 
 FORMAT = "twc_env/trace-1"
 TRACE_KEYS = (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env.exploration.episode_record import EpisodeRecord
@@ -18,8 +18,6 @@ from twc_env.messages import GridMap
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
 from twc_env.world.floor_cells import Cells
-
-Array = NDArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
 from twc_env.exploration.episode import Episode
@@ -16,8 +16,6 @@ from twc_env.exploration.window import Window
 from twc_env.geometry import transform_points
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
-
-Array = NDArray
 
 
 class Viewer:

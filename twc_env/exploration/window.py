@@ -7,11 +7,9 @@ import os
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import ConfigError
-
-Array = NDArray
 
 
 class Window:

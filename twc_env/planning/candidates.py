@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import between
 from twc_env.messages import Belief
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
-
-Array = NDArray
 
 CELLS_MIN = 3
 """Smaller frontiers are noise."""

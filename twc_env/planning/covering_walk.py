@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
 from twc_env.planning.terrain import Terrain
-
-Array = NDArray
 
 TURNS_MAX = 60
 """A walk turns at most so often."""

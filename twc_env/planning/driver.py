@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
 from twc_env.geometry import compose, inverse, transform_points
@@ -13,8 +13,6 @@ from twc_env.messages import Belief
 from twc_env.planning.follow import Follower, drive_to
 from twc_env.planning.path_finder import Disc, PathFinder
 from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
-
-Array = NDArray
 
 CHECK_S = 0.5
 """The path is checked against the newest map this often."""

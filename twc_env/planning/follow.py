@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
 from twc_env.geometry import points_along, travelled_m
 from twc_env.kernels import kernel
-
-Array = NDArray
 
 SIGHT_M = 1.6
 """Scan points further away than this do not matter to the next command."""

@@ -7,12 +7,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
 from twc_env.planning.terrain import OPEN_COST, Terrain
-
-Array = NDArray
 
 UNITS_PER_CELL = 10
 """Path costs are integers: one step to a side in the open costs this much."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap
-
-Array = NDArray
 
 UNKNOWN, FREE, WALL = 0, 1, 2
 OPEN_COST = 2

@@ -8,12 +8,10 @@ for, and kept for as long as the building is.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel
 from twc_env.world.wall_index import WallIndex, cross, is_crossed
-
-Array = NDArray
 
 _SQUARE_M = 1.0
 _TESTS_MAX = 500_000

@@ -11,11 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.world.floorplan import Room, Sign
-
-Array = NDArray
 
 OUTER_DB, INNER_DB, FURNITURE_DB = 8.0, 4.5, 2.0
 """Loss of walls."""

@@ -7,14 +7,12 @@ from collections.abc import Iterable
 
 import numpy as np
 import pymunk
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from pymunk import batch
 
 from twc_env.config import DynamicsConfig
 from twc_env.kernels import borrowing_kernel
 from twc_env.world.wall_index import WallIndex, gap
-
-Array = NDArray
 
 _MASS_KG = 10.0
 _ANCHORED_KG = 1e6

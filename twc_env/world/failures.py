@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import FailureConfig
 from twc_env.messages import UNSEEN_M, Contacts
 from twc_env.team_messages import TeamFrames
-
-Array = NDArray
 
 
 class Failures:

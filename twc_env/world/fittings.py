@@ -7,14 +7,12 @@ from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
 from twc_env.geometry import farthest_first
 from twc_env.world.drawing import FURNITURE_DB, INNER_DB, ROOM_MIN, Drawing, Edge, Tile
 from twc_env.world.floorplan import AccessPoint, Floorplan, Room
-
-Array = NDArray
 
 _PLATE_OFFSET, _CONNECTION_OFFSET = 3, 6
 _MAC_VENDOR = 0x02005E

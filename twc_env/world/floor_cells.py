@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
 from twc_env.kernels import kernel
-
-Array = NDArray
 
 CELLS_MAX = 25_000_000
 """Of a raster: 500 x 500 m in cells of 0.1 m."""

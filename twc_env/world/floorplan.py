@@ -13,14 +13,12 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
 from twc_env.geometry import compose, inverse, transform_points
 from twc_env.world.floor_cells import Cells, rasterise
 from twc_env.world.wall_index import WallIndex, index_walls
-
-Array = NDArray
 
 FORMAT = "twc_env/floorplan-1"
 SIGN_FRONT_M = 0.3

@@ -6,14 +6,12 @@ import difflib
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
 from twc_env.world.floor_cells import Cells
 from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, mac_text
 from twc_env.world.materials import MATERIALS
-
-Array = NDArray
 
 SIGN_TO_WALL_MAX_M = 0.3
 _WALL_LENGTH_MIN_M = 1e-6

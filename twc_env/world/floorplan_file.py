@@ -9,13 +9,11 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
 from twc_env.world.floorplan import FORMAT, AccessPoint, Floorplan, Room, Sign, to_values
 from twc_env.world.floorplan_check import validate
-
-Array = NDArray
 
 FILE_BYTES_MAX = 64_000_000
 """Of a map file, unpacked."""

@@ -6,7 +6,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import LidarConfig
 from twc_env.kernels import borrowing_kernel
@@ -16,8 +16,6 @@ from twc_env.world.materials import MATERIALS
 from twc_env.world.near_walls import gather_near
 from twc_env.world.noise import StepNoise, normal_quantiles
 from twc_env.world.wall_index import WallIndex, index_walls
-
-Array = NDArray
 
 _QUANTILE_BITS, _QUANTILES_PER_WORD = 12, 5
 """A random number that picks a quantile of the range noise: five of them come out of one 64-bit word."""

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import LinkConfig
 from twc_env.messages import Contacts
 from twc_env.world.wall_index import WallIndex
-
-Array = NDArray
 
 
 class Link:

@@ -6,13 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import SignsConfig
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.world.ocr_table import GARBLED_RATE, MISS_LENGTH, OcrTable
-
-Array = NDArray
 
 CODES = "utf-32"
 """Code points as this machine keeps them; Python knows this name at once and looks up "utf-32-le" every time."""

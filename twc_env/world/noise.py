@@ -7,9 +7,7 @@ from functools import cache
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray
+from numpy.typing import NDArray as Array
 
 STEPS, _STEPS_MAX = 64, 256
 _FEW = 16

@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import ConfigError
 from twc_env.world.sign_picture import Plate, View, expose, picture
-
-Array = NDArray
 
 FRAME_PX = (736, 1280)
 """(rows, columns) of the frames given to the detector, which takes this size as it is."""

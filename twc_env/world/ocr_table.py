@@ -21,11 +21,9 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
-
-Array = NDArray
 
 FORMAT = "twc_env/ocr-table-1"
 SHIPPED = Path(__file__).with_name("ocr_table.json")

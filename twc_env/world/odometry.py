@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import OdometryConfig
 from twc_env.kernels import borrowing_kernel
 from twc_env.random_streams import random_stream
 from twc_env.world.noise import StepNoise
-
-Array = NDArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
 from twc_env.geometry import inverse, transform_points
@@ -23,8 +23,6 @@ from twc_env.world.floorplan import Floorplan
 from twc_env.world.materials import wall_loss_db
 from twc_env.world.reception import mean_rssi_at, shadowing_at
 from twc_env.world.wall_index import WallIndex
-
-Array = NDArray
 
 LOW_BAND, HIGH_BAND, CELL_BAND = 0, 1, 2
 """2.4 GHz, 5 GHz, LTE."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
 from twc_env.kernels import borrowing_kernel
@@ -17,8 +17,6 @@ from twc_env.world.noise import StepNoise, StepQueue
 
 if TYPE_CHECKING:
     from twc_env.world.radio import RadioModel
-
-Array = NDArray
 
 _DOUBT = 1e-9
 """Of numbers of about one, what rounding never adds up to."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan
-
-Array = NDArray
 
 _CANDIDATES_MAX, _FLOOR_MAX = 400, 2000
 _OVERLAP = 0.1

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
@@ -17,8 +16,6 @@ from twc_env.world.misreading import CODES, LINE_DRAWS, misread_signs
 from twc_env.world.noise import NormalPools
 from twc_env.world.sign_readers import ocr_stream, shipped_table, texts_of
 from twc_env.world.signs import SignCamera, bearing_stream
-
-Array = NDArray
 
 _TURN_RAD = 2.0 * math.pi
 Readings = tuple[Sequence[tuple[SignReading, ...]], tuple[tuple[int, ...], ...]]

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import SignsConfig
 from twc_env.kernels import Lent
@@ -15,8 +15,6 @@ from twc_env.random_streams import random_stream
 from twc_env.world.misreading import SignTexts, TableReader, draw_count, misread
 from twc_env.world.noise import NormalPool
 from twc_env.world.ocr_table import load_table
-
-Array = NDArray
 
 DRAWN_MAX_PX = 128.0
 """Signs so near that their capitals are higher are drawn this high: the OCR reads them no worse."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
 from twc_env.world.floorplan import Floorplan
-
-Array = NDArray
 
 SIGNAL_SPAN_DBM = (-90.0, -30.0)
 """The range that pictures tell apart."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig, SignsConfig
 from twc_env.kernels import borrowing_kernel
@@ -15,8 +15,6 @@ from twc_env.world.floorplan import SIGN_FACE_M, Floorplan
 from twc_env.world.noise import NormalPool
 from twc_env.world.sign_readers import make_reader
 from twc_env.world.wall_index import is_blocked
-
-Array = NDArray
 
 CHARACTER_PITCH = 0.95
 """Width of a character on a plate [capital heights]."""

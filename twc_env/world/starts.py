@@ -6,14 +6,12 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import ConfigError, MapError
 from twc_env.geometry import compose, inverse
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import Floorplan
-
-Array = NDArray
 
 START_CLEARANCE_M = 0.4
 """Distance of a drawn start from any wall."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel, kernel
-
-Array = NDArray
 
 _BUCKET_MIN_M, _BUCKET_MAX_M = 0.5, 2.0
 _MARGIN_M = 0.5

@@ -9,7 +9,7 @@ from itertools import islice, repeat
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, RadioConfig
 from twc_env.config.checks import whole_number
@@ -30,8 +30,6 @@ from twc_env.world.reception import WifiReceiver, WifiReceivers, hear
 from twc_env.world.sign_cameras import SignCameras
 from twc_env.world.signs import look
 from twc_env.world.starts import start_poses
-
-Array = NDArray
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _TYPES = _FLOAT, _FLOAT, _FLOAT, _FLOAT, _INT, _FLOAT, _INT
