@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
 from twc_env.metrics.mapping import score_map
-
-Array = NDArray
 
 FREE, UNKNOWN, WALL = 255, 127, 0
 

@@ -6,14 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from numpy.typing import NDArray as Array
 
 from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up_row, span_inside
 from twc_env.errors import DataError
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import BLOCK_SHAPE
-
-Array = NDArray
 
 REACH_CELLS = 1e9
 """Map and building lie at most so many cells apart: further, and steps in fixed point would overflow."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.kernels import borrowing_kernel
 from twc_env.metrics.trajectory import turns_between
-
-Array = NDArray
 
 WRONG_M, WRONG_RAD = 1.0, math.radians(10.0)
 """Robots whose frames lie further apart than this, or are turned by more, are wrongly merged."""

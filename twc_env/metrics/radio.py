@@ -8,9 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray
+from numpy.typing import NDArray as Array
 
 DISTANCE_MIN_M = 0.5
 _PAIRS_MIN = 10

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.geometry import between, transform_points
 from twc_env.kernels import borrowing_kernel, kernel
-
-Array = NDArray
 
 HEADING_LEVER_M = 1.0
 """In `lay_map` an error of heading counts like one of position this far ahead."""

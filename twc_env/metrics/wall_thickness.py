@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.geometry import transform_points
 from twc_env.metrics.mapping import given_grid
-
-Array = NDArray
 
 STRETCH_M, SAMPLE_M = 0.25, 0.05
 """Walls are known or not by stretches of the first length; the second is how finely they are sampled."""

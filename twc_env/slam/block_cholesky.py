@@ -7,11 +7,9 @@ runs through flat arrays. What remains when the graph has become nearly complete
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel, kernel
-
-Array = NDArray
 
 DENSE_FROM = 24
 """Neighbours in the remaining graph from which on it may be handed to the dense factorisation."""

@@ -12,11 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import wrap_angle
-
-Array = NDArray
 
 STD_RAD, LENGTH_M = np.radians(5.0), 3.0
 """How far ways of this length or longer are off the walls that they follow. In the laser logs of five buildings it is

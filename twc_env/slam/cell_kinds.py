@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel, kernel
-
-Array = NDArray
 
 UNKNOWN, FREE, WALL = range(3)
 

@@ -11,11 +11,9 @@ shadowing a Gauss-Markov process along the path, so that every place of a change
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
-
-Array = NDArray
 
 REACH_M = 0.3
 """A change is sought so far on either side of where the map has it."""

@@ -7,15 +7,13 @@ their ends explain (Mangelson 2018, pairwise consistency).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import kernel
 from twc_env.slam.odometry_chains import Chains
 from twc_env.slam.pose_graph import GATE, Graph
 from twc_env.slam.twists import adjoint, turned
-
-Array = NDArray
 
 WINDOW_STEPS = 10
 """Neighbours of one group lie at most this far apart at both ends."""

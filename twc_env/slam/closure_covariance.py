@@ -7,12 +7,10 @@ import math
 import numpy as np
 from numba.core import types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
 from twc_env.slam.odometry_filter import invert3
-
-Array = NDArray
 
 STD_MIN = np.array((0.03, 0.03, 0.01))
 """No match is known better than this [m, m, rad]."""

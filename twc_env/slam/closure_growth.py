@@ -13,7 +13,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import PoseGraphConfig
 from twc_env.slam import pose_graph
@@ -22,8 +22,6 @@ from twc_env.slam.map_prediction import MapPrediction
 from twc_env.slam.odometry_chains import Chains
 from twc_env.slam.pose_graph import GATE, Graph
 from twc_env.slam.twists import squared_length
-
-Array = NDArray
 
 KEEP_GATE = 25.0
 """A closure that the rest of the map contradicts by more is refused: 1.5e-5 of true ones at honest covariances."""

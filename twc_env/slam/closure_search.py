@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import between
@@ -17,8 +17,6 @@ from twc_env.slam.meeting_recogniser import MEETING, MeetingRecogniser
 from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
 from twc_env.slam.signless_recogniser import SignlessRecogniser
 from twc_env.slam.team_graph import TeamGraph
-
-Array = NDArray
 
 REPEAT_REACH_M = 2.0
 """Proposals nearer than this, along both paths, to an earlier one of the same kind are not tried again ..."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.kernels import borrowing_kernel, bound
@@ -14,8 +14,6 @@ from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
 from twc_env.team_messages import TeamBeliefs, TeamFrames, nobody, read_only
-
-Array = NDArray
 
 
 class DeadReckoning:

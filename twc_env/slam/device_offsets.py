@@ -12,12 +12,9 @@ from bisect import insort
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint
-
-Array = NDArray
 
 OFFSET_MIN_DB, TRANSMITTERS_MIN, PLACES_MIN, LETTERS_MIN = 6.0, 3, 3, 3
 """Receivers that differ by more, over so many transmitters at so many places with a name this long, are told apart, if

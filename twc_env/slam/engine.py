@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import CuesConfig, EnvConfig
 from twc_env.config.checks import whole_number
@@ -26,8 +26,6 @@ from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
 from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
 from twc_env.whole_copy import CopiedWhole
-
-Array = NDArray
 
 _STEPS_AT_ONCE = 16
 """Steps whose arrays are made together, which takes half the time."""

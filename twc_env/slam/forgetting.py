@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import compose
 from twc_env.slam.known_places import Sightings, carriers_of
 from twc_env.slam.team_graph import TeamGraph
-
-Array = NDArray
 
 LATEST, TIES = 30, 12
 """Of each robot so many of its latest keyframes, and of two robots' first accepted closures that are not loose, are

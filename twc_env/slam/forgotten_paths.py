@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import between, compose
-
-Array = NDArray
 
 _PLACE = np.dtype([("robot", "i4"), ("index", "i4"), ("step", "i4"), ("carrier", "i4"), ("pose", "f4", 3)])
 """Whose keyframe it was, which and of which step; the node it moves with, and its pose in the frame of that."""

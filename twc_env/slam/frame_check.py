@@ -6,12 +6,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.messages import SensorFrame, SignReading, WifiScan
-
-Array = NDArray
 
 JUMP_MAX_M = 1000.0
 """No robot moves further between two frames; who does counts in millimetres, or gives positions for motions."""

@@ -6,11 +6,10 @@ import math
 from typing import Any, TypeGuard
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
-
-Array = NDArray
 
 _FLOAT = np.dtype(np.float64)
 

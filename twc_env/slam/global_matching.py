@@ -12,13 +12,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.kernels import kernel
 from twc_env.slam.given_arrays import given_points
-
-Array = NDArray
 
 CELL_M = 0.1
 BLUR_M = 0.3

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.slam.pose_graph import GATE, Graph
-
-Array = NDArray
 
 
 def graduated(graph: Graph, poses: Array, rounds_max: int = 100) -> tuple[Array, Array]:

@@ -6,15 +6,13 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import ROOM, grown, only
 from twc_env.slam.odometry_filter import invert3
 from twc_env.slam.relative_equations import wrapped
-
-Array = NDArray
 
 ODOMETRY = -1
 

@@ -13,14 +13,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam.graph_arrays import ODOMETRY
 from twc_env.slam.odometry_filter import invert3
 from twc_env.slam.relative_equations import wrapped
-
-Array = NDArray
 
 CLOSURES_MAX = 3
 """A node that has so many closures takes over no other."""

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import compose
@@ -16,8 +16,6 @@ from twc_env.messages import GridMap, Keyframe
 from twc_env.slam.growing import ROOM, grown, only
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.team_graph import TeamGraph
-
-Array = NDArray
 
 MOVED_M, MOVED_RAD = 0.04, 0.008
 """The map is drawn anew when a keyframe has moved by more than this from where it was drawn."""

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray
+from numpy.typing import NDArray as Array
 
 ROOM, SPARE = 1024, 64
 """Rows to begin with, enough for a usual episode; and empty ones, at least, where only some are left."""

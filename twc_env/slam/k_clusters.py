@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray
+from numpy.typing import NDArray as Array
 
 _DISTANCE_MIN_M = 0.5
 _K_MAX = 5

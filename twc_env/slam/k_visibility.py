@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.slam.given_arrays import given_points
@@ -21,8 +21,6 @@ from twc_env.slam.k_visibility_signal import fit_signal, locate_router, typical_
 from twc_env.slam.path_bins import PathBins, bin_along_path
 from twc_env.slam.wall_candidates import WallCandidates, wall_candidates
 from twc_env.slam.wall_solver import WallSolver
-
-Array = NDArray
 
 STANDOFF_M = 0.3
 """First guess of how far walls are from the path; the walls between two tracks correct it."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
 from twc_env.slam.wall_candidates import WallCandidates
-
-Array = NDArray
 
 FREE, UNKNOWN, WALL = 255, 127, 0
 BODY_RADIUS_M = 0.1

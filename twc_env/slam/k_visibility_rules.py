@@ -9,12 +9,10 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
 from twc_env.slam.k_visibility_grid import FREE, UNKNOWN, WALL
-
-Array = NDArray
 
 LITERAL, MIXTURE = 0, 1
 _EQUATIONS = {"literal": LITERAL, "mixture": MIXTURE}

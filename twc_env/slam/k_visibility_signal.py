@@ -12,13 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.kernels import kernel
 from twc_env.slam.path_bins import PathBins
-
-Array = NDArray
 
 DISTANCE_MIN_M = 0.5
 K_MAX = 5

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
@@ -18,8 +17,6 @@ from twc_env.slam.radio_fingerprint import STD_MODES, fingerprint_of
 from twc_env.slam.tracking import Tracker
 from twc_env.slam.wall_cells import LINES_MAX
 from twc_env.slam.wall_drawing import LINES, draw_scans, drawing_room
-
-Array = NDArray
 
 MOTION_STD_MIN = (0.013, 0.013, 0.004)
 """Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""

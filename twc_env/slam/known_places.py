@@ -12,11 +12,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel, kernel
-
-Array = NDArray
 
 SAME_PLACE_M = 1.0
 """Keyframes this near see the same."""

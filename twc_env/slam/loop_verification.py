@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import LidarConfig, OdometryFilterConfig, VerificationConfig
 from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
@@ -20,8 +20,6 @@ from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.point_matching import PointMatch, match_points
 from twc_env.slam.scan_matching import Match
 from twc_env.slam.target_walls import TargetWalls
-
-Array = NDArray
 
 STEP_M, STEP_RAD = 0.15, 0.05
 """Grid of the correlative search; the refinement reaches further than one step."""

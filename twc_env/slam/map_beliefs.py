@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.messages import Belief, GridMap
 from twc_env.slam.radio_structure import RadioPicture
 from twc_env.team_messages import KnownSigns, TeamBeliefs, read_only
-
-Array = NDArray
 
 _NO_PLACES = np.zeros((0, 2))
 _NO_PLACES.flags.writeable = False

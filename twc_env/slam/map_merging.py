@@ -12,15 +12,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import MergingConfig
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap
 from twc_env.slam.heard_places import HeardPlaces
-
-Array = NDArray
 
 DRIFT_PER_M = 0.02
 """Closures this far apart may disagree by this much more, per metre."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import kernel
@@ -13,8 +13,6 @@ from twc_env.slam import pose_graph
 from twc_env.slam.odometry_chains import Chains
 from twc_env.slam.pose_graph import GATE, Graph
 from twc_env.slam.twists import adjoint, logarithm, squared_length, turned
-
-Array = NDArray
 
 MEDIAN_SQUARED = 2.366
 """Median of chi squared with three degrees of freedom."""

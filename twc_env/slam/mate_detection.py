@@ -10,11 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel
-
-Array = NDArray
 
 STEP_MAX_M = 0.15
 """Neighbouring beams on one disc differ by less than this ..."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.kernels import Lent, bound, rebound
@@ -14,8 +14,6 @@ from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import kinds_of
 from twc_env.slam.scan_folding import BLOCK_COLUMNS, BLOCK_ROWS, folding_room, integrate_many
 from twc_env.slam.sparse_scans import SparseScans
-
-Array = NDArray
 
 ROUNDING_M = 1e-9
 """A box that ends so close to the grid's end may lie outside once the grid has grown elsewhere."""

@@ -13,13 +13,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import beam_directions
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap, SensorFrame
-
-Array = NDArray
 
 OCCUPIED_SHARE = 0.25
 """A cell is wall when at least this share of the beams that came to it ended in it."""

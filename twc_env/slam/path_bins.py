@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm
 
 from twc_env.errors import DataError
 from twc_env.geometry import travelled_m
 from twc_env.slam.given_arrays import given_points
-
-Array = NDArray
 
 _NOISE_MAX_DB = 6.0
 _HEARD_REACH = 3

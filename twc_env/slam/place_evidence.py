@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import compose, inverse
 from twc_env.messages import Keyframe, SignObservation
@@ -22,8 +22,6 @@ from twc_env.slam.scan_descriptor import scan_agreement
 from twc_env.slam.sign_place import SignPlace
 from twc_env.slam.text_likelihood import log_text_likelihood, log_unknown_text
 from twc_env.slam.text_similarity import normalise
-
-Array = NDArray
 
 SAME_PASS_M, SAME_PASS_TRAVEL_M = 0.5, 4.0
 """Readings this near to each other, within this path, are of one sign, whatever they say."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import align_rigidly, between, transform_points
 from twc_env.slam.given_arrays import given_points, given_pose
@@ -19,7 +19,6 @@ from twc_env.slam.given_arrays import given_points, given_pose
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-Array = NDArray
 
 GATE_FIRST_M, GATE_LAST_M, GATE_SHRINK = 1.0, 0.3, 0.85
 """Points further apart are no pair; the gate shrinks by this factor with every repetition."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
@@ -22,8 +22,6 @@ from twc_env.slam.relative_equations import (
     relative_squared_errors,
     sparse_step,
 )  # fmt: skip
-
-Array = NDArray
 
 GATE = 11.345
 """99 % of chi squared with three degrees of freedom."""

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.messages import Keyframe, SensorFrame, SignObservation, SignReading
@@ -17,8 +17,6 @@ from twc_env.slam.keyframe_taking import KeyframeTaker
 from twc_env.slam.scan_matching import LineField
 from twc_env.slam.tracking import Tracker
 from twc_env.team_messages import TeamFrames
-
-Array = NDArray
 
 REDRAW_SPACING_M = 0.9
 """When the local map moves on, of the older keyframes every one this far along the path is drawn again."""

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
@@ -25,8 +25,6 @@ from twc_env.slam.given_arrays import given_rows
 from twc_env.slam.graduated_non_convexity import graduated
 from twc_env.slam.map_prediction import KEYS_MAX
 from twc_env.slam.pose_graph import Graph, NormalEquations
-
-Array = NDArray
 
 REVOKED_ABOVE, RETURNS_BELOW = 12.5, 5.5
 """Squared errors above which a closure is taken back, and below which it returns; far apart: none flickers."""

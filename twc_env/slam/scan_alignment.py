@@ -11,15 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import PoseGraphConfig
 from twc_env.geometry import between, seen_from
 from twc_env.messages import Keyframe
 from twc_env.slam import pose_graph
 from twc_env.slam.scan_matching import LineField, scan_points
-
-Array = NDArray
 
 STEPS_BACK = (1, 2, 4, 8)
 """Each scan is laid on the one before it, that before this, and so on ..."""

@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import wrap_angle
 from twc_env.kernels import kernel
-
-Array = NDArray
 
 SECTORS, RINGS = 60, 20
 NEIGHBOUR_WEIGHT = 0.5

@@ -10,13 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel, parts_of
 from twc_env.messages import BLOCK_SHAPE
 from twc_env.slam.cell_kinds import note_kinds
-
-Array = NDArray
 
 LOG_ODDS_FREE = -4
 LOG_ODDS_HIT = 10

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import LidarConfig, LocalMapConfig
 from twc_env.errors import ConfigError, DataError
@@ -31,8 +31,6 @@ from twc_env.slam.line_matching import (
 )
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, told_by
 from twc_env.slam.wall_drawing import BLOCK_CELLS, NOWHERE, draw_scans, drawing_room
-
-Array = NDArray
 
 FIELD_SIDE_MAX = 10_000
 """Cells along a side of the largest field: 400 MB."""

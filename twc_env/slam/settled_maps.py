@@ -9,9 +9,7 @@ forgotten (`known_places`), so that maps of one building do not grow for ever.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray
+from numpy.typing import NDArray as Array
 
 LARGE_FROM = 2500
 """Smaller maps are optimised as a whole."""

@@ -8,14 +8,12 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.messages import Keyframe
 from twc_env.slam.device_offsets import LETTERS_MIN, DeviceOffsets, offset_of
 from twc_env.slam.team import TeamMapper
 from twc_env.slam.text_similarity import normalise
-
-Array = NDArray
 
 SILENT_S = 5.0
 """A robot that was not heard for longer is named."""

@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import cdist
 
 from twc_env.geometry import wrap_angle
 from twc_env.messages import Keyframe, SignObservation
-
-Array = NDArray
 
 SAME_SIGN_SIMILARITY = 0.6
 """A reading of a sign that was seen before is at least this like one of those before."""

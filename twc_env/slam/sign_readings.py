@@ -6,15 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import between, compose
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import ROOM, grown, only
 from twc_env.team_messages import KnownSigns
-
-Array = NDArray
 
 SAME_SIGN_M = 1.0
 """Readings of one text nearer to each other than this are of one sign."""

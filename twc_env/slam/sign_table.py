@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of, rebound
@@ -15,8 +15,6 @@ from twc_env.messages import Keyframe
 from twc_env.slam.device_offsets import DeviceOffsets
 from twc_env.slam.growing import ROOM, grown, only
 from twc_env.slam.radio_fingerprint import rssi_similarity
-
-Array = NDArray
 
 _READINGS_ROOM = 32 * ROOM
 """Transmitters heard at all rows, to begin with; more when they are full."""

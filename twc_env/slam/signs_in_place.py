@@ -10,13 +10,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
 from twc_env.messages import Keyframe
 from twc_env.slam.text_similarity import normalise
-
-Array = NDArray
 
 SAME_PLACE_M, SAME_FACING_RAD = 0.6, 0.8
 """Signs nearer to each other than this, on walls that face the same way, hang in one place."""

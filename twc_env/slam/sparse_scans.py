@@ -7,13 +7,11 @@ other, a wall stands on the line.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import beam_directions
 from twc_env.kernels import borrowing_kernel
 from twc_env.slam.lost_beams import NEAR_M
-
-Array = NDArray
 
 BEAMS_ENOUGH = 180
 """Scans of so many beams are drawn as they are."""

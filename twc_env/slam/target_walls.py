@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import LidarConfig
 from twc_env.errors import DataError
@@ -18,8 +18,6 @@ from twc_env.slam.given_arrays import plain
 from twc_env.slam.line_matching import refine_pose, share_near
 from twc_env.slam.scan_matching import STOP_M, STOP_RAD, LineField, Match
 from twc_env.slam.wall_drawing import draw_scan, drawing_room, forget_walls
-
-Array = NDArray
 
 FIELD_CELL_M = 0.2
 NEAR_WALL_M = 0.15

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import between
@@ -18,8 +18,6 @@ from twc_env.slam.merge_review import MergeReview
 from twc_env.slam.radio_ties import RadioTies
 from twc_env.slam.team_graph import TeamGraph
 from twc_env.team_messages import KnownSigns
-
-Array = NDArray
 
 URGENT_SQUARED_ERROR = 1.0
 """A closure that the estimate already meets this well is not urgent."""

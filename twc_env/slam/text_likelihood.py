@@ -6,11 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import cdist
-
-Array = NDArray
 
 FRAGMENT_PROBABILITY, CHARACTER_ERROR_PROBABILITY = 0.07, 0.03
 """How often OCR gives a fragment, and how often it gets a character wrong (papers.md T3)."""

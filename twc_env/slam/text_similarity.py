@@ -6,11 +6,9 @@ from collections.abc import Collection
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import extract
-
-Array = NDArray
 
 ROUNDING, SLACK = 1e-9, 0.01
 """A similarity this little below the minimum meets it; the library cuts off above equality, so it is asked for more."""

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.geometry import wrap_one
@@ -15,8 +15,6 @@ from twc_env.messages import Fingerprint, Keyframe, LoopCandidate, SignObservati
 from twc_env.slam.place_cues import rssi_cue, similarities
 from twc_env.slam.sign_table import RadioRule, SignTable
 from twc_env.slam.text_similarity import AlikeTexts, normalise
-
-Array = NDArray
 
 SAME_PLACE_M = 0.5
 """The same text read again within this path length ..."""

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -30,8 +30,6 @@ from twc_env.slam.given_arrays import given_rows
 from twc_env.slam.given_fingerprints import given_fingerprints
 from twc_env.slam.radio_similarity import all_similarities, feature_rows
 from twc_env.slam.similarity_model import SimilarityModel, train
-
-Array = NDArray
 
 APART_M = 10_000.0
 """Path length put between two walks, so that nothing is averaged across."""

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
@@ -20,8 +20,6 @@ from twc_env.slam.odometry_filter import CompiledFilters, believe_match, make_fi
 from twc_env.slam.radio_fingerprint import NO_AGES, ScanWindows, ages_of, keep
 from twc_env.slam.scan_matching import LineFields, match_scan, matching_room
 from twc_env.team_messages import TeamFrames
-
-Array = NDArray
 
 
 @borrowing_kernel

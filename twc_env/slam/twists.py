@@ -6,11 +6,9 @@ Twists in the world frame add up along a chain of odometry, however far it turns
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import wrap_angle
-
-Array = NDArray
 
 
 def adjoint(poses: Array) -> Array:

@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import points_along, travelled_m, wrap_angle
 from twc_env.kernels import kernel
-
-Array = NDArray
 
 SPACING_M = 0.1
 _PIECE_M = 0.05

@@ -8,12 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, distance_in, line_in, wall_cell
-
-Array = NDArray
 
 REACH_M = 0.49
 """Cells further from a wall than this know nothing of it; less than half a metre (`wall_cells`)."""

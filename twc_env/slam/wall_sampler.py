@@ -7,11 +7,8 @@ prior knows which side of the path usually has the wall, and that neighbours alo
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.kernels import kernel
-
-Array = NDArray
 
 COUPLING = 2.0
 """Log-odds by which a piece follows its neighbour. In flips of whole runs and in the energy it counts twice."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.ndimage import uniform_filter1d
 from scipy.sparse import coo_array
 
@@ -13,8 +13,6 @@ from twc_env.slam.k_visibility_signal import DISTANCE_MIN_M, SignalFit, smooth_a
 from twc_env.slam.path_bins import PathBins
 from twc_env.slam.wall_candidates import WallCandidates
 from twc_env.slam.wall_sampler import COUPLING, find_crossings, sample_walls
-
-Array = NDArray
 
 _COOLING = (3.0, 2.0, 1.5, 1.0, 3.0, 2.0, 1.5, 1.2, 1.0, 1.0, 1.0)
 _FIXED_ROUNDS = 4

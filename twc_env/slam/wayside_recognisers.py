@@ -6,15 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.messages import Keyframe, LoopCandidate
 from twc_env.slam.place_cues import rssi_cue, similarities
 from twc_env.slam.scan_descriptor import compare, compare_many, describe, ring_key
 from twc_env.slam.sign_table import RadioRule, SignTable
-
-Array = NDArray
 
 STEP_M = 1.0
 """Recognisers that need no sign compare and remember a place this often along a path."""
