@@ -57,7 +57,7 @@ class SensorFrame:
     robot: int
     step: int
     time_s: float
-    """By the robot's own clock, which may count from anywhere."""
+    """By the robot's own clock, which may count from anywhere and jump ahead, but not back."""
     odometry: Array
     """(3,) motion since the last frame in the robot frame of that frame [m, m, rad], from wheels, legs or hand."""
     turn_rate_rad_s: float

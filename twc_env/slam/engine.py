@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from twc_env.slam.frame_check import check_frames
 from twc_env.slam.map_beliefs import HeldMaps, MapBeliefs
 from twc_env.slam.radio_structure import RadioPicture, RadioStructure
 from twc_env.slam.robot import FrontEnds
+from twc_env.slam.robot_clocks import RobotClocks
 from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
 from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
@@ -101,10 +101,7 @@ class CooperativeSlam(CopiedWhole):
             np.fill_diagonal(everyone, False)
         self._all_in_touch = Contacts(everyone, everyone)
         self._steps: Sequence[int] = [0] * robot_count
-        self._times_s = np.full(robot_count, -np.inf)
-        """(robots,) of the last frame that each gave by itself."""
-        self._begun_s = np.zeros(robot_count)
-        """(robots,) of the first one, by the robot's own clock."""
+        self._clocks = RobotClocks(config, robot_count)
         self._ranges_m: Sequence[Array] | Array = [np.zeros(0)] * robot_count
         """Of the latest frame of each robot."""
         self._poses = np.zeros((robot_count, 3, 3))
@@ -179,8 +176,8 @@ class CooperativeSlam(CopiedWhole):
         """
         self._beliefs = None
         if not isinstance(frames, TeamFrames):
-            check_frames(frames, self._times_s, self._beam_count)
-            frames = self._since_first(frames)
+            check_frames(frames, self._clocks.times_s, self._beam_count)
+            frames = [self._clocks.told(frame, len(self._ranges_m[frame.robot]) == 0) for frame in frames]
         if not self._has_all_cues:
             frames = [cues.heard(frame, self._cues) for frame in frames]
         if isinstance(frames, TeamFrames):
@@ -199,20 +196,6 @@ class CooperativeSlam(CopiedWhole):
         for keyframe in keyframes:
             self._exchange.add(keyframe)
         return keyframes
-
-    def _since_first(self, frames: Sequence[SensorFrame]) -> list[SensorFrame]:
-        """The same, with times since each robot's first frame: clocks may count from anywhere."""
-        for frame in frames:
-            self._times_s[frame.robot] = frame.time_s
-            if len(self._ranges_m[frame.robot]) == 0:
-                self._begun_s[frame.robot] = frame.time_s
-        began_s = self._begun_s
-        return [
-            dataclasses.replace(frame, time_s=float(frame.time_s - began_s[frame.robot]))
-            if began_s[frame.robot]
-            else frame
-            for frame in frames
-        ]
 
     def absorb(self, step: int, contacts: Contacts | None = None) -> None:
         """Exchange what the contacts of this step allow (None: all are in touch), and let the mappers take it in."""

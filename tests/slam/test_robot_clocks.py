@@ -1,0 +1,71 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twc_env.config import EnvConfig
+from twc_env.geometry import compose
+from twc_env.messages import SensorFrame
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.robot_clocks import RobotClocks
+
+JUMPS_S = [0.5, 2.0, 10.0, 3600.0, 1e6]
+
+
+def travelled(steps, count=3):
+    engine = CooperativeSlam(EnvConfig(), count)
+    for frames in steps:
+        engine.track(frames)
+    return engine.poses_odom
+
+
+def turning_step(steps) -> int:
+    """One at which robot 1 turns quickly."""
+    return max(range(50, 150), key=lambda step: abs(steps[step][1].turn_rate_rad_s))
+
+
+@pytest.mark.parametrize("jump_s", JUMPS_S)
+def test_a_robot_whose_clock_jumps_ahead_keeps_its_way(recorded, jump_s):
+    _, steps, _ = recorded
+    at = turning_step(steps)
+    jumped = [[replace(f, time_s=f.time_s + jump_s * (f.robot == 1 and f.step >= at)) for f in step] for step in steps]
+    assert np.allclose(travelled(jumped[:300]), travelled(steps[:300]), atol=0.02)
+
+
+@pytest.mark.parametrize("lost", [6, 8, 16])
+def test_a_gyro_sampled_after_lost_frames_does_not_turn_the_robot(recorded, lost):
+    """Odometry goes on counting while frames are lost; the gyro says only how fast the robot turns now."""
+    _, steps, _ = recorded
+    at = turning_step(steps)
+    moved, kept = np.zeros(3), [list(frames) for frames in steps[:300]]
+    for step in range(at - lost, at + 1):
+        moved = compose(moved, steps[step][1].odometry)
+        kept[step].pop(1)
+    kept[at].append(replace(steps[at][1], odometry=moved))
+    assert np.allclose(travelled(kept), travelled(steps[:300]), atol=0.03)
+
+
+def frame(time_s, turned_rad=0.0, turn_rate_rad_s=0.0) -> SensorFrame:
+    return SensorFrame(0, 0, time_s, np.array([0.0, 0.0, turned_rad]), turn_rate_rad_s, np.full(4, 3.0))
+
+
+def test_a_gap_that_agrees_with_the_gyro_is_time_that_passed():
+    clocks = RobotClocks(EnvConfig(), 1)
+    given = [frame(5.0), frame(5.1, 0.1, 1.0), frame(7.1, 2.0, 1.0)]
+    told = [clocks.told(each, k == 0) for k, each in enumerate(given)]
+    assert [each.time_s for each in told] == pytest.approx([0.0, 0.1, 2.1])
+    assert [each.turn_rate_rad_s for each in told] == [0.0, 1.0, 1.0]
+
+
+def test_a_gap_that_contradicts_the_gyro_counts_as_one_step_in_which_odometry_turned():
+    clocks = RobotClocks(EnvConfig(), 1)
+    given = [frame(5.0), frame(5.2, 0.1, 0.5), frame(3605.2, 0.3, 0.5), frame(3605.4, 0.1, 0.5)]
+    told = [clocks.told(each, k == 0) for k, each in enumerate(given)]
+    assert [each.time_s for each in told] == pytest.approx([0.0, 0.2, 0.4, 0.6])
+    assert [each.turn_rate_rad_s for each in told] == pytest.approx([0.0, 0.5, 1.5, 0.5])
+
+
+def test_a_stream_of_another_pace_has_no_gaps():
+    clocks = RobotClocks(EnvConfig(), 1)
+    given = [frame(float(k), 0.5, 0.5) for k in range(5)]
+    assert [clocks.told(each, k == 0) for k, each in enumerate(given)] == given
