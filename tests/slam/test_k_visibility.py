@@ -120,8 +120,6 @@ def test_the_wall_between_two_rooms_stands_where_the_signal_drops():
     path, rssi, walls = two_rooms()
     found = map_structure(path, rssi, ROUTER[None])
     assert np.mean(found.walls[:, 0] == walls) > 0.97
-    assert found.wall_probability.sum(axis=2) == pytest.approx(1.0)
-    assert np.mean(found.wall_probability[found.bins.bin_of, 0, walls] > 0.5) > 0.95
     middle = (found.candidates.ends_m[:, :2] + found.candidates.ends_m[:, 2:]) / 2
     on_wall = (np.abs(middle[:, 0] - 4.0) < 0.05) & (middle[:, 1] > 0.5) & (middle[:, 1] < 2.8)
     assert on_wall.sum() > 20

@@ -18,12 +18,12 @@ from twc_env.errors import DataError
 from twc_env.slam.given_arrays import given_points
 from twc_env.slam.k_visibility_grid import WallGrid, cell_probabilities
 from twc_env.slam.k_visibility_signal import fit_signal, locate_router, typical_signal
-from twc_env.slam.path_bins import PathBins, bin_along_path
+from twc_env.slam.path_bins import bin_along_path
 from twc_env.slam.wall_candidates import WallCandidates, wall_candidates
 from twc_env.slam.wall_solver import WallSolver
 
-STANDOFF_M = 0.3
-"""First guess of how far walls are from the path; the walls between two tracks correct it."""
+STANDOFF_M, _STANDOFF_ROUNDS = 0.3, 3
+"""First guess of how far walls are from the path; the walls between two tracks correct it, so often at the most."""
 _TRIES = (0, 1, None)
 """Annealing can end in a poor optimum: it is tried with walls right of the path alone, left alone and on both sides,
 before all are let in, and from the signal as fitted as from a typical one; the best result counts."""
@@ -42,9 +42,6 @@ class Structure:
     """(routers, 2) given or estimated."""
     walls: Array
     """(readings, routers) number of walls between each router and each reading, the most probable."""
-    wall_probability: Array
-    """(bins, routers, k + 1) of each number, per bin of the path."""
-    bins: PathBins
     candidates: WallCandidates
     probability: Array
     """(pieces,) that each candidate is a wall."""
@@ -63,15 +60,14 @@ def map_structure(
     rssi_dbm: Array,
     router_m: Array | None = None,
     resolution_m: float = 0.1,
-    standoff_m: float | None = None,
     seed: int = 0,
     origin_m: Array | None = None,
 ) -> Structure:
     """Map walls from readings (n, routers) [dBm], NaN where not heard, taken in order at positions (n, 2).
 
-    Routers (routers, 2) that are not given are located first. `standoff_m` None: estimated from the walls found.
-    A corner of some cell of the grid comes to lie at origin_m (2,). Raises DataError for what does not fit together,
-    and for places so far apart that the grid would have more than GRID_CELLS_MAX cells.
+    Routers (routers, 2) that are not given are located first. A corner of some cell of the grid comes to lie at
+    origin_m (2,). Raises DataError for what does not fit together, and for places so far apart that the grid would have
+    more than GRID_CELLS_MAX cells.
     """
     position_m = given_points(position_m, "positions")
     if router_m is not None:
@@ -88,39 +84,34 @@ def map_structure(
             raise DataError(f"give a place for each of the {count} routers that were heard; got {len(router_m)}")
         fits = [fit_signal(bins, r, router_m[r]) for r in range(count)]
     typical = [typical_signal(bins, r, place) for r, place in enumerate(router_m)]
-    standoff = STANDOFF_M if standoff_m is None else standoff_m
-    tries = []
-    for _ in range(1 if standoff_m is not None else 3):
+    standoff, tries = STANDOFF_M, []
+    for _ in range(_STANDOFF_ROUNDS):
         candidates = wall_candidates(bins.position_m, standoff)
         for start, barred in [(fits, side) for side in _TRIES] + [(typical, side) for side in _TRIES[:2]]:
             solver = WallSolver(bins, router_m, start, candidates, standoff, seed)
             solver.solve(barred)
             tries.append(solver)
         solver = min(tries, key=lambda solver: solver.energy)
-        standoff, seen = solver.assumed_standoff_m, solver.standoff_m()
-        if standoff_m is not None or seen is None or abs(seen - standoff) < 0.01:
+        seen_m = solver.standoffs_m()
+        if not len(seen_m) or abs(np.median(seen_m) - solver.assumed_standoff_m) < 0.01:
             break
-        standoff = seen
-    standoff = solver.assumed_standoff_m
-    probability = solver.probability
-    keeps_distance = solver.standoff_spread_m() <= _STANDOFF_SPREAD_MAX_M
+        standoff = float(np.median(seen_m))
+    keeps_distance = not len(seen_m) or np.std(seen_m) <= _STANDOFF_SPREAD_MAX_M
     grid = cell_probabilities(
-        bins.position_m, router_m, np.isfinite(bins.rssi_dbm), solver.candidates, probability,
-        None if keeps_distance else solver.is_told, standoff, resolution_m, origin_m,
+        bins.position_m, router_m, np.isfinite(bins.rssi_dbm), solver.candidates, solver.probability,
+        None if keeps_distance else solver.is_told, solver.assumed_standoff_m, resolution_m, origin_m,
     )  # fmt: skip
     return Structure(
         router_m=router_m,
         walls=solver.count_walls(position_m, np.asarray(rssi_dbm, float)),
-        wall_probability=solver.count_probability(),
-        bins=bins,
         candidates=solver.candidates,
-        probability=probability,
+        probability=solver.probability,
         grid=grid,
         wall_loss_db=solver.mean_loss_db,
         power_dbm=solver.power_dbm,
         exponent=solver.exponent,
         noise_db=float(np.sqrt(solver.variance_db2)),
-        standoff_m=standoff,
+        standoff_m=solver.assumed_standoff_m,
     )
 
 

@@ -58,138 +58,122 @@ class SignalFit:
         return np.argmax(self.probability, axis=1)
 
 
-def smooth_along_path(log_evidence: Array, travel_m: Array) -> Array:
-    """(bins, k + 1) probability of each number of walls, from each bin's own log evidence and how rarely k changes."""
-    probability = np.empty(log_evidence.shape)
-    steps = np.diff(travel_m, prepend=travel_m[0])
-    evidence = np.ascontiguousarray(log_evidence, float)
-    _forward_backward(evidence, steps, _STAY_M, np.empty(log_evidence.shape), probability)
-    return probability
-
-
-def _signal(parameters: Array, probability: Array, log_likelihood: float) -> SignalFit:
-    power, exponent, loss, noise = parameters.tolist()
-    return SignalFit(power, exponent, loss, noise, probability, log_likelihood)
-
-
-def fit_signal(bins: PathBins, router: int, router_m: Array, k_max: int | None = None) -> SignalFit:
-    """Estimate signal and walls for one router at a known place; k_max None: chosen by BIC.
+def fit_signal(bins: PathBins, router: int, router_m: Array) -> SignalFit:
+    """Estimate signal and walls for one router at a known place, with the largest k chosen by BIC.
 
     Raises DataError when the router was heard in fewer than five bins.
     """
-    distance = np.linalg.norm(bins.position_m - np.asarray(router_m, float), axis=1)
-    rows, decades, level = _heard(bins, router, distance)
-    best = max(
-        (_fit(decades, level, bins, rows, K_MAX if k_max is None else k_max, start)
-         for start in _WALL_LOSS_STARTS_DB),
-        key=lambda fit: fit.log_likelihood,
-    )  # fmt: skip
-    if k_max is None:
-        smaller = [_fit(decades, level, bins, rows, k, best.wall_loss_db) for k in range(K_MAX)]
-        effective = max(len(rows) * min(1.0, bins.step_m / _CORRELATION_M), 2.0)
-        best = max(
-            [*smaller, best],
-            key=lambda fit: fit.log_likelihood - 0.5 * np.log(effective) * fit.probability.shape[1],
-        )
-    return best
+    heard = _heard(bins, router, router_m)
+    most = max((_fit(bins, heard, K_MAX, start) for start in _WALL_LOSS_STARTS_DB), key=lambda fit: fit.log_likelihood)
+    fits = [*(_fit(bins, heard, k, most.wall_loss_db) for k in range(K_MAX)), most]
+    effective = max(len(heard[0]) * min(1.0, bins.step_m / _CORRELATION_M), 2.0)
+    return max(fits, key=lambda fit: fit.log_likelihood - 0.5 * np.log(effective) * fit.probability.shape[1])
 
 
 def typical_signal(bins: PathBins, router: int, router_m: Array) -> SignalFit:
     """A start for those who estimate further: usual exponent and wall loss, power from the strongest readings."""
-    distance = np.linalg.norm(bins.position_m - router_m, axis=1)
-    rows, decades, level = _heard(bins, router, distance)
+    rows, decades, level = _heard(bins, router, router_m)
     power = float(np.quantile(level + _TYPICAL_EXPONENT * decades, _TYPICAL_CLEAR))
     walls = np.clip(np.round((power - _TYPICAL_EXPONENT * decades - level) / _TYPICAL_LOSS_DB), 0, K_MAX).astype(int)
-    probability = np.eye(K_MAX + 1)[walls]
-    everywhere = probability[np.clip(np.searchsorted(rows, np.arange(len(distance))), 0, len(rows) - 1)]
-    return SignalFit(power, _TYPICAL_EXPONENT, _TYPICAL_LOSS_DB, 3.0, everywhere, -np.inf)
+    probability = _everywhere(bins, rows, np.eye(K_MAX + 1)[walls])
+    return SignalFit(power, _TYPICAL_EXPONENT, _TYPICAL_LOSS_DB, 3.0, probability, -np.inf)
 
 
 def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
     """One fit for all routers (routers, 2) of one make: power, exponent and wall loss are shared."""
     parts = []
     for router, place in enumerate(np.asarray(router_m, float)):
-        rows, decades, level = _heard(bins, router, np.linalg.norm(bins.position_m - place, axis=1))
+        rows, decades, level = _heard(bins, router, place)
         steps = np.diff(bins.travel_m[rows], prepend=bins.travel_m[rows[0]] - 1e3)  # nothing carries over
         parts.append((rows, decades, level, steps))
     decades, level, steps = (np.concatenate([part[i] for part in parts]) for i in (1, 2, 3))
-    best: tuple[float, Array, Array] | None = None
+    tries = []
     for start in _WALL_LOSS_STARTS_DB:
-        exponent = _ALIKE_EXPONENT_PRIOR[0]
-        power = float(np.quantile(level + exponent * decades, 0.9))
-        parameters, probability = np.array([power, exponent, start, 4.0]), np.empty((len(level), k_max + 1))
-        temper = min(1.0, max(bins.step_m, 1e-3) / _CORRELATION_M)
-        score = _expectation_maximisation(
-            decades, level, steps, temper, 40, True, _ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M,
-            parameters, probability,
-        )  # fmt: skip
-        score -= 0.5 * ((parameters[2] - _WALL_LOSS_PRIOR_DB[0]) / _WALL_LOSS_PRIOR_DB[1]) ** 2
-        if best is None or score > best[0]:
-            best = score, parameters, probability
-    assert best is not None
-    fits, first = [], 0
-    for rows, *_ in parts:
-        own = best[2][first : first + len(rows)]
-        everywhere = own[np.clip(np.searchsorted(rows, np.arange(len(bins.position_m))), 0, len(rows) - 1)]
-        fits.append(_signal(best[1], everywhere, float(best[0])))
-        first += len(rows)
-    return fits
+        score, parameters, probability = _fitted(
+            decades, level, steps, bins.step_m, k_max, start, _ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M, 40
+        )
+        tries.append((score + _log_prior(parameters[2], _WALL_LOSS_PRIOR_DB), parameters, probability))
+    score, parameters, probability = max(tries, key=lambda tried: tried[0])
+    shares = np.split(probability, np.cumsum([len(part[0]) for part in parts])[:-1])
+    return [
+        SignalFit(*parameters.tolist(), _everywhere(bins, part[0], own), score)
+        for part, own in zip(parts, shares, strict=True)
+    ]
 
 
-def locate_router(bins: PathBins, router: int, margin_m: float = 1.0, step_m: float = 0.5) -> tuple[Array, SignalFit]:
+def locate_router(bins: PathBins, router: int) -> tuple[Array, SignalFit]:
     """Where a router stands (2,), from signal alone (papers.md K24g): the place whose model explains the readings best.
 
-    Tried are places within 4 m of the strongest readings and `margin_m` around the path; the best is refined.
+    Tried are places within 4 m of the strongest readings and 1 m around the path; the best is refined.
     """
     strongest = bins.position_m[np.argsort(np.nan_to_num(bins.rssi_dbm[:, router], nan=-200.0))[-5:]].mean(axis=0)
-    low = np.maximum(bins.position_m.min(axis=0) - margin_m, strongest - 4.0)
-    high = np.minimum(bins.position_m.max(axis=0) + margin_m, strongest + 4.0)
-    best, centre = -np.inf, strongest
-    result: tuple[Array, SignalFit] | None = None
+    low = np.maximum(bins.position_m.min(axis=0) - 1.0, strongest - 4.0)
+    high = np.minimum(bins.position_m.max(axis=0) + 1.0, strongest + 4.0)
+    best, centre, step_m = -np.inf, strongest, 0.5
     while step_m > 0.05:
         for x in np.arange(low[0], high[0] + 1e-9, step_m):
             for y in np.arange(low[1], high[1] + 1e-9, step_m):
                 place = np.array([x, y])
-                rows, decades, level = _heard(bins, router, np.linalg.norm(bins.position_m - place, axis=1))
+                heard = _heard(bins, router, place)
                 for start in _WALL_LOSS_STARTS_DB[1:3]:
-                    fit = _fit(decades, level, bins, rows, 3, start, iterations=6)
+                    fit = _fit(bins, heard, 3, start, iterations=6)
                     if fit.log_likelihood > best:
-                        best, centre, result = fit.log_likelihood, place, (place, fit)
+                        best, centre = fit.log_likelihood, place
         low, high, step_m = centre - step_m, centre + step_m, step_m / 3
-    if result is None:
+    if best == -np.inf:
         raise DataError("no place of the router explains the readings; check the units of positions and strengths")
     return centre, fit_signal(bins, router, centre)
 
 
-def _heard(bins: PathBins, router: int, distance_m: Array) -> tuple[Array, Array, Array]:
-    """Rows of the bins that heard the router, their 10 log10 distance and their level."""
+def _heard(bins: PathBins, router: int, router_m: Array) -> tuple[Array, Array, Array]:
+    """Rows of the bins that heard a router at this place, their 10 log10 distance and their level."""
     rows = np.flatnonzero(np.isfinite(bins.rssi_dbm[:, router]))
     if len(rows) < 5:
         raise DataError(f"router {router} was heard in {len(rows)} places only; at least 5 are needed")
-    decades = 10.0 * np.log10(np.maximum(distance_m[rows], DISTANCE_MIN_M))
-    return rows, decades, bins.rssi_dbm[rows, router]
+    distance_m = np.linalg.norm(bins.position_m[rows] - router_m, axis=1)
+    return rows, 10.0 * np.log10(np.maximum(distance_m, DISTANCE_MIN_M)), bins.rssi_dbm[rows, router]
+
+
+def _everywhere(bins: PathBins, rows: Array, probability: Array) -> Array:
+    """(bins, k + 1) probabilities (rows, k + 1) of bins that heard a router, those that did not like the next one."""
+    return probability[np.clip(np.searchsorted(rows, np.arange(len(bins.position_m))), 0, len(rows) - 1)]
 
 
 def _fit(
-    decades: Array, level: Array, bins: PathBins, rows: Array, k_max: int, start_db: float,
-    iterations: int = 25,
-) -> SignalFit:  # fmt: skip
-    states = k_max + 1
+    bins: PathBins, heard: tuple[Array, Array, Array], k_max: int, start_db: float, iterations: int = 25
+) -> SignalFit:
+    """The model of one router from what `_heard` gives."""
+    rows, decades, level = heard
     steps = np.diff(bins.travel_m[rows], prepend=bins.travel_m[rows[0]])
-    # Correlated readings say the same thing again: their likelihood is tempered to one per correlation length.
-    temper = min(1.0, max(bins.step_m, 1e-3) / _CORRELATION_M)
-    power = float(np.quantile(level + _EXPONENT_PRIOR[0] * decades, 0.9))
-    parameters = np.array([power, _EXPONENT_PRIOR[0], start_db if k_max else 0.0, 4.0])
-    probability = np.empty((len(rows), states))
-    log_likelihood = _expectation_maximisation(
-        decades, level, steps, temper, iterations, k_max > 0, _EXPONENT_PRIOR, _STAY_M,
-        parameters, probability,
-    )  # fmt: skip
-    everywhere = probability[np.clip(np.searchsorted(rows, np.arange(len(bins.position_m))), 0, len(rows) - 1)]
-    prior = -0.5 * ((parameters[1] - _EXPONENT_PRIOR[0]) / _EXPONENT_PRIOR[1]) ** 2
+    score, parameters, probability = _fitted(
+        decades, level, steps, bins.step_m, k_max, start_db, _EXPONENT_PRIOR, _STAY_M, iterations
+    )
+    prior = _log_prior(parameters[1], _EXPONENT_PRIOR)
     if k_max:
-        prior -= 0.5 * ((parameters[2] - _WALL_LOSS_PRIOR_DB[0]) / _WALL_LOSS_PRIOR_DB[1]) ** 2
-    return _signal(parameters, everywhere, float(log_likelihood + prior))
+        prior += _log_prior(parameters[2], _WALL_LOSS_PRIOR_DB)
+    return SignalFit(*parameters.tolist(), _everywhere(bins, rows, probability), float(score + prior))
+
+
+def _log_prior(value: float, prior: tuple[float, float]) -> float:
+    return -0.5 * ((value - prior[0]) / prior[1]) ** 2
+
+
+def _fitted(
+    decades: Array, level: Array, steps: Array, step_m: float, k_max: int, start_db: float,
+    exponent_prior: tuple[float, float], stay_m: float, iterations: int,
+) -> tuple[float, Array, Array]:  # fmt: skip
+    """Log-likelihood, parameters (4,) and probability (n, k_max + 1) of each number of walls, of readings (n,).
+
+    Correlated readings say the same thing again: their likelihood is tempered to one per correlation length.
+    """
+    power = float(np.quantile(level + exponent_prior[0] * decades, 0.9))
+    parameters = np.array([power, exponent_prior[0], start_db if k_max else 0.0, 4.0])
+    probability = np.empty((len(level), k_max + 1))
+    temper = min(1.0, max(step_m, 1e-3) / _CORRELATION_M)
+    score = _expectation_maximisation(
+        decades, level, steps, temper, iterations, k_max > 0, exponent_prior, stay_m, parameters, probability
+    )
+    return score, parameters, probability
 
 
 @kernel

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray as Array
-from scipy.ndimage import uniform_filter1d
 from scipy.sparse import coo_array
 
 from twc_env.geometry import travelled_m
 from twc_env.slam.change_points import settle_changes
-from twc_env.slam.k_visibility_signal import DISTANCE_MIN_M, SignalFit, smooth_along_path
+from twc_env.slam.k_visibility_signal import DISTANCE_MIN_M, SignalFit
 from twc_env.slam.path_bins import PathBins
 from twc_env.slam.wall_candidates import WallCandidates
 from twc_env.slam.wall_sampler import COUPLING, find_crossings, sample_walls
@@ -32,9 +31,6 @@ _ROUTER_CLEAR_M = 0.25
 """A piece nearer to a router would only take the place of the router's power."""
 _LOSS_SPREAD, _LOSS_MIN_SHARE = 0.25, 0.7
 """Walls of one building differ by this share in what they take; what takes less than the other share is none."""
-_K_STATES = 8
-_NEAR_CHANGE_M, _MAP_DOUBT = 0.1, 0.001
-"""k of the map is trusted but this far around its changes, and but for this share."""
 _CORRELATION_M = 0.3
 """Binned readings within this length count as one: the same shadowing."""
 _NOISE_MIN_DB = 1.2
@@ -49,19 +45,15 @@ class WallSolver:
         self, bins: PathBins, router_m: Array, fits: list[SignalFit], candidates: WallCandidates,
         standoff_m: float, seed: int,
     ):  # fmt: skip
-        self.candidates, self._seed, self._bins = candidates, seed, bins
-        self.assumed_standoff_m = standoff_m
-        self._routers = router_m
-        routers, places = len(router_m), len(bins.position_m)
-        self._router_of = np.tile(np.arange(routers), places)
-        self._bin_of_ray = np.repeat(np.arange(places), routers)
-        far = bins.position_m[self._bin_of_ray]
+        self.candidates, self._routers, self._seed = candidates, router_m, seed
+        self.assumed_standoff_m, routers = standoff_m, len(router_m)
+        self._router_of = np.tile(np.arange(routers), len(bins.position_m))
+        far = np.repeat(bins.position_m, routers, axis=0)
         self._heard = np.isfinite(bins.rssi_dbm).ravel()
         self._level = np.nan_to_num(bins.rssi_dbm).ravel()
         self._decades = 10 * np.log10(
             np.maximum(np.linalg.norm(far - router_m[self._router_of], axis=1), DISTANCE_MIN_M)
         )
-        self._shape = (places, routers)
         self._first, self._members = _crossings(candidates.ends_m, router_m[self._router_of], far, self._heard)
         self._sweeps_share = float(np.clip(_CROSSINGS_FULL / max(len(self._members), 1), _SWEEPS_SHARE_MIN, 1.0))
         self.power_dbm = np.array([fit.power_at_1m_dbm for fit in fits])
@@ -108,15 +100,10 @@ class WallSolver:
             self._refit(with_stretches=True)
         self.probability = on_count / (_ROUNDS * sweeps)
 
-    def standoff_m(self) -> float | None:
-        """Median distance from the path of the walls found between two tracks; None when there are few."""
+    def standoffs_m(self) -> Array:
+        """(k,) distances from the path of the walls found between two tracks; none when there are few."""
         sure = self.candidates.is_between & (self.probability > 0.8)
-        return float(np.median(self.candidates.standoff_m[sure])) if sure.sum() >= 8 else None
-
-    def standoff_spread_m(self) -> float:
-        """How much the distance from the path differs between the walls found between two tracks."""
-        sure = self.candidates.is_between & (self.probability > 0.8)
-        return float(np.std(self.candidates.standoff_m[sure])) if sure.sum() >= 8 else 0.0
+        return self.candidates.standoff_m[sure & (sure.sum() >= 8)]
 
     @property
     def is_told(self) -> Array:
@@ -135,27 +122,6 @@ class WallSolver:
         for router in range(len(self._routers)):
             walls[:, router] = settle_changes(walls[:, router], loss[:, router], excess[:, router], travel_m)
         return walls
-
-    def count_probability(self) -> Array:
-        """(bins, routers, k + 1) probability of each number of walls, per bin of the path."""
-        at_bins, loss = self._through_walls(self._bins.position_m)
-        variance = (self.variance_db2 * self._noise_share).reshape(self._shape)
-        expected = (self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades).reshape(
-            self._shape
-        )
-        heard = self._heard.reshape(self._shape)
-        probability = np.zeros((*self._shape, _K_STATES))
-        k = np.arange(_K_STATES)
-        near = max(round(_NEAR_CHANGE_M / max(self._bins.step_m, 1e-3)), 1)
-        for r in range(self._shape[1]):
-            is_k = (np.minimum(at_bins[:, r], _K_STATES - 1)[:, None] == k).astype(float)
-            share = uniform_filter1d(is_k, 2 * near + 1, axis=0, mode="nearest")
-            level = expected[:, r, None] - loss[:, r, None] - self.mean_loss_db * (k - at_bins[:, r, None])
-            error = self._bins.rssi_dbm[:, r, None] - level
-            told = -2.5 * np.log1p(error**2 / (4.0 * variance[:, r, None]))
-            evidence = np.where(heard[:, r, None], self._weight[0] * told, 0.0) + np.log(share + _MAP_DOUBT)
-            probability[:, r] = smooth_along_path(evidence, self._bins.travel_m)
-        return probability
 
     def _through_walls(self, position_m: Array) -> tuple[Array, Array]:
         """(n, routers) pieces that are walls between each router and each position, and their summed loss."""
@@ -193,7 +159,7 @@ class WallSolver:
 
     def _refit(self, with_stretches: bool) -> None:
         """Power and exponent of each router, the loss of each stretch, the noise, and which side has the walls."""
-        routers = self._shape[1]
+        routers = len(self._routers)
         on = np.repeat(self._is_wall, np.diff(self._first))
         piece = np.repeat(self.candidates.stretch, np.diff(self._first))[on]
         width = self._stretches if with_stretches else 1
