@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twc_env.errors import DataError
-from twc_env.metrics import closure_is_correct, closures_are_correct, score_closures
+from twc_env.metrics import closures_are_correct, score_closures
 
 TRUE = np.array([1.0, 2.0, 3.1])
 
@@ -20,11 +20,11 @@ TRUE = np.array([1.0, 2.0, 3.1])
     ],
 )
 def test_a_closure_is_right_within_half_a_metre_and_ten_degrees(error, expected):
-    assert closure_is_correct(TRUE + error, TRUE) is expected
+    assert bool(closures_are_correct(TRUE + error, TRUE)) is expected
 
 
 def test_headings_on_both_sides_of_the_half_turn_are_near_each_other():
-    assert closure_is_correct([0, 0, math.pi - 0.05], [0, 0, -math.pi + 0.05])
+    assert closures_are_correct([0, 0, math.pi - 0.05], [0, 0, -math.pi + 0.05])
 
 
 def test_precision_and_recall_follow_their_definitions():
@@ -46,4 +46,4 @@ def test_verdicts_and_poses_that_do_not_match_are_refused():
     with pytest.raises(DataError, match="as many measured"):
         closures_are_correct(np.zeros((3, 3)), np.zeros((1, 3)))
     with pytest.raises(DataError, match="as many measured"):
-        closure_is_correct([0.0, 0.0], [0.0, 0.0])
+        closures_are_correct([0.0, 0.0], [0.0, 0.0])

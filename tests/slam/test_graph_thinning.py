@@ -31,7 +31,8 @@ def with_closures(edges, closures, std):
 
 
 def fitted(edges, poses):
-    return pose_graph.weighted(poses, edges.ends, edges.measured, edges.information, np.ones(len(edges.ends)), 100)
+    graph = pose_graph.Graph(edges.ends, edges.measured, edges.information, edges.closure != ODOMETRY)
+    return graph.fit(poses, np.ones(len(edges.ends)))
 
 
 def without(count, *nodes):

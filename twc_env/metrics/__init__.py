@@ -1,6 +1,6 @@
 """Numbers that say how good an episode was: plain arrays in, numbers out."""
 
-from twc_env.metrics.closures import ClosureScore, closure_is_correct, closures_are_correct, score_closures
+from twc_env.metrics.closures import ClosureScore, closures_are_correct, score_closures
 from twc_env.metrics.mapping import MapScore, correct_area_m2, floor_mask, recount_free, score_map
 from twc_env.metrics.merging import implied_frames, wrong_pairs
 from twc_env.metrics.trajectory import (
@@ -18,7 +18,6 @@ __all__ = [
     "MapScore",
     "absolute_trajectory_error_m",
     "align_team",
-    "closure_is_correct",
     "closures_are_correct",
     "correct_area_m2",
     "end_point_error_m",

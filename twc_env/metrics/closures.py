@@ -29,23 +29,16 @@ class ClosureScore:
     """Accepted share of the right ones; NaN when none was right."""
 
 
-def closure_is_correct(
-    measured: ArrayLike, true: ArrayLike, distance_max_m: float = DISTANCE_MAX_M, angle_max_rad: float = ANGLE_MAX_RAD
-) -> bool:
-    """Whether a measured pose (3,) of one keyframe in another's frame is near the true one (ends included)."""
-    one = np.asarray(measured)[None], np.asarray(true)[None]
-    return bool(closures_are_correct(*one, distance_max_m, angle_max_rad)[0])
+def closures_are_correct(measured: ArrayLike, true: ArrayLike) -> NDArray[np.bool_]:
+    """(...) whether measured poses (..., 3) of keyframes in others' frames are near the true ones (ends included).
 
-
-def closures_are_correct(
-    measured: ArrayLike, true: ArrayLike, distance_max_m: float = DISTANCE_MAX_M, angle_max_rad: float = ANGLE_MAX_RAD
-) -> NDArray[np.bool_]:
-    """(n,) the same of many at once; poses (n, 3). Raises DataError for other shapes."""
+    Raises DataError for other shapes.
+    """
     shapes = np.shape(measured), np.shape(true)
     if shapes[0] != shapes[1] or shapes[0][-1:] != (3,):
         raise DataError(f"need as many measured as true poses (n, 3); got {shapes[0]} and {shapes[1]}")
     error = between(true, measured)
-    return (np.hypot(error[..., 0], error[..., 1]) <= distance_max_m) & (np.abs(error[..., 2]) <= angle_max_rad)
+    return (np.hypot(error[..., 0], error[..., 1]) <= DISTANCE_MAX_M) & (np.abs(error[..., 2]) <= ANGLE_MAX_RAD)
 
 
 def score_closures(is_correct: ArrayLike, is_accepted: ArrayLike) -> ClosureScore:

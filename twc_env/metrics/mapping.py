@@ -44,7 +44,6 @@ def correct_area_m2(
     truth_free: Array,
     truth_origin_m: Array,
     truth_resolution_m: float,
-    free_below: int = 0,
     box: tuple[int, int, int, int] | None = None,
 ) -> float:
     """Area of the explorable floor (truth_free) that the map shows as free; arguments as in `score_map`.
@@ -54,8 +53,9 @@ def correct_area_m2(
     log_odds, truth_free = given_grid(log_odds, "log_odds"), given_grid(truth_free, "truth_free")
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
     box = box or (0, 0, *log_odds.shape)
-    count = _count_free(np.ascontiguousarray(log_odds), box, row, column, step, truth_free, free_below)
-    return float(count) * truth_resolution_m**2
+    return (
+        float(_count_free(np.ascontiguousarray(log_odds), box, row, column, step, truth_free)) * truth_resolution_m**2
+    )
 
 
 def floor_mask(
@@ -84,14 +84,12 @@ def score_map(
     truth_wall: Array,
     truth_origin_m: Array,
     truth_resolution_m: float,
-    free_below: int = 0,
-    wall_above: int = 0,
 ) -> MapScore:
     """Compare a merged map with the building.
 
-    log_odds (h, w) int16 with its lower left corner at origin_m in the map frame; a cell is free below `free_below` and
-    wall above `wall_above`. pose_building_map (3,) places the map frame in the building. truth_free and truth_wall
-    (H, W) bool with their corner at truth_origin_m in the building frame.
+    log_odds (h, w) int16 with its lower left corner at origin_m in the map frame; a cell is free below 0 and wall
+    above. pose_building_map (3,) places the map frame in the building. truth_free and truth_wall (H, W) bool with their
+    corner at truth_origin_m in the building frame.
 
     The centre of each true cell is looked up in the map. Walls are scored by the walls that border explorable floor:
     with r the share of those that the map has within one cell, and p the share of the map's wall cells that have a true
@@ -105,18 +103,16 @@ def score_map(
         raise DataError(f"truth_free {truth_free.shape} and truth_wall {truth_wall.shape} must have one shape")
     if not log_odds.size:
         return MapScore(0.0, 0.0, 0.0, 0.0, 0.0)
-    row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
-    cell_m2 = truth_resolution_m**2
-    whole = np.ascontiguousarray(log_odds)
-    correct_m2 = float(_count_free(whole, (0, 0, *whole.shape), row, column, step, truth_free, free_below)) * cell_m2
-    floor_m2 = float(np.count_nonzero(truth_free)) * cell_m2
-    believed_m2 = float(np.count_nonzero(log_odds < free_below)) * resolution_m**2
+    places = pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m
+    correct_m2 = correct_area_m2(
+        log_odds, origin_m, resolution_m, pose_building_map, truth_free, truth_origin_m, truth_resolution_m
+    )
+    floor_m2 = float(np.count_nonzero(truth_free)) * truth_resolution_m**2
+    believed_m2 = float(np.count_nonzero(log_odds < 0)) * resolution_m**2
     union_m2 = floor_m2 + max(believed_m2, correct_m2) - correct_m2
-
-    wall_met, wall_count = _count_true_walls_met(log_odds, row, column, step, truth_free, truth_wall, wall_above)
-    row, column, step = _sampling_back(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
-    map_wall_met, map_wall_count = _count_map_walls_met(log_odds, row, column, step, truth_wall, wall_above)
-    recall, precision = _share(wall_met, wall_count), _share(map_wall_met, map_wall_count)
+    map_wall = log_odds > 0
+    recall = _share(*_count_met(truth_wall, truth_free, *_sampling(*places), map_wall))
+    precision = _share(*_count_met(map_wall, map_wall, *_sampling_back(*places), truth_wall))
     return MapScore(
         correct_area_m2=correct_m2,
         believed_area_m2=believed_m2,
@@ -183,13 +179,13 @@ def _sampling_back(pose_building_map: Array, origin_m, resolution_m, truth_origi
 
 
 @kernel
-def _count_free(log_odds, box, row0, column0, step, truth_free, free_below):
+def _count_free(log_odds, box, row0, column0, step, truth_free):
     """True free cells whose centre falls into a free cell in a box of the map; steps in fixed point."""
     columns = log_odds.shape[1]
     bottom, left, rows_above, columns_right = box[0], box[1], box[2] - box[0], box[3] - box[1]
     width = truth_free.shape[1]
     cells, levels = log_odds.reshape(-1), np.empty(width, log_odds.dtype)
-    numbers, below = np.empty(width, np.uint32), levels.dtype.type(free_below)
+    numbers, below = np.empty(width, np.uint32), levels.dtype.type(0)
     c, s = step[0], step[1]
     dk, dr = int(np.rint(c * FIXED_POINT)), int(np.rint(s * FIXED_POINT))
     count = 0
@@ -256,38 +252,24 @@ def _count_row(levels, mask):
 
 
 @kernel
-def _count_true_walls_met(log_odds, row0, column0, step, truth_free, truth_wall, wall_above):
-    """(met, all) of the true wall cells that border free cells; met: a wall of the map at most one cell away."""
+def _count_met(walls, beside, row0, column0, step, others):
+    """(met, all) of the wall cells that border cells of `beside`; met: another wall is at most one cell away."""
     c, s = step[0], step[1]
     met, count = 0, 0
-    for i in range(truth_wall.shape[0]):
-        for j in range(truth_wall.shape[1]):
-            if truth_wall[i, j] and _is_beside(truth_free, i, j, 0):
+    for i in range(walls.shape[0]):
+        for j in range(walls.shape[1]):
+            if walls[i, j] and _is_beside(beside, i, j):
                 count += 1
                 r, k = int(np.floor(row0 + c * i + s * j)), int(np.floor(column0 - s * i + c * j))
-                met += _is_beside(log_odds, r, k, wall_above)
+                met += _is_beside(others, r, k)
     return met, count
 
 
 @kernel
-def _count_map_walls_met(log_odds, row0, column0, step, truth_wall, wall_above):
-    """(met, all) of the map's wall cells; met: a true wall at most one cell away."""
-    c, s = step[0], step[1]
-    met, count = 0, 0
-    for i in range(log_odds.shape[0]):
-        for j in range(log_odds.shape[1]):
-            if log_odds[i, j] > wall_above:
-                count += 1
-                r, k = int(np.floor(row0 + c * i + s * j)), int(np.floor(column0 - s * i + c * j))
-                met += _is_beside(truth_wall, r, k, 0)
-    return met, count
-
-
-@kernel
-def _is_beside(values, row, column, above):
-    """Whether a cell at most one away from this one lies above; none does outside of the values."""
+def _is_beside(cells, row, column):
+    """Whether this cell or one at most one away is true; none is outside of the cells."""
     found = False
-    for a in range(max(row - 1, 0), min(row + 2, values.shape[0])):
-        for b in range(max(column - 1, 0), min(column + 2, values.shape[1])):
-            found = found or values[a, b] > above
+    for a in range(max(row - 1, 0), min(row + 2, cells.shape[0])):
+        for b in range(max(column - 1, 0), min(column + 2, cells.shape[1])):
+            found = found or cells[a, b]
     return found

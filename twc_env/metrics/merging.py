@@ -58,17 +58,12 @@ def find_frames(estimated, true, turns, robot_of, frames):
         frames[robot, 2] = heading
 
 
-def wrong_pairs(
-    poses_building_map: ArrayLike,
-    centre_map_m: ArrayLike = (0.0, 0.0),
-    distance_max_m: float = WRONG_M,
-    angle_max_rad: float = WRONG_RAD,
-) -> list[tuple[int, int]]:
+def wrong_pairs(poses_building_map: ArrayLike, centre_map_m: ArrayLike = (0.0, 0.0)) -> list[tuple[int, int]]:
     """Pairs (i, j), i < j, of robots of one group that disagree where the map frame lies in the building.
 
     poses_building_map (n, 3) as `implied_frames` gives them. Two frames agree when they put `centre_map_m` (2,), a
-    point amid the group's paths, at most distance_max_m apart and their headings at most angle_max_rad. Raises
-    DataError for frames that are no finite poses.
+    point amid the group's paths, at most WRONG_M apart and their headings at most WRONG_RAD. Raises DataError for
+    frames that are no finite poses.
     """
     frames, centre_m = np.asarray(poses_building_map, float), np.asarray(centre_map_m, float)
     if frames.ndim != 2 or frames.shape[1] != 3 or not np.isfinite(frames).all() or centre_m.shape != (2,):
@@ -78,8 +73,7 @@ def wrong_pairs(
         )
     x, y = centre_m.tolist()
     is_wrong = np.zeros((len(frames), len(frames)), bool)
-    if not find_wrong(frames, x, y, distance_max_m, angle_max_rad, is_wrong):
-        return []
+    find_wrong(frames, x, y, WRONG_M, WRONG_RAD, is_wrong)
     return [(int(i), int(j)) for i, j in np.argwhere(is_wrong)]
 
 

@@ -90,7 +90,7 @@ def match(config: EnvConfig, walks: Sequence[Walk], found: Sequence[LoopCandidat
         target, source = (walks[robot].keyframes for robot in (candidate.target[0], candidate.source[0]))
         closure = verifier.verify(candidate, target, source)
         true = between(*(walks[robot].poses[index] for robot, index in (candidate.target, candidate.source)))
-        matched.append(Matched(closure, metrics.closure_is_correct(closure.pose_target_source, true)))
+        matched.append(Matched(closure, bool(metrics.closures_are_correct(closure.pose_target_source, true))))
     return matched
 
 

@@ -63,8 +63,8 @@ class ClosureGrowth:
         self._revoked = np.zeros(count, np.int64)
         self._member_in = np.ones(len(self._closures), bool)
 
-    def run(self) -> tuple[Array, Array, Array, dict[int, str]]:
-        """Poses, accepted edges (e,), group of each edge (e,), and reasons of refused edges."""
+    def run(self) -> tuple[Array, Array, dict[int, str]]:
+        """Poses, accepted edges (e,), and reasons of refused edges."""
         for _ in range(ROUNDS_MAX):
             if not self._believe_more():
                 break
@@ -202,7 +202,7 @@ class ClosureGrowth:
             if np.count_nonzero(self._believed) <= np.count_nonzero(held[1]):
                 self.poses, self._believed, self._revoked, self._member_in = held
 
-    def _finish(self):
+    def _finish(self) -> tuple[Array, Array, dict[int, str]]:
         graph, closures = self._graph, self._closures
         for _ in range(3):  # with the map settled, every closure is judged on its own
             self._look()
@@ -224,10 +224,7 @@ class ClosureGrowth:
             self.poses = graph.fit(self.poses, weight)
             if same:
                 break
-        accepted = weight > 0
-        group = np.full(len(graph.edges), -1)
-        group[closures] = self._group
-        return self.poses, accepted, group, self._reasons(kept, squared, evidence)
+        return self.poses, weight > 0, self._reasons(kept, squared, evidence)
 
     def _final_odds(self, evidence: Array) -> Array:
         """(k,) log odds of every closure before it is heard, by the share of believed closures of its kind."""

@@ -52,8 +52,13 @@ class Graph:
         return Graph(*(part[kept] for part in self.parts))
 
     def fit(self, poses: Array, weight: Array, iterations_max: int = 100) -> Array:
-        """Poses after plain least squares with these weights (e,)."""
-        return weighted(poses, self.edges, self.measured, self.information, weight, iterations_max)
+        """Poses (n, 3) after plain least squares with these weights (e,), pose 0 held; a weight of 0 costs nothing."""
+        kept = weight > 0
+        if len(poses) < 2 or not kept.any():
+            return np.array(poses, float)
+        equations = NormalEquations(self.edges[kept], self.measured[kept], self.information[kept], len(poses), 0)
+        weight = np.ascontiguousarray(weight[kept], float)
+        return equations.minimise(np.array(poses, float), lambda squared: weight, iterations_max)
 
     def squared_errors(self, poses: Array) -> Array:
         """(e,) squared Mahalanobis length of each residual."""
@@ -83,14 +88,9 @@ def robust_weights(squared: Array, is_closure: Array, config: PoseGraphConfig) -
 
 
 def optimise(
-    poses: Array,
-    edges: Array,
-    measured: Array,
-    information: Array,
-    is_closure: Array,
-    config: PoseGraphConfig,
+    poses: Array, edges: Array, measured: Array, information: Array, is_closure: Array, config: PoseGraphConfig,
     fixed: int = 0,
-) -> Array:
+) -> Array:  # fmt: skip
     """The poses (n, 3) that fit the edges best, pose `fixed` held where it is.
 
     edges (e, 2) indices, measured (e, 3), information (e, 3, 3), is_closure (e,) bool. Warm: starts from `poses`.
@@ -100,18 +100,6 @@ def optimise(
         return poses
     graph = NormalEquations(edges, measured, information, len(poses), fixed)
     return graph.minimise(poses, lambda squared: robust_weights(squared, is_closure, config), config.iterations_max)
-
-
-def weighted(
-    poses: Array, edges: Array, measured: Array, information: Array, weight: Array, iterations_max: int = 50
-) -> Array:
-    """As `optimise` with pose 0 held and weights (e,) that do not change; edges of weight 0 cost nothing."""
-    kept = weight > 0
-    if len(poses) < 2 or not kept.any():
-        return np.array(poses, float)
-    graph = NormalEquations(edges[kept], measured[kept], information[kept], len(poses), 0)
-    weight = np.ascontiguousarray(weight[kept], float)
-    return graph.minimise(np.array(poses, float), lambda squared: weight, iterations_max)
 
 
 class NormalEquations:
@@ -139,16 +127,8 @@ class NormalEquations:
 
     def linearise(self, poses: Array, weight: Array) -> tuple[Array, Array, Array]:
         """Diagonal blocks (n, 3, 3), blocks of the edges' pairs, gradient (n, 3); held poses have unit blocks."""
-        return linearise_relative(
-            poses,
-            self.edges,
-            self.measured,
-            self.information,
-            weight,
-            self._blocks,
-            int(self._blocks.max(initial=-1)) + 1,
-            self._held,
-        )
+        block_count, known = int(self._blocks.max(initial=-1)) + 1, (self.edges, self.measured, self.information)
+        return linearise_relative(poses, *known, weight, self._blocks, block_count, self._held)
 
     def minimise(
         self, poses: Array, weigh, iterations_max: int, step_m: float = STEP_M, step_rad: float = STEP_RAD
@@ -186,13 +166,12 @@ class NormalEquations:
     def _go(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
         """Poses after one damped step, and its longest moves [m, rad]; False: the equations have no one solution."""
         cholesky = self._cholesky
-        if not cholesky.has_dense_rest:
-            is_sound, moved, moved_m, moved_rad = sparse_step(
-                poses, self.edges, self.measured, self.information, weight, self._blocks, self._held,
-                *cholesky.pattern, cholesky.block_count, damping,
-            )  # fmt: skip
-            return is_sound, moved, moved_m, moved_rad
-        return self._go_in_parts(poses, weight, damping)
+        if cholesky.has_dense_rest:
+            return self._go_in_parts(poses, weight, damping)
+        return sparse_step(
+            poses, self.edges, self.measured, self.information, weight, self._blocks, self._held,
+            *cholesky.pattern, cholesky.block_count, damping,
+        )  # fmt: skip
 
     def _go_in_parts(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
         diagonal, blocks, gradient = self.linearise(poses, weight)

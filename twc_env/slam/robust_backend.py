@@ -7,7 +7,6 @@ map from the surest closures outwards (`closure_growth`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,13 +21,12 @@ from twc_env.slam import pose_graph
 from twc_env.slam.closure_agreement import pairwise_consistent
 from twc_env.slam.closure_growth import ClosureGrowth
 from twc_env.slam.given_arrays import given_rows
-from twc_env.slam.graduated_non_convexity import graduated
 from twc_env.slam.map_prediction import KEYS_MAX
-from twc_env.slam.pose_graph import Graph, NormalEquations
+from twc_env.slam.pose_graph import GATE, Graph, NormalEquations
 
 REVOKED_ABOVE, RETURNS_BELOW = 12.5, 5.5
 """Squared errors above which a closure is taken back, and below which it returns; far apart: none flickers."""
-ROUNDS_MAX = 3
+ROUNDS_MAX, ANNEALING_MAX = 3, 100
 FEW_REFUSED = 2
 """With more refused closures than this, `ours` weighs all from the start, which takes some twenty times as long."""
 EPISODE_STEP_M, EPISODE_STEP_RAD = 0.03, 0.006
@@ -39,15 +37,10 @@ EPISODE_KEYS_MAX = 80
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """One refused closure: its edge, why, and how far from the final map it lies."""
+    """One refused closure: its edge, and why."""
 
     edge: int
     reason: str
-    squared_error: float
-    away_m: float
-    away_rad: float
-    group: int = -1
-    """Closures of one number agree with each other; -1 where the mode forms no groups."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +52,6 @@ class BackendResult:
     rejections: tuple[Rejection, ...]
 
 
-def optimise(poses, edges, measured, information, is_closure, config: PoseGraphConfig, fixed: int = 0) -> Array:
-    """The poses of `solve`; signature and meaning of `pose_graph.optimise`, for every mode."""
-    return solve(poses, edges, measured, information, is_closure, config, fixed).poses
-
-
-def _always(before: Array, after: Array) -> bool:
-    return True
-
-
 def revise(
     poses: Array,
     graph: Graph,
@@ -75,7 +59,7 @@ def revise(
     config: PoseGraphConfig,
     fixed: int = 0,
     is_thorough: bool = False,
-    may_replace: Callable[[Array, Array], bool] = _always,
+    may_replace: Callable[[Array, Array], bool] = lambda before, after: True,
 ) -> BackendResult:
     """Optimise inside an episode: warm, from the closures used so far (e,), with second thoughts about each of them.
 
@@ -101,10 +85,7 @@ def revise(
 def _all_together(result: BackendResult, graph: Graph, config: PoseGraphConfig, fixed: int) -> BackendResult:
     """Second thoughts that begin where all closures pull alike, with the refused ones that agree with all others."""
     equations = NormalEquations(graph.edges, graph.measured, graph.information, len(result.poses), fixed)
-    poses = equations.minimise(
-        result.poses, np.ones_like, config.iterations_max, EPISODE_STEP_M,
-        EPISODE_STEP_RAD,
-    )  # fmt: skip
+    poses = equations.minimise(result.poses, np.ones_like, config.iterations_max, EPISODE_STEP_M, EPISODE_STEP_RAD)
     fits = equations.squared_errors(poses) < RETURNS_BELOW
     return second_thoughts(poses, graph, result.accepted | fits, config, fixed)
 
@@ -129,11 +110,8 @@ def second_thoughts(
         squared = equations.squared_errors(poses)
         if not _reconsider(squared, graph.is_closure, used):
             break
-    if used.all():
-        return BackendResult(poses, used, ())
-    reasons = {int(e): f"contradicts the map (squared error {squared[e]:.1f})" for e in np.flatnonzero(~used)}
-    group = np.full(len(used), -1)
-    return BackendResult(poses, used, _rejections(graph, poses, used, group, reasons, "ours"))
+    why = [(e, f"contradicts the map (squared error {squared[e]:.1f})") for e in np.flatnonzero(~used).tolist()]
+    return BackendResult(poses, used, tuple(Rejection(*one) for one in why))
 
 
 @kernel
@@ -169,8 +147,8 @@ def solve(
 ) -> BackendResult:
     """Optimise in the mode `config.robust` and say which closures were believed. Deterministic.
 
-    Arguments as for `pose_graph.optimise`. `gnc`, `pcm` and `ours` take odometry as known
-    good; `ours` looks at the joint covariance of at most `keys_max` poses.
+    Arguments as for `pose_graph.optimise`. `gnc`, `pcm` and `ours` take odometry as known good; `ours` looks at the
+    joint covariance of at most `keys_max` poses.
     """
     poses = np.array(poses, float)
     graph = Graph(
@@ -180,7 +158,6 @@ def solve(
         given_rows(is_closure, (), "is_closure of a graph", bool, "edges"),
     )
     _check(poses, graph, fixed, is_inverted=config.robust in ("pcm", "ours"))
-    group = np.full(len(graph.edges), -1)
     reasons: dict[int, str] = {}
     held = poses[fixed].copy() if len(poses) else np.zeros(3)
     if len(poses) < 2 or not graph.is_closure.any():
@@ -188,15 +165,20 @@ def solve(
     elif config.robust in ("plain", "dcs", "cauchy"):
         out, accepted = _weighed(graph, poses, config, fixed)
     elif config.robust == "gnc":
-        out, accepted = graduated(graph, poses)
+        out, accepted = _graduated(graph, poses)
     elif config.robust == "pcm":
         out, accepted = pairwise_consistent(graph, poses)
     else:
-        out, accepted, group, reasons = ClosureGrowth(graph, poses, config, keys_max).run()
+        out, accepted, reasons = ClosureGrowth(graph, poses, config, keys_max).run()
     if len(out) and config.robust not in ("plain", "dcs", "cauchy"):
         out = compose(held, between(out[fixed], out))
         out[fixed] = held
-    return BackendResult(out, accepted, _rejections(graph, out, accepted, group, reasons, config.robust))
+    general = {
+        "gnc": "truncated: its error stayed above the inlier bound",
+        "pcm": "not in the largest pairwise consistent set",
+    }.get(config.robust, "down-weighted below one half by its residual")
+    refused = np.flatnonzero(~accepted).tolist()
+    return BackendResult(out, accepted, tuple(Rejection(edge, reasons.get(edge, general)) for edge in refused))
 
 
 def _check(poses: Array, graph: Graph, fixed: int, is_inverted: bool) -> None:
@@ -229,23 +211,29 @@ def _check_information(information: Array, is_inverted: bool) -> None:
         )
 
 
-def _rejections(graph: Graph, poses, accepted, group, reasons, mode) -> tuple[Rejection, ...]:
-    refused = np.flatnonzero(~accepted)
-    if not len(refused):
-        return ()
-    squared = graph.squared_errors(poses)
-    away = pose_graph.residuals(poses, graph.edges[refused], graph.measured[refused])
-    general = {
-        "gnc": "truncated: its error stayed above the inlier bound",
-        "pcm": "not in the largest pairwise consistent set",
-    }.get(mode, "down-weighted below one half by its residual")
-    return tuple(
-        Rejection(int(e), reasons.get(int(e), general), float(squared[e]), math.hypot(x, y), abs(turn), int(group[e]))
-        for e, (x, y, turn) in zip(refused, away.tolist(), strict=True)
-    )
-
-
 def _weighed(graph: Graph, poses: Array, config: PoseGraphConfig, fixed: int) -> tuple[Array, Array]:
     out = pose_graph.optimise(poses, *graph.parts, config, fixed)
     weight = pose_graph.robust_weights(graph.squared_errors(out), graph.is_closure, config)
     return out, weight > 0.5
+
+
+def _graduated(graph: Graph, poses: Array) -> tuple[Array, Array]:
+    """Truncated least squares that begins convex and hardens in steps, odometry known good (Yang 2020, Eq. 14-15)."""
+    poses = graph.fit(poses, np.ones(len(graph.edges)), 30)
+    largest = graph.squared_errors(poses)[graph.is_closure].max()
+    weight = np.ones(len(graph.edges))
+    if 2 * largest <= GATE:
+        return poses, weight > 0.5
+    mu = 1.0 / (2 * largest / GATE - 1)
+    for _ in range(ANNEALING_MAX):
+        squared = graph.squared_errors(poses)
+        high, low = (mu + 1) / mu * GATE, mu / (mu + 1) * GATE
+        middle = np.sqrt(GATE * mu * (mu + 1) / np.maximum(squared, 1e-12)) - mu
+        truncated = np.where(squared >= high, 0.0, np.where(squared <= low, 1.0, middle))
+        weight = np.where(graph.is_closure, truncated, 1.0)
+        poses = graph.fit(poses, weight, 5)
+        if np.all(np.minimum(weight, 1 - weight) < 1e-4):
+            break
+        mu *= 1.4
+    accepted = weight > 0.5
+    return graph.fit(poses, accepted.astype(float)), accepted
