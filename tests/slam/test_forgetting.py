@@ -265,7 +265,7 @@ def test_proposals_far_back_are_let_go_and_later_ones_still_known(keyframe):
     ends = [(keyframe(robot=0, travel_m=a), keyframe(robot=1, travel_m=b)) for a, b in ((5, 5), (50, 5), (5, 50))]
     assert all(tried.is_new(*pair, reach_m) for pair in ends)
     tried.forget([40.0, 40.0])
-    assert [tried.was_tried(*pair, reach_m) for pair in ends] == [False, True, True]
+    assert [tried.is_new(*pair, reach_m) for pair in ends] == [True, False, False]
 
 
 def test_readings_at_forgotten_keyframes_go_unless_only_they_tell(keyframe):

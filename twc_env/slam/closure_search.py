@@ -63,12 +63,7 @@ class ClosureSearch:
         """Queue what a new keyframe looks like."""
         is_tied, is_loosely_tied = self._is_tied(keyframe), self._is_tied(keyframe, loosely=True)
         mates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots
-        tried = self._filters[self._recogniser.name]
-        candidates = self._recogniser.propose(
-            keyframe,
-            mates if is_tied else (),
-            lambda target: not tried.was_tried(target, keyframe, self._reach_m(target, keyframe)),
-        )
+        candidates = self._recogniser.propose(keyframe, mates if is_tied else ())
         if self._signless is not None:
             candidates += self._signless.propose(keyframe, mates if is_loosely_tied else ())
         if self._meetings is not None:

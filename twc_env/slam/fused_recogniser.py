@@ -20,12 +20,7 @@ class FusedRecogniser:
         self.memory = PlaceMemory(range_max_m)
         """What the evidence rests on."""
 
-    def propose(
-        self,
-        keyframe: Keyframe,
-        skipped_robots: Sequence[int] = (),
-        is_wanted: Callable[[Keyframe], bool] | None = None,
-    ) -> list[LoopCandidate]:
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """See `Recogniser`; of each sign on another map the view whose radio signature fits best."""
         best: dict[tuple[int, int], LoopCandidate] = {}
         places = self.memory.observe(keyframe)

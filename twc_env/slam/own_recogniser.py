@@ -25,15 +25,10 @@ class OwnRecogniser:
         self._known: dict[tuple[int, int], Keyframe] = {}
         """Keyframes that it has been shown and that are held, by robot and index."""
 
-    def propose(
-        self,
-        keyframe: Keyframe,
-        skipped_robots: Sequence[int] = (),
-        is_wanted: Callable[[Keyframe], bool] | None = None,
-    ) -> list[LoopCandidate]:
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """See `Recogniser`. Raises DataError for what are no candidates, and for those with another name or source, a
         target that is no earlier keyframe, or no pose as guess."""
-        proposed = self._own.propose(keyframe, skipped_robots, is_wanted)
+        proposed = self._own.propose(keyframe, skipped_robots)
         if not isinstance(proposed, Sequence) or not all(isinstance(each, LoopCandidate) for each in proposed):
             raise DataError(f"{self._file} must propose a list of LoopCandidate; got {proposed!r}")
         candidates = [self._checked(candidate, keyframe) for candidate in proposed]

@@ -26,15 +26,10 @@ class Recogniser(Protocol):
     name: str
     """Candidates bear it. Those of `lidar` and `wifi` are searched for at every heading, others near their guess."""
 
-    def propose(
-        self,
-        keyframe: Keyframe,
-        skipped_robots: Sequence[int] = (),
-        is_wanted: Callable[[Keyframe], bool] | None = None,
-    ) -> list[LoopCandidate]:
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """Candidates between this keyframe (source) and all earlier ones (targets) of robots that are not skipped.
 
-        Those with targets that are not wanted may be left out. The keyframe is remembered for those that follow.
+        The keyframe is remembered for those that follow.
         """
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
@@ -67,32 +62,19 @@ class ProposalFilter:
 
     def is_new(self, target: Keyframe, source: Keyframe, reach_m: float) -> bool:
         """Whether no earlier proposal between the two robots lies within reach_m at both ends; remembers this one."""
-        if self.was_tried(target, source, reach_m):
-            return False
-        robots, travels_m = _in_order(target, source)
-        insort(self._tried.setdefault(robots, []), travels_m)
-        return True
-
-    def was_tried(self, target: Keyframe, source: Keyframe, reach_m: float) -> bool:
-        """Whether an earlier proposal between the two robots lies within reach_m at both ends."""
-        robots, (a, b) = _in_order(target, source)
-        tried = self._tried.get(robots, ())
+        first, second = (target, source) if target.robot <= source.robot else (source, target)
+        tried = self._tried.setdefault((first.robot, second.robot), [])
+        a, b = first.travel_m, second.travel_m
         for k in range(bisect(tried, (a - reach_m, math.inf)), len(tried)):
             x, y = tried[k]
             if x >= a + reach_m:
-                return False
+                break
             if abs(b - y) < reach_m:
-                return True
-        return False
+                return False
+        insort(tried, (a, b))
+        return True
 
     def forget(self, until_m: Sequence[float]) -> None:
         """Let go of what was tried before so many metres of both robots' paths: nothing will come near."""
         for (a, b), tried in self._tried.items():
             tried[:] = [(x, y) for x, y in tried if x >= until_m[a] or y >= until_m[b]]
-
-
-def _in_order(a: Keyframe, b: Keyframe) -> tuple[tuple[int, int], tuple[float, float]]:
-    """The robots of two keyframes and the path lengths up to these, the lower robot first."""
-    if a.robot > b.robot:
-        a, b = b, a
-    return (a.robot, b.robot), (a.travel_m, b.travel_m)

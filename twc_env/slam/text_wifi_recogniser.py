@@ -40,17 +40,12 @@ class TextWifiRecogniser:
         self._table = SignTable()
         """The same places."""
 
-    def propose(
-        self,
-        keyframe: Keyframe,
-        skipped_robots: Sequence[int] = (),
-        is_wanted: Callable[[Keyframe], bool] | None = None,
-    ) -> list[LoopCandidate]:
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """See `Recogniser`; the better of two texts speaks for a pair."""
         if not keyframe.signs:
             return []
         readings = [(self._key(sign.text), sign) for sign in keyframe.signs]
-        candidates = self._compare(keyframe, readings, skipped_robots, is_wanted)
+        candidates = self._compare(keyframe, readings, skipped_robots)
         for text, sign in readings:
             for other in self._remember(text, keyframe, sign):
                 if other not in skipped_robots:
@@ -58,11 +53,7 @@ class TextWifiRecogniser:
         return candidates
 
     def _compare(
-        self,
-        keyframe: Keyframe,
-        readings: Sequence[tuple[str, SignObservation]],
-        skipped_robots: Sequence[int],
-        is_wanted: Callable[[Keyframe], bool] | None = None,
+        self, keyframe: Keyframe, readings: Sequence[tuple[str, SignObservation]], skipped_robots: Sequence[int]
     ) -> list[LoopCandidate]:
         """Candidates between a keyframe that read these texts and all places known; one for each other keyframe."""
         best: dict[tuple[int, int], tuple[float, int, SignObservation, float, float]] = {}
@@ -74,12 +65,7 @@ class TextWifiRecogniser:
                 held = best.get((target.robot, target.index))
                 if held is None or similarity > held[0]:
                     best[target.robot, target.index] = similarity, k, sign, macs, rssi
-        source = keyframe.robot, keyframe.index
-        return [
-            self._candidate(source, *entry)
-            for entry in best.values()
-            if is_wanted is None or is_wanted(self._places[entry[1]][0])
-        ]
+        return [self._candidate((keyframe.robot, keyframe.index), *entry) for entry in best.values()]
 
     def _compare_anew(self, robot: int, other: int) -> list[LoopCandidate]:
         """Candidates between all places of one robot and those of another, once their receivers are told apart."""

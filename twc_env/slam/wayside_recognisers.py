@@ -93,12 +93,7 @@ class WifiRecogniser:
         """The same places, as if one sign were read at all of them."""
         self._radio = RadioRule.of(config)
 
-    def propose(
-        self,
-        keyframe: Keyframe,
-        skipped_robots: Sequence[int] = (),
-        is_wanted: Callable[[Keyframe], bool] | None = None,
-    ) -> list[LoopCandidate]:
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """See `Recogniser`; the few most alike."""
         if not self._places.is_due(keyframe):
             return []
@@ -141,12 +136,7 @@ class ScanRecogniser:
         self._config, self._range_max_m = config, range_max_m
         self._places = PlacesOnTheWay(range_max_m)
 
-    def propose(
-        self,
-        keyframe: Keyframe,
-        skipped_robots: Sequence[int] = (),
-        is_wanted: Callable[[Keyframe], bool] | None = None,
-    ) -> list[LoopCandidate]:
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """See `Recogniser`; the few most alike."""
         if not self._places.is_due(keyframe):
             return []
