@@ -16,7 +16,7 @@ from numba import njit
 
 from twc_env.kernel_packs import Lent, kind_of, parts_of
 
-__all__ = ["Lent", "borrowing_kernel", "bound", "kernel", "parts_of", "rebound"]
+__all__ = ["BindsAnew", "Lent", "borrowing_kernel", "bound", "kernel", "parts_of", "rebound"]
 NUMBA_MIN, NUMBA_MAX = (0, 62), (0, 68)
 """Whose insides `kernel_compiler` knows. With another numba kernels are compiled anew in every process."""
 
@@ -67,7 +67,7 @@ def bound(function: Any, held: Any, *others: Any) -> Callable[..., Any]:
     A kernel that is called by its name looks at the type of all that it is given, which takes longer than the call
     itself, above all for a pack. This goes straight to the compiled code. Nothing is looked at then: arrays must be
     contiguous in memory like the first ones, and may not be read-only where those were not.
-    Can be neither copied nor pickled.
+    Can be neither copied nor pickled, see `BindsAnew`.
     """
     values = held, *others
     kinds = function, kind_of(values)
@@ -79,3 +79,10 @@ def bound(function: Any, held: Any, *others: Any) -> Callable[..., Any]:
 def rebound(call: Any, held: Any) -> Any:
     """What `bound` gave with another first argument of the same kind, for arrays that have grown; None stays None."""
     return None if call is None else partial(call.func, held)
+
+
+class BindsAnew:
+    """What derives from it keeps bound kernels, or None for want of them: its copies have None and bind their own."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: None if isinstance(value, partial) else value for name, value in self.__dict__.items()}

@@ -116,6 +116,11 @@ class Keyframe:
     """Texts read since the last keyframe."""
     fingerprint: Fingerprint
 
+    @property
+    def key(self) -> tuple[int, int]:
+        """(robot, index), by which closures and messages name it."""
+        return self.robot, self.index
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contacts:

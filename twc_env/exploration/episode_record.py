@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.exploration.map_judge import MapJudges
-from twc_env.kernels import borrowing_kernel, bound, kernel, rebound
+from twc_env.kernels import BindsAnew, borrowing_kernel, bound, kernel, rebound
 from twc_env.slam.growing import grown
 
 
-class EpisodeRecord:
+class EpisodeRecord(BindsAnew):
     """What happened so far, step by step, kept for judging."""
 
     def __init__(self, robots: int):
@@ -27,9 +27,6 @@ class EpisodeRecord:
         """`_note` with these."""
         self.wrong_pairs: set[tuple[int, int]] = set()
         self.map_judges = MapJudges()
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
 
     def append(self, true_poses: Array, odom_poses: Array, motions: Array, contacts: Array) -> None:
         """Note one step, one row per robot: true poses, front-end poses, measured motions (robots, 3), and contacts."""

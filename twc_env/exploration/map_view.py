@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up, look_up_row, number_square, span_inside
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
+from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import FREE as FREE_CELL
 from twc_env.slam.cell_kinds import UNKNOWN as UNKNOWN_CELL
@@ -56,7 +56,7 @@ class BelievedMaps(NamedTuple):
         return cls(tuple(map(_kinds, grids)), np.array(places), tuple(signs))
 
 
-class MapViews:
+class MapViews(BindsAnew):
     """Pictures of what lies around each robot, with its path, mates and signs."""
 
     def __init__(self, cells: int, cell_m: float, paths_odom: Array, path_counts: Array, mates: Array):
@@ -79,9 +79,6 @@ class MapViews:
             self._run = bound(_crop_and_mark, kept, *maps, poses, out)
         self._run(*maps, poses, out)
         return out
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
 
 
 def _make_room(size: int) -> tuple[Array, ...]:

@@ -10,14 +10,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.kernels import borrowing_kernel, bound
+from twc_env.kernels import BindsAnew, borrowing_kernel, bound
 from twc_env.messages import KnownSign, SignReading
 from twc_env.team_messages import KnownSigns
 
 _NO_PLACES = np.zeros((2, 0))
 
 
-class RecentSigns:
+class RecentSigns(BindsAnew):
     """The latest readings of all robots, and where each robot knows signs to be."""
 
     def __init__(self, robots: int, slots: int):
@@ -32,9 +32,6 @@ class RecentSigns:
         self._text_counts: list[Counter[str]] = [Counter()] * robots
         self._run: Callable[..., None] | None = None
         """`_note_reading` with the readings."""
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
 
     def remember(self, poses: Array, time_s: float, signs: Sequence[tuple[SignReading, ...]]) -> None:
         """Take in what each robot read in a step; poses as `TeamBeliefs` has them."""

@@ -93,17 +93,17 @@ class ClosureSearch:
         if reach_m <= 0 or keyframe.travel_m - self._searched_m[keyframe.robot] < PROXIMITY_PERIOD_M:
             return None
         self._searched_m[keyframe.robot] = keyframe.travel_m
-        here = self._graph.poses[self._graph.node((keyframe.robot, keyframe.index))]
+        here = self._graph.poses[self._graph.node(keyframe.key)]
         best, best_m = None, reach_m
         for robot in self._maps.groups[self._maps.group_of[keyframe.robot]].robots:
             latest_m = keyframe.travel_m - self._rule.revisit_travel_m if robot == keyframe.robot else np.inf
             nearest, away_m = self._graph.nearest(robot, here, latest_m)
             if away_m < best_m:
-                best, best_m = (robot, self._graph.keyframes[robot][nearest].index), away_m
+                best, best_m = self._graph.keyframes[robot][nearest].key, away_m
         if best is None:
             return None
         guess = between(self._graph.poses[self._graph.node(best)], here)
-        return LoopCandidate(best, (keyframe.robot, keyframe.index), guess, "proximity")
+        return LoopCandidate(best, keyframe.key, guess, "proximity")
 
     def note_tie(self, closure: LoopClosure) -> None:
         """A closure was accepted: its robots need no other for a while, or none of its kind where it is loose."""
@@ -127,7 +127,7 @@ class ClosureSearch:
 
         for recogniser in (self._recogniser, self._signless, self._meetings):
             if recogniser is not None:
-                recogniser.forget(lambda keyframe: is_held((keyframe.robot, keyframe.index)))
+                recogniser.forget(lambda keyframe: is_held(keyframe.key))
         latest_m = [path[-1].travel_m if path else 0.0 for path in self._graph.keyframes]
         for tried in self._filters.values():
             tried.forget([travel_m - REPEAT_REACH_M for travel_m in latest_m])

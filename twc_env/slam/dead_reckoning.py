@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
-from twc_env.kernels import borrowing_kernel, bound
+from twc_env.kernels import BindsAnew, borrowing_kernel, bound
 from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
 from twc_env.team_messages import TeamBeliefs, TeamFrames, nobody, read_only
 
 
-class DeadReckoning:
+class DeadReckoning(BindsAnew):
     """`CooperativeSlam`'s interface with no SLAM behind it, for worlds without an engine and for the cost of one.
 
     Each robot stays alone in a map frame that is its odom frame; its map stays empty. `team` is a mapper that never
@@ -70,9 +70,6 @@ class DeadReckoning:
             self._run(*moves)
         self._alone = None
         return []
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
 
     def mapper_of(self, robot: int) -> TeamMapper:
         """The mapper that maps nothing."""

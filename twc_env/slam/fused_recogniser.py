@@ -59,11 +59,5 @@ class FusedRecogniser:
         guess = self.memory.guess(target, target_sign, source, source_sign)
         if guess is None:
             return None
-        return LoopCandidate(
-            target=(target.robot, target.index),
-            source=(source.robot, source.index),
-            guess=guess,
-            recogniser=self.name,
-            sign_m=target_sign.position_m,
-            log_odds=evidence.total,
-        )
+        here, total = target_sign.position_m, evidence.total
+        return LoopCandidate(target.key, source.key, guess, self.name, sign_m=here, log_odds=total)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
+from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import ROOM, grown, only
 from twc_env.slam.odometry_filter import invert3
@@ -107,7 +107,7 @@ def _nearest(graph, robot, pose, travel_max):
     return best, math.sqrt(best_squared)
 
 
-class GraphArrays:
+class GraphArrays(BindsAnew):
     """Row by row: nodes are keyframes in the order of their arrival, edges odometry and closures."""
 
     def __init__(self, robot_count: int, beam_count: int):
@@ -149,9 +149,6 @@ class GraphArrays:
 
     def _all(self) -> Lent:
         return Lent((*self._node_rows, *self._edge_rows, self._rows, self._counts, self.tied, self._latest_odom))
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_follow": None, "_locate": None, "_nearest": None}
 
     def add_node(self, keyframe: Keyframe) -> int:
         """A keyframe, put where odometry leads from the robot's last one; gives its node."""

@@ -91,7 +91,7 @@ class GroupMaps:
         if self._scan_here[node] or self._draws_all(group):
             self._draw(self.groups[group].grid, poses, keyframe.ranges_m[None])
         elif self._is_seen(group):
-            self.wanted[keyframe.robot, keyframe.index] = None
+            self.wanted[keyframe.key] = None
 
     def receive(self, scans: Sequence[tuple[int, int]]) -> None:
         """Scans that were asked for have come."""

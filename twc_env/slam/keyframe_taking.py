@@ -9,7 +9,7 @@ import numpy as np
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
+from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe, SignObservation
 from twc_env.slam.mate_detection import StillDiscs, unmark
 from twc_env.slam.odometry_filter import motion_covariance
@@ -73,7 +73,7 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
     return heard, travels[k], is_drawn
 
 
-class KeyframeTaker:
+class KeyframeTaker(BindsAnew):
     """Takes the keyframes of all robots, each from where the tracker has it and from the scans it heard last."""
 
     def __init__(self, config: EnvConfig, tracker: Tracker):
@@ -119,6 +119,3 @@ class KeyframeTaker:
             beam_directions(beams), drawing_room(beams, fields.range_noise_std_m),
         )  # fmt: skip
         return Lent(parts)
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}

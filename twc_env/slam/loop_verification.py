@@ -124,15 +124,12 @@ class LoopVerifier:
         target, source = _ends(candidate, target_path, source_path)
         near = _neighbours(target, target_path, reach)
         near += _neighbours(source, source_path, min(reach, SPACING_M))
-        return [(k.robot, k.index) for k in near]
+        return [k.key for k in near]
 
     def _draw_target(self, target: Keyframe, path: Sequence[Keyframe]) -> None:
-        if (
-            self._drawn == (target.robot, target.index)
-            and path[-1].travel_m > target.travel_m + self._config.cloud_reach_m
-        ):
+        if self._drawn == target.key and path[-1].travel_m > target.travel_m + self._config.cloud_reach_m:
             return
-        self._drawn = (target.robot, target.index)
+        self._drawn = target.key
         self._walls.draw(_neighbours(target, path, self._config.cloud_reach_m))
 
     def _search(

@@ -76,7 +76,7 @@ class MeetingRecogniser:
             if other in tried and _pair(keyframe.robot, other) in self._refused:
                 continue
             tried.add(other)
-            ends = (other, self._places[row].index), (keyframe.robot, keyframe.index)
+            ends = self._places[row].key, keyframe.key
             candidates.append(LoopCandidate(*ends, np.zeros(3), MEETING, mac_similarity=macs, rssi_similarity=rssi))
             if len(candidates) == CANDIDATES_MAX:
                 break

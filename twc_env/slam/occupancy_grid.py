@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
-from twc_env.kernels import Lent, bound, rebound
+from twc_env.kernels import BindsAnew, Lent, bound, rebound
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import kinds_of
 from twc_env.slam.scan_folding import BLOCK_COLUMNS, BLOCK_ROWS, folding_room, integrate_many
@@ -21,7 +21,7 @@ NOWHERE_M = (math.inf, math.inf, -math.inf, -math.inf)
 """A box that holds nothing: left, bottom, right and top end."""
 
 
-class OccupancyGrid:
+class OccupancyGrid(BindsAnew):
     """Log-odds cells that grow with what is seen."""
 
     PADDING_M = 6.0
@@ -54,9 +54,6 @@ class OccupancyGrid:
         self._kinds, self._touched, self._numbers = other._kinds.copy(), other._touched.copy(), other._numbers.copy()
         self._boxes_m, self._snapshot = other._boxes_m.copy(), None
         self._rebind()
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
 
     def integrate(self, poses: Array, scans: Array) -> None:
         """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall.

@@ -32,7 +32,7 @@ class OwnRecogniser:
         if not isinstance(proposed, Sequence) or not all(isinstance(each, LoopCandidate) for each in proposed):
             raise DataError(f"{self._file} must propose a list of LoopCandidate; got {proposed!r}")
         candidates = [self._checked(candidate, keyframe) for candidate in proposed]
-        self._known[keyframe.robot, keyframe.index] = keyframe
+        self._known[keyframe.key] = keyframe
         return candidates
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
@@ -45,8 +45,7 @@ class OwnRecogniser:
         self._own.forget(is_held)
 
     def _checked(self, candidate: LoopCandidate, keyframe: Keyframe) -> LoopCandidate:
-        guess = np.array(candidate.guess, float)
-        source = (keyframe.robot, keyframe.index)
+        guess, source = np.array(candidate.guess, float), keyframe.key
         if guess.shape != (3,) or not np.isfinite(guess).all():
             raise DataError(f"{self._file} must guess a pose (x, y, heading); got {candidate.guess!r}")
         if candidate.recogniser != self.name or tuple(candidate.source) != source:

@@ -105,10 +105,10 @@ class PlaceMemory:
             for place in places:
                 place.views[:] = [view for view in place.views if is_held(view[0])]
         read, self._place_of = self._place_of, {}
-        for robot, path in self._path.items():
+        for path in self._path.values():
             path[:] = filter(is_held, path)
             for keyframe in filter(lambda keyframe: keyframe.signs, path):
-                known = self._place_of[robot, keyframe.index] = read[robot, keyframe.index]
+                known = self._place_of[keyframe.key] = read[keyframe.key]
                 for (_, place), sign in zip(known, keyframe.signs, strict=True):
                     place.views[:] = place.views or [(keyframe, sign)]
         for places in self.signs.values():
@@ -116,7 +116,7 @@ class PlaceMemory:
 
     def place_of(self, keyframe: Keyframe, sign: SignObservation) -> SignPlace | None:
         """The remembered sign that this reading belongs to."""
-        known = self._place_of.get((keyframe.robot, keyframe.index), ())
+        known = self._place_of.get(keyframe.key, ())
         return min(known, key=lambda entry: math.dist(entry[0], sign.position_m), default=(None, None))[1]
 
     def _take_in(self, keyframe: Keyframe, sign: SignObservation) -> SignPlace:
@@ -128,7 +128,7 @@ class PlaceMemory:
             place = SignPlace(keyframe.robot, position, keyframe.travel_m)
             self.signs.setdefault(keyframe.robot, []).append(place)
         place.add(text, keyframe, sign, position, facing)
-        self._place_of.setdefault((keyframe.robot, keyframe.index), []).append((sign.position_m, place))
+        self._place_of.setdefault(keyframe.key, []).append((sign.position_m, place))
         return place
 
     def _find(self, text: str, keyframe: Keyframe, position: Array, facing: float) -> SignPlace | None:

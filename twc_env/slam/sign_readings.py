@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.geometry import between, compose
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
+from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import ROOM, grown, only
 from twc_env.team_messages import KnownSigns
@@ -119,7 +119,7 @@ def _not_repeated(readings, places, is_gone):
     return stays
 
 
-class SignReadings:
+class SignReadings(BindsAnew):
     """The readings of all robots, in the order of their arrival."""
 
     def __init__(self, robot_count: int):
@@ -139,9 +139,6 @@ class SignReadings:
         """`_places_of_signs` of readings that are one sign where they are less than SAME_SIGN_M apart."""
         self._add: Callable[..., tuple[int, bool]] | None = None
         """`_add` where ENOUGH of those less than ENOUGH_M away are enough."""
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None, "_add": None}
 
     def add(self, keyframe: Keyframe, node: int, poses: Array) -> None:
         """Take in what was read at a keyframe, which is a node of the pose graph; poses (nodes, 3) of all nodes."""

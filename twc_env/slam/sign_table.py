@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import PlaceRecognitionConfig
-from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of, rebound
+from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.device_offsets import DeviceOffsets
 from twc_env.slam.growing import ROOM, grown, only
@@ -105,7 +105,7 @@ def _put(table, row, robot, text, travel, is_early, macs, levels):
     is_deaf[robot] = not (is_early or has_heard[robot])
 
 
-class SignTable:
+class SignTable(BindsAnew):
     """A row for each place: who read which text there, how far along its path, and what was heard."""
 
     def __init__(self) -> None:
@@ -123,9 +123,6 @@ class SignTable:
         self._choose: Callable[..., int] | None = None
         self._put: Callable[..., None] | None = None
         """The kernels of these names with all of this."""
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_choose": None, "_put": None}
 
     def append(self, keyframe: Keyframe, text: str, number: int) -> list[int]:
         """Add a row for a text of this number, read at a keyframe.

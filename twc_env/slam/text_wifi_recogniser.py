@@ -61,11 +61,10 @@ class TextWifiRecogniser:
             if math.isnan(sign.facing_rad):
                 continue
             for k, similarity, macs, rssi in self._like_places(text, keyframe, skipped_robots):
-                target = self._places[k][0]
-                held = best.get((target.robot, target.index))
-                if held is None or similarity > held[0]:
-                    best[target.robot, target.index] = similarity, k, sign, macs, rssi
-        return [self._candidate((keyframe.robot, keyframe.index), *entry) for entry in best.values()]
+                target = self._places[k][0].key
+                if target not in best or similarity > best[target][0]:
+                    best[target] = similarity, k, sign, macs, rssi
+        return [self._candidate(keyframe, *entry) for entry in best.values()]
 
     def _compare_anew(self, robot: int, other: int) -> list[LoopCandidate]:
         """Candidates between all places of one robot and those of another, once their receivers are told apart."""
@@ -78,20 +77,14 @@ class TextWifiRecogniser:
         ]
 
     def _candidate(
-        self, source: tuple[int, int], similarity: float, number: int, sign: SignObservation, macs: float, rssi: float
+        self, source: Keyframe, similarity: float, number: int, sign: SignObservation, macs: float, rssi: float
     ) -> LoopCandidate:
         """Of a sign seen from a keyframe and a place of that number."""
         target, target_sign = self._places[number]
         return LoopCandidate(
-            target=(target.robot, target.index),
-            source=source,
-            guess=meet_at_sign(target_sign, sign),
-            recogniser=self.name,
-            sign_m=target_sign.position_m,
-            text_similarity=similarity,
-            mac_similarity=macs,
-            rssi_similarity=rssi,
-        )
+            target.key, source.key, meet_at_sign(target_sign, sign), self.name, target_sign.position_m,
+            text_similarity=similarity, mac_similarity=macs, rssi_similarity=rssi,
+        )  # fmt: skip
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """The smallest of the three similarities: at this threshold for all of them the pair would just pass."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
-from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
+from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, parts_of
 from twc_env.slam.lost_beams import bridge, mark_lost, opening_beams
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
 from twc_env.slam.odometry_filter import CompiledFilters, believe_match, make_filters, predict_state
@@ -101,7 +101,7 @@ def _track(
     )
 
 
-class Tracker:
+class Tracker(BindsAnew):
     """Where all robots are, each in its own odom frame (it starts at 0, 0, 0), matched against their local maps."""
 
     def __init__(self, config: EnvConfig, count: int):
@@ -171,9 +171,6 @@ class Tracker:
             self.travels_m, self.steps, self.is_new, *room, self.radio.kept,
         )  # fmt: skip
         return Lent(parts)
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
 
     def _update_stepwise(self, robots: Array, frames: TeamFrames) -> None:
         """The same, with filters that are not compiled."""

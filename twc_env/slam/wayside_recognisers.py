@@ -72,9 +72,9 @@ class PlacesOnTheWay:
         order = np.argsort(-similarity, kind="stable")
         return near[order], similarity[order], turn[order]
 
-    def turn_to(self, number: int, descriptor: Array) -> float:
-        """Heading of a scan in the frame of a remembered one [rad]."""
-        return compare(self._descriptors[number], descriptor)[1]
+    def guess(self, number: int, descriptor: Array) -> Array:
+        """(3,) pose of a scan in the frame of a remembered one, of which its heading alone is told."""
+        return np.array([0.0, 0.0, compare(self._descriptors[number], descriptor)[1]])
 
     def describe(self, keyframe: Keyframe) -> Array:
         """The descriptor of a keyframe's scan."""
@@ -109,10 +109,8 @@ class WifiRecogniser:
         descriptor = self._places.describe(keyframe)
         candidates = []
         for _, k, macs, rssi in found[:CANDIDATES_MAX]:
-            guess = np.array([0.0, 0.0, self._places.turn_to(k, descriptor)])
-            candidates.append(
-                _candidate(self._places.keyframes[k], keyframe, guess, self.name, mac=macs, rssi=rssi),
-            )
+            ends, guess = (self._places.keyframes[k].key, keyframe.key), self._places.guess(k, descriptor)
+            candidates.append(LoopCandidate(*ends, guess, self.name, mac_similarity=macs, rssi_similarity=rssi))
         self._places.add(keyframe, descriptor)
         self._table.append(keyframe, "", 0)
         return candidates
@@ -142,14 +140,14 @@ class ScanRecogniser:
             return []
         descriptor = self._places.describe(keyframe)
         numbers = self._places.others(keyframe, skipped_robots, self._config.revisit_travel_m)
-        candidates: list[LoopCandidate] = []
-        if len(numbers):
-            for k, similarity, turn in zip(*self._places.most_alike(numbers, descriptor), strict=True):
-                if similarity >= self._config.scan_similarity_min and len(candidates) < CANDIDATES_MAX:
-                    guess = np.array([0.0, 0.0, turn])
-                    candidates.append(_candidate(self._places.keyframes[k], keyframe, guess, self.name))
+        alike = zip(*self._places.most_alike(numbers, descriptor), strict=True) if len(numbers) else ()
+        candidates = [
+            LoopCandidate(self._places.keyframes[k].key, keyframe.key, np.array([0.0, 0.0, turn]), self.name)
+            for k, similarity, turn in alike
+            if similarity >= self._config.scan_similarity_min
+        ]
         self._places.add(keyframe, descriptor)
-        return candidates
+        return candidates[:CANDIDATES_MAX]
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Recogniser`."""
@@ -159,10 +157,3 @@ class ScanRecogniser:
         """Similarity of the two scans at the best turn."""
         scans = (describe(keyframe.ranges_m, self._range_max_m) for keyframe in (target, source))
         return compare(*scans)[0]
-
-
-def _candidate(
-    target: Keyframe, source: Keyframe, guess: Array, name: str, mac: float = math.nan, rssi: float = math.nan
-) -> LoopCandidate:
-    ends = (target.robot, target.index), (source.robot, source.index)
-    return LoopCandidate(*ends, guess, name, mac_similarity=mac, rssi_similarity=rssi)

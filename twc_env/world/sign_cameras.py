@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from twc_env.config import EnvConfig
-from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
+from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, parts_of
 from twc_env.messages import SignReading
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.misreading import CODES, LINE_DRAWS, misread_signs
@@ -22,7 +22,7 @@ Readings = tuple[Sequence[tuple[SignReading, ...]], tuple[tuple[int, ...], ...]]
 """Of each robot: what it read, and which signs (plan numbers) that truly is."""
 
 
-class SignCameras:
+class SignCameras(BindsAnew):
     """Each robot looks once in `period` steps; they take turns. Each reads what a `SignCamera` of its own would."""
 
     def __init__(self, config: EnvConfig, plan: Floorplan, seed: int, period: int):
@@ -93,9 +93,6 @@ class _TableReading:
             if line:
                 readings.append((robot, sign, SignReading(line, math.remainder(bearing, _TURN_RAD), distance)))
         return readings
-
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None}
 
 
 @borrowing_kernel
