@@ -96,8 +96,7 @@ def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
     score, parameters, probability = max(tries, key=lambda tried: tried[0])
     shares = np.split(probability, np.cumsum([len(part[0]) for part in parts])[:-1])
     return [
-        SignalFit(*parameters.tolist(), _everywhere(bins, part[0], own), score)
-        for part, own in zip(parts, shares, strict=True)
+        _signal(parameters, _everywhere(bins, part[0], own), score) for part, own in zip(parts, shares, strict=True)
     ]
 
 
@@ -151,7 +150,12 @@ def _fit(
     prior = _log_prior(parameters[1], _EXPONENT_PRIOR)
     if k_max:
         prior += _log_prior(parameters[2], _WALL_LOSS_PRIOR_DB)
-    return SignalFit(*parameters.tolist(), _everywhere(bins, rows, probability), float(score + prior))
+    return _signal(parameters, _everywhere(bins, rows, probability), float(score + prior))
+
+
+def _signal(parameters: Array, probability: Array, log_likelihood: float) -> SignalFit:
+    power, exponent, loss, noise = parameters.tolist()
+    return SignalFit(power, exponent, loss, noise, probability, log_likelihood)
 
 
 def _log_prior(value: float, prior: tuple[float, float]) -> float:
