@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from twc_env.geometry import beam_directions
-from twc_env.slam.mate_detection import DISCS_MAX, StillDiscs, mark_mates, unmark, without_narrow
+from twc_env.slam.mate_detection import DISCS_MAX, MEMORY, mark_mates, unmark, without_narrow
 
 RANGE_MAX_M, RADIUS_M = 10.0, 0.2
 
@@ -79,12 +79,12 @@ def test_marking_leaves_the_scan_alone(room):
 
 def test_a_disc_that_stays_where_it_is_becomes_a_wall_again_and_a_moving_one_does_not():
     def seen_again(shift_m):
-        still, scan = StillDiscs(1), np.full(180, -1.0)
+        seen, following = np.full((MEMORY, 4), np.inf), 0
         for k in range(4):
             disc = np.array([[3.0 - 0.6 * k + shift_m * k, 0.0, 178.0, 5.0]])
             scan = np.full(180, -1.0)
             pose, travel_m, time_s = np.array([0.6 * k, 0.0, 0.0]), 0.8 * k, 2.0 * k
-            still.following[0] = unmark(scan, disc, pose, still.seen[0], still.following[0], travel_m, time_s)
+            following = unmark(scan, disc, pose, seen, following, travel_m, time_s)
         return np.flatnonzero(scan > 0)
 
     assert seen_again(0.0).tolist() == [0, 1, 2, 178, 179]

@@ -41,24 +41,22 @@ def settle_changes(walls: Array, loss_db: Array, excess_db: Array, travel_m: Arr
         return settled
     noise_db2 = max(float(np.median(np.abs(np.diff(strayed)))) / _MEDIAN_STEP, _STD_MIN_DB) ** 2
     shadowing_db2 = max(float(np.var(strayed)) - noise_db2, _STD_MIN_DB**2)
-    _settle(
-        settled, np.array(loss_db, float), np.asarray(excess_db, float), np.asarray(travel_m, float), noise_db2,
-        shadowing_db2, _SHADOWING_M,
-    )  # fmt: skip
+    told = np.array(loss_db, float), np.asarray(excess_db, float), np.asarray(travel_m, float)
+    _settle(settled, *told, noise_db2, shadowing_db2)
     return settled
 
 
 @kernel
-def _settle(walls, loss, excess, travel, noise, shadowing, length):
+def _settle(walls, loss, excess, travel, noise, shadowing):
     """Move one change at a time to its best place between its neighbours, and drop doubtful detours, in place."""
     home = travel.copy()  # of the change before reading i, where the map had it
     for _ in range(_SWEEPS):
-        _move_changes(walls, loss, home, excess, travel, noise, shadowing, length)
-        _drop_detours(walls, loss, excess, travel, noise, shadowing, length)
+        _move_changes(walls, loss, home, excess, travel, noise, shadowing)
+        _drop_detours(walls, loss, excess, travel, noise, shadowing)
 
 
 @kernel
-def _move_changes(walls, loss, home, excess, travel, noise, shadowing, length):
+def _move_changes(walls, loss, home, excess, travel, noise, shadowing):
     count, at = walls.shape[0], 1
     while at < count:
         if walls[at] == walls[at - 1]:
@@ -73,9 +71,7 @@ def _move_changes(walls, loss, home, excess, travel, noise, shadowing, length):
         best, place = -np.inf, at
         for c in range(first + 1, last + 1):
             value = right if c < at else left
-            score = _likelihood(
-                loss, excess, travel, first, last, min(c, at), max(c, at), value, noise, shadowing, length
-            )
+            score = _likelihood(loss, excess, travel, first, last, min(c, at), max(c, at), value, noise, shadowing)
             score -= abs(travel[c] - came) / _MAP_ERROR_M
             if score > best:
                 best, place = score, c
@@ -88,7 +84,7 @@ def _move_changes(walls, loss, home, excess, travel, noise, shadowing, length):
 
 
 @kernel
-def _drop_detours(walls, loss, excess, travel, noise, shadowing, length):
+def _drop_detours(walls, loss, excess, travel, noise, shadowing):
     """Runs between two of equal numbers go unless readings call for them; long ones are for the map to judge."""
     count, at = walls.shape[0], 1
     while at < count:
@@ -100,8 +96,8 @@ def _drop_detours(walls, loss, excess, travel, noise, shadowing, length):
             end += 1
         if end < count and walls[end] == walls[at - 1] and travel[end] - travel[at] < 2 * REACH_M:
             value = 0.5 * (loss[at - 1] + loss[end])
-            kept = _likelihood(loss, excess, travel, at, end, at, at, 0.0, noise, shadowing, length)
-            without = _likelihood(loss, excess, travel, at, end, at, end, value, noise, shadowing, length)
+            kept = _likelihood(loss, excess, travel, at, end, at, at, 0.0, noise, shadowing)
+            without = _likelihood(loss, excess, travel, at, end, at, end, value, noise, shadowing)
             if without >= kept:
                 for i in range(at, end):
                     walls[i], loss[i] = walls[end], value
@@ -109,7 +105,7 @@ def _drop_detours(walls, loss, excess, travel, noise, shadowing, length):
 
 
 @kernel
-def _likelihood(loss, excess, travel, first, last, low, high, value, noise, shadowing, length):
+def _likelihood(loss, excess, travel, first, last, low, high, value, noise, shadowing):
     """Log-likelihood of the readings around first to last if the loss from `low` to before `high` were `value`."""
     count = loss.shape[0]
     begin, end = first, last
@@ -120,7 +116,7 @@ def _likelihood(loss, excess, travel, first, last, low, high, value, noise, shad
     mean, variance, total = 0.0, shadowing, 0.0
     for i in range(begin, end + 1):
         if i > begin:
-            keep = np.exp(-(travel[i] - travel[i - 1]) / length)
+            keep = np.exp(-(travel[i] - travel[i - 1]) / _SHADOWING_M)
             mean *= keep
             variance = variance * keep * keep + shadowing * (1.0 - keep * keep)
         if not np.isfinite(excess[i]):

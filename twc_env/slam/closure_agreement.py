@@ -37,9 +37,12 @@ class Pairs:
         """(k,) squared length of the disagreement of closures a, b (k,)."""
         return _disagreements(a, b, *self._facts)
 
-    def agreement(self, members: Array, gate: float) -> Array:
-        """(m, m) whether members agree pairwise."""
-        return _agreement(members, gate, *self._facts)
+    def agreement(self, members: Array) -> Array:
+        """(m, m) whether members agree pairwise; none with itself."""
+        agree = np.zeros((len(members), len(members)), bool)
+        p, q = np.tril_indices(len(members), -1)
+        agree[p, q] = agree[q, p] = self.squared(members[p], members[q]) < GATE
+        return agree
 
 
 @kernel
@@ -86,16 +89,6 @@ def _disagreements(first, second, claim, adjoint, noise, i, j, step, grown):
     return out
 
 
-@kernel
-def _agreement(members, gate, claim, adjoint, noise, i, j, step, grown):
-    out = np.zeros((len(members), len(members)), np.bool_)
-    for p in range(len(members)):
-        for q in range(p):
-            squared = _disagreement(members[p], members[q], claim, adjoint, noise, i, j, step, grown)
-            out[p, q] = out[q, p] = squared < gate
-    return out
-
-
 def pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
     """The largest set found in which every pair agrees; separately for each pair of chains."""
     chains = Chains(graph, poses)
@@ -106,7 +99,7 @@ def pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
     accepted = ~graph.is_closure
     for one in np.unique(ends, axis=0):
         members = np.flatnonzero((ends == one).all(axis=1))
-        accepted[closures[members[_greedy_clique(pairs.agreement(members, GATE))]]] = True
+        accepted[closures[members[_greedy_clique(pairs.agreement(members))]]] = True
     return graph.fit(poses, accepted.astype(float)), accepted
 
 

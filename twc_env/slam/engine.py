@@ -182,13 +182,12 @@ class CooperativeSlam(CopiedWhole):
             frames = [cues.heard(frame, self._cues) for frame in frames]
         if isinstance(frames, TeamFrames):
             self._steps, self._ranges_m = [frames.step] * len(frames.signs), frames.ranges_m
-            keyframes = self._front_ends.update_together(frames)
         else:
             steps, ranges_m = list(self._steps), list(self._ranges_m)  # beliefs hold the old ones
             for frame in frames:
                 steps[frame.robot], ranges_m[frame.robot] = frame.step, frame.ranges_m
             self._steps, self._ranges_m = steps, ranges_m
-            keyframes = self._front_ends.update(frames)
+        keyframes = self._front_ends.update(frames)
         self.poses_odom = self._front_ends.poses_odom
         if self._radio is not None:
             for frame in frames:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.geometry import compose
-from twc_env.slam.known_places import Sightings, carriers_of
+from twc_env.slam.known_places import carriers_of
 from twc_env.slam.team_graph import TeamGraph
 
 LATEST, TIES = 30, 12
@@ -70,12 +70,12 @@ class Forgetting:
                 stay += [graph.node(key) for key in ends]
         return (nodes < end) & ~np.isin(nodes, stay)
 
-    def _sightings(self, nodes: Array) -> Sightings:
-        """The signs that were read at all nodes (k,) of some robots, ascending."""
+    def _sightings(self, nodes: Array) -> tuple[Array, Array]:
+        """Where the signs of all nodes (k,) of some robots end, and their places, as `carriers_of` takes them."""
         paths = [iter(path) for path in self._graph.keyframes]
         keyframes = [next(paths[robot]) for robot in self._graph.robot_of_node[nodes].tolist()]
         counts = [len(keyframe.signs) for keyframe in keyframes]
         local = np.zeros((sum(counts), 3))
         local[:, :2] = np.reshape([sign.position_m for keyframe in keyframes for sign in keyframe.signs], (-1, 2))
         places = compose(np.repeat(self._graph.poses[nodes], counts, axis=0), local)[:, :2]
-        return Sightings(np.cumsum(counts), np.ascontiguousarray(places))
+        return np.cumsum(counts), np.ascontiguousarray(places)

@@ -11,7 +11,7 @@ from twc_env.config import EnvConfig
 from twc_env.geometry import beam_directions
 from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import Keyframe, SignObservation
-from twc_env.slam.mate_detection import StillDiscs, unmark
+from twc_env.slam.mate_detection import MEMORY, unmark
 from twc_env.slam.odometry_filter import motion_covariance
 from twc_env.slam.radio_fingerprint import STD_MODES, fingerprint_of
 from twc_env.slam.tracking import Tracker
@@ -79,7 +79,8 @@ class KeyframeTaker(BindsAnew):
     def __init__(self, config: EnvConfig, tracker: Tracker):
         self._tracker = tracker
         count, noise, rule = len(tracker.poses_odom), config.slam.odometry_filter, config.slam.keyframe
-        self._still = StillDiscs(count)
+        self._discs_seen, self._following = np.full((count, MEMORY, 4), np.inf), np.zeros(count, np.int64)
+        """Of each robot, see `unmark`."""
         self._last_travels_m = np.zeros(count)
         self.centres_m = np.zeros((count, 2))
         """(n, 2) the middle of each robot's local map."""
@@ -112,7 +113,7 @@ class KeyframeTaker(BindsAnew):
         tracker, fields = self._tracker, self._tracker.fields
         beams = tracker.marked_m.shape[1]
         parts = (
-            tracker.marked_m, tracker.discs, tracker.disc_counts, self._still.seen, self._still.following,
+            tracker.marked_m, tracker.discs, tracker.disc_counts, self._discs_seen, self._following,
             tracker.travels_m, tracker.steps, tracker.information, tracker.keyframe_poses, self._last_travels_m,
             self._variances, self._window, self._std_mode, fields.cells, fields.lines, fields.origins_m,
             fields.drawn, self.centres_m, self._reach_m, fields.inverse_m, fields.range_max_m,

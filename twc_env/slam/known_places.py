@@ -9,10 +9,8 @@ as many in the end as the building has room for. Robots are thinned each for its
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel, kernel
 
@@ -20,15 +18,6 @@ SAME_PLACE_M = 1.0
 """Keyframes this near see the same."""
 SAME_SIGN_M, VIEWS_ENOUGH = 1.0, 3
 """A sign that was read so often within this need not be read there again."""
-
-
-class Sightings(NamedTuple):
-    """Signs read at nodes, ordered by node."""
-
-    ends: Array
-    """(nodes,) where those of each node end; they begin where those of the one before do."""
-    places_m: Array
-    """(signs, 2) in the map."""
 
 
 @borrowing_kernel
@@ -58,7 +47,8 @@ def carriers_of(poses, scans, robots, may_go, sign_ends, sign_places):
     """(nodes,) of each that may go and tells nothing new, which of those that stay tells it; -1 for those that stay.
 
     poses (nodes, 3) and scans (nodes, beams) in the order in which they came, robots (nodes,), may_go (nodes,) bool;
-    see `Sightings` for the rest.
+    sign_places (signs, 2) in the map, those read at one node after those of the nodes before, which end at sign_ends
+    (nodes,).
     """
     count = poses.shape[0]
     carriers, is_kept, owner = np.full(count, -1), np.ones(count, np.bool_), np.empty(sign_places.shape[0], np.int64)

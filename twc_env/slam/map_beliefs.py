@@ -32,16 +32,9 @@ class MapBeliefs(TeamBeliefs):
     __slots__ = ("_maps", "_ranges_m", "_steps")
 
     def __init__(
-        self,
-        poses: Array,
-        since_closure_m: Array,
-        maps: HeldMaps,
-        mates: Array,
-        mate_poses: Array,
-        contact_steps: Array,
-        steps: Sequence[int],
-        ranges_m: Sequence[Array] | Array,
-    ):
+        self, poses: Array, since_closure_m: Array, maps: HeldMaps, mates: Array, mate_poses: Array,
+        contact_steps: Array, steps: Sequence[int], ranges_m: Sequence[Array] | Array,
+    ):  # fmt: skip
         # Instead of the parent's: made in every step.
         self._records, self._maps, self._steps, self._ranges_m = None, maps, steps, ranges_m
         self.poses, self.since_closure_m, self.grids, self.signs = poses, since_closure_m, maps.grids, maps.signs
@@ -52,20 +45,10 @@ class MapBeliefs(TeamBeliefs):
         for robot, radio in enumerate(maps.radio):
             in_map, std, in_odom = poses[robot]
             belief = Belief(
-                robot,
-                self._steps[robot],
-                in_map,
-                maps.grids[robot],
-                self.mates_of(robot),
-                maps.signs[robot].records,
-                self._ranges_m[robot],
-                maps.versions[robot],
-                in_odom,
-                std,
-                since_m[robot],
-                self.contact_steps_of(robot),
-                None if radio is None else radio.grid,
+                robot, self._steps[robot], in_map, maps.grids[robot], self.mates_of(robot), maps.signs[robot].records,
+                self._ranges_m[robot], maps.versions[robot], in_odom, std, since_m[robot],
+                self.contact_steps_of(robot), None if radio is None else radio.grid,
                 _NO_PLACES if radio is None else radio.transmitter_m,
-            )
+            )  # fmt: skip
             beliefs.append(belief)
         return beliefs

@@ -159,16 +159,8 @@ def _inverse(matrix: Array) -> Array:
     from scipy.linalg.lapack import dpotrf, dpotri  # a tenth of a start's time, and not needed in it
 
     factor, _ = dpotrf(matrix.T, lower=0, overwrite_a=1)
-    lower = dpotri(factor, lower=0, overwrite_c=1)[0].T
-    _mirror(lower)
-    return lower
-
-
-@kernel
-def _mirror(lower):
-    for row in range(len(lower)):
-        for column in range(row):
-            lower[column, row] = lower[row, column]
+    lower = np.tril(dpotri(factor, lower=0, overwrite_c=1)[0].T)
+    return lower + np.tril(lower, -1).T
 
 
 @kernel

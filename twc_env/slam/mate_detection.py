@@ -28,7 +28,7 @@ STILL_M, STILL_S, STILL_TRAVEL_M = 0.2, 5.0, 2.0
 NO_RETURN_M = 1e6
 """In place of infinity."""
 MEMORY = 100
-"""Discs remembered."""
+"""Discs that a robot remembers, so that a pillar as wide as a robot is drawn after all: it never moves."""
 
 
 @borrowing_kernel
@@ -94,8 +94,8 @@ def mark_mates(ranges, range_max, radius, directions, is_jump, jumps, out, discs
 def unmark(scan, discs, pose, seen, following, travel, time):
     """Make the beams (beams,) on discs (k, 4) that stood still for long, seen from more than one place, walls again.
 
-    discs: as `mark_mates` has them; seen: a robot's row of `StillDiscs.seen`, of which the row `following` is
-    overwritten next. Gives the one after.
+    discs: as `mark_mates` has them; seen (MEMORY, 4): x and y in the odom frame, travel and time when first seen there,
+    infinite before. Of these the row `following`, the oldest, is overwritten next; gives the one after.
     """
     beams = scan.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -114,16 +114,6 @@ def unmark(scan, discs, pose, seen, following, travel, time):
                 i = (int(discs[d, 2]) + k) % beams
                 scan[i] = abs(scan[i])
     return following
-
-
-class StillDiscs:
-    """Where each robot saw discs, so that a pillar as wide as a robot is drawn after all: it never moves."""
-
-    def __init__(self, robots: int):
-        self.seen = np.full((robots, MEMORY, 4), np.inf)
-        """Rows (x, y in the odom frame, travel and time when first seen there) of each robot."""
-        self.following = np.zeros(robots, np.int64)
-        """(robots,) the row that is overwritten next, the oldest."""
 
 
 def without_narrow(ranges_m: Array, width_m: float) -> Array:

@@ -98,11 +98,7 @@ class OccupancyGrid(BindsAnew):
 
     def known_box(self) -> tuple[int, int, int, int]:
         """First row and column, end row and column of the box of cells outside which nothing is known."""
-        return self._cells_of(self._boxes_m[1])
-
-    def _cells_of(self, box_m: Array) -> tuple[int, int, int, int]:
-        """The same of the cells in a box (4,)."""
-        left, bottom, right, top = box_m.tolist()
+        left, bottom, right, top = self._boxes_m[1].tolist()
         if left > right:
             return 0, 0, 0, 0
         (x, y), cell = self.origin_m.tolist(), self.resolution_m

@@ -11,6 +11,7 @@ import bisect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -46,20 +47,11 @@ SAME_RADIO_M, ELSEWHERE_M = 3.0, (5.0, 20.0)
 """Own keyframes this near teach how far fingerprints differ at one place; those this far, how far elsewhere."""
 RADIO_APART_S = 2.5
 """Keyframes nearer in time share scans and teach nothing."""
-
-
-@dataclass(frozen=True, slots=True)
-class EvidenceWeights:
-    """How much each cue counts, and up to which log-odds it may speak. Fitted on twin-01 and drawn buildings."""
-
-    radio: float = 1.0
-    radio_limit: float = 5.0
-    geometry: float = 8.0
-    geometry_limit: float = 2.0
-    neighbours: float = 0.5
-    neighbours_limit: float = 4.0
-    sequence: float = 0.25
-    sequence_limit: float = 2.0
+RADIO_LIMIT = 5.0
+GEOMETRY_WEIGHT, GEOMETRY_LIMIT = 8.0, 2.0
+NEIGHBOURS_WEIGHT, NEIGHBOURS_LIMIT = 0.5, 4.0
+SEQUENCE_WEIGHT, SEQUENCE_LIMIT = 0.25, 2.0
+"""How much each cue counts, and up to which log-odds it may speak. Fitted on twin-01 and drawn buildings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +78,7 @@ NO_EVIDENCE = Evidence(-math.inf, 0.0, 0.0, 0.0, 0.0, -math.inf)
 class PlaceMemory:
     """Everything the evidence rests on: the signs of each robot's map and the radio statistics of the building."""
 
-    def __init__(self, range_max_m: float, weights: EvidenceWeights | None = None):
-        self.weights = weights or EvidenceWeights()
+    def __init__(self, range_max_m: float):
         self.radio = RadioStatistics()
         self.signs: dict[int, list[SignPlace]] = {}
         self._range_max_m = range_max_m
@@ -214,9 +205,8 @@ class PlaceMemory:
         return max(views, key=lambda view: self._radio(view[0], keyframe))
 
     def _radio(self, target: Keyframe, source: Keyframe) -> float:
-        w = self.weights
-        ratio = w.radio * self.radio.log_ratio(radio_difference_db(target.fingerprint, source.fingerprint))
-        return min(max(ratio, -w.radio_limit), w.radio_limit)
+        ratio = self.radio.log_ratio(radio_difference_db(target.fingerprint, source.fingerprint))
+        return min(max(ratio, -RADIO_LIMIT), RADIO_LIMIT)
 
     def _text(self, known: SignPlace, other: SignPlace, view: Keyframe) -> float:
         """Log-odds that `other` is `known`, rather than another sign on the map of its robot or one nobody has seen.
@@ -228,25 +218,23 @@ class PlaceMemory:
         likelihood = _likelihood(other, places)
         own = likelihood[places.index(known)]
         unknown = np.logaddexp(log_unknown_text(other.consensus), own + math.log(HIDDEN_TWIN_SHARE))
-        best_known = likelihood.max() - self.weights.radio_limit
+        best_known = likelihood.max() - RADIO_LIMIT
         if own - best_known < TEXT_FLOOR:
             return float(own - best_known)
         rivals = [unknown]
         for place, likely in zip(places, likelihood, strict=True):
-            if place is known or place is other or likely + self.weights.radio_limit < unknown - 3.0:
+            if place is known or place is other or likely + RADIO_LIMIT < unknown - 3.0:
                 continue
             rivals.append(likely + max(self._radio(keyframe, view) for keyframe, _ in place.views))
         return float(own - np.logaddexp.reduce(rivals))
 
     def _geometry(self, target: Keyframe, source: Keyframe, guess: Array) -> float:
-        w = self.weights
         met, through = scan_agreement(target.ranges_m, source.ranges_m, guess, self._range_max_m)
-        odds = w.geometry * (met - 2.0 * through - GEOMETRY_EVEN)
-        return min(max(odds, -w.geometry_limit), w.geometry_limit)
+        odds = GEOMETRY_WEIGHT * (met - 2.0 * through - GEOMETRY_EVEN)
+        return min(max(odds, -GEOMETRY_LIMIT), GEOMETRY_LIMIT)
 
     def _neighbours(self, a: SignPlace, b: SignPlace, target: Keyframe, source: Keyframe, guess: Array) -> float:
         """Other signs nearby: where two of them would meet under the guess, their texts should agree."""
-        w = self.weights
         near_a, near_b = self._near(a, target), self._near(b, source)
         total = 0.0
         for place, position in near_b if near_a else ():
@@ -264,12 +252,11 @@ class PlaceMemory:
             like = _likelihood(place, meets).max()
             any_text = [*_likelihood(place, self.signs[a.robot]), log_unknown_text(place.consensus)]
             chance = np.logaddexp.reduce(any_text) - math.log(len(any_text))
-            total += min(max(like - chance, -w.neighbours_limit), w.neighbours_limit)
-        return float(min(max(w.neighbours * total, -w.neighbours_limit), w.neighbours_limit))
+            total += min(max(like - chance, -NEIGHBOURS_LIMIT), NEIGHBOURS_LIMIT)
+        return float(min(max(NEIGHBOURS_WEIGHT * total, -NEIGHBOURS_LIMIT), NEIGHBOURS_LIMIT))
 
     def _sequence(self, target: Keyframe, source: Keyframe, guess: Array) -> float:
         """The ways to and from the sighting: where the two paths would run along each other, the radio should agree."""
-        w = self.weights
         beside = self._around(target)
         total = 0.0
         for keyframe, position in self._around(source) if beside else ():
@@ -277,7 +264,7 @@ class PlaceMemory:
             away, nearest = min((math.dist(here, there), k) for k, (_, there) in enumerate(beside))
             if away < SEQUENCE_BESIDE_M:
                 total += self._radio(beside[nearest][0], keyframe)
-        return float(min(max(w.sequence * total, -w.sequence_limit), w.sequence_limit))
+        return float(min(max(SEQUENCE_WEIGHT * total, -SEQUENCE_LIMIT), SEQUENCE_LIMIT))
 
     def _around(self, view: Keyframe) -> list[tuple[Keyframe, Array]]:
         """Keyframes before and after one on its path, and where they were in its frame (2,)."""
@@ -285,8 +272,8 @@ class PlaceMemory:
         robot_odom = inverse(view.pose_odom)
         chosen = []
         for away_m in SEQUENCE_M:
-            chosen.append(bisect.bisect_right(path, view.travel_m - away_m, key=_travel_m) - 1)
-            chosen.append(bisect.bisect_left(path, view.travel_m + away_m, key=_travel_m))
+            chosen.append(bisect.bisect_right(path, view.travel_m - away_m, key=attrgetter("travel_m")) - 1)
+            chosen.append(bisect.bisect_left(path, view.travel_m + away_m, key=attrgetter("travel_m")))
         return [
             (path[k], compose(robot_odom, path[k].pose_odom)[:2])
             for k in dict.fromkeys(chosen)
@@ -301,10 +288,6 @@ class PlaceMemory:
             for place in self.signs[centre.robot]
             if place is not centre and math.dist(place.position_odom, centre.position_odom) < NEIGHBOUR_REACH_M
         ]
-
-
-def _travel_m(keyframe: Keyframe) -> float:
-    return keyframe.travel_m
 
 
 def _likelihood(reading: SignPlace, others: Sequence[SignPlace]) -> Array:

@@ -26,7 +26,6 @@ from twc_env.slam.line_matching import (
     points_of,
     refine_pose,
     share_near,
-    weakest_direction,
     won_and_lost,
 )
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, told_by
@@ -125,17 +124,6 @@ class Match:
     weight: float
     """Sum of the beams' weights; below WEIGHT_MIN nothing was matched."""
     is_degenerate: bool
-
-    @property
-    def direction(self) -> Array:
-        """(2,) the direction that the walls fix least, unit length."""
-        return np.array(weakest_direction(self.sums))
-
-    @property
-    def hessian(self) -> Array:
-        """(3, 3) sum of J^T w J over the beams [1/m2 units once divided by the beam variance]."""
-        xx, xy, xt, yy, yt, tt = self.sums[:6].tolist()
-        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
 
     def information(self, beam_std_m: float, correlation: float) -> Array:
         """(3, 3) information of `pose`, along the field's axes.
@@ -262,16 +250,8 @@ class LineFields:
         self.cells, self.lines, self.origins_m, self.drawn = storage
         self.inverse_m, self.range_max_m = 1.0 / rule.resolution_m, lidar.range_max_m
         self.range_noise_std_m = lidar.range_noise_std_m
-        self.rule = np.array(
-            [
-                lidar.range_max_m,
-                self.inverse_m,
-                rule.match_distance_max_m,
-                rule.degenerate_share,
-                variance_m2,
-                rule.match_iterations_max,
-            ]
-        )
+        searched = rule.match_distance_max_m, rule.degenerate_share, variance_m2, rule.match_iterations_max
+        self.rule = np.array([lidar.range_max_m, self.inverse_m, *searched])
         """What `match_scan` goes by."""
         self.each = [
             LineField(rule.size_m, rule.resolution_m, lidar.range_max_m, lidar.range_noise_std_m, part)

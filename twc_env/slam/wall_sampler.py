@@ -60,22 +60,9 @@ def _cost(error, variance, weight):
 
 @kernel
 def sample_walls(
-    is_wall,
-    summed,
-    loss,
-    first,
-    members,
-    before,
-    after,
-    base,
-    excess,
-    variance,
-    weight,
-    temperature,
-    sweeps,
-    random,
+    is_wall, summed, loss, first, members, before, after, base, excess, variance, weight, temperature, sweeps, random,
     on_count,
-):
+):  # fmt: skip
     """Gibbs sweeps and flips of whole runs, in place; a temperature of 1 dwells on probable states.
 
     How often is not exactly as they are probable: mixed runs are made even in one move, and there is none back. Strict
