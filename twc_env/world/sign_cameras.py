@@ -22,7 +22,7 @@ Readings = tuple[Sequence[tuple[SignReading, ...]], tuple[tuple[int, ...], ...]]
 """Of each robot: what it read, and which signs (plan numbers) that truly is."""
 
 
-class SignCameras(BindsAnew):
+class SignCameras:
     """Each robot looks once in `period` steps; they take turns. Each reads what a `SignCamera` of its own would."""
 
     def __init__(self, config: EnvConfig, plan: Floorplan, seed: int, period: int):
@@ -57,7 +57,7 @@ class SignCameras(BindsAnew):
         return readings, tuple(sources)
 
 
-class _TableReading:
+class _TableReading(BindsAnew):
     """Draws the readings of all robots from the measured table."""
 
     def __init__(self, config: EnvConfig, texts: tuple[str, ...], seed: int, views: tuple):
