@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.slam.growing import enlarged
 
 DENSE_FROM = 24
 """Neighbours in the remaining graph from which on it may be handed to the dense factorisation."""
@@ -56,13 +57,6 @@ class BlockCholesky:
             solution[self._rest] = dpotrs(factor, part, lower=1)[0].reshape(-1, 3)
         substitute_back(order, start, node_of, diagonal, lower, solution)
         return solution
-
-
-@kernel
-def _grown(values, size):
-    bigger = np.empty(max(size, 2 * len(values)), values.dtype)
-    bigger[: len(values)] = values
-    return bigger
 
 
 @kernel
@@ -121,14 +115,14 @@ def _eliminate(pairs, count, dense_from, dense_share):
         order[done] = p
         s = start[done]
         if s + d > len(node_of):
-            node_of, block_of = _grown(node_of, s + d), _grown(block_of, s + d)
+            node_of, block_of = enlarged(node_of, s + d), enlarged(block_of, s + d)
         cell = head[p]
         for k in range(d):
             node_of[s + k], block_of[s + k] = neighbour[cell], cell >> 1
             cell = following[cell]
         t = target_start[done]
         if t + d * (d - 1) // 2 > len(target):
-            target = _grown(target, t + d * (d - 1) // 2)
+            target = enlarged(target, t + d * (d - 1) // 2)
         for i in range(d):
             q = node_of[s + i]
             old = degree[q]
@@ -161,7 +155,7 @@ def _eliminate(pairs, count, dense_from, dense_share):
                 else:
                     cell = 2 * blocks
                     if cell + 2 > len(neighbour):
-                        neighbour, following = _grown(neighbour, cell + 2), _grown(following, cell + 2)
+                        neighbour, following = enlarged(neighbour, cell + 2), enlarged(following, cell + 2)
                     low, high = min(q, r), max(q, r)
                     neighbour[cell], following[cell], head[low] = high, head[low], cell
                     neighbour[cell + 1], following[cell + 1], head[high] = low, head[high], cell + 1

@@ -65,12 +65,15 @@ class ClosureGrowth:
 
     def run(self) -> tuple[Array, Array, dict[int, str]]:
         """Poses, accepted edges (e,), and reasons of refused edges."""
-        for _ in range(ROUNDS_MAX):
+        self._grow(ROUNDS_MAX)
+        self._doubt()
+        return self._finish()
+
+    def _grow(self, rounds_max: int) -> None:
+        for _ in range(rounds_max):
             if not self._believe_more():
                 break
             self._settle()
-        self._doubt()
-        return self._finish()
 
     def _used(self) -> Array:
         return self._believed[self._group] & self._member_in
@@ -195,10 +198,7 @@ class ClosureGrowth:
             held = self.poses, self._believed.copy(), self._revoked.copy(), self._member_in.copy()
             self._believed[group], self._revoked[group] = False, REVOKED_MAX
             self._settle()
-            for _ in range(DOUBT_ROUNDS_MAX):
-                if not self._believe_more():
-                    break
-                self._settle()
+            self._grow(DOUBT_ROUNDS_MAX)
             if np.count_nonzero(self._believed) <= np.count_nonzero(held[1]):
                 self.poses, self._believed, self._revoked, self._member_in = held
 

@@ -19,7 +19,7 @@ from twc_env.slam import cues
 from twc_env.slam.exchange import Exchange
 from twc_env.slam.frame_check import check_frames
 from twc_env.slam.map_beliefs import HeldMaps, MapBeliefs
-from twc_env.slam.radio_structure import RadioPicture, RadioStructure
+from twc_env.slam.radio_structure import RadioStructure
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.robot_clocks import RobotClocks
 from twc_env.slam.shortcomings import Listening, shortcomings
@@ -302,13 +302,11 @@ class CooperativeSlam(CopiedWhole):
             mapper, number = view.mapper, view.group
             group = mapper.groups[number]
             grid, signs = group.grid.snapshot(), mapper.signs_of(number)
+            picture = None
+            if self._radio is not None:  # of all viewers' readings: with a mapper on each robot, of its own
+                poses = np.array([mapper.pose_map_odom(robot) for robot in view.viewers])
+                picture = self._radio.picture_of(view.viewers, poses, group.version)
             for robot in view.viewers:
-                radio = None if self._radio is None else self._radio_picture(self._radio, mapper, number, robot)
-                rows[robot] = grid, signs, group.version, radio
-        return HeldMaps(*map(list, zip(*rows, strict=True)))
-
-    def _radio_picture(self, radio: RadioStructure, mapper: TeamMapper, group: int, robot: int) -> RadioPicture | None:
-        """What the readings of all robots of the group say; with a mapper on each robot, of its own."""
-        robots = mapper.groups[group].robots if self._is_central else (robot,)
-        poses = np.array([mapper.pose_map_odom(r) for r in robots])
-        return radio.picture_of(robots, poses, mapper.groups[group].version)
+                rows[robot] = grid, signs, group.version, picture
+        grids, signs_of, versions, pictures = map(list, zip(*rows, strict=True))
+        return grids, signs_of, versions, pictures

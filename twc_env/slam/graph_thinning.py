@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -53,15 +52,10 @@ class Edges:
         return Edges(*(part[kept] for part in self.parts))
 
 
-class _Ways(NamedTuple):
-    """From where a node that is gone can be found along odometry."""
-
-    starts: Array
-    """(nodes,) the nearer end of the stretch that each was on; -1 for nodes that stay."""
-    motions: Array
-    """(nodes, 3) from there."""
-    covariances: Array
-    """(nodes, 3, 3) of the motion, in the frame of the node that is gone; so for every way here."""
+_Ways = tuple[Array, Array, Array]
+"""From where a node that is gone can be found along odometry: (nodes,) the nearer end of the stretch that it was on, -1
+for nodes that stay; the motion (nodes, 3) from there; and its covariance (nodes, 3, 3), in the frame of the node that
+is gone, as for every way here."""
 
 
 @borrowing_kernel
@@ -235,7 +229,7 @@ def _joined(edges: Edges, is_gone: Array) -> tuple[Edges, _Ways]:
     ends, motions, covariances, *ways = _past(edges.ends, edges.measured, _inverted(edges.information), is_gone)
     count = len(ends)
     joined = Edges(ends, motions, _inverted(covariances), np.full(count, ODOMETRY, np.int64), np.ones(count, bool))
-    return joined, _Ways(*ways)
+    return joined, (ways[0], ways[1], ways[2])
 
 
 def _handed(own: Edges, edges: Edges, ways: _Ways) -> Edges:
@@ -246,7 +240,7 @@ def _handed(own: Edges, edges: Edges, ways: _Ways) -> Edges:
     loose_m2 = _move(ends[count:], measured[count:], covariances[count:], *ways)
     pairs = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)[1].ravel()
     order = count + np.argsort(loose_m2, kind="stable")
-    counts = np.bincount(own.ends.ravel(), minlength=len(ways.starts))
+    counts = np.bincount(own.ends.ravel(), minlength=len(ways[0]))
     stays = _choose(order, count, pairs, ends, measured, covariances, counts)
     numbers, is_used = np.concatenate([own.closure, edges.closure]), np.ones(len(ends), bool)
     return Edges(ends, measured, _inverted(covariances), numbers, is_used).of(stays)

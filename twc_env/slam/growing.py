@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.kernels import kernel
+
 ROOM, SPARE = 1024, 64
 """Rows to begin with, enough for a usual episode; and empty ones, at least, where only some are left."""
 MANY = 4096
@@ -26,3 +28,11 @@ def only(rows: Array, kept: Array | slice) -> Array:
     """Some of the rows, by indices or bool, with as many empty ones behind them, `SPARE` at least."""
     chosen = rows[kept]
     return np.concatenate([chosen, np.zeros((max(len(chosen), SPARE), *rows.shape[1:]), rows.dtype)])
+
+
+@kernel
+def enlarged(values, size):
+    """The numbers, with as many places behind them as there are, or up to this size, of which nothing is known."""
+    bigger = np.empty(max(size, 2 * len(values)), values.dtype)
+    bigger[: len(values)] = values
+    return bigger

@@ -18,6 +18,7 @@ from twc_env.config import MergingConfig
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap
+from twc_env.slam.growing import enlarged
 from twc_env.slam.heard_places import HeardPlaces
 
 DRIFT_PER_M = 0.02
@@ -281,22 +282,15 @@ def _compare_places(macs, levels, starts, positions, robots, travels, is_b):
                 continue
             if is_together:
                 if found == len(together):
-                    together = _doubled(together)
+                    together = enlarged(together, 0)
                 together[found] = distance
                 found += 1
             if is_yardstick:
                 if learned == len(reference):
-                    reference = _doubled(reference)
+                    reference = enlarged(reference, 0)
                 reference[learned] = distance
                 learned += 1
     return together[:found], reference[:learned]
-
-
-@kernel
-def _doubled(values):
-    bigger = np.empty(2 * len(values))
-    bigger[: len(values)] = values
-    return bigger
 
 
 def wifi_agrees(positions: Array, robots: Array, travels_m: Array, heard: HeardPlaces, is_b: Array) -> bool | None:

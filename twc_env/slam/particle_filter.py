@@ -33,11 +33,15 @@ MATCHED_SHARE_MIN = 0.2
 
 AWAY_MAX = 18.0
 """Squared distance from odometry, in standard deviations, beyond which a match is no less likely: wheels may slip."""
+HIT_STD_M = 0.075
+"""Distance of a beam's end from its wall."""
+STD_PER_M, STD_PER_RAD, STD_MIN = (0.1, 0.05), (0.1, 0.1), 1e-3
+"""Of a motion [m] and its turn [rad], per metre and per radian of them, as in GMapping; and their least."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticleFilterSettings:
-    """Settings of the filter; the motion's noise grows with distance and turn as in GMapping."""
+    """Settings of the filter."""
 
     particles: int = 20
     samples: int = 20
@@ -45,14 +49,8 @@ class ParticleFilterSettings:
     size_m: float = 80.0
     """Side of the square maps; the robot starts in the middle."""
     cell_m: float = 0.1
-    hit_std_m: float = 0.075
-    """Distance of a beam's end from its wall."""
     correlation: float = 20.0
     """So many beams of a scan count as one."""
-    distance_std_per_m: float = 0.1
-    distance_std_per_rad: float = 0.1
-    turn_std_per_m: float = 0.05
-    turn_std_per_rad: float = 0.1
 
 
 @kernel
@@ -229,16 +227,14 @@ class ParticleFilter:
         """Take in the next frame."""
         rule, count = self._settings, self._settings.particles
         moved, turned = float(np.hypot(*frame.odometry[:2])), abs(float(frame.odometry[2]))
-        std_m = rule.distance_std_per_m * moved + rule.distance_std_per_rad * turned + 1e-3
-        std_rad = rule.turn_std_per_m * moved + rule.turn_std_per_rad * turned + 1e-3
-        parents = np.arange(count)
-        if self._past:
-            parents = self._resample()
+        std_m = STD_PER_M[0] * moved + STD_PER_RAD[0] * turned + STD_MIN
+        std_rad = STD_PER_M[1] * moved + STD_PER_RAD[1] * turned + STD_MIN
+        parents = self._resample() if self._past else np.arange(count)
         _step(
             self._poses, self._log_weights, self._hits, self._visits, self._ends, 1.0 / rule.cell_m,
             np.asarray(frame.odometry, float), np.array([std_m, std_m, std_rad]), self._rng.normal(size=(count, 3)),
             self._rng.normal(size=(count, rule.samples, 3)) * SAMPLE_STD, self._rng.random(count), frame.ranges_m,
-            self._range_max_m, beam_directions(len(frame.ranges_m)), rule.hit_std_m / rule.cell_m, rule.correlation,
+            self._range_max_m, beam_directions(len(frame.ranges_m)), HIT_STD_M / rule.cell_m, rule.correlation,
             not self._past,
         )  # fmt: skip
         now = self._poses[:, 1::-1]

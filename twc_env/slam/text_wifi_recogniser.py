@@ -60,7 +60,9 @@ class TextWifiRecogniser:
         for text, sign in readings:
             if math.isnan(sign.facing_rad):
                 continue
-            for k, similarity, macs, rssi in self._like_places(text, keyframe, skipped_robots):
+            alike, apart_m = self._texts.alike(text), self._config.revisit_travel_m
+            rows = self._table.like(alike, keyframe, skipped_robots, apart_m, self._radio)
+            for k, similarity, macs, rssi in self._passing(rows, keyframe.fingerprint):
                 target = self._places[k][0].key
                 if target not in best or similarity > best[target][0]:
                     best[target] = similarity, k, sign, macs, rssi
@@ -91,19 +93,11 @@ class TextWifiRecogniser:
         cues = similarities(target, source, self._config)
         return min(cues.text, cues.macs, cues.rssi)
 
-    def _like_places(
-        self, text: str, keyframe: Keyframe, skipped_robots: Sequence[int]
-    ) -> list[tuple[int, float, float, float]]:
-        """Places that the keyframe may be compared with, by number, where text and radio are alike.
+    def _passing(self, rows: list[list[float]], heard: Fingerprint) -> list[tuple[int, float, float, float]]:
+        """Places, by number, of those rows of the table whose strengths are like what was heard.
 
         With the similarities of texts, transmitters and strengths.
         """
-        alike, apart_m = self._texts.alike(text), self._config.revisit_travel_m
-        rows = self._table.like(alike, keyframe, skipped_robots, apart_m, self._radio)
-        return self._passing(rows, keyframe.fingerprint)
-
-    def _passing(self, rows: list[list[float]], heard: Fingerprint) -> list[tuple[int, float, float, float]]:
-        """Those of the rows of the table whose strengths are like what was heard."""
         if self._config.rssi_mode == "saturating":  # judged before, with the transmitters
             return [(int(row[0]), row[1], row[2], row[3]) for row in rows]
         passed = []

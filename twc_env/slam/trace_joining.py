@@ -12,6 +12,7 @@ their own dead reckoning.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -156,7 +157,8 @@ class _Joiner:
         alike = np.where(self._walk[:, None] == self._walk[None], -1.0, self._similarity)
         starts = np.flatnonzero(np.diff(self._walk, prepend=-1))
         column = np.cumsum(np.diff(self._walk, prepend=-1) != 0) - 1  # of a scan's walk among those with scans
-        best = np.column_stack([alike[:, of].argmax(axis=1) + of.start for of in _slices(starts, len(alike))])
+        ends = itertools.pairwise([*starts, len(alike)])
+        best = np.column_stack([alike[:, first:end].argmax(axis=1) + first for first, end in ends])
         level = np.take_along_axis(alike, best, axis=1)
         rank = np.argsort(np.argsort(-level, axis=1, kind="stable"), axis=1)
         is_mutual = best[best, column[:, None]] == np.arange(len(alike))[:, None]
@@ -264,7 +266,8 @@ class _Joiner:
     def _refine(self, poses: Array, matches: Array, weight: Array) -> Array:
         feature = self._rows.toarray()
         matched = weight[:, None, None] * np.eye(2) / MATCH_STD_M**2
-        worth = radio_field.learn_worth(feature, self._local[:, :2] + self._far_apart(), self._travel_m, BANDWIDTH_M)
+        apart_m = np.column_stack([APART_M * self._walk, np.zeros(len(self._walk))])
+        worth = radio_field.learn_worth(feature, self._local[:, :2] + apart_m, self._travel_m, BANDWIDTH_M)
         for _ in range(FIELD_ROUNDS):
             placed = compose(poses[self._walk], self._local)[:, :2]
             ties = radio_field.ties(feature, placed, self._travel_m, BANDWIDTH_M, APART_M / 2, worth, 1.5 * BANDWIDTH_M)
@@ -276,9 +279,6 @@ class _Joiner:
             poses = self._fit(poses, None, both)
         return poses
 
-    def _far_apart(self) -> Array:
-        return np.column_stack([APART_M * self._walk, np.zeros(len(self._walk))])
-
 
 def _tie_errors(ties: radio_field.Ties, placed: Array) -> Array:
     """(k, 2) how much further the second place lies from the first than the field asks for."""
@@ -288,7 +288,3 @@ def _tie_errors(ties: radio_field.Ties, placed: Array) -> Array:
 def _tie_squared(ties: radio_field.Ties, placed: Array) -> Array:
     error = _tie_errors(ties, placed)
     return np.einsum("ki,kij,kj->k", error, ties.information, error)
-
-
-def _slices(starts: Array, count: int) -> list[slice]:
-    return [slice(a, b) for a, b in zip(starts, [*starts[1:], count], strict=True)]

@@ -77,14 +77,16 @@ class _Line:
 
 def wall_candidates(path_m: Array, standoff_m: float) -> WallCandidates:
     """Pieces beside a path (k, 2) at `standoff_m`, or at half the gap where another track runs beyond."""
-    vertices = _respaced(path_m)
+    length_m = travelled_m(path_m)[-1]
+    vertices = points_along(path_m, np.linspace(0.0, length_m, max(int(length_m / SPACING_M) + 1, 3)))
     tangent = np.gradient(vertices, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     gaps = np.empty((2, len(vertices)))
     _opposite_tracks(vertices, tangent, _FAR * standoff_m, gaps)
+    has_tip = np.any((gaps > 1.7 * standoff_m) & (gaps < 2.2 * standoff_m), axis=0)  # the path runs around a wall's end
     lines = [
         line
-        for run, direction in _runs(tangent, _have_tip(gaps, standoff_m))
+        for run, direction in _runs(tangent, has_tip)
         for side in (0, 1)
         if (line := _line(vertices[run], tangent[run], direction, side, gaps[side, run], standoff_m)) is not None
     ]
@@ -111,17 +113,6 @@ def wall_candidates(path_m: Array, standoff_m: float) -> WallCandidates:
     between = np.repeat([line.is_between for line in lines], sizes).astype(bool)
     _, stretch = np.unique(stretch[keep], return_inverse=True)
     return WallCandidates(ends[keep], side[keep], between[keep], before, after, stretch, offset[keep])
-
-
-def _respaced(path_m: Array) -> Array:
-    """The path in even steps."""
-    length_m = travelled_m(path_m)[-1]
-    return points_along(path_m, np.linspace(0.0, length_m, max(int(length_m / SPACING_M) + 1, 3)))
-
-
-def _have_tip(gaps: Array, standoff_m: float) -> Array:
-    """(vertices,) whether the track runs around a wall's end: its other side is two standoffs away."""
-    return np.any((gaps > 1.7 * standoff_m) & (gaps < 2.2 * standoff_m), axis=0)
 
 
 def _runs(tangent: Array, has_tip: Array) -> list[tuple[slice, float | None]]:
