@@ -22,25 +22,24 @@ HeldMaps = tuple[list[GridMap], list[KnownSigns], list[int], list[RadioPicture |
 class MapBeliefs(TeamBeliefs):
     """Arrays as in `TeamBeliefs`; the map of each robot, the step and the scan that it saw last."""
 
-    __slots__ = ("_radio", "_ranges_m", "_steps", "_versions")
+    __slots__ = ("_maps", "_ranges_m", "_steps")
 
     def __init__(
         self, poses: Array, since_closure_m: Array, maps: HeldMaps, mates: Array, mate_poses: Array,
         contact_steps: Array, steps: Sequence[int], ranges_m: Sequence[Array] | Array,
     ):  # fmt: skip
         # Instead of the parent's: made in every step.
-        self._records, self._steps, self._ranges_m = None, steps, ranges_m
-        self.poses, self.since_closure_m = poses, since_closure_m
-        self.grids, self.signs, self._versions, self._radio = maps
+        self._records, self._maps, self._steps, self._ranges_m = None, maps, steps, ranges_m
+        self.poses, self.since_closure_m, self.grids, self.signs = poses, since_closure_m, maps[0], maps[1]
         self.mates, self.mate_poses, self.contact_steps = mates, mate_poses, contact_steps
 
     def _make(self) -> list[Belief]:
         beliefs, since_m, poses = [], self.since_closure_m.tolist(), read_only(self.poses)
-        for robot, radio in enumerate(self._radio):
+        for robot, (grid, signs, version, radio) in enumerate(zip(*self._maps, strict=True)):
             in_map, std, in_odom = poses[robot]
             belief = Belief(
-                robot, self._steps[robot], in_map, self.grids[robot], self.mates_of(robot), self.signs[robot].records,
-                self._ranges_m[robot], self._versions[robot], in_odom, std, since_m[robot],
+                robot, self._steps[robot], in_map, grid, self.mates_of(robot), signs.records,
+                self._ranges_m[robot], version, in_odom, std, since_m[robot],
                 self.contact_steps_of(robot), None if radio is None else radio.grid,
                 _NO_PLACES if radio is None else radio.transmitter_m,
             )  # fmt: skip
