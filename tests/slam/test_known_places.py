@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twc_env.slam.known_places import VIEWS_ENOUGH, carriers_of
+from twc_env.slam.forgetting import VIEWS_ENOUGH, carriers_of
 
 
 def open_scans(count, reach_m=5.0):

@@ -37,15 +37,9 @@ class MapScore:
 
 
 def correct_area_m2(
-    log_odds: Array,
-    origin_m: Array,
-    resolution_m: float,
-    pose_building_map: Array,
-    truth_free: Array,
-    truth_origin_m: Array,
-    truth_resolution_m: float,
-    box: tuple[int, int, int, int] | None = None,
-) -> float:
+    log_odds: Array, origin_m: Array, resolution_m: float, pose_building_map: Array, truth_free: Array,
+    truth_origin_m: Array, truth_resolution_m: float, box: tuple[int, int, int, int] | None = None,
+) -> float:  # fmt: skip
     """Area of the explorable floor (truth_free) that the map shows as free; arguments as in `score_map`.
 
     box: first row and column, end row and column of the cells that are looked at; None: all.
@@ -59,14 +53,9 @@ def correct_area_m2(
 
 
 def floor_mask(
-    shape: tuple[int, int],
-    origin_m: Array,
-    resolution_m: float,
-    pose_building_map: Array,
-    truth_free: Array,
-    truth_origin_m: Array,
-    truth_resolution_m: float,
-) -> Array:
+    shape: tuple[int, int], origin_m: Array, resolution_m: float, pose_building_map: Array, truth_free: Array,
+    truth_origin_m: Array, truth_resolution_m: float,
+) -> Array:  # fmt: skip
     """(h, w) bool: cells of a map of that shape whose centres lie on explorable floor; arguments as in `score_map`."""
     truth_free = given_grid(truth_free, "truth_free")
     row, column, step = _sampling_back(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
@@ -76,15 +65,9 @@ def floor_mask(
 
 
 def score_map(
-    log_odds: Array,
-    origin_m: Array,
-    resolution_m: float,
-    pose_building_map: Array,
-    truth_free: Array,
-    truth_wall: Array,
-    truth_origin_m: Array,
-    truth_resolution_m: float,
-) -> MapScore:
+    log_odds: Array, origin_m: Array, resolution_m: float, pose_building_map: Array, truth_free: Array,
+    truth_wall: Array, truth_origin_m: Array, truth_resolution_m: float,
+) -> MapScore:  # fmt: skip
     """Compare a merged map with the building.
 
     log_odds (h, w) int16 with its lower left corner at origin_m in the map frame; a cell is free below 0 and wall

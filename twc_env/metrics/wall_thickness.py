@@ -14,14 +14,9 @@ STRETCH_M, SAMPLE_M = 0.25, 0.05
 
 
 def wall_thickness_m(
-    log_odds: Array,
-    origin_m: Array,
-    resolution_m: float,
-    pose_building_map: Array,
-    walls_m: Array,
-    reach_m: float = 1.0,
-    wall_above: int = 0,
-) -> float:
+    log_odds: Array, origin_m: Array, resolution_m: float, pose_building_map: Array, walls_m: Array,
+    reach_m: float = 1.0, wall_above: int = 0,
+) -> float:  # fmt: skip
     """Mean width of what a map shows as wall, along the walls that it shows: ghosts make it grow (papers.md T21).
 
     Each occupied cell belongs to the nearest true wall, if one is at most `reach_m` away; the area of these cells is

@@ -15,8 +15,8 @@ from twc_env.slam.group_maps import GroupMaps
 from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
 from twc_env.slam.meeting_recogniser import MEETING, MeetingRecogniser
 from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
-from twc_env.slam.signless_recogniser import SignlessRecogniser
 from twc_env.slam.team_graph import TeamGraph
+from twc_env.slam.wayside_recognisers import SignlessRecogniser
 
 REPEAT_REACH_M = 2.0
 """Proposals nearer than this, along both paths, to an earlier one of the same kind are not tried again ..."""

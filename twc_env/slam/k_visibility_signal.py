@@ -203,16 +203,11 @@ def _expectation_maximisation(
             for k in range(states):
                 e = (level[i] - power + exponent * decades[i] + loss * k) / noise
                 w = probability[i, k] * 5.0 / (4.0 + e * e) * temper / (noise * noise)
-                x0, x1, x2 = 1.0, -decades[i], -1.0 * k
-                a[0, 0] += w * x0 * x0
-                a[0, 1] += w * x0 * x1
-                a[0, 2] += w * x0 * x2
-                a[1, 1] += w * x1 * x1
-                a[1, 2] += w * x1 * x2
-                a[2, 2] += w * x2 * x2
-                b[0] += w * x0 * level[i]
-                b[1] += w * x1 * level[i]
-                b[2] += w * x2 * level[i]
+                x = (1.0, -decades[i], -1.0 * k)
+                for r in range(3):
+                    b[r] += w * x[r] * level[i]
+                    for c in range(r, 3):
+                        a[r, c] += w * x[r] * x[c]
         a[1, 0], a[2, 0], a[2, 1] = a[0, 1], a[0, 2], a[1, 2]
         a[0, 0] += 1e-6
         a[1, 1] += 1.0 / exponent_prior[1] ** 2

@@ -53,14 +53,9 @@ class BackendResult:
 
 
 def revise(
-    poses: Array,
-    graph: Graph,
-    is_used: Array,
-    config: PoseGraphConfig,
-    fixed: int = 0,
-    is_thorough: bool = False,
+    poses: Array, graph: Graph, is_used: Array, config: PoseGraphConfig, fixed: int = 0, is_thorough: bool = False,
     may_replace: Callable[[Array, Array], bool] = lambda before, after: True,
-) -> BackendResult:
+) -> BackendResult:  # fmt: skip
     """Optimise inside an episode: warm, from the closures used so far (e,), with second thoughts about each of them.
 
     `ours` fits what is used with dynamic covariance scaling, takes back what the fit contradicts and takes in again
@@ -136,15 +131,9 @@ def _reconsider(squared, is_closure, used):
 
 
 def solve(
-    poses: Array,
-    edges: Array,
-    measured: Array,
-    information: Array,
-    is_closure: Array,
-    config: PoseGraphConfig,
-    fixed: int = 0,
-    keys_max: int = KEYS_MAX,
-) -> BackendResult:
+    poses: Array, edges: Array, measured: Array, information: Array, is_closure: Array, config: PoseGraphConfig,
+    fixed: int = 0, keys_max: int = KEYS_MAX,
+) -> BackendResult:  # fmt: skip
     """Optimise in the mode `config.robust` and say which closures were believed. Deterministic.
 
     Arguments as for `pose_graph.optimise`. `gnc`, `pcm` and `ours` take odometry as known good; `ours` looks at the

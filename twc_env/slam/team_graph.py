@@ -14,8 +14,7 @@ from twc_env.geometry import between, compose, inverse
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe, LoopClosure
 from twc_env.slam.forgotten_paths import ForgottenPaths
-from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays
-from twc_env.slam.graph_parts import part_of
+from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays, part_of
 from twc_env.slam.graph_thinning import Edges, thinned
 from twc_env.slam.keyframe_paths import place_on
 from twc_env.slam.odometry_filter import invert_symmetric, squared_error
