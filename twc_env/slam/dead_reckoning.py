@@ -57,7 +57,9 @@ class DeadReckoning(BindsAnew):
             self._ranges_m, self._steps = team.ranges_m, team.step
         else:
             robots = np.array([frame.robot for frame in frames])
-            self._ranges_m, self._steps = list(self._ranges_m), self._steps_of_all()
+            steps = self._steps
+            self._ranges_m = list(self._ranges_m)
+            self._steps = [steps] * len(self._everyone) if isinstance(steps, int) else list(steps)
             for robot, ranges_m in zip(robots.tolist(), team.ranges_m, strict=True):
                 self._ranges_m[robot], self._steps[robot] = ranges_m, team.step
         self._poses = np.empty(self._shape)
@@ -107,10 +109,6 @@ class DeadReckoning(BindsAnew):
         if self._alone is None:
             self._alone = _Alone(self._poses, self._rest, self._steps, self._ranges_m)
         return self._alone
-
-    def _steps_of_all(self) -> list[int]:
-        steps = self._steps
-        return [steps] * len(self._everyone) if isinstance(steps, int) else list(steps)
 
     def belief(self, robot: int) -> Belief:
         """The same of one robot."""

@@ -90,9 +90,8 @@ def match_globally(
         headings = headings_along_walls(headings, target_points, source_points)
     reach = max(int(round(window_m / CELL_M)), 1)
     best = np.zeros(3, np.int64)
-    score, evaluated = _branch_and_bound(
-        fields, chosen, headings, origin_m[0], origin_m[1], CELL_M, reach, int(score_min * FULL * len(chosen)), best
-    )
+    least = int(score_min * FULL * len(chosen))
+    score, evaluated = _branch_and_bound(fields, chosen, headings, origin_m, reach, least, best)
     if score < 0:
         return None
     pose = np.array([best[1] * CELL_M, best[2] * CELL_M, headings[best[0]]])
@@ -149,25 +148,24 @@ def score_fields(points: Array) -> tuple[Array, Array]:
     origin_m = np.floor(points.min(axis=0) / CELL_M) * CELL_M - margin * CELL_M
     columns, rows = (np.floor((points.max(axis=0) - origin_m) / CELL_M).astype(np.int64) + 1 + margin).tolist()
     fields = np.zeros((LEVELS, rows, columns), np.uint8)
-    _stamp(fields[0], points, origin_m[0], origin_m[1], CELL_M, SCORES_AROUND)
+    _stamp(fields[0], points, origin_m)
     _widen(fields)
     return fields, origin_m
 
 
 @kernel
-def _stamp(field, points, origin_x, origin_y, cell, kernel):
+def _stamp(field, points, origin):
+    """Give cells around the points what they score."""
     rows, columns = field.shape
-    reach = kernel.shape[0] // 2
+    reach = BLUR_CELLS
     for k in range(points.shape[0]):
-        column = int(math.floor((points[k, 0] - origin_x) / cell))
-        row = int(math.floor((points[k, 1] - origin_y) / cell))
-        if row < 0 or column < 0 or row >= rows or column >= columns or field[row, column] == kernel[reach, reach]:
+        column = int(math.floor((points[k, 0] - origin[0]) / CELL_M))
+        row = int(math.floor((points[k, 1] - origin[1]) / CELL_M))
+        if row < 0 or column < 0 or row >= rows or column >= columns or field[row, column] == FULL:
             continue
         for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
             for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
-                value = kernel[r - row + reach, c - column + reach]
-                if value > field[r, c]:
-                    field[r, c] = value
+                field[r, c] = max(field[r, c], SCORES_AROUND[r - row + reach, c - column + reach])
 
 
 @kernel
@@ -204,18 +202,17 @@ def _sum(field, cells, row, column, held):
 
 
 @kernel
-def _turn(points, heading, origin_x, origin_y, cell, cells):
+def _turn(points, heading, origin, cells):
     """Cells (n, 2) of the points turned to a heading, not yet shifted."""
     cosine, sine = math.cos(heading), math.sin(heading)
     for k in range(points.shape[0]):
-        x = cosine * points[k, 0] - sine * points[k, 1] - origin_x
-        y = sine * points[k, 0] + cosine * points[k, 1] - origin_y
-        cells[k, 0] = int(math.floor(y / cell))
-        cells[k, 1] = int(math.floor(x / cell))
+        x = cosine * points[k, 0] - sine * points[k, 1] - origin[0]
+        y = sine * points[k, 0] + cosine * points[k, 1] - origin[1]
+        cells[k, 0], cells[k, 1] = int(math.floor(y / CELL_M)), int(math.floor(x / CELL_M))
 
 
 @kernel
-def _branch_and_bound(fields, points, headings, origin_x, origin_y, cell, reach, score_min, best):
+def _branch_and_bound(fields, points, headings, origin, reach, score_min, best):
     """Best score over all headings and shifts -reach..reach, and how many boxes were looked at; -1 below score_min.
 
     Writes the number of the heading and the shift (columns, rows) to `best`. Depth first, the most promising box
@@ -230,7 +227,7 @@ def _branch_and_bound(fields, points, headings, origin_x, origin_y, cell, reach,
     bounds = np.empty(count, np.int64)
     held = score_min - 1
     for a in range(len(headings)):
-        _turn(points, headings[a], origin_x, origin_y, cell, turned[a])
+        _turn(points, headings[a], origin, turned[a])
         for i in range(boxes):
             for j in range(boxes):
                 bounds[(a * boxes + i) * boxes + j] = _sum(
@@ -243,10 +240,8 @@ def _branch_and_bound(fields, points, headings, origin_x, origin_y, cell, reach,
         if bounds[k] <= held:
             break
         a = k // (boxes * boxes)
-        stack[0, 0] = top
-        stack[0, 1] = (k // boxes % boxes) * side - reach
-        stack[0, 2] = (k % boxes) * side - reach
-        stack[0, 3] = bounds[k]
+        stack[0, 0], stack[0, 3] = top, bounds[k]
+        stack[0, 1], stack[0, 2] = (k // boxes % boxes) * side - reach, (k % boxes) * side - reach
         depth = 1
         while depth > 0:
             depth -= 1

@@ -18,9 +18,7 @@ ODOMETRY = -1
 
 
 @borrowing_kernel
-def _put_node(
-    node, previous, robot, step, travel, motion, covariance, poses, robots, steps, travels, strains
-):  # fmt: skip
+def _put_node(node, previous, robot, step, travel, motion, covariance, poses, robots, steps, travels, strains):
     """Write a node that lies one motion after the previous one (-1: it is the first of its robot)."""
     x = y = heading = 0.0
     if previous >= 0:
@@ -61,9 +59,7 @@ def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covarianc
     if previous < 0:
         tied[robot] = node
         return False
-    _put_edge(
-        edge, previous, node, motion, covariance, ODOMETRY, True, ends, measured, information, kinds, used
-    )  # fmt: skip
+    _put_edge(edge, previous, node, motion, covariance, ODOMETRY, True, ends, measured, information, kinds, used)
     return True
 
 
@@ -203,8 +199,7 @@ class GraphArrays(BindsAnew):
         if self._counts[keyframe.robot] == self._rows.shape[1]:
             self._rows = grown(self._rows.T).T.copy()
             self._hold_grown()
-        if self.edge_count == len(self._edge_rows[0]):
-            self._make_room_for_edges()
+        self._make_room_for_edge()
         new = (
             node, self.edge_count, keyframe.robot, keyframe.step, keyframe.travel_m, keyframe.pose_odom,
             keyframe.motion, keyframe.motion_covariance,
@@ -218,14 +213,14 @@ class GraphArrays(BindsAnew):
 
     def add_edge(self, ends: tuple[int, int], measured: Array, covariance: Array, closure: int, is_used: bool) -> None:
         """A measured pose (3,) of the second end in the frame of the first; `closure` is the closure's number."""
-        if self.edge_count == len(self._edge_rows[0]):
-            self._make_room_for_edges()
+        self._make_room_for_edge()
         _put_edge(self.edge_count, *ends, measured, covariance, closure, is_used, *self._edge_rows)
         self.edge_count += 1
 
-    def _make_room_for_edges(self) -> None:
-        self._edge_rows = [grown(rows) for rows in self._edge_rows]
-        self._hold_grown()
+    def _make_room_for_edge(self) -> None:
+        if self.edge_count == len(self._edge_rows[0]):
+            self._edge_rows = [grown(rows) for rows in self._edge_rows]
+            self._hold_grown()
 
     def _keep(self, kept: Array, edges: tuple[Array, Array, Array, Array, Array]) -> Array:
         """Only some nodes (k,), ascending, which are numbered anew; gives these numbers by the old ones, -1 for others.

@@ -26,14 +26,9 @@ class MapOptimiser:
     """Optimises what one mapper's graph holds of each group, and draws its map anew where that shows."""
 
     def __init__(
-        self,
-        config: PoseGraphConfig,
-        graph: TeamGraph,
-        maps: GroupMaps,
-        judge: MergeJudge,
-        radio: RadioTies | None,
+        self, config: PoseGraphConfig, graph: TeamGraph, maps: GroupMaps, judge: MergeJudge, radio: RadioTies | None,
         forgetting: Forgetting | None,
-    ):
+    ):  # fmt: skip
         """radio: what radio says of the whole path; forgetting: for large maps. Both None where there is none."""
         self._config, self._graph, self._maps, self._judge = config, graph, maps, judge
         self._radio, self._forgetting = radio, forgetting
@@ -119,9 +114,7 @@ class MapOptimiser:
             return False
         nodes, _, graph, is_used = self._graph.part(robots, first)
         held = np.arange(np.searchsorted(nodes, first))
-        result = robust_backend.second_thoughts(
-            self._graph.poses[nodes], graph, is_used, self._config, held
-        )  # fmt: skip
+        result = robust_backend.second_thoughts(self._graph.poses[nodes], graph, is_used, self._config, held)
         if not np.array_equal(result.accepted, is_used):
             return False
         self._graph.place(nodes, result.poses)

@@ -96,12 +96,9 @@ def second_thoughts(
     equations = NormalEquations(graph.edges, graph.measured, graph.information, len(poses), fixed)
     for _ in range(ROUNDS_MAX):
         poses = equations.minimise(
-            poses,
-            lambda squared, used=used: _weights_of_used(squared, graph.is_closure, used, config.robust_scale),
-            config.iterations_max,
-            EPISODE_STEP_M,
-            EPISODE_STEP_RAD,
-        )
+            poses, lambda squared: _weights_of_used(squared, graph.is_closure, used, config.robust_scale),
+            config.iterations_max, EPISODE_STEP_M, EPISODE_STEP_RAD,
+        )  # fmt: skip
         squared = equations.squared_errors(poses)
         if not _reconsider(squared, graph.is_closure, used):
             break

@@ -25,7 +25,7 @@ THROUGH_M = 0.4
 def describe(ranges_m: Array, range_max_m: float) -> Array:
     """(beams,) ranges -> (RINGS, SECTORS), each sector of length one (or empty); mates and open beams leave nothing."""
     descriptor = np.zeros((RINGS, SECTORS))
-    _bin(ranges_m, range_max_m, NEIGHBOUR_WEIGHT, descriptor)
+    _bin(ranges_m, range_max_m, descriptor)
     return descriptor
 
 
@@ -63,9 +63,8 @@ def scan_agreement(
     Each share is of the points that the other scan could judge, both ways together; (0, 0) where there is none.
     """
     pose = np.asarray(pose_target_source, float)
-    back = _inverse(pose)
-    a = _judge(source_m, pose, target_m, range_max_m, AGREE_M, THROUGH_M)
-    b = _judge(target_m, back, source_m, range_max_m, AGREE_M, THROUGH_M)
+    a = _judge(source_m, pose, target_m, range_max_m)
+    b = _judge(target_m, _inverse(pose), source_m, range_max_m)
     judged = a[2] + b[2]
     return ((a[0] + b[0]) / judged, (a[1] + b[1]) / judged) if judged else (0.0, 0.0)
 
@@ -77,7 +76,7 @@ def _inverse(pose):
 
 
 @kernel
-def _bin(ranges, range_max, neighbour_weight, descriptor):
+def _bin(ranges, range_max, descriptor):
     rings, sectors = descriptor.shape
     beams = ranges.shape[0]
     for beam in range(beams):
@@ -88,9 +87,9 @@ def _bin(ranges, range_max, neighbour_weight, descriptor):
         sector = (beam * sectors) // beams
         descriptor[ring, sector] += 1.0
         if ring > 0:
-            descriptor[ring - 1, sector] += neighbour_weight
+            descriptor[ring - 1, sector] += NEIGHBOUR_WEIGHT
         if ring < rings - 1:
-            descriptor[ring + 1, sector] += neighbour_weight
+            descriptor[ring + 1, sector] += NEIGHBOUR_WEIGHT
     for sector in range(sectors):
         total = 0.0
         for ring in range(rings):
@@ -101,7 +100,7 @@ def _bin(ranges, range_max, neighbour_weight, descriptor):
 
 
 @kernel
-def _judge(points, pose, ranges, range_max, agree, through):
+def _judge(points, pose, ranges, range_max):
     """Points of one scan, seen from pose in the frame of another: on its walls, seen through, and judged at all."""
     beams = ranges.shape[0]
     step = 2.0 * math.pi / points.shape[0]
@@ -118,11 +117,11 @@ def _judge(points, pose, ranges, range_max, agree, through):
         low = int(math.floor(beam)) % beams
         a, b = abs(ranges[low]), abs(ranges[(low + 1) % beams])
         near, most = min(a, b), max(a, b)
-        if r > most + agree or r >= range_max:  # hidden behind what the other scan met
+        if r > most + AGREE_M or r >= range_max:  # hidden behind what the other scan met
             continue
         judged += 1
-        if r < near - through:
+        if r < near - THROUGH_M:
             crossed += 1
-        elif min(abs(r - near), abs(r - most)) <= agree or near < r < most:
+        elif min(abs(r - near), abs(r - most)) <= AGREE_M or near < r < most:
             met += 1
     return met, crossed, judged

@@ -188,13 +188,9 @@ class SignTable(BindsAnew):
         return Lent((*places, *robots))
 
     def like(
-        self,
-        alike: Sequence[tuple[int, float]],
-        keyframe: Keyframe,
-        skipped_robots: Sequence[int],
-        apart_m: float,
+        self, alike: Sequence[tuple[int, float]], keyframe: Keyframe, skipped_robots: Sequence[int], apart_m: float,
         radio: RadioRule,
-    ) -> list[list[float]]:
+    ) -> list[list[float]]:  # fmt: skip
         """The rows whose texts and radio are like those of a keyframe, ascending.
 
         alike: numbers and similarities of the texts that are. Left out are rows of the skipped robots, and of the
@@ -205,17 +201,14 @@ class SignTable(BindsAnew):
         latest_m = keyframe.travel_m - apart_m
         if not self._has_any(alike, keyframe.robot, latest_m, skipped_robots):
             return []
-        is_skipped, likeness = np.zeros(self._robots, bool), np.empty(len(self._first_m))
-        likeness.fill(UNLIKE)
+        is_skipped, likeness = np.zeros(self._robots, bool), np.full(len(self._first_m), UNLIKE)
         for robot in skipped_robots:
             if robot < self._robots:
                 is_skipped[robot] = True
         for text, similarity in alike:
             likeness[text] = similarity
         heard = keyframe.fingerprint
-        now = (
-            self._count, likeness, is_skipped, keyframe.robot, latest_m, heard.macs, heard.rssi_dbm, *radio
-        )  # fmt: skip
+        now = self._count, likeness, is_skipped, keyframe.robot, latest_m, heard.macs, heard.rssi_dbm, *radio
         if self._choose is None:
             self._choose = bound(_choose, self._all(), *now)
         rows: list[list[float]] = self._found[: self._choose(*now)].tolist()

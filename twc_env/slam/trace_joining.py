@@ -120,7 +120,7 @@ class _Joiner:
             is_joined, poses = self._largest_group(matches), self._refine(poses, matches, weight)
         else:
             closures = self._closures()
-            is_joined, poses = self._largest_group(closures.pairs), self._fit(poses, closures, None)
+            is_joined, poses = self._largest_group(closures.pairs), self._fit(poses, closures)
         poses[~is_joined] = np.nan
         placed = compose(poses[self._walk], self._local)[:, :2]
         ends = np.cumsum([len(t.poses) for t in self._traces])[:-1]
@@ -186,17 +186,17 @@ class _Joiner:
 
     # --- fitting
 
-    def _fit(self, poses: Array, closures: Distances | None, ties: radio_field.Ties | None) -> Array:
-        """Walks as rigid pieces: damped Gauss-Newton on distances, ties and the compass."""
+    def _fit(self, poses: Array, pulls: Distances | radio_field.Ties) -> Array:
+        """Walks as rigid pieces: damped Gauss-Newton on distances or ties, and the compass."""
         poses = poses.copy()
-        damping, cost = 1e-3, self._cost(poses, closures, ties)
+        damping, cost = 1e-3, self._cost(poses, pulls)
         for _ in range(ROUNDS):
-            hessian, gradient = self._linearise(poses, closures, ties)
+            hessian, gradient = self._linearise(poses, pulls)
             scale = np.diag(hessian).copy()
             for _ in range(8):
                 step = np.linalg.solve(hessian + np.diag(damping * scale + 1e-9), -gradient).reshape(-1, 3)
                 moved = poses + step
-                moved_cost = self._cost(moved, closures, ties)
+                moved_cost = self._cost(moved, pulls)
                 if moved_cost <= cost:
                     break
                 damping *= 4
@@ -208,14 +208,9 @@ class _Joiner:
                 break
         return poses
 
-    def _cost(self, poses: Array, closures: Distances | None, ties: radio_field.Ties | None) -> float:
-        placed = compose(poses[self._walk], self._local)
-        total = (poses[:, 2] ** 2).sum() / COMPASS_STD_RAD**2
-        if closures is not None:
-            total += self._loss(closures.residuals(placed) ** 2).sum()
-        if ties is not None:
-            total += self._loss(_tie_squared(ties, placed)).sum()
-        return float(total)
+    def _cost(self, poses: Array, pulls: Distances | radio_field.Ties) -> float:
+        squared = _squared(pulls, compose(poses[self._walk], self._local))
+        return float((poses[:, 2] ** 2).sum() / COMPASS_STD_RAD**2 + self._loss(squared).sum())
 
     def _loss(self, squared: Array) -> Array:
         return CAUCHY**2 * np.log1p(squared / CAUCHY**2) if self._is_ours else squared
@@ -223,41 +218,31 @@ class _Joiner:
     def _weight(self, squared: Array) -> Array:
         return 1.0 / (1.0 + squared / CAUCHY**2) if self._is_ours else np.ones(len(squared))
 
-    def _linearise(
-        self, poses: Array, closures: Distances | None, ties: radio_field.Ties | None
-    ) -> tuple[Array, Array]:
+    def _linearise(self, poses: Array, pulls: Distances | radio_field.Ties) -> tuple[Array, Array]:
         count = len(poses)
         placed = compose(poses[self._walk], self._local)
         arm = placed[:, :2] - poses[self._walk, :2]
         swing = np.column_stack([-arm[:, 1], arm[:, 0]])  # how a scan moves when its walk turns
-        parts = []
-        if closures is not None:
-            residual = closures.residuals(placed)
-            parts.append(
-                (closures.pairs, closures.jacobian(placed)[:, None], residual[:, None], self._weight(residual**2))
-            )
-        if ties is not None:
-            root = np.swapaxes(np.linalg.cholesky(ties.information + 1e-9 * np.eye(2)), 1, 2)
-            error = _tie_errors(ties, placed)
-            parts.append(
-                (ties.pairs, -root, (root @ error[..., None])[..., 0], self._weight(_tie_squared(ties, placed)))
-            )
+        weight, pairs, ends = self._weight(_squared(pulls, placed)), pulls.pairs, self._walk[pulls.pairs]
+        if isinstance(pulls, Distances):
+            by_first, error = pulls.jacobian(placed)[:, None], pulls.residuals(placed)[:, None]
+        else:
+            root = np.swapaxes(np.linalg.cholesky(pulls.information + 1e-9 * np.eye(2)), 1, 2)
+            by_first, error = -root, (root @ _tie_errors(pulls, placed)[..., None])[..., 0]
+        slopes = [
+            sign * np.concatenate([by_first, (by_first @ swing[pairs[:, end], :, None])], axis=2)
+            for end, sign in ((0, 1.0), (1, -1.0))
+        ]
         hessian, gradient = np.zeros((count, count, 3, 3)), np.zeros((count, 3))
-        for pairs, by_first, error, weight in parts:
-            slopes = [
-                sign * np.concatenate([by_first, (by_first @ swing[pairs[:, end], :, None])], axis=2)
-                for end, sign in ((0, 1.0), (1, -1.0))
-            ]
-            ends = self._walk[pairs]
-            for a in range(2):
-                np.add.at(gradient, ends[:, a], np.einsum("k,kri,kr->ki", weight, slopes[a], error))
-                for b in range(2):
-                    blocks = np.einsum("k,kri,krj->kij", weight, slopes[a], slopes[b])
-                    key = ends[:, a] * count + ends[:, b]
-                    flat = np.stack(
-                        [np.bincount(key, blocks[:, r, c], count * count) for r in range(3) for c in range(3)], axis=1
-                    )
-                    hessian += flat.reshape(count, count, 3, 3)
+        for a in range(2):
+            np.add.at(gradient, ends[:, a], np.einsum("k,kri,kr->ki", weight, slopes[a], error))
+            for b in range(2):
+                blocks = np.einsum("k,kri,krj->kij", weight, slopes[a], slopes[b])
+                key = ends[:, a] * count + ends[:, b]
+                flat = np.stack(
+                    [np.bincount(key, blocks[:, r, c], count * count) for r in range(3) for c in range(3)], axis=1
+                )
+                hessian += flat.reshape(count, count, 3, 3)
         index = np.arange(count)
         hessian[index, index, 2, 2] += 1.0 / COMPASS_STD_RAD**2
         gradient[:, 2] += poses[:, 2] / COMPASS_STD_RAD**2
@@ -276,7 +261,7 @@ class _Joiner:
                 np.concatenate([ties.offset_m, np.zeros(matches.shape)]),
                 np.concatenate([ties.information, matched]),
             )
-            poses = self._fit(poses, None, both)
+            poses = self._fit(poses, both)
         return poses
 
 
@@ -285,6 +270,9 @@ def _tie_errors(ties: radio_field.Ties, placed: Array) -> Array:
     return placed[ties.pairs[:, 1], :2] - placed[ties.pairs[:, 0], :2] - ties.offset_m
 
 
-def _tie_squared(ties: radio_field.Ties, placed: Array) -> Array:
-    error = _tie_errors(ties, placed)
-    return np.einsum("ki,kij,kj->k", error, ties.information, error)
+def _squared(pulls: Distances | radio_field.Ties, placed: Array) -> Array:
+    """(k,) squared length of each residual."""
+    if isinstance(pulls, Distances):
+        return pulls.residuals(placed) ** 2
+    error = _tie_errors(pulls, placed)
+    return np.einsum("ki,kij,kj->k", error, pulls.information, error)

@@ -68,9 +68,7 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
 
 
 @borrowing_kernel
-def _track(
-    apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose, macs, levels, ages, heard
-):  # fmt: skip
+def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose, macs, levels, ages, heard):
     """A whole step with the compiled filters, and what was heard in it; whether a robot has come to a new place."""
     (
         states, covariances, noise, believes_scans, directions, opening, mate_radius, marked, discs, disc_counts, cells,
@@ -91,9 +89,7 @@ def _track(
     for a in range(robots.shape[0]):
         k = robots[a]
         if is_matched[k] and believes_scans:
-            is_matched[k] = believe_match(
-                states[k], covariances[k], matched[k], information[k], noise[5], is_clear[k]
-            )  # fmt: skip
+            is_matched[k] = believe_match(states[k], covariances[k], matched[k], information[k], noise[5], is_clear[k])
             if not is_matched[k]:
                 information[k, :, :] = 0.0
     return _arrive(

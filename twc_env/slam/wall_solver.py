@@ -139,13 +139,10 @@ class WallSolver:
         if len(self._is_wall) == 0:
             return
         loss = self._stretch_loss[self.candidates.stretch]
-        excess = self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades - self._level
-        summed = self._summed(loss)
-        nothing = np.zeros(0)
         sample_walls(
-            self._is_wall, summed, loss, self._first, self._members, self.candidates.before, self.candidates.after,
-            self._prior_odds(), excess, self.variance_db2 * self._noise_share, self._weight,
-            temperature, sweeps, np.random.default_rng([self._seed, round_]), nothing if on_count is None else on_count,
+            self._is_wall, self._summed(loss), loss, self._first, self._members, self.candidates.before,
+            self.candidates.after, self._prior_odds(), self._excess(), self._variance(), self._weight, temperature,
+            sweeps, np.random.default_rng([self._seed, round_]), np.zeros(0) if on_count is None else on_count,
         )  # fmt: skip
 
     def _prior_odds(self) -> Array:
@@ -169,10 +166,9 @@ class WallSolver:
         at_row = np.concatenate([rays, rays, self._members[on]])
         at_column = np.concatenate([self._router_of, routers + self._router_of, column])
         design = coo_array((values, (at_row, at_column)), shape=(len(rays), 2 * routers + width)).tocsr()
-        loss = self._stretch_loss[self.candidates.stretch]
-        error = self._errors(loss)
-        robust = 5.0 / (4.0 + error**2 / (self.variance_db2 * self._noise_share))
-        weight = self._weight * robust * self._heard / (self.variance_db2 * self._noise_share)
+        variance = self._variance()
+        robust = 5.0 / (4.0 + self._errors() ** 2 / variance)
+        weight = self._weight * robust * self._heard / variance
         mean = np.concatenate([np.zeros(routers), np.full(routers, 2.0), np.full(width, self.mean_loss_db)])
         spread = _LOSS_SPREAD * self.mean_loss_db if with_stretches else 3.5
         precision = np.concatenate(
@@ -192,15 +188,13 @@ class WallSolver:
         else:
             self.mean_loss_db = float(np.clip(losses[0], *self._mean_loss_range_db))
             self._stretch_loss = np.full(self._stretches, self.mean_loss_db)
-        error = self._errors(self._stretch_loss[self.candidates.stretch])
-        robust = 5.0 / (4.0 + error**2 / (self.variance_db2 * self._noise_share))
-        heard = self._heard
-        self.variance_db2 = max(float((robust * error**2 / self._noise_share)[heard].mean()), _NOISE_MIN_DB**2)
+        error = self._errors()
+        robust = 5.0 / (4.0 + error**2 / variance)
+        self.variance_db2 = max(float((robust * error**2 / self._noise_share)[self._heard].mean()), _NOISE_MIN_DB**2)
 
     def _energy(self) -> float:
         """Minus the logarithm of the posterior of the present state, up to a constant."""
-        variance = self.variance_db2 * self._noise_share
-        error = self._errors(self._stretch_loss[self.candidates.stretch])
+        variance, error = self._variance(), self._errors()
         misfit = self._weight * (2.5 * np.log1p(error**2 / (4.0 * variance)) + 0.5 * np.log(variance))
         before = self.candidates.before
         linked = before >= 0
@@ -210,9 +204,15 @@ class WallSolver:
         losses = 0.5 * np.sum(((self._stretch_loss - self.mean_loss_db) / spread) ** 2)
         return float(misfit[self._heard].sum() - prior + losses)
 
-    def _errors(self, loss: Array) -> Array:
-        expected = self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades
-        return expected - self._level - self._summed(loss)
+    def _variance(self) -> Array:
+        return self.variance_db2 * self._noise_share
+
+    def _excess(self) -> Array:
+        """(rays,) by how much less was read than expected without walls [dB]."""
+        return self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades - self._level
+
+    def _errors(self) -> Array:
+        return self._excess() - self._summed(self._stretch_loss[self.candidates.stretch])
 
     def _learn_sides(self) -> None:
         """How often a piece on the left, and on the right, is a wall, told by those that rays cross."""
