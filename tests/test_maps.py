@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from twc_env.datasets.ros_map import write_ros_map
 from twc_env.errors import ConfigError, MapError
@@ -123,6 +124,14 @@ def test_a_file_whose_picture_has_changed_is_read_again(tmp_path):
         os.utime(path.with_suffix(".pgm"), ns=(1, columns))
         widths_m.append(np.ptp(load_map(path).walls_m[..., 0]))
     assert widths_m == pytest.approx([4.0, 6.0])
+
+
+def test_a_picture_that_is_a_map_is_not_read_again_for_others_beside_it(tmp_path):
+    walls = np.pad(np.full((50, 40), 255, np.uint8), 1)
+    Image.fromarray(walls).save(tmp_path / "plan.png")
+    first = load_map(tmp_path / "plan.png")
+    (tmp_path / "film-0001.png").touch()
+    assert load_map(tmp_path / "plan.png") is first
 
 
 def test_a_picture_beside_a_map_that_is_gone_keeps_nobody_from_reading_it(tmp_path):

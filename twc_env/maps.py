@@ -120,9 +120,11 @@ def _read_native(path: Path, modified: int) -> Floorplan:
 
 
 def _written(path: Path) -> tuple[int, ...]:
-    """When a file, and what may be read with it, was written last: the size of a floor, or pictures."""
-    beside = "floor_info.json" if "json" in path.name.lower() else "*.p[gn][mg]*"
-    return tuple(each.stat().st_mtime_ns for each in (path, *sorted(path.parent.glob(beside))) if each.is_file())
+    """When a file, and what may be read with it, was written last: the size of a floor, or the picture of a ROS map."""
+    beside = [path.with_name("floor_info.json")]
+    if path.suffix.lower() in (".yaml", ".yml"):
+        beside = sorted(path.parent.glob("*.p[gn][mg]*"))
+    return tuple(each.stat().st_mtime_ns for each in (path, *beside) if each.is_file())
 
 
 @lru_cache(maxsize=8)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig, override
-from twc_env.messages import SensorFrame
-from twc_env.slam.robot import FrontEnds
+from twc_env.messages import SensorFrame, SignReading
+from twc_env.slam.robot import READINGS_MAX, FrontEnds
 
 STEP_M, STEP_RAD = 0.05, 0.05
 ROOM = [(-4, -4), (4, -4), (4, 4), (-4, 4)]
@@ -84,3 +84,15 @@ def test_robots_whose_clocks_differ_are_tracked_as_each_alone(scan, walls):
     assert np.array_equal(both.poses_odom[0], alone[0].poses_odom[0])
     assert np.array_equal(both.poses_odom[1], alone[1].poses_odom[1])
     assert not np.array_equal(both.poses_odom[0], both.poses_odom[1])
+
+
+def test_a_robot_that_waits_before_a_door_remembers_no_more_than_its_latest_readings(scan, walls):
+    room, ends = walls((-6, -6), (6, -6), (6, 6), (-6, 6)), FrontEnds(EnvConfig(robots=1), 1)
+    ranges_m = scan(room, (0.0, 0.0, 0.0))
+    for step in range(1000):
+        read = SignReading("EXIT" if step < 900 else "A101", 0.0, 6.0)
+        ends.update([SensorFrame(0, step, 0.1 * step, np.zeros(3), 0.0, ranges_m, None, (read,))])
+    (keyframe,) = ends.update([SensorFrame(0, 1000, 100.0, np.array([1.0, 0, 0]), 0.0, scan(room, (1.0, 0.0, 0.0)))])
+    texts = [sign.text for sign in keyframe.signs]
+    assert len(texts) == READINGS_MAX
+    assert texts.count("A101") == 100

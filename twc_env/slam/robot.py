@@ -6,6 +6,7 @@ What every step costs is computed for all robots at once, over common arrays; wh
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,6 +21,8 @@ from twc_env.team_messages import TeamFrames
 
 REDRAW_SPACING_M = 0.9
 """When the local map moves on, of the older keyframes every one this far along the path is drawn again."""
+READINGS_MAX = 256
+"""Of what a robot reads between two keyframes the latest are kept: one that waits before a door reads it all day."""
 
 
 class FrontEnds:
@@ -89,7 +92,7 @@ class RobotFrontEnd:
         """How many keyframes the robot has taken."""
         self._recent: list[Keyframe] = []
         """Those that may still be drawn into the local map, and the latest one."""
-        self._readings: list[tuple[str, float, float, float]] = []
+        self._readings: deque[tuple[str, float, float, float]] = deque(maxlen=READINGS_MAX)
         """Text, place [m, m] and facing [rad] in the odom frame of each sign read since the last keyframe."""
 
     def read_signs(self, signs: Sequence[SignReading], pose_odom: Array) -> None:
@@ -114,7 +117,7 @@ class RobotFrontEnd:
             )
             for text, x, y, facing in self._readings
         )
-        self._readings = []
+        self._readings.clear()
         return signs
 
     def remember(self, keyframe: Keyframe) -> None:
