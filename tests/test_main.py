@@ -142,6 +142,14 @@ def test_a_replay_says_that_a_log_does_not_hold_what_an_oracle_told(tmp_path, ca
         assert said in remark and bool(remark) == bool(said)
 
 
+@pytest.mark.parametrize("topology", ["central", "peer"])
+def test_a_replay_says_whose_groups_it_prints_where_each_robot_has_a_mapper(topology, tmp_path, capsys):
+    main(["record", "--set", f"link.topology={topology}", "--steps", "3", "--out", str(tmp_path)])
+    capsys.readouterr()
+    main(["replay", str(tmp_path / "frames.npz")])
+    assert ("are those of robot 0" in capsys.readouterr().err) is (topology == "peer")
+
+
 def test_maps_of_a_replay_are_named_as_those_of_the_episode_the_largest_group_first(tmp_path):
     run, again = tmp_path / "run", tmp_path / "again"
     assert agents(["explore", "--steps", "200", "--no-pictures", "--out", str(run)]) == 0

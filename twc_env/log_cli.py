@@ -142,6 +142,10 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     odom_poses: list[np.ndarray] = []
     if config.slam.oracle != "none":
         print(f"slam.oracle = {config.slam.oracle!r}: what it tells is in no log, so nothing is told", file=sys.stderr)
+    if config.link.topology == "peer":
+        print(
+            "each robot has a mapper of its own: groups, closures, map and graph are those of robot 0", file=sys.stderr
+        )
     seen = 1 + max(frame.robot for frames in steps for frame in frames)
     engine = CooperativeSlam(config, contacts[0].heard.shape[1] if contacts else seen)
     step = -1

@@ -45,6 +45,21 @@ def test_a_gyro_sampled_after_lost_frames_does_not_turn_the_robot(recorded, lost
     assert np.allclose(travelled(kept), travelled(steps[:300]), atol=0.03)
 
 
+def test_robots_that_number_their_frames_each_in_its_own_way_make_the_same_map(recorded):
+    """Frames come one by one; the robot whose numbers are far ahead falls silent on the way."""
+    config, steps, _ = recorded
+    engines = [CooperativeSlam(config, 3) for _ in range(2)]
+    for frames in steps:
+        for each in frames:
+            if each.robot != 1 or each.step < 250:
+                engines[0].update([each])
+                engines[1].update([replace(each, step=each.step + (0, 100_000, 7)[each.robot])])
+    for robot in range(3):
+        poses = [engine.pose_map_robot(robot) for engine in engines]
+        assert poses[0].tobytes() == poses[1].tobytes()
+    assert engines[0].lacked() == engines[1].lacked()
+
+
 def frame(time_s, turned_rad=0.0, turn_rate_rad_s=0.0) -> SensorFrame:
     return SensorFrame(0, 0, time_s, np.array([0.0, 0.0, turned_rad]), turn_rate_rad_s, np.full(4, 3.0))
 

@@ -130,6 +130,8 @@ class CooperativeSlam(CopiedWhole):
         self._beliefs: TeamBeliefs | None = None
         """Once asked for, until something changes."""
         self._last_step = 0
+        self._given = np.zeros(robot_count, np.int64)
+        """(robots,) how many frames each gave to `update`."""
         radio = config.slam.k_visibility
         self._radio = RadioStructure(radio, config.slam.resolution_m, robot_count) if radio.enabled else None
 
@@ -261,9 +263,14 @@ class CooperativeSlam(CopiedWhole):
         self._locate()
 
     def update(self, frames: Sequence[SensorFrame], contacts: Contacts | None = None) -> None:
-        """`track` and `absorb` at once."""
+        """`track` and `absorb` at once.
+
+        A step of the team is over once a robot gives its next frame: each may number its own in its own way.
+        """
         self.track(frames)
-        self.absorb(frames[0].step, contacts)
+        robots = self._everyone if isinstance(frames, TeamFrames) else [frame.robot for frame in frames]
+        self._given[robots] += 1
+        self.absorb(max(self._last_step, int(self._given.max()) - 1), contacts)
 
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) estimate of a robot in its group's map frame, as of the last `absorb`."""
