@@ -32,15 +32,17 @@ def true_path(laps: int = 3) -> np.ndarray:
 
 
 def made_log(
-    curl: float = 0.006, seed: int = 0, first_mac: int = 1, noise_db: float = 2.0, laps: int = 3
-) -> tuple[RadioLog, np.ndarray]:
+    curl: float = 0.006, seed: int = 0, first_mac: int = 1, noise_db: float = 2.0, laps: int = 3,
+    slope_db: float = 30.0, floor_dbm: float = -85.0, power_std_db: float = 0.0,
+) -> tuple[RadioLog, np.ndarray]:  # fmt: skip
     random = np.random.default_rng(seed)
     truth = true_path(laps)
     places = random.uniform((-15, -15), (55, 40), (TRANSMITTERS, 2))
     away = np.linalg.norm(truth[:, None, :2] - places[None], axis=2)
-    level = -35 - 30 * np.log10(np.maximum(away, 1.0)) + noise_db * random.normal(size=away.shape)
+    level = -35 - slope_db * np.log10(np.maximum(away, 1.0)) + noise_db * random.normal(size=away.shape)
+    level += power_std_db * np.random.default_rng([seed, 1]).normal(size=TRANSMITTERS)
     macs = first_mac + np.arange(TRANSMITTERS)
-    prints = [Fingerprint(macs[row > -85], np.round(row[row > -85])) for row in level]
+    prints = [Fingerprint(macs[row > floor_dbm], np.round(row[row > floor_dbm])) for row in level]
     motion = between(truth[:-1], truth[1:])
     motion[:, 0] *= 1.02
     motion[:, 2] += curl + 0.003 * random.normal(size=len(motion))
@@ -104,6 +106,15 @@ def test_fingerprints_that_tell_nothing_leave_the_odometry_alone():
         log, fingerprints=[Fingerprint(np.zeros(0, np.int64), np.zeros(0))] * len(log.fingerprints)
     )
     assert solve(empty, RadioSlamConfig()).fell_back
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_better_path_is_kept_where_most_places_have_nothing_in_common(seed):
+    """Of places that hear nothing in common none is less alike than another, however far they are."""
+    log, truth = made_log(0.002, seed, noise_db=4.0, laps=2, slope_db=50.0, floor_dbm=-75.0, power_std_db=15.0)
+    result = solve(log, RadioSlamConfig())
+    assert absolute_trajectory_error_m(log.odometry, truth) > 2.5
+    assert absolute_trajectory_error_m(result.poses, truth) < 0.6
 
 
 def test_wifi_and_lte_are_heard_apart_and_together():
@@ -172,6 +183,13 @@ def test_closures_that_stand_alone_are_not_believed():
     travel = np.arange(0.0, 200.0, 2.0)
     i, j = np.array([10, 11, 12, 40]), np.array([80, 81, 82, 70])
     assert radio_closures.with_support(i, j, travel).tolist() == [True, True, True, False]
+
+
+def test_support_needs_no_more_memory_on_a_longer_way():
+    travel = 1e8 + np.arange(0.0, 200.0, 2.0)
+    i, j = np.array([10, 11, 12, 40]), np.array([80, 81, 82, 70])
+    assert radio_closures.with_support(i, j, travel).tolist() == [True, True, True, False]
+    assert radio_closures.with_support(i[:0], j[:0], travel).tolist() == []
 
 
 def test_of_each_pair_of_stretches_the_strongest_closure_stays():

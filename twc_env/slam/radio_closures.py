@@ -17,7 +17,7 @@ SUPPORT_MIN = 2
 
 
 def alike_pairs(similarity: Array, travel_m: Array, similarity_min: float, apart_m: float) -> tuple[Array, Array]:
-    """Pairs i < j at least this alike and far apart along the path (papers.md R7: the path, not the displacement)."""
+    """Pairs i < j more alike than this and far apart along the path (papers.md R7: the path, not the displacement)."""
     i, j = np.nonzero(similarity > similarity_min)
     kept = travel_m[j] - travel_m[i] > apart_m
     return i[kept], j[kept]
@@ -37,11 +37,13 @@ def strongest_per_place(i: Array, j: Array, similarity: Array, count: int) -> Ar
 def with_support(i: Array, j: Array, travel_m: Array) -> Array:
     """(k,) bool: closures with others near at both ends. A distance alone says too little to be judged by pairs."""
     rows, columns = (travel_m[i] // SUPPORT_REACH_M).astype(np.int64), (travel_m[j] // SUPPORT_REACH_M).astype(np.int64)
-    if not len(i):
-        return np.zeros(0, bool)
-    counts = np.zeros((rows.max() + 3, columns.max() + 3), np.int32)
-    np.add.at(counts, (rows + 1, columns + 1), 1)
-    around = sum(counts[rows + 1 + a, columns + 1 + b] for a in (-1, 0, 1) for b in (-1, 0, 1))
+    width = columns.max(initial=0) + 3
+    key = (rows + 1) * width + columns + 1
+    known, count = np.unique(key, return_counts=True)
+    around = np.zeros(len(key), np.int64)
+    for step in [a * width + b for a in (-1, 0, 1) for b in (-1, 0, 1)]:
+        at = np.minimum(np.searchsorted(known, key + step), len(known) - 1)
+        around += np.where(known[at] == key + step, count[at], 0)
     return around - 1 >= SUPPORT_MIN
 
 

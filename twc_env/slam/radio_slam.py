@@ -8,7 +8,7 @@ heard is likeliest (`radio_refinement`).
 How noisy the odometry is nobody says, so the way is gone under several assumptions, and the result stays that explains
 best what was heard without straining the odometry (`radio_evidence`). Where several kinds of radio were heard the way
 is also gone by each alone, as a blurred one bends what a sharp one tells; then all that was heard chooses among the
-refined paths. Where likeness falls with distance no better than it does along the odometry, the odometry is given back.
+refined paths. Where that explains what was heard no better than the odometry does, the odometry is given back.
 """
 
 from __future__ import annotations
@@ -46,8 +46,10 @@ STRAIN_MAX, EVIDENCE_LOSS_MAX, EXPLAINED_MIN, CURLS_RAD_M = 0.15, 20.0, 0.6, (-0
 """Where every result either strains the odometry more than this per place or has so much less evidence than another, or
 where places explain less than this share of what was heard, the path went astray from the beginning: then it is also
 begun with these curls."""
-ORDER_MIN = 0.1
-"""Fingerprints that fit the distances of places with a lower rank correlation tell nothing."""
+ORDER_MIN, EVIDENCE_GAIN_MIN = 0.1, 0.5
+"""Fingerprints that fit the distances of places with a lower rank correlation tell nothing. A path with so much more
+evidence than the odometry (with the weight of the last fit 20 to 1) is believed; with less, only one whose distances
+order likenesses better: far places, most of all pairs, are unlike in any order."""
 JUDGES_MAX = 50_000
 """Pairs of places that judge the result."""
 POSITION_STD_MIN_M, HEADING_STD_MIN_RAD = 0.02, 0.005
@@ -169,9 +171,9 @@ class _Solver:
                 if len(alone) >= radio_field.NEIGHBOURS_MIN:
                     paths.append(self._path([cue], alone))
         best = min(paths, key=lambda path: path.misfit).poses
-        if self._order(best) <= max(self._order(self._odometry), ORDER_MIN):
-            return self._result(self._odometry, closures, fell_back=True)
-        return self._result(best, closures, fell_back=False)
+        if self._betters_odometry(best):
+            return self._result(best, closures, fell_back=False)
+        return self._result(self._odometry, closures, fell_back=True)
 
     def _path(self, cues: Sequence[RadioCue], closures: Distances) -> Refined:
         """The path by some of the cues, at last moved to where all that was heard is likeliest."""
@@ -205,6 +207,16 @@ class _Solver:
             strain = 0.5 * float(squared.sum()) / STRAIN_NOISE**2
             tries.append(_Try(poses, strain, sum(cue.evidence.of(poses[:, :2]) for cue in cues)))
         return tries
+
+    def _betters_odometry(self, poses: Array) -> bool:
+        """Whether places lie better by a path than by the odometry, as far as what was heard can tell."""
+        order = self._order(poses)
+        if order <= ORDER_MIN:
+            return False
+        evidence, by_odometry = (
+            sum(cue.evidence_along.of(path[:, :2]) for cue in self._cues) for path in (poses, self._odometry)
+        )
+        return evidence - by_odometry > EVIDENCE_GAIN_MIN or order > self._order(self._odometry)
 
     def _order(self, poses: Array) -> float:
         """How well distances order the similarities of places that the path does not tie: mean rank correlation."""
