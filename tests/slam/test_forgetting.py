@@ -154,7 +154,7 @@ def test_signs_are_known_from_the_keyframes_that_are_left(keyframe):
     unseen = next(k for k in range(9) if k not in seen)
     memory.forget(lambda one: one.index == unseen)
     assert [[view.index for view, _ in place.views] for place in memory.signs[0]] == [[unseen]]
-    assert memory.place_of(read[unseen], sign) is memory.signs[0][0] and memory.place_of(read[0], sign) is None
+    assert memory.place_of((read[unseen], sign)) is memory.signs[0][0] and memory.place_of((read[0], sign)) is None
 
 
 def test_a_map_that_forgets_is_reported_as_any():

@@ -30,7 +30,7 @@ def seen(keyframe):
 
 
 def weigh(memory, target, source):
-    return memory.weigh(target, target.signs[0], source, source.signs[0])
+    return memory.weigh((target, target.signs[0]), (source, source.signs[0]))
 
 
 def remember(*keyframes):
@@ -97,7 +97,7 @@ def test_readings_of_one_pass_outvote_a_fragment(seen):
     memory = remember(*readings)
     (place,) = memory.signs[0]
     assert (place.consensus, place.support) == ("A301OPTICSLAB", 2)
-    assert memory.place_of(readings[0], readings[0].signs[0]) is place
+    assert memory.place_of((readings[0], readings[0].signs[0])) is place
 
 
 def test_signs_that_face_away_from_each_other_are_two(seen):

@@ -228,7 +228,7 @@ class _Verified:
         if kind == "none":
             guess, recogniser, sign_m = np.zeros(3), "wifi", None
         else:
-            remembered = self._fused.memory.guess(target, a, source, b) if kind == "memory" else meet_at_sign(a, b)
+            remembered = self._fused.memory.guess((target, a), (source, b)) if kind == "memory" else meet_at_sign(a, b)
             if remembered is None or not np.isfinite(remembered).all():
                 return False
             guess, recogniser, sign_m = remembered, "twc", a.position_m

@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 
 from twc_env.config import PlaceRecognitionConfig
-from twc_env.messages import Keyframe, LoopCandidate, SignObservation
+from twc_env.messages import Keyframe, LoopCandidate
 from twc_env.slam.place_evidence import PlaceMemory
+from twc_env.slam.sign_place import Sighting
 
 
 class FusedRecogniser:
@@ -30,8 +31,7 @@ class FusedRecogniser:
                     views = [view for view in known.views if self._is_apart(view[0], keyframe)]
                     if not views:
                         continue
-                    target, target_sign = self.memory.best_view(views, keyframe)
-                    candidate = self._weigh(target, target_sign, keyframe, sign)
+                    candidate = self._weigh(self.memory.best_view(views, keyframe), (keyframe, sign))
                     held = best.get(candidate.target) if candidate is not None else None
                     if candidate is not None and (held is None or candidate.log_odds > held.log_odds):
                         best[candidate.target] = candidate
@@ -43,21 +43,17 @@ class FusedRecogniser:
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """Log-odds of the pair of signs that speaks most for one place; both keyframes must have been proposed."""
-        pairs = [(a, b) for a in target.signs for b in source.signs]
-        return max((self.memory.weigh(target, a, source, b).total for a, b in pairs), default=-math.inf)
+        pairs = [((target, a), (source, b)) for a in target.signs for b in source.signs]
+        return max((self.memory.weigh(*pair).total for pair in pairs), default=-math.inf)
 
     def _is_apart(self, earlier: Keyframe, keyframe: Keyframe) -> bool:
         is_own = earlier.robot == keyframe.robot
         return not is_own or keyframe.travel_m - earlier.travel_m >= self._config.revisit_travel_m
 
-    def _weigh(
-        self, target: Keyframe, target_sign: SignObservation, source: Keyframe, source_sign: SignObservation
-    ) -> LoopCandidate | None:
-        evidence = self.memory.weigh(target, target_sign, source, source_sign)
-        if evidence.total < self._config.log_odds_min:
-            return None
-        guess = self.memory.guess(target, target_sign, source, source_sign)
+    def _weigh(self, target: Sighting, source: Sighting) -> LoopCandidate | None:
+        total = self.memory.weigh(target, source).total
+        guess = None if total < self._config.log_odds_min else self.memory.guess(target, source)
         if guess is None:
             return None
-        here, total = target_sign.position_m, evidence.total
-        return LoopCandidate(target.key, source.key, guess, self.name, sign_m=here, log_odds=total)
+        ends = target[0].key, source[0].key
+        return LoopCandidate(*ends, guess, self.name, sign_m=target[1].position_m, log_odds=total)

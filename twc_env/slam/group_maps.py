@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -42,18 +43,12 @@ def _have_moved(poses, drawn):
     return False
 
 
-@dataclass(slots=True, eq=False)
-class Side:
+class Side(NamedTuple):
     """What a part of a group has seen: a grid, the nodes (n,) drawn in it, and where they stood (n, 3)."""
 
     grid: OccupancyGrid
     nodes: Array
     poses: Array
-
-    def is_of(self, nodes: Array, poses: Array) -> bool:
-        """Whether these nodes (m,) begin with those drawn, where they stand now (m, 3)."""
-        count = len(self.nodes)
-        return np.array_equal(self.nodes, nodes[:count]) and not _have_moved(poses[:count], self.poses)
 
 
 class GroupMaps:
@@ -121,11 +116,11 @@ class GroupMaps:
     def _drawn_in(self, sides: dict[tuple[int, ...], Side], robots: tuple[int, ...], nodes: Array) -> Side:
         """What these nodes of some robots show: drawn on where they stand as they did, otherwise anew."""
         poses, side = self._graph.poses[nodes], sides.get(robots)
-        if side is None or not side.is_of(nodes, poses):
-            side = sides[robots] = Side(self._new_grid(), nodes[:0], poses[:0])
-        self._draw(side.grid, *self._graph.rows_of(nodes[len(side.nodes) :]))
-        side.poses = np.concatenate([side.poses, poses[len(side.nodes) :]])
-        side.nodes = nodes
+        count = 0 if side is None else len(side.nodes)
+        if side is None or not np.array_equal(side.nodes, nodes[:count]) or _have_moved(poses[:count], side.poses):
+            side, count = Side(self._new_grid(), nodes[:0], poses[:0]), 0
+        self._draw(side.grid, *self._graph.rows_of(nodes[count:]))
+        sides[robots] = side = Side(side.grid, nodes, np.concatenate([side.poses, poses[count:]]))
         return side
 
     def merge(self, a: int, b: int, pose_a_b: Array) -> None:

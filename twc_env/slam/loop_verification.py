@@ -35,6 +35,8 @@ MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
 fit less, too many are of other places. A match that scores less does not get there."""
 SIGN_INFORMATION, NEAR_INFORMATION = np.diag(1.0 / np.square(SIGN_STD)), np.diag(1.0 / np.square(NEAR_STD))
 NO_MATCH = Match(np.zeros(3), np.zeros(9), 0.0, False)
+Path = Sequence[Keyframe]
+"""All keyframes of a robot, in order, that are held."""
 
 
 class LoopVerifier:
@@ -51,10 +53,8 @@ class LoopVerifier:
         """Draw the next target's walls anew, even if they are those of the last."""
         self._drawn = None
 
-    def verify(
-        self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
-    ) -> LoopClosure:
-        """Match the source to the target's walls; the paths are all keyframes of the two robots.
+    def verify(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> LoopClosure:
+        """Match the source to the target's walls.
 
         Gives a closure with status "accepted" or "rejected" (and the reason); the back end may still refuse it.
         """
@@ -77,9 +77,7 @@ class LoopVerifier:
         prior = NEAR_INFORMATION if candidate.sign_m is None else SIGN_INFORMATION
         return closure_covariance(information, prior, match.pose[2])
 
-    def rests_on_walls(
-        self, closure: LoopClosure, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe], width_m: float
-    ) -> bool:
+    def rests_on_walls(self, closure: LoopClosure, target_path: Path, source_path: Path, width_m: float) -> bool:
         """Whether a closure would not be loose without all things narrower than so much: they may be robots."""
         target, source = _ends(closure.candidate, target_path, source_path)
         self._draw_target(target, target_path)
@@ -89,7 +87,7 @@ class LoopVerifier:
         return not replace(closure, covariance=self._covariance(closure.candidate, rest)).is_loose
 
     def _match(
-        self, candidate: LoopCandidate, target: Keyframe, target_path: Sequence[Keyframe], points: Array
+        self, candidate: LoopCandidate, target: Keyframe, target_path: Path, points: Array
     ) -> tuple[Match | PointMatch, float]:
         """Where the source's points (n, 2) fit the target, and the share of them that then lie on its walls."""
         if self._config.method == "point-to-point":
@@ -109,16 +107,13 @@ class LoopVerifier:
         if candidate.recogniser == MEETING:
             return match, overlap
         if overlap < self._config.overlap_min or candidate.recogniser in ANYWHERE:  # the guess may be too far off
-            searched, searched_overlap = self._walls.refine(
-                points, self._search(candidate, target, target_path, points)
-            )  # fmt: skip
+            better = self._search(candidate, target, target_path, points)
+            searched, searched_overlap = self._walls.refine(points, better)
             if searched_overlap >= overlap:
                 return searched, searched_overlap
         return match, overlap
 
-    def compared(
-        self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
-    ) -> list[tuple[int, int]]:
+    def compared(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
         """(robot, keyframe index) of every scan that `verify` would look at."""
         reach = self._config.cloud_reach_m
         target, source = _ends(candidate, target_path, source_path)
@@ -126,15 +121,13 @@ class LoopVerifier:
         near += _neighbours(source, source_path, min(reach, SPACING_M))
         return [k.key for k in near]
 
-    def _draw_target(self, target: Keyframe, path: Sequence[Keyframe]) -> None:
+    def _draw_target(self, target: Keyframe, path: Path) -> None:
         if self._drawn == target.key and path[-1].travel_m > target.travel_m + self._config.cloud_reach_m:
             return
         self._drawn = target.key
         self._walls.draw(_neighbours(target, path, self._config.cloud_reach_m))
 
-    def _search(
-        self, candidate: LoopCandidate, target: Keyframe, target_path: Sequence[Keyframe], points: Array
-    ) -> Array:
+    def _search(self, candidate: LoopCandidate, target: Keyframe, target_path: Path, points: Array) -> Array:
         """A better guess: from around the candidate's own, or from anywhere near where that says nothing."""
         rule = self._config
         if candidate.recogniser in ANYWHERE:
@@ -144,7 +137,7 @@ class LoopVerifier:
         window = rule.window_m, rule.window_rad
         return self._walls.field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)[0]
 
-    def _points(self, keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float = math.inf) -> Array:
+    def _points(self, keyframe: Keyframe, path: Path, reach_m: float = math.inf) -> Array:
         """(n, 2) what the keyframe and its neighbours within reach saw, in the keyframe's frame."""
         return self._walls.points(_neighbours(keyframe, path, min(self._config.cloud_reach_m, reach_m)))
 
@@ -152,29 +145,22 @@ class LoopVerifier:
 class SignVerifier:
     """Takes a shared sign at its word: for robots without laser, which have nothing to check it by."""
 
-    def verify(
-        self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
-    ) -> LoopClosure:
+    def verify(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> LoopClosure:
         """The candidate's own guess as a measurement."""
         return LoopClosure(candidate, candidate.guess, np.diag(np.square(SIGN_STD)), 0.0, "accepted")
 
-    def compared(
-        self, candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
-    ) -> list[tuple[int, int]]:
+    def compared(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
         """No scans."""
         return []
 
 
-def _ends(
-    candidate: LoopCandidate, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
-) -> tuple[Keyframe, Keyframe]:
+def _ends(candidate: LoopCandidate, target_path: Path, source_path: Path) -> tuple[Keyframe, Keyframe]:
     """The two keyframes of a candidate."""
-    paths = (target_path, candidate.target[1]), (source_path, candidate.source[1])
-    target, source = [path[place_on(path, index)] for path, index in paths]
-    return target, source
+    target, source = place_on(target_path, candidate.target[1]), place_on(source_path, candidate.source[1])
+    return target_path[target], source_path[source]
 
 
-def _neighbours(keyframe: Keyframe, path: Sequence[Keyframe], reach_m: float) -> list[Keyframe]:
+def _neighbours(keyframe: Keyframe, path: Path, reach_m: float) -> list[Keyframe]:
     """The keyframe first, then others of its robot within reach_m of path, about SPACING_M apart."""
     chosen, here_m, place = [keyframe], keyframe.travel_m, place_on(path, keyframe.index)
     for places in (range(place - 1, -1, -1), range(place + 1, len(path))):

@@ -20,7 +20,7 @@ from twc_env.geometry import compose, inverse
 from twc_env.messages import Keyframe, SignObservation
 from twc_env.slam.radio_statistics import RadioStatistics, radio_difference_db
 from twc_env.slam.scan_descriptor import scan_agreement
-from twc_env.slam.sign_place import SignPlace
+from twc_env.slam.sign_place import Sighting, SignPlace
 from twc_env.slam.text_likelihood import log_text_likelihood, log_unknown_text
 from twc_env.slam.text_similarity import normalise
 
@@ -105,8 +105,9 @@ class PlaceMemory:
         for places in self.signs.values():
             places[:] = [place for place in places if place.views]
 
-    def place_of(self, keyframe: Keyframe, sign: SignObservation) -> SignPlace | None:
+    def place_of(self, sighting: Sighting) -> SignPlace | None:
         """The remembered sign that this reading belongs to."""
+        keyframe, sign = sighting
         known = self._place_of.get(keyframe.key, ())
         return min(known, key=lambda entry: math.dist(entry[0], sign.position_m), default=(None, None))[1]
 
@@ -155,11 +156,9 @@ class PlaceMemory:
 
     # --- weighing ---
 
-    def weigh(
-        self, target: Keyframe, target_sign: SignObservation, source: Keyframe, source_sign: SignObservation
-    ) -> Evidence:
+    def weigh(self, seen: Sighting, again: Sighting) -> Evidence:
         """The evidence that these two readings, both remembered, are of one sign."""
-        a, b = self.place_of(target, target_sign), self.place_of(source, source_sign)
+        a, b, target, source = self.place_of(seen), self.place_of(again), seen[0], again[0]
         if a is None or b is None:
             return NO_EVIDENCE
         radio = self._radio(target, source)
@@ -167,7 +166,7 @@ class PlaceMemory:
         if text < TEXT_FLOOR:
             return Evidence(text, radio, 0.0, 0.0, 0.0, text + radio)
         geometry = neighbours = sequence = 0.0
-        guess = self.guess(target, target_sign, source, source_sign)
+        guess = self.guess(seen, again)
         if guess is not None:
             geometry = self._geometry(target, source, guess)
             if a.robot != b.robot:  # one's own map agrees with itself anywhere
@@ -176,16 +175,14 @@ class PlaceMemory:
         total = text + radio + geometry + neighbours + sequence
         return Evidence(text, radio, geometry, neighbours, sequence, total)
 
-    def guess(
-        self, target: Keyframe, target_sign: SignObservation, source: Keyframe, source_sign: SignObservation
-    ) -> Array | None:
-        """(3,) pose of the source in the target's frame if both readings are of one sign.
+    def guess(self, seen: Sighting, again: Sighting) -> Array | None:
+        """(3,) pose of the second keyframe in the first one's frame if both readings are of one sign.
 
         The walls' facings are those that most readings of the sign agree on; None where no wall is known behind it.
         """
         frames = []
-        for view, sign in ((target, target_sign), (source, source_sign)):
-            place = self.place_of(view, sign)
+        for view, sign in (seen, again):
+            place = self.place_of((view, sign))
             if place is None or math.isnan(place.facing_odom):
                 return None
             frames.append(np.array([*sign.position_m, place.facing_odom - view.pose_odom[2]]))
@@ -198,9 +195,7 @@ class PlaceMemory:
         floor = log_unknown_text(place.consensus)
         return [p for p, likely in zip(places, likelihood, strict=True) if likely > floor]
 
-    def best_view(
-        self, views: Sequence[tuple[Keyframe, SignObservation]], keyframe: Keyframe
-    ) -> tuple[Keyframe, SignObservation]:
+    def best_view(self, views: Sequence[Sighting], keyframe: Keyframe) -> Sighting:
         """The view whose radio signature fits a keyframe's best."""
         return max(views, key=lambda view: self._radio(view[0], keyframe))
 

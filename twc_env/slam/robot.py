@@ -44,9 +44,12 @@ class FrontEnds:
         """Take in at most one frame per robot; gives a keyframe of each that came to a new place."""
         if isinstance(frames, TeamFrames):
             return self.update_together(frames)
+        together: dict[tuple[int, float], list[SensorFrame]] = {}
+        for frame in frames:  # of robots whose clocks may differ, as in recordings
+            together.setdefault((frame.step, frame.time_s), []).append(frame)
         keyframes = []
-        for together in of_one_time(frames):
-            keyframes += self.update_together(TeamFrames.of(together), np.array([frame.robot for frame in together]))
+        for some in together.values():
+            keyframes += self.update_together(TeamFrames.of(some), np.array([frame.robot for frame in some]))
         return keyframes
 
     def update_together(self, frames: TeamFrames, robots: Array | None = None) -> list[Keyframe]:
@@ -72,14 +75,6 @@ class FrontEnds:
             self._taker.centres_m[k] = keyframe.pose_odom[:2]
             robot.move_on()
         return keyframe
-
-
-def of_one_time(frames: Sequence[SensorFrame]) -> list[list[SensorFrame]]:
-    """Frames of robots whose clocks may differ, as in recordings: those of one step and time together."""
-    together: dict[tuple[int, float], list[SensorFrame]] = {}
-    for frame in frames:
-        together.setdefault((frame.step, frame.time_s), []).append(frame)
-    return list(together.values())
 
 
 class RobotFrontEnd:

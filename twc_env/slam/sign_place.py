@@ -17,6 +17,8 @@ SAME_SIGN_SIMILARITY = 0.6
 """A reading of a sign that was seen before is at least this like one of those before."""
 READINGS_MAX, VIEWS_MAX = 15, 6
 """Texts and keyframes kept per sign."""
+Sighting = tuple[Keyframe, SignObservation]
+"""A keyframe, and one of the signs that it read."""
 
 
 @dataclass(slots=True, eq=False)
@@ -30,7 +32,7 @@ class SignPlace:
     facing_odom: float = math.nan
     """The facing that is nearest to all readings of it; NaN where none is known."""
     texts: list[str] = field(default_factory=list)
-    views: list[tuple[Keyframe, SignObservation]] = field(default_factory=list)
+    views: list[Sighting] = field(default_factory=list)
     """Keyframes that read it, spread over its passes, and what they saw."""
     consensus: str = ""
     support: int = 1
