@@ -1,10 +1,8 @@
 """Where a robot goes straight in a building, it mostly goes along one of two directions at right angles: its walls'.
 
-Used for a whole path at once (heuristic drift elimination, Borenstein & Ojeda 2010, does it step by step). Which
-directions these are and what share of the ways follows them is fitted to each path; where few do, little is claimed.
-
-How near ways keep to them comes from robots in real buildings. The scripted walks of the radio tables keep far nearer
-(within a degree, as their planner steps from cell to cell), and are given no credit for it.
+Heuristic drift elimination (Borenstein & Ojeda 2010) for a whole path at once: which directions these are and what part
+of the ways follows them is fitted to each path; where few do, little is claimed. How near ways keep to them comes from
+robots in real buildings; scripted walks keep far nearer, within a degree, and are given no credit for it.
 """
 
 from __future__ import annotations

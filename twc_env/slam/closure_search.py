@@ -119,20 +119,15 @@ class ClosureSearch:
 
     def forget(self, _: Array) -> None:
         """Keyframes have been forgotten: nothing is compared with them, and what they were tried with is no matter."""
-
-        held = [{keyframe.index for keyframe in path} for path in self._graph.keyframes]
-
-        def is_held(key: tuple[int, int]) -> bool:
-            return key[1] in held[key[0]]
-
+        held = {keyframe.key for path in self._graph.keyframes for keyframe in path}
         for recogniser in (self._recogniser, self._signless, self._meetings):
             if recogniser is not None:
-                recogniser.forget(lambda keyframe: is_held(keyframe.key))
+                recogniser.forget(lambda keyframe: keyframe.key in held)
         latest_m = [path[-1].travel_m if path else 0.0 for path in self._graph.keyframes]
         for tried in self._filters.values():
             tried.forget([travel_m - REPEAT_REACH_M for travel_m in latest_m])
         for queue in self._waiting.values():
-            waiting = [c for c in queue if is_held(c.target) and is_held(c.source)]
+            waiting = [c for c in queue if c.target in held and c.source in held]
             self.waiting_count += len(waiting) - len(queue)
             queue.clear()
             queue += waiting

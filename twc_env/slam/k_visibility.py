@@ -1,10 +1,9 @@
 """Structure from WiFi: a map of walls from signal strength along a path (inverse k-visibility, K1-K18), our way.
 
-The signal model gives a first count of walls per reading (`k_visibility_signal`); the path offers pieces where walls
-may stand (`wall_candidates`); sampling all pieces against all rays of all routers at once tells which are walls
-(`wall_sampler`). Power, path loss and the loss of every straight stretch of wall are estimated along with them
-(`wall_solver`). Where exactly the number of walls changes along the path, the readings settle (`change_points`). The
-result is a grid of probabilities in which what no ray and no step has touched stays unknown.
+The signal model counts walls per reading (`k_visibility_signal`); the path offers pieces where walls may stand
+(`wall_candidates`); sampling all pieces against all rays of all routers at once tells which are walls
+(`wall_sampler`), in turn with power, path loss and the loss of every straight stretch of wall (`wall_solver`). Where
+exactly the number of walls changes, the readings settle (`change_points`). What nothing has touched stays unknown.
 """
 
 from __future__ import annotations
@@ -47,12 +46,6 @@ class Structure:
     """(pieces,) that each candidate is a wall."""
     grid: WallGrid
     wall_loss_db: float
-    power_dbm: Array
-    """(routers,) at one metre."""
-    exponent: Array
-    """(routers,)."""
-    noise_db: float
-    standoff_m: float
 
 
 def map_structure(
@@ -108,10 +101,6 @@ def map_structure(
         probability=solver.probability,
         grid=grid,
         wall_loss_db=solver.mean_loss_db,
-        power_dbm=solver.power_dbm,
-        exponent=solver.exponent,
-        noise_db=float(np.sqrt(solver.variance_db2)),
-        standoff_m=solver.assumed_standoff_m,
     )
 
 

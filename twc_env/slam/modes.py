@@ -8,9 +8,7 @@ from twc_env.slam.engine import CooperativeSlam
 
 Engine = CooperativeSlam | DeadReckoning
 
-MODES: dict[str, type[CooperativeSlam] | type[DeadReckoning]] = {"cooperative": CooperativeSlam, "off": DeadReckoning}
-
 
 def make_engine(config: EnvConfig, robot_count: int) -> Engine:
     """The engine that the config asks for, at the start of an episode."""
-    return MODES[config.slam.mode](config, robot_count)
+    return DeadReckoning(config, robot_count) if config.slam.mode == "off" else CooperativeSlam(config, robot_count)

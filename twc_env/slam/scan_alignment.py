@@ -1,9 +1,9 @@
 """The last word on a finished trajectory: every scan laid on those around it, one to one, and all poses fitted at once.
 
-Closures are found with clouds of several scans and given more doubt than they deserve, as inside an episode a few false
-ones must not win. Once the poses are right to within a wall's reach nothing is left to be mistaken for something else:
-two scans of one place fix each other to a millimetre and a fraction of a milliradian, and are weighed so (Lu & Milios
-1997, with points laid on lines). What decides a long trajectory is its headings, the first one above all.
+Closures come from clouds of several scans and are doubted more than they deserve, as inside an episode a few false ones
+must not win. Once poses are right to within a wall's reach nothing is left to be mistaken: two scans of one place fix
+each other to a millimetre and a fraction of a milliradian, and are weighed so (Lu & Milios 1997, with points laid on
+lines). What decides a long trajectory is its headings, the first one above all.
 """
 
 from __future__ import annotations

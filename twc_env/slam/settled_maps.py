@@ -1,9 +1,8 @@
 """Which part of a map an optimisation may leave as it is, so that its time does not grow with the way gone.
 
-Once a building is known, what comes anew ties the latest keyframes to a map that hardly moves. So the older keyframes
-of a large map are held where they are, until the map has grown by a share of what it was when all of it was last
-optimised: this costs the same for each new keyframe, however many there are. Then keyframes that tell nothing new are
-forgotten (`forgetting`), so that maps of one building do not grow for ever.
+Once a building is known, what comes anew hardly moves its map. So older keyframes of a large map are held where they
+are until it has grown by a share of what it was when all of it was last optimised: this costs the same for each new
+keyframe. Then keyframes that tell nothing new are forgotten (`forgetting`), so that maps do not grow for ever.
 """
 
 from __future__ import annotations

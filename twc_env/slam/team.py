@@ -60,8 +60,11 @@ class TeamMapper:
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
         self._radio = RadioTies(radio, robot_count) if radio.online else None
+        forgetting = None
+        if self._radio is None and not self._on_request:  # else something looks back at all keyframes
+            forgetting = Forgetting(self._graph, (self._search, self._judge, self._maps))
         self.optimiser = MapOptimiser(
-            config.slam.pose_graph, self._graph, self._maps, self._judge, self._radio, self._forgetting()
+            config.slam.pose_graph, self._graph, self._maps, self._judge, self._radio, forgetting
         )
         """When the maps of groups are optimised, and how much of them."""
         self._no_case: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
@@ -73,12 +76,6 @@ class TeamMapper:
         self._settled = -1
         """Before this step, and while the graph has changed so often, there is nothing to do if nothing arrives."""
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], KnownSigns]] = {}
-
-    def _forgetting(self) -> Forgetting | None:
-        """What lets go of keyframes; None where something looks back at all of them."""
-        if self._radio is not None or self._on_request:
-            return None
-        return Forgetting(self._graph, (self._search, self._judge, self._maps))
 
     def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> bool:
         """Take in keyframes and wanted scans; verify, merge and optimise as far as this step's budget goes.

@@ -1,13 +1,10 @@
 """Many short walks put into one frame by radio alone: nobody knows where any of them began.
 
 Each walk knows its own shape and, by compass, about where north is. Where two walks pass each other, one scan of each
-is the other walk's best match, both ways. A first layout puts such scans at one place: with headings known this is
-linear, so it needs no guess. Then each walk moves as one piece (place and heading) until it fits the fields of signal
-strength around it, robustly. Fields alone swell a map, matches alone shrink it (the scans of a match do not lie at
-quite one place): both act together.
-
-With weighting `paper`, alike fingerprints lie as far apart as a model says instead. It is learnt within walks, from
-their own dead reckoning.
+is the other walk's best match, both ways. A first layout puts such scans at one place, which needs no guess: with
+headings known it is linear. Then each walk moves as one piece until it fits the fields of signal strength around it,
+robustly. Fields alone swell a map, matches alone shrink it (their scans do not lie at quite one place): both act
+together. With weighting `paper`, alike fingerprints lie as far apart as a model says, learnt from dead reckoning.
 """
 
 from __future__ import annotations
