@@ -13,6 +13,12 @@ from twc_env.slam.occupancy_grid import OccupancyGrid
 TRUE_A_B = np.array([12.0, -7.0, 2.2])
 
 
+def heard_at(fingerprints) -> HeardPlaces:
+    places = HeardPlaces()
+    places.add(fingerprints)
+    return places
+
+
 def closures(seed: int, count: int, noise_m: float = 0.05, pose_a_b=TRUE_A_B, spread_m: float = 8.0):
     """Targets in a, sources in b, measured poses and signs of closures that all say the same, up to noise."""
     random = np.random.default_rng(seed)
@@ -220,7 +226,7 @@ def wifi_verdict(claimed_shift, noise_db=1.0, offset_db=0.0, count=40):
     prints = radio_survey(random, path, noise_db) + radio_survey(random, true_b, noise_db, offset_db)
     positions = np.concatenate([path, path + 0.1])
     robots = np.repeat([0, 1], count)
-    return wifi_agrees(positions, robots, np.tile(travel, 2), HeardPlaces.of(prints), robots == 1)
+    return wifi_agrees(positions, robots, np.tile(travel, 2), heard_at(prints), robots == 1)
 
 
 def test_radio_agrees_where_two_robots_walked_the_same_path():
@@ -240,12 +246,12 @@ def test_radio_says_nothing_when_the_paths_never_meet():
     path = np.stack([np.linspace(-8, 8, 40), np.zeros(40)], axis=1)
     positions = np.concatenate([path, path + [0.0, 30.0]])
     robots = np.repeat([0, 1], 40)
-    heard = HeardPlaces.of(radio_survey(random, positions))
+    heard = heard_at(radio_survey(random, positions))
     assert wifi_agrees(positions, robots, np.tile(np.linspace(0, 16, 40), 2), heard, robots == 1) is None
 
 
 def test_radio_says_nothing_where_nothing_is_heard():
-    empty = HeardPlaces.of([Fingerprint(np.zeros(0, np.int64), np.zeros(0))] * 20)
+    empty = heard_at([Fingerprint(np.zeros(0, np.int64), np.zeros(0))] * 20)
     positions = np.tile(np.stack([np.arange(10.0), np.zeros(10)], axis=1), (2, 1))
     robots = np.repeat([0, 1], 10)
     assert wifi_agrees(positions, robots, np.tile(np.arange(10.0), 2), empty, robots == 1) is None
@@ -253,10 +259,10 @@ def test_radio_says_nothing_where_nothing_is_heard():
 
 def test_places_heard_bit_by_bit_or_joined_are_those_heard_at_once():
     prints = [Fingerprint(np.arange(k), -50.0 - np.arange(k)) for k in (3, 0, 2, 5)]
-    at_once, grown = HeardPlaces.of(prints), HeardPlaces()
+    at_once, grown = heard_at(prints), HeardPlaces()
     for part in (prints[:1], [], prints[1:]):
         grown.add(part)
-    joined = HeardPlaces.joined([HeardPlaces.of(prints[:2]), HeardPlaces(), HeardPlaces.of(prints[2:])])
+    joined = HeardPlaces.joined([heard_at(prints[:2]), HeardPlaces(), heard_at(prints[2:])])
     assert len(at_once) == 4 and at_once.starts.tolist() == [0, 3, 3, 5, 10]
     for other in (grown, joined):
         assert other.starts.tolist() == at_once.starts.tolist()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.messages import SensorFrame, SignReading, WifiScan
+from twc_env.slam.given_fingerprints import fault_of_readings
 
 JUMP_MAX_M = 1000.0
 """No robot moves further between two frames; who does counts in millimetres, or gives positions for motions."""
@@ -84,17 +85,8 @@ def _fault_of_time(frame: SensorFrame, last_s: float) -> str | None:
 def _fault_of_scan(scan: WifiScan) -> str | None:
     if not isinstance(scan, WifiScan):
         return f"has {type(scan).__name__} as WiFi: give WifiScan(macs, rssi_dbm)"
-    if np.shape(scan.macs) != np.shape(scan.rssi_dbm) or np.ndim(scan.macs) != 1:
-        return f"has a WiFi scan of {np.shape(scan.macs)} addresses and {np.shape(scan.rssi_dbm)} strengths"
-    if len(scan.macs) and np.asarray(scan.macs).dtype.kind not in "iu":
-        return (
-            f"has a WiFi scan whose addresses are no whole numbers, such as {scan.macs[0]!r}: "
-            "int(mac.replace(':', ''), 16) makes one of text"
-        )
-    if not (np.diff(scan.macs) > 0).all():
-        return "has a WiFi scan whose addresses do not ascend: sort them, each but once"
-    if not np.isfinite(scan.rssi_dbm).all():
-        return "has a WiFi scan with a strength that is not finite: leave out what was not heard"
+    if fault := fault_of_readings(scan.macs, scan.rssi_dbm):
+        return f"has a WiFi scan with {fault}"
     if len(scan.macs) and np.min(scan.rssi_dbm) > 0.0 and np.max(scan.rssi_dbm) > RSSI_MAX_DBM:
         return f"has a WiFi scan of strengths up to {np.max(scan.rssi_dbm):g}: give dBm, which are negative"
     ages_s = scan.age_s

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from twc_env.errors import DataError
 from twc_env.messages import Fingerprint
@@ -23,14 +24,23 @@ def given_fingerprint(fingerprint: Fingerprint, name: str = "the fingerprint") -
         macs, rssi_dbm = np.asarray(fingerprint.macs), np.asarray(fingerprint.rssi_dbm, float)
     except (TypeError, ValueError) as error:
         raise DataError(f"{name} must hold numbers: {error}") from None
-    if macs.ndim != 1 or macs.shape != rssi_dbm.shape:
-        raise DataError(f"{name} has addresses of shape {macs.shape} and strengths of {rssi_dbm.shape}: one for each")
-    if len(macs) and macs.dtype.kind not in "iu":
-        raise DataError(f"{name} has addresses of type {macs.dtype}: they are whole numbers")
-    if not (macs[1:] > macs[:-1]).all():
-        raise DataError(f"{name} has addresses that do not ascend: sort them, each but once")
-    if not np.isfinite(rssi_dbm).all():
-        raise DataError(f"{name} has a strength that is not finite: leave out what was not heard")
+    if fault := fault_of_readings(macs, rssi_dbm):
+        raise DataError(f"{name} has {fault}")
     if macs is fingerprint.macs and rssi_dbm is fingerprint.rssi_dbm:
         return fingerprint
     return Fingerprint(macs.astype(np.int64), rssi_dbm)
+
+
+def fault_of_readings(macs: ArrayLike, rssi_dbm: ArrayLike) -> str | None:
+    """What is wrong with what a receiver is said to have heard; None where nothing is."""
+    macs = np.asarray(macs)
+    if macs.ndim != 1 or macs.shape != np.shape(rssi_dbm):
+        return f"addresses of shape {macs.shape} and strengths of {np.shape(rssi_dbm)}: one for each"
+    if len(macs) and macs.dtype.kind not in "iu":
+        example = f"such as {macs[0]!r}: int(mac.replace(':', ''), 16) makes one of text"
+        return f"addresses that are no whole numbers, {example}"
+    if not (np.diff(macs) > 0).all():
+        return "addresses that do not ascend: sort them, each but once"
+    if not np.isfinite(rssi_dbm).all():
+        return "a strength that is not finite: leave out what was not heard"
+    return None

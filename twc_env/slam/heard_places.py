@@ -20,13 +20,6 @@ class HeardPlaces:
         """(places + 1,)."""
 
     @classmethod
-    def of(cls, fingerprints: Sequence[Fingerprint]) -> HeardPlaces:
-        """The places of these fingerprints."""
-        places = cls()
-        places.add(fingerprints)
-        return places
-
-    @classmethod
     def joined(cls, parts: Sequence[HeardPlaces]) -> HeardPlaces:
         """All places of the first part, then those of the second, and so on."""
         places = cls()
