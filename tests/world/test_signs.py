@@ -44,33 +44,33 @@ def test_a_sign_ahead_is_read_with_its_true_bearing_and_range():
 
 def test_a_sign_behind_a_wall_is_not_read():
     pose = towards_sign(3.0, 5.0)
-    assert camera().legible(pose) == (0,)
-    assert camera(room([[2, 4, 2, 6]])).legible(pose) == ()
+    assert camera().read(pose)[1] == (0,)
+    assert camera(room([[2, 4, 2, 6]])).read(pose)[1] == ()
 
 
 def test_a_sign_is_not_read_from_behind():
     plan = room([[5, 3, 5, 7]], signs=[(5.0, 5.0, 0.0)])
-    assert camera(plan).legible(np.array([7.0, 5.0, math.pi])) == (0,)
-    assert camera(plan).legible(np.array([3.0, 5.0, 0.0])) == ()
+    assert camera(plan).read(np.array([7.0, 5.0, math.pi]))[1] == (0,)
+    assert camera(plan).read(np.array([3.0, 5.0, 0.0]))[1] == ()
 
 
 def test_a_sign_out_of_range_is_not_read():
     device = camera(range_max_m=3.0)
-    assert device.legible(towards_sign(2.95, 5.0)) == (0,)
-    assert device.legible(towards_sign(3.1, 5.0)) == ()
+    assert device.read(towards_sign(2.95, 5.0))[1] == (0,)
+    assert device.read(towards_sign(3.1, 5.0))[1] == ()
 
 
 def test_a_sign_seen_too_obliquely_is_not_read():
     device = camera(incidence_max_rad=1.0)
     for angle, expected in ((0.95, (0,)), (-0.95, (0,)), (1.05, ()), (-1.05, ())):
         pose = towards_sign(0.02 + 2 * math.cos(angle), 5.0 + 2 * math.sin(angle))
-        assert device.legible(pose) == expected
+        assert device.read(pose)[1] == expected
 
 
 def test_a_sign_outside_the_field_of_view_is_not_read():
     device = camera(field_of_view_rad=1.0)
     for offset, expected in ((0.45, (0,)), (-0.45, (0,)), (0.55, ()), (-0.55, ()), (math.pi, ())):
-        assert device.legible(np.array([3.0, 5.0, math.pi + offset])) == expected
+        assert device.read(np.array([3.0, 5.0, math.pi + offset]))[1] == expected
 
 
 def test_several_signs_are_read_at_once_with_their_own_sources():
@@ -137,8 +137,8 @@ def test_a_reading_always_has_its_source_even_when_text_is_lost():
 
 def test_small_letters_far_away_are_not_looked_at():
     device = camera(range_max_m=8.0, focal_length_px=500.0, character_height_m=0.05, height_min_px=5.0)
-    assert device.legible(towards_sign(4.9, 5.0)) == (0,)
-    assert device.legible(towards_sign(5.1, 5.0)) == ()
+    assert device.read(towards_sign(4.9, 5.0))[1] == (0,)
+    assert device.read(towards_sign(5.1, 5.0))[1] == ()
 
 
 def rate_read(config: dict, pose, previous=None, robots=None, count=300) -> float:

@@ -42,7 +42,8 @@ class Episode:
         """Time steps so far."""
         self.is_over = False
         """Whether the last time step has been played."""
-        self._world = world
+        self.world = world
+        """The truth."""
         world.reset(seed, starts)
         self.engine: Engine = make_engine(config, count)
         if config.slam.oracle != "none":
@@ -66,9 +67,12 @@ class Episode:
         """The terms of a step in which nobody touches, sends or is judged."""
         self.frames_of_step: list[Sequence[SensorFrame]] = []
         """What was sensed in each time step of the last `step`."""
-        self._frames: Sequence[SensorFrame]
+        self.frames: Sequence[SensorFrame]
+        """What each robot sensed in the last time step; robots that have failed have none."""
         self._shown: TeamFrames
         """The same for observations: a row for each robot, in which those that have failed tell nothing."""
+        self.contacts: Contacts
+        """Who heard whom in the last time step."""
         frames = world.sense()
         if FIRST_START.is_helped:  # it is with the engine: no need to wait for it yet
             first_observations(config, frames)
@@ -78,27 +82,12 @@ class Episode:
     @property
     def floorplan(self) -> Floorplan:
         """The building, as it is."""
-        return self._world.plan
-
-    @property
-    def world(self) -> World:
-        """The truth."""
-        return self._world
+        return self.world.plan
 
     @cached_property
     def np_random(self) -> np.random.Generator:
         """What wrappers around the environment may draw from; nothing in the episode does."""
         return random_stream(self.seed, "wrappers")
-
-    @property
-    def frames(self) -> Sequence[SensorFrame]:
-        """What each robot sensed in the last time step; robots that have failed have none."""
-        return self._frames
-
-    @property
-    def contacts(self) -> Contacts:
-        """Who heard whom in the last time step."""
-        return self._contacts
 
     @property
     def bytes_sent(self) -> int:
@@ -168,28 +157,28 @@ class Episode:
         """One time step: the reward terms of each robot."""
         if not (self._failures.is_nothing or self._failures.are_all_alive(self.steps)):
             is_alive = self._failures.is_alive(self.steps)
-            self._world.anchor(np.flatnonzero(~is_alive))
+            self.world.anchor(np.flatnonzero(~is_alive))
             commands = commands * is_alive[:, None]
         self.steps += 1
         self.is_over = self.steps == self.config.max_cycles
-        self._think(self._world.tick(commands))
+        self._think(self.world.tick(commands))
         return self._judge()
 
     def _think(self, frames: TeamFrames) -> None:
         """Front ends, link, mappers and what remembers for observations take in one set of frames."""
-        world, engine, failures = self._world, self.engine, self._failures
-        self._frames, self._shown = frames, frames
-        self._contacts = self._link.constant or self._link.contacts(world.poses_home)
+        world, engine, failures = self.world, self.engine, self._failures
+        self.frames, self._shown = frames, frames
+        self.contacts = self._link.constant or self._link.contacts(world.poses_home)
         if not failures.is_nothing:
-            self._contacts = failures.contacts(self.steps, self._contacts)
+            self.contacts = failures.contacts(self.steps, self.contacts)
             is_alive = failures.is_alive(self.steps)
             if not is_alive.all():
-                self._frames = [frame for frame in frames if is_alive[frame.robot]]
+                self.frames = [frame for frame in frames if is_alive[frame.robot]]
                 self._shown = silenced(frames, is_alive)
-        self.frames_of_step.append(self._frames)
-        if self._frames is frames or self._frames:
-            engine.track(self._frames)
-        engine.absorb(self.steps, self._contacts)
+        self.frames_of_step.append(self.frames)
+        if self.frames is frames or self.frames:
+            engine.track(self.frames)
+        engine.absorb(self.steps, self.contacts)
         self._touching = world.contacts
         self.record.append(world.poses, engine.poses_odom, frames.odometry, self._touching)
         if self.is_over:
@@ -203,7 +192,7 @@ class Episode:
 
     def _judge(self) -> list[dict[str, float]]:
         config, before, sent_before, contacts = self.config, self._standing, self._bytes_judged, self._touching
-        self._bytes_judged = sum(self.engine.bytes_sent.values())
+        self._bytes_judged = self.bytes_sent
         if self.is_over or self.steps % config.reward.period_steps == 0:
             last = self.verdicts() if self.is_over else ()
             self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), last)

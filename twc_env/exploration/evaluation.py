@@ -55,27 +55,17 @@ class EpisodeResult:
     """The pose graph: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Progress:
-    """How far an episode has come, judged without leaving a mark on its record."""
+def progress(
+    engine: Engine, record: EpisodeRecord, cells: Cells, verdicts: Sequence[GroupVerdict]
+) -> tuple[Array, list[dict], dict[str, float]]:
+    """What pictures over time show, by the same definitions as those of the report; leaves no mark on the record.
 
-    verdicts: tuple[GroupVerdict, ...]
-    """Largest group first."""
-    alignment: Array
-    """(robots, 3) where the map of each robot's group lies in the building."""
-    closures: list[dict]
-    """As in `EpisodeResult`."""
-    figures: dict[str, float]
-    """coverage_correct, wall_iou, team_ate_m, merged_robots, wrong_pairs, closures_accepted, closures_rejected."""
-
-
-def progress(engine: Engine, record: EpisodeRecord, cells: Cells, verdicts: Sequence[GroupVerdict]) -> Progress:
-    """The figures that pictures over time show, by the same definitions as those of the report."""
-    paths = TeamPaths(engine, record.odom_poses)
+    Where the map of each robot's group lies in the building (robots, 3), closures as in `EpisodeResult`, and figures.
+    """
+    paths, best = TeamPaths(engine, record.odom_poses), verdicts[0]
     estimated, alignment = paths.as_seen(), paths.alignment(record.true_poses)
-    closures = _closures(engine, verdicts[0], record, alignment)
+    closures = _closures(engine, best, record, alignment)
     status = [row["status"] for row in closures]
-    best = verdicts[0]
     score = _score(best.grid, best.pose_building_map, cells)
     figures = {
         "coverage_correct": score.coverage_correct,
@@ -86,7 +76,7 @@ def progress(engine: Engine, record: EpisodeRecord, cells: Cells, verdicts: Sequ
         "closures_accepted": status.count("accepted"),
         "closures_rejected": status.count("rejected"),
     }
-    return Progress(tuple(verdicts), alignment, closures, figures)
+    return alignment, closures, figures
 
 
 def evaluate(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,6 @@ from twc_env.exploration import evaluation
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.exploration.verdicts import GroupVerdict
 from twc_env.geometry import compose
-from twc_env.messages import GridMap
 from twc_env.world.signal_map import signal_map_dbm
 
 FORMAT = "twc_env/trace-1"
@@ -35,30 +33,6 @@ UNKNOWN, FREE, WALL = 0, 1, 2
 CLOSURE_KEYS = ("kind", "status", "reason", "correct", "target_m", "source_m")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Layer:
-    """One group's map at one moment: 0 unknown, 1 free, 2 wall."""
-
-    robots: tuple[int, ...]
-    kind: Array
-    """(rows, columns) uint8; row 0 is the lowest y of the map frame."""
-    origin_m: tuple[float, float]
-    resolution_m: float
-    pose_building_map: tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Moment:
-    """The team's maps, closures and figures after one step."""
-
-    step: int
-    layers: tuple[Layer, ...]
-    """Largest group first."""
-    closures: tuple[dict[str, Any], ...]
-    """kind, status, reason, target_m, source_m; points in the building frame."""
-    figures: dict[str, float]
-
-
 class EpisodeTrace:
     """Watches one episode: make it after `reset`, call `note` after every step, then `write`."""
 
@@ -68,7 +42,8 @@ class EpisodeTrace:
         self._estimated: list[Array] = []
         """Per step (robots, 3), in the building frame as it was best laid at that time."""
         self._rewards: list[float] = []
-        self._moments: list[Moment] = []
+        self._moments: list[tuple[dict[str, Any], list[bytes]]] = []
+        """Step, figures, closures (in the building frame) and layers, largest group first; their packed cells."""
         self._alignment = np.zeros((env.config.robots, 3))
         self.note()
 
@@ -76,18 +51,18 @@ class EpisodeTrace:
         """Take down one step; `rewards` as `step` gave them."""
         step = self._env.record.count - 1
         self._rewards.append(sum(rewards.values()) if rewards else 0.0)
-        if not self._moments or step - self._moments[-1].step >= self._period:
+        if not self._moments or step - self._moments[-1][0]["step"] >= self._period:
             self._add_moment(step)
-        now = self._laid_on_building()
+        live = np.array([self._env.engine.pose_map_robot(robot) for robot in range(len(self._alignment))])
+        now = compose(self._alignment, live)
         self._estimated += [now] * (step + 1 - len(self._estimated))  # a step may have lasted several time steps
 
     def write(self, path: str | Path) -> None:
         """Write the trace, up to the last step noted. Raises DataError when the file cannot be written."""
         env, last = self._env, len(self._estimated) - 1
-        if self._moments[-1].step != last:
+        if self._moments[-1][0]["step"] != last:
             self._add_moment(last)
-        kinds = [layer.kind for moment in self._moments for layer in moment.layers]
-        packed = [zlib.compress(kind.tobytes(), 6) for kind in kinds]
+        packed = [cells for _, layers in self._moments for cells in layers]
         plan = env.floorplan
         signal_dbm, signal_origin_m, signal_cell_m = signal_map_dbm(plan, env.config.radio)
         try:
@@ -104,30 +79,36 @@ class EpisodeTrace:
                 estimated_poses=np.array(self._estimated),
                 maps=np.frombuffer(b"".join(packed), np.uint8),
                 map_ends=np.cumsum([len(p) for p in packed]),
-                moments=np.array(json.dumps([_described(moment) for moment in self._moments])),
+                moments=np.array(json.dumps([moment for moment, _ in self._moments])),
                 sign_texts=np.array(json.dumps([s.text for s in plan.signs])),
             )
         except OSError as error:
             raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
 
     def _add_moment(self, step: int) -> None:
-        env = self._env
-        seen = evaluation.progress(env.engine, env.record, env.floorplan.cells(), env.episode.verdicts())
-        self._alignment = seen.alignment
-        layers = tuple(_layer(v.grid, v) for v in seen.verdicts)
-        closures = tuple({key: row[key] for key in CLOSURE_KEYS} for row in seen.closures)
-        figures = {**seen.figures, "bytes_sent": env.bytes_sent, "reward_sum": sum(self._rewards)}
-        self._moments.append(Moment(step, layers, closures, figures))
+        env, verdicts = self._env, self._env.episode.verdicts()
+        self._alignment, closures, figures = evaluation.progress(
+            env.engine, env.record, env.floorplan.cells(), verdicts
+        )
+        figures |= {"bytes_sent": env.bytes_sent, "reward_sum": sum(self._rewards)}
+        layers, cells = zip(*map(_layer, verdicts), strict=True)
+        moment = {
+            "step": step,
+            "figures": {key: float(value) for key, value in figures.items()},
+            "closures": [
+                {key: np.asarray(row[key]).tolist() if key.endswith("_m") else row[key] for key in CLOSURE_KEYS}
+                for row in closures
+            ],
+            "layers": layers,
+        }
+        self._moments.append((moment, list(cells)))
         if len(self._moments) > MOMENTS_MAX:
             self._moments, self._period = self._moments[::2], 2 * self._period
 
-    def _laid_on_building(self) -> Array:
-        engine = self._env.engine
-        live = np.array([engine.pose_map_robot(robot) for robot in range(len(self._alignment))])
-        return compose(self._alignment, live)
 
-
-def _layer(grid: GridMap, verdict: GroupVerdict) -> Layer:
+def _layer(verdict: GroupVerdict) -> tuple[dict[str, Any], bytes]:
+    """One group's map, and its packed cells (rows, columns) uint8: 0 unknown, 1 free, 2 wall; row 0 is the lowest y."""
+    grid = verdict.grid
     kind = np.full(grid.log_odds.shape, UNKNOWN, np.uint8)
     kind[grid.log_odds < 0] = FREE
     kind[grid.log_odds > 0] = WALL
@@ -135,28 +116,11 @@ def _layer(grid: GridMap, verdict: GroupVerdict) -> Layer:
     if not len(rows):
         rows = columns = np.zeros(1, int)
     kind = kind[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    x, y = (np.asarray(grid.origin_m) + np.array([columns[0], rows[0]]) * grid.resolution_m).tolist()
-    pose_x, pose_y, heading = verdict.pose_building_map.tolist()
-    return Layer(verdict.robots, kind, (x, y), grid.resolution_m, (pose_x, pose_y, heading))
-
-
-def _described(moment: Moment) -> dict[str, Any]:
-    """All of a moment but the cells, ready for JSON."""
-    return {
-        "step": moment.step,
-        "figures": {key: float(value) for key, value in moment.figures.items()},
-        "closures": [
-            {key: np.asarray(value).tolist() if key.endswith("_m") else value for key, value in row.items()}
-            for row in moment.closures
-        ],
-        "layers": [
-            {
-                "robots": layer.robots,
-                "shape": layer.kind.shape,
-                "origin_m": layer.origin_m,
-                "resolution_m": layer.resolution_m,
-                "pose_building_map": layer.pose_building_map,
-            }
-            for layer in moment.layers
-        ],
+    layer = {
+        "robots": verdict.robots,
+        "shape": kind.shape,
+        "origin_m": (np.asarray(grid.origin_m) + np.array([columns[0], rows[0]]) * grid.resolution_m).tolist(),
+        "resolution_m": grid.resolution_m,
+        "pose_building_map": verdict.pose_building_map.tolist(),
     }
+    return layer, zlib.compress(kind.tobytes(), 6)

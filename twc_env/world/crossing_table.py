@@ -49,11 +49,6 @@ class CrossingTable:
         self.arrays = self._fixed + kept
         """What `crossed_at` needs beside the walls; others once `prepare` has grown them."""
 
-    @property
-    def square_count(self) -> int:
-        """Squares that are kept now."""
-        return self._square_count
-
     def crossed(self, x: float, y: float, counts: Array, losses_db: Array) -> None:
         """Fill counts (k,) int64 and losses_db (bands, k) for the place (x, y)."""
         self.prepare(x, y)

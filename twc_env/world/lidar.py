@@ -40,8 +40,8 @@ class Lidar:
         glass: tuple[int, ...] = (),
     ):
         """`glass` names the walls of the index that a beam may pass."""
-        self._config, self._radius_m = config, robot_radius_m
-        self._all_walls = self._solid = index.buckets()
+        self._config = config
+        self._solid = index.buckets()
         self._glass_m = index.walls_m[:0]
         self._sees_through = bool(glass) and config.glass_return_probability < 1.0
         if self._sees_through:
@@ -86,16 +86,6 @@ class Lidar:
     def arguments(self) -> tuple:
         """What `sweep` needs beside the walls, the poses and where the ranges go; of the last, the row of a step."""
         return *self._fixed, self.noise.numbers
-
-    def true_ranges(self, poses: Array) -> Array:
-        """True poses (n, 3) -> exact ranges (n, beams) [m], cut at the maximum range; glass counts as wall."""
-        ranges, config = np.empty((len(poses), self._config.beam_count)), self._config
-        sweep(
-            *self._all_walls, poses, self._directions, self._radius_m, config.range_max_m,
-            *_surroundings(len(poses), len(self._all_walls[0])), self._deviates, self._quantiles, 0.0,
-            np.zeros((len(poses), 0), np.uint64), ranges,
-        )  # fmt: skip
-        return ranges
 
 
 def _surroundings(robots: int, walls: int) -> tuple[Array, ...]:

@@ -21,7 +21,7 @@ from twc_env.geometry import inverse, transform_points
 from twc_env.world.crossing_table import CrossingTable
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.materials import wall_loss_db
-from twc_env.world.reception import mean_rssi_at, shadowing_at
+from twc_env.world.reception import mean_rssi
 from twc_env.world.wall_index import WallIndex
 
 LOW_BAND, HIGH_BAND, CELL_BAND = 0, 1, 2
@@ -131,20 +131,12 @@ class RadioModel:
             np.array([config.distance_min_m, _share_round_walls(config.wall_loss_limit_db)]),
             np.empty((3 + used, len(sources.position_m))),
         )  # fmt: skip
-        """What `reception.mean_rssi_at` needs beside the place and the walls around it."""
-
-    def shadowing_db(self, position_m: Array) -> Array:
-        """(access points,) the fixed deviation of each signal at a place (2,) of the building frame."""
-        return shadowing_at(float(position_m[0]), float(position_m[1]), *self.signal[:3])
-
-    def walls_crossed(self, position_m: Array) -> Array:
-        """(access points,) walls between a place (2,) and each source, exact."""
-        return self._index.crossing(position_m, self._near_ends(position_m))[0]
+        """What `reception.mean_rssi` needs beside the place and the walls around it."""
 
     def mean_rssi_dbm(self, position_m: Array) -> Array:
         """(transmitters,) strength at a place (2,) before fading, device offset and noise."""
-        x, y = float(position_m[0]), float(position_m[1])
-        mean = mean_rssi_at(x, y, self._wall_losses_db(x, y), *self.signal)
+        x, y, mean = float(position_m[0]), float(position_m[1]), np.empty(len(self.macs))
+        mean_rssi(x, y, self._wall_losses_db(x, y), *self.signal, mean)
         if self._has_cells:
             mean[self.is_cell] -= self._sector_loss_db(np.array([x, y]))
         return mean

@@ -127,33 +127,6 @@ class WifiReceivers:
         """What `hear` needs beside the robot, its place, the walls and where the readings go; of the last, a row."""
         return *self._crossings.arrays, *self._model.signal, *self._own, self._noise.numbers
 
-    def prepare(self, place: Sequence[float]) -> None:
-        """Work out the walls around a place (x, y, ...), which `hear` needs there; then `arguments` have changed."""
-        self._crossings.prepare(place[0], place[1])
-
-
-def shadowing_at(x: float, y: float, pose_home_building: Array, boxes: Array, waves: Array) -> Array:
-    """(sources,) the fixed deviation of each source's signal at a place; arguments as in `mean_rssi_at`."""
-    shadowing = np.empty(boxes.shape[1])
-    _shadowing(x, y, pose_home_building, boxes, waves, shadowing)
-    return shadowing
-
-
-def mean_rssi_at(
-    x: float, y: float, losses_db: Array, pose_home_building: Array, boxes: Array, waves: Array, radios: Array,
-    parts: Array, ways: Array, scratch: Array,
-) -> Array:  # fmt: skip
-    """(transmitters,) strength before fading, device and noise.
-
-    losses_db (bands, sources): of walls; boxes (4, sources): x, y, height and spread of the shadowing; waves
-    (3, waves, sources): x and y frequency and phase; radios (3, transmitters): power less fixed losses, path-loss
-    exponent, and further loss of a ceiling at grazing incidence; parts (2, transmitters): source and band; ways (2,):
-    smallest distance, and the share of power that comes round walls; scratch (>= 3, sources).
-    """
-    mean = np.empty(radios.shape[1])
-    _mean_rssi(x, y, losses_db, pose_home_building, boxes, waves, radios, parts, ways, scratch, mean)
-    return mean
-
 
 @borrowing_kernel
 def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
@@ -175,7 +148,14 @@ def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
 
 
 @borrowing_kernel
-def _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, ways, scratch, mean):
+def mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, ways, scratch, mean):
+    """Fill mean (transmitters,) with the strength before fading, device and noise.
+
+    losses (bands, sources) [dB]: of walls; boxes (4, sources): x, y, height and spread of the shadowing; waves
+    (3, waves, sources): x and y frequency and phase; radios (3, transmitters): power less fixed losses, path-loss
+    exponent, and further loss of a ceiling at grazing incidence; parts (2, transmitters): source and band; ways (2,):
+    smallest distance, and the share of power that comes round walls; scratch (>= 3, sources).
+    """
     shadowing, path_loss, grazing = scratch[0], scratch[1], scratch[2]
     _shadowing(x, y, pose_home_building, boxes, waves, shadowing)
     for a in range(boxes.shape[1]):
@@ -244,5 +224,5 @@ def hear(
         x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts,
         sure_losses, first_open, open_walls, crossed, losses,
     )  # fmt: skip
-    _mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, ways, scratch, rssi)
+    mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, ways, scratch, rssi)
     return _receive(rssi, fading[robot], own, draws[robot], detection[robot], all_macs, heard, macs, readings)

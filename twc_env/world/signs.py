@@ -49,20 +49,20 @@ class SignCamera:
         self._noise = NormalPool(bearing_stream(seed, robot))
         self._reader = make_reader(config, texts, robot, seed)
 
-    def legible(self, pose: Array) -> tuple[int, ...]:
-        """The signs whose middle is in view from a true pose (3,): near enough, not too oblique, behind no wall."""
-        return tuple(self._sights[: self._look(pose, pose, _NOBODY), 0].astype(int).tolist())
-
     def read(
         self, pose: Array, previous: Array | None = None, robots: Array | None = None
     ) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
         """What OCR gives at a true pose (3,), and which signs (plan numbers) those readings truly are.
 
-        One time step before, the camera was at `previous`; without it, it stands still. `robots` (k, 3), itself among
-        them or not, may hide part of a text.
+        In view is a sign whose middle is near enough, not too oblique and behind no wall. One time step before, the
+        camera was at `previous`; without it, it stands still. `robots` (k, 3), itself among them or not, may hide part
+        of a text.
         """
         hiding = robots if self._config.robots_hide and robots is not None else _NOBODY
-        count = self._look(pose, pose if previous is None else previous, hiding)
+        count = look(
+            *self._walls, self._signs, self._lengths, self._constants, pose, pose if previous is None else previous,
+            hiding, self._sights, self._hidden,
+        )  # fmt: skip
         return self.read_sights(self._sights[:count], self._hidden) if count else ((), ())
 
     def read_sights(self, sights: Array, hidden: Array) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
@@ -88,13 +88,6 @@ class SignCamera:
     def make_room(self, robots: int) -> tuple[Array, Array]:
         """Where `look` writes the sights of each robot and what of them is hidden."""
         return np.empty((robots, *self._sights.shape)), np.zeros((robots, *self._hidden.shape), np.bool_)
-
-    def _look(self, pose: Array, previous: Array, robots: Array) -> int:
-        """Fill the sights of the signs in view -> how many."""
-        return look(
-            *self._walls, self._signs, self._lengths, self._constants, pose, previous, robots, self._sights,
-            self._hidden,
-        )  # fmt: skip
 
 
 def bearing_stream(seed: int, robot: int) -> np.random.Generator:
