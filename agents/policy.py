@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Protocol
@@ -17,7 +16,7 @@ from agents.random_walk import RandomWalk
 from agents.wall_follower import WallFollower
 from twc_env.class_file import class_in, is_in_file
 from twc_env.config import EnvConfig
-from twc_env.errors import ConfigError
+from twc_env.errors import ConfigError, did_you_mean
 from twc_env.messages import Belief
 
 
@@ -61,10 +60,8 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     Raises ConfigError for an unknown name, and where robots do not take velocities.
     """
     if name not in _POLICIES and not is_in_file(str(name)):
-        near = difflib.get_close_matches(str(name), _POLICIES, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
         known = f"choose one of {', '.join(policy_names())}, or FILE.py:CLASS"
-        raise ConfigError(f"unknown agent {name!r}; {known}{hint}")
+        raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, _POLICIES)}")
     config = config or EnvConfig()
     if config.action.kind != "velocity":
         raise ConfigError(f"scripted teams steer by velocity; got action.kind = {config.action.kind!r}: leave it out")

@@ -97,18 +97,9 @@ def _stretch(env: ExplorationEnv, steps: int, took_s: Sequence[float]) -> Stretc
 def long_table(stretches: Sequence[Stretch]) -> str:
     """A line for each stretch."""
     heads = (
-        "steps",
-        "path m",
-        "keyframes",
-        "held",
-        "closures",
-        "memory MB",
-        "record MB",
-        "mean ms",
-        "median ms",
-        "p99 ms",
+        "steps", "path m", "keyframes", "held", "closures", "memory MB", "record MB", "mean ms", "median ms", "p99 ms",
         "worst ms",
-    )
+    )  # fmt: skip
     lines = ["".join(f"{head:>11}" for head in heads)]
     for row in stretches:
         values = asdict(row).values()

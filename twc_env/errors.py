@@ -1,5 +1,14 @@
 """The errors twc_env raises: every message names the value, what was expected and what to do."""
 
+import difflib
+from collections.abc import Iterable
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """What ends a message about an unknown name: the nearest of those known, "" where none is near."""
+    near = difflib.get_close_matches(str(name), list(known), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
 
 class TwcError(ValueError):
     """Base of all errors that twc_env raises on bad input; always one line, whatever value it names."""

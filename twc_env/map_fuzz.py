@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -30,17 +31,11 @@ _ODD_VALUES: tuple = (
     -float("inf"), [], {}, [[]], [[[]]], {"a": {"a": {}}}, "\x00", "é" * 50, 2**63, 1e9, 1e6, 1e5,
 )  # fmt: skip
 _ODD_TEXTS = (
-    "NaN",
-    "Infinity",
-    "-Infinity",
-    "1e400",
-    "9" * 5000,
-    "null",
-    "[" * 3000,
-    '{"a":' * 3000,
-    "\\ud800",
-    "\x00",
-)
+    "NaN", "Infinity", "-Infinity", "1e400", "9" * 5000, "null", "[" * 3000, '{"a":' * 3000, "\\ud800", "\x00",
+)  # fmt: skip
+_ODD_LINES = (
+    "nan", "-1", "0", "1e308", "1e-300", "[]", "[1e300, 0, 0]", "..", "/", "x" * 300, "\x00", "1" * 400, "0.3", "8",
+)  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -119,13 +114,7 @@ def _samples(folder: Path) -> list[Path]:
         "native.json", "house.json", "floor.geojson", "level.geojson", "native.json", "ros.yaml", "picture.pgm",
         "native.json.gz", "picture.pgm.gz", "house.json.gz",
     )  # fmt: skip
-    return [folder / name for name in (*names, *(("picture.png",) if _has_pillow() else ()))]
-
-
-def _has_pillow() -> bool:
-    import importlib.util
-
-    return importlib.util.find_spec("PIL") is not None
+    return [folder / name for name in (*names, *(("picture.png",) if find_spec("PIL") else ()))]
 
 
 def _mutated(path: Path, random: np.random.Generator) -> tuple[bytes, str]:
@@ -201,23 +190,7 @@ def _odd_line(raw: bytes, random: np.random.Generator) -> bytes:
     lines = raw.decode().splitlines()
     at = int(random.integers(len(lines)))
     key = lines[at].split(":")[0]
-    odd = (
-        "nan",
-        "-1",
-        "0",
-        "1e308",
-        "1e-300",
-        "[]",
-        "[1e300, 0, 0]",
-        "..",
-        "/",
-        "x" * 300,
-        "\x00",
-        "1" * 400,
-        "0.3",
-        "8",
-    )
-    lines[at] = f"{key}: {odd[int(random.integers(len(odd)))]}"
+    lines[at] = f"{key}: {_ODD_LINES[int(random.integers(len(_ODD_LINES)))]}"
     return "\n".join(lines).encode()
 
 

@@ -81,18 +81,9 @@ def _draw_signs(axes, plan: Floorplan) -> None:
             x, y = places[mask].T
             u, v = np.cos(facing[mask]), np.sin(facing[mask])
             axes.quiver(
-                x,
-                y,
-                u,
-                v,
-                color=colour,
-                angles="xy",
-                scale_units="dots",
-                units="dots",
-                scale=0.1,
-                width=1.5,
+                x, y, u, v, color=colour, angles="xy", scale_units="dots", units="dots", scale=0.1, width=1.5,
                 headwidth=4,
-            )
+            )  # fmt: skip
             axes.plot([], [], ">", color=colour, markersize=5, label=f"{label} ({mask.sum()})")
     if len(plan.signs) <= LABELS_MAX:
         for sign, place, angle in zip(plan.signs, places, facing, strict=True):

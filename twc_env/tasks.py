@@ -5,7 +5,6 @@ A test pins the configuration digest of every id; a change of results needs a ne
 
 from __future__ import annotations
 
-import difflib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -41,10 +40,8 @@ TASKS: dict[str, dict[str, Any]] = {
 def task_config(task: str) -> EnvConfig:
     """The whole configuration of a standard task. Raises ConfigError for an unknown id."""
     from twc_env.config import EnvConfig, override
-    from twc_env.errors import ConfigError
+    from twc_env.errors import ConfigError, did_you_mean
 
     if task not in TASKS:
-        near = difflib.get_close_matches(str(task), TASKS, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ConfigError(f"unknown task {task!r}; known are {', '.join(TASKS)}{hint}")
+        raise ConfigError(f"unknown task {task!r}; known are {', '.join(TASKS)}{did_you_mean(task, TASKS)}")
     return override(EnvConfig(), TASKS[task])

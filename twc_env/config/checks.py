@@ -14,7 +14,7 @@ from dataclasses import field
 import numpy as np
 
 from twc_env.class_file import is_in_file
-from twc_env.errors import ArgumentError, ConfigError
+from twc_env.errors import ArgumentError, ConfigError, did_you_mean
 
 
 def number(default, minimum: float = -math.inf, maximum: float = math.inf):
@@ -73,8 +73,7 @@ class Checked:
             if (choices := f.metadata.get("choices")) and value not in choices:
                 if f.metadata["or_class"] and is_in_file(str(value)):
                     continue
-                near = difflib.get_close_matches(str(value), choices, n=1)
-                hint = f"; did you mean {near[0]!r}?" if near else ""
+                hint = did_you_mean(value, choices)
                 raise ConfigError(f"{self._name(f)} must be one of {choices_of(f)}; got {value!r}{hint}")
             if "minimum" in f.metadata:
                 low, high = f.metadata["minimum"], f.metadata["maximum"]

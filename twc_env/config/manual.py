@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-import difflib
 import inspect
 import json
 import math
@@ -14,7 +13,7 @@ from typing import Any
 
 from twc_env.config.checks import choices_of
 from twc_env.config.environment import EnvConfig
-from twc_env.errors import ConfigError
+from twc_env.errors import ConfigError, did_you_mean
 
 _WIDTH = 118
 
@@ -29,9 +28,8 @@ def as_toml(config: EnvConfig, sections: Sequence[str] = ()) -> str:
     for name in sections:
         if name not in [part[0] for part in parts]:
             names = [part[0] for part in parts if part[0]]
-            near = difflib.get_close_matches(name, names, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"sections are {', '.join(names)}"
-            raise ConfigError(f"there is no section {name!r} among the settings; {hint}")
+            hint = did_you_mean(name, names) or f"; sections are {', '.join(names)}"
+            raise ConfigError(f"there is no section {name!r} among the settings{hint}")
     is_wanted = [not sections or any(f"{part[0]}.".startswith(f"{name}.") for name in sections) for part in parts]
     chosen = [_text(*part) for part, wanted in zip(parts, is_wanted, strict=True) if wanted]
     return "\n\n".join(chosen) + "\n"

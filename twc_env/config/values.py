@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import hashlib
 import json
 import tomllib
@@ -16,14 +15,14 @@ from twc_env.config.checks import plain_value
 from twc_env.config.environment import EnvConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.world import RadioConfig
-from twc_env.errors import ConfigError
+from twc_env.errors import ConfigError, did_you_mean
 
 
 def radio_preset(name: str) -> RadioConfig:
     """Settings of the radio for one kind of place; ConfigError for an unknown name."""
     if name not in RADIO_PRESETS:
         known = ", ".join(RADIO_PRESETS)
-        raise ConfigError(f"radio.preset must be one of {known}; got {name!r}{_did_you_mean(name, RADIO_PRESETS)}")
+        raise ConfigError(f"radio.preset must be one of {known}; got {name!r}{_near(name, RADIO_PRESETS)}")
     return from_dict(RADIO_PRESETS[name], RadioConfig, "radio")
 
 
@@ -59,7 +58,7 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
     for key, value in values.items():
         name = f"{where}.{key}" if where else str(key)
         if key not in types:
-            raise ConfigError(f"there is no setting {name}{_did_you_mean(key, types)}")
+            raise ConfigError(f"there is no setting {name}{_near(key, types)}")
         arguments[key] = _value(types[key], value, name)
     return cls(**arguments)
 
@@ -98,7 +97,7 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
             if not isinstance(node, dict) or part not in node:
                 known = node if isinstance(node, dict) else ()
                 name = ".".join(parts[: depth + 1])
-                raise ConfigError(f"there is no setting {name}{_did_you_mean(part, known)}")
+                raise ConfigError(f"there is no setting {name}{_near(part, known)}")
             if depth < len(parts) - 1:
                 node = node[part]
         node[parts[-1]] = _from_text(value, node[parts[-1]], dotted)
@@ -140,6 +139,5 @@ def _from_text(value, old, where: str):
         raise ConfigError(f"{where} must be {_KINDS[type(old)]}; got {value!r}") from None
 
 
-def _did_you_mean(key, known) -> str:
-    near = difflib.get_close_matches(str(key), list(known), n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}" if known else ""
+def _near(key, known) -> str:
+    return did_you_mean(key, known) or (f"; known are {', '.join(known)}" if known else "")

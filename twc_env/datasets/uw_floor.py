@@ -21,12 +21,7 @@ def read_uw_floor(path: str | Path) -> RadioSurvey:
         raise DataError(f"{path}: {error}; expected lines of time, MAC, x, y, strength") from error
     if not len(values) or not np.isfinite(values).all():
         raise DataError(f"{path} holds no readings, or one that is not finite; fetch the file again")
+    time_s, places_m, rssi_dbm = values[:, 0], values[:, 1:3], values[:, 3]
     return from_rows(
-        "uw_floor",
-        values[:, 0],
-        values[:, 1:3],
-        values[:, 0],
-        np.zeros(len(values), int),
-        [r[1] for r in rows],
-        values[:, 3],
+        "uw_floor", time_s, places_m, time_s, np.zeros(len(values), int), [row[1] for row in rows], rssi_dbm
     )

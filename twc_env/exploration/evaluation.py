@@ -162,15 +162,9 @@ def _or_none(value: float) -> float | None:
 
 def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.MapScore:
     return metrics.score_map(
-        grid.log_odds,
-        grid.origin_m,
-        grid.resolution_m,
-        pose_building_map,
-        cells.free,
-        cells.wall,
-        cells.origin_m,
+        grid.log_odds, grid.origin_m, grid.resolution_m, pose_building_map, cells.free, cells.wall, cells.origin_m,
         cells.resolution_m,
-    )
+    )  # fmt: skip
 
 
 def map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:

@@ -79,12 +79,6 @@ def features_of(candidates: Candidates, pose_map_robot: Array, count_max: int) -
     ):
         x, y, _ = between(pose_map_robot, np.array([*place, 0.0])).tolist()
         away = math.hypot(x, y)
-        row[:] = (
-            1.0,
-            math.atan2(y, x) / math.pi,
-            away / (away + 10.0),
-            length / (length + 10.0),
-            size / (size + 5.0),
-            float(nearer),
-        )
+        shares = away / (away + 10.0), length / (length + 10.0), size / (size + 5.0)
+        row[:] = 1.0, math.atan2(y, x) / math.pi, *shares, nearer
     return rows

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import MapError
+from twc_env.errors import MapError, did_you_mean
 from twc_env.world.floor_cells import Cells
 from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, mac_text
 from twc_env.world.materials import MATERIALS
@@ -61,9 +60,8 @@ def _check_walls(plan: Floorplan, where: str) -> None:
             f"{where} has {len(plan.walls_m)} walls but {len(plan.wall_materials)} materials; name one per wall or none"
         )
     for name in set(plan.wall_materials) - {"", *MATERIALS}:
-        near = difflib.get_close_matches(str(name), MATERIALS, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(MATERIALS)}"
-        raise MapError(f"{where}: a wall is of the unknown material {name!r}; {hint}")
+        hint = did_you_mean(name, MATERIALS) or f"; known are {', '.join(MATERIALS)}"
+        raise MapError(f"{where}: a wall is of the unknown material {name!r}{hint}")
     for i in np.flatnonzero((plan.wall_loss_db < 0) | (plan.wall_loss_db > 1000)):
         raise MapError(f"{where}: wall {i} has a loss of {plan.wall_loss_db[i]:g} dB; losses are 0 to 1000")
 

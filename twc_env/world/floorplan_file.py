@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import gzip
 import json
 import zlib
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import MapError
+from twc_env.errors import MapError, did_you_mean
 from twc_env.world.floorplan import FORMAT, AccessPoint, Floorplan, Room, Sign, to_values
 from twc_env.world.floorplan_check import validate
 
@@ -99,9 +98,8 @@ def _table(values: object, where: str, required: tuple[str, ...], optional: tupl
     known = (*required, *optional)
     for key in values:
         if key not in known:
-            near = difflib.get_close_matches(str(key), known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
-            raise MapError(f"{where} has the unknown key {key!r}; {hint}")
+            hint = did_you_mean(key, known) or f"; known are {', '.join(known)}"
+            raise MapError(f"{where} has the unknown key {key!r}{hint}")
     for key in required:
         if key not in values:
             raise MapError(f"{where} lacks the key {key!r}; add it")

@@ -82,13 +82,9 @@ class OcrTable:
     """The same for which letters go wrong and what they become."""
 
 
+@lru_cache(maxsize=4)
 def load_table(path: Path = SHIPPED) -> OcrTable:
     """Read a table file; DataError when it is none."""
-    return _load(path)
-
-
-@lru_cache(maxsize=4)
-def _load(path: Path) -> OcrTable:
     try:
         values = json.loads(path.read_text())
         if values["format"] != FORMAT:

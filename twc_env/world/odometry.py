@@ -55,19 +55,7 @@ PRESETS = {
     "skid-steer": OdometryPreset(0.02, 0.004, 0.05, 0.03, 0.003, 0.01, 0.0, 0.0, 0.004, 0.002),
     # Raw odometry of the Intel Research Lab log: it curls steadily to the right. `reproduce odometry` shows how near.
     "pioneer-intel": OdometryPreset(
-        0.01,
-        0.0015,
-        0.01,
-        0.06,
-        0.025,
-        0.03,
-        0.0,
-        0.0,
-        0.004,
-        0.002,
-        scale_mean=0.012,
-        heading_bias_mean_rad_per_m=-0.0645,
-        turn_scale_mean=0.02,
+        0.01, 0.0015, 0.01, 0.06, 0.025, 0.03, 0.0, 0.0, 0.004, 0.002, 0.012, -0.0645, 0.02
     ),
 }
 
@@ -88,15 +76,14 @@ class Odometry:
         biases = np.column_stack([draws * spreads, gyro * preset.gyro_bias_std_rad_s])  # (robots, 4)
         self._biases = drift * (biases + means)
         self._slips_per_m = preset.slips_per_m if drift > 0 else 0.0
-        self._white = np.array(
-            [
-                drift * preset.position_std_m,
-                drift * preset.heading_std_rad,
-                drift * preset.turn_std_rad,
-                drift * preset.slip_share,
-                drift * preset.gyro_std_rad,
-            ]
+        white = (
+            preset.position_std_m,
+            preset.heading_std_rad,
+            preset.turn_std_rad,
+            preset.slip_share,
+            preset.gyro_std_rad,
         )
+        self._white = drift * np.array(white)
         self.noise = StepNoise(streams, 3).beside(gyro_streams, 1).beside(slip_streams, 2, "random")
 
     def measure(self, poses_before: Array, poses: Array) -> tuple[Array, Array]:

@@ -41,15 +41,9 @@ class WifiReceiver:
         floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
         self.detection = np.stack([floors_dbm, model.detection_slopes_db, 1.0 - model.miss_probabilities])
         """(3, transmitters) floor [dBm] and slope [dB] of the curve of what is heard, and its height."""
-        self.constants = np.array(
-            [
-                device_offset_db,
-                config.noise_std_db,
-                config.quantisation_db,
-                config.fading_length_m,
-                config.fading_std_db,
-            ]
-        )
+        self.constants = np.array([
+            device_offset_db, config.noise_std_db, config.quantisation_db, config.fading_length_m, config.fading_std_db
+        ])  # fmt: skip
         self.is_fading_shared = config.fading_shared
         self._fading_db = np.zeros(count)
         self._fading_x, self._fading_y = np.inf, np.inf

@@ -110,18 +110,12 @@ class _Live:
         from twc_env.world.sign_picture import View
 
         texts = [self._texts[sign] for sign in signs]
-        views = [
-            View(
-                min(height_px, DRAWN_MAX_PX),
-                incidence_rad,
-                blur_px,
-                hidden_part(is_hidden[: len(text)]),
-                self._focal_length_px,
-            )
-            for text, is_hidden, (height_px, incidence_rad, blur_px) in zip(
-                texts, hidden, sights[:, 3:].tolist(), strict=False
-            )
-        ]
+        views = []
+        for text, is_hidden, (height_px, incidence_rad, blur_px) in zip(
+            texts, hidden, sights[:, 3:].tolist(), strict=False
+        ):
+            part = hidden_part(is_hidden[: len(text)])
+            views.append(View(min(height_px, DRAWN_MAX_PX), incidence_rad, blur_px, part, self._focal_length_px))
         return self._read_signs(texts, [self._plates[sign] for sign in signs], views, self._random) if views else []
 
 
