@@ -15,7 +15,7 @@ from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from agents.seeds import parse_seeds
 from twc_env import EnvConfig, load_map, map_names, task_config
-from twc_env.command_line import Paragraphs, add_set, add_version, assignments, count, exit_status, natural
+from twc_env.command_line import Parser, add_set, add_version, assignments, count, exit_status, natural
 from twc_env.config import digest, load, override
 from twc_env.json_values import TERMINAL, check_folder, check_writable, write_json
 
@@ -232,15 +232,14 @@ def _config(options: argparse.Namespace, map_name: str | None, steps: int | None
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m agents",
         description="Scripted teams that explore buildings. Each command has its own --help.",
         epilog="example:\n  python -m agents explore --map twin-01 --out runs/mine\n\n" + _AGENTS,
-        formatter_class=Paragraphs,
     )
     add_version(parser)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    one = _command(commands, "explore", "run one episode and write a run folder", _EXPLORE_HELP)
+    one = commands.add_parser("explore", help="run one episode and write a run folder", description=_EXPLORE_HELP)
     one.add_argument(
         "--map",
         help=f"{', '.join(map_names())}; generated: gen:office:800:7, test/0003; or a file (default: twin-01)",
@@ -253,8 +252,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--no-gif", action="store_true", help="do not film the episode")
     one.set_defaults(run=_explore)
-    many = _command(
-        commands, "benchmark", "run one agent on many seeds and maps, and say how many episodes pass", _BENCHMARK_HELP
+    many = commands.add_parser(
+        "benchmark",
+        help="run one agent on many seeds and maps, and say how many episodes pass",
+        description=_BENCHMARK_HELP,
     )
     many.add_argument("--maps", nargs="+", default=["twin-01", "twin-02"], help="names or files (default: both twins)")
     many.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9 (default: 0-9)")
@@ -263,7 +264,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     many.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     many.set_defaults(run=_benchmark)
-    teams = _command(commands, "compare", "which of several agents explores the same buildings sooner", _COMPARE_HELP)
+    teams = commands.add_parser(
+        "compare", help="which of several agents explores the same buildings sooner", description=_COMPARE_HELP
+    )
     teams.add_argument(
         "--agents",
         nargs="+",
@@ -279,7 +282,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     teams.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     teams.set_defaults(run=_compare)
-    walk = _command(commands, "radio-survey", "walls mapped from WiFi alone, by length of walk", _SURVEY_HELP)
+    walk = commands.add_parser(
+        "radio-survey", help="walls mapped from WiFi alone, by length of walk", description=_SURVEY_HELP
+    )
     walk.add_argument(
         "--maps",
         nargs="+",
@@ -312,10 +317,6 @@ def _parser() -> argparse.ArgumentParser:
             "--json", type=Path, metavar="FILE", help="also write the figures here; - for the terminal"
         )
     return parser
-
-
-def _command(commands: Any, name: str, summary: str, text: str) -> argparse.ArgumentParser:
-    return commands.add_parser(name, help=summary, description=text, formatter_class=Paragraphs)
 
 
 if __name__ == "__main__":

@@ -23,14 +23,14 @@ TRIES = 40_000
 RESOLUTION_M = 0.1
 
 
-def shortest_known_walk_m(plan, start_m: Array, share: float, seed: int = 0) -> float:
+def shortest_known_walk_m(plan, start_m: Array, share: float) -> float:
     """Length of the shortest walk found from start_m (2,) whose rays clear this share of the floor; inf: none does."""
     seen = grid_of(plan, RESOLUTION_M)
     radio = GridMap(np.zeros_like(seen.log_odds), seen.origin_m, RESOLUTION_M)
     transmitter_m = np.array([point.position_m for point in plan.access_points])
     graph = walk_graph(Terrain(seen, HUG * DynamicsConfig().robot_radius_m), start_m, SPACING_M)
     told = RayGain(radio, seen, transmitter_m, SPACING_M).told(graph.places_m, np.zeros((0, 2)))
-    random, turns, best_m = np.random.default_rng(seed), np.array([0]), math.inf
+    random, turns, best_m = np.random.default_rng(0), np.array([0]), math.inf
     for price_m in PRICES_M:
         turns, cells = covering_walk(graph, told, price_m, turns, random.random((TRIES, 4)))
         if cells >= share * told.shape[1]:

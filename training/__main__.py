@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from agents.seeds import parse_seeds
-from twc_env.command_line import Paragraphs, add_set, add_version, assignments, exit_status, natural
+from twc_env.command_line import Parser, add_set, add_version, assignments, exit_status, natural
 from twc_env.errors import DataError
 from twc_env.json_values import check_folder, check_writable, write_json
 
@@ -28,12 +28,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m training",
         description="Learn to explore: one policy for all robots of a team. Each command has its own --help.",
         epilog="examples:\n  python -m training ppo --steps 60000 --out runs/ppo\n"
         "  python -m training evaluate --model runs/ppo/model.zip --seeds 0-19",
-        formatter_class=Paragraphs,
     )
     add_version(parser)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -47,7 +46,6 @@ def _parser() -> argparse.ArgumentParser:
         epilog="examples:\n  python -m training ppo --steps 60000 --out runs/ppo\n"
         "  python -m training ppo --steps 120000 --out runs/ppo --resume\n"
         "  python -m training ppo --map twin-01 --robots 3 --set odometry.drift=2 --out runs/twin",
-        formatter_class=Paragraphs,
     )
     ppo.add_argument("--map", help="one bundled map or map file, instead of small generated buildings")
     ppo.add_argument(
@@ -76,7 +74,6 @@ def _parser() -> argparse.ArgumentParser:
         description="Play one episode per held-out building with the trained team, random choices, the nearest "
         "frontier and the scripted nearest-frontier team; print means with 95 % intervals.",
         epilog="example:\n  python -m training evaluate --model runs/ppo/model.zip --seeds 0-4 --films runs/ppo/films",
-        formatter_class=Paragraphs,
     )
     evaluate.add_argument(
         "--model",

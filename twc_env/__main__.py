@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from twc_env.bench_cli import add_bench_parser
-from twc_env.command_line import Paragraphs, add_version, exit_status
+from twc_env.command_line import Parser, add_version, exit_status
 from twc_env.json_values import check_writable
 from twc_env.log_cli import add_log_parsers
 from twc_env.maps_cli import add_maps_parser
@@ -29,13 +29,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m twc_env",
         description="Look at maps and settings, record and replay sensor logs, measure speed, reproduce tables.",
         epilog="examples:\n  python -m twc_env maps show twin-01\n  python -m twc_env settings > mine.toml\n"
         "  python -m twc_env reproduce merging\n\nEach command has its own --help. Teams explore by "
         "python -m agents, and learn by python -m training.",
-        formatter_class=Paragraphs,
     )
     add_version(parser)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twc_env.command_line import Paragraphs, add_set, assignments, count
+from twc_env.command_line import add_set, assignments, count
 from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
         "  python -m twc_env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
         "  python -m twc_env bench --parts\n"
         "  python -m twc_env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer",
-        formatter_class=Paragraphs,
     )
     speed.add_argument("--map", default="twin-01", help="bundled name or file (default: %(default)s)")
     speed.add_argument("--robots", type=count, default=3, help="how many (default: %(default)s)")

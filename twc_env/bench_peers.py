@@ -128,13 +128,10 @@ class OurRuns:
     def __init__(self, config: EnvConfig, plan: Floorplan):
         self._env = ExplorationEnv(config=config, floorplan=plan)
         self._scout = ExplorationEnv(config=override(config, {"slam.mode": "off"}), floorplan=plan)
-        self._play(0)
+        self.once(0)
 
     def once(self, seed: int) -> Run:
         """One whole episode."""
-        return self._play(seed)
-
-    def _play(self, seed: int) -> Run:
         actions = record_actions(self._scout, seed)
         self._env.reset(seed=seed)
         step, step_s = self._env.step, np.empty(len(actions))
@@ -175,11 +172,7 @@ class IrsimRuns:
 
     def once(self, _seed: int) -> Run:
         """Some hundred steps with a scan of every robot in each."""
-        step, action = self._env.step, self._action
-        cpu, wall = time.process_time(), time.perf_counter()
-        for _ in range(self._steps):
-            step(action)
-        return Run(self._steps, time.perf_counter() - wall, time.process_time() - cpu)
+        return _timed(self._steps, self._env.step, self._action)
 
     @property
     def scans(self) -> list[Array]:
@@ -221,11 +214,14 @@ class Mpe2Runs:
 
     def once(self, _seed: int) -> Run:
         """Some thousand steps with fixed actions."""
-        step, action = self._env.step, {agent: 1 + k for k, agent in enumerate(self._env.agents)}
-        cpu, wall = time.process_time(), time.perf_counter()
-        for _ in range(self._steps):
-            step(action)
-        return Run(self._steps, time.perf_counter() - wall, time.process_time() - cpu)
+        return _timed(self._steps, self._env.step, {agent: 1 + k for k, agent in enumerate(self._env.agents)})
+
+
+def _timed(steps: int, step: Callable[[Any], Any], action: Any) -> Run:
+    cpu, wall = time.process_time(), time.perf_counter()
+    for _ in range(steps):
+        step(action)
+    return Run(steps, time.perf_counter() - wall, time.process_time() - cpu)
 
 
 def world_plan() -> Floorplan:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from twc_env._version import __version__
 from twc_env.command_start import begin_work, end_when_interrupted, is_loading
@@ -85,6 +86,13 @@ class Paragraphs(argparse.HelpFormatter):
             lines += textwrap.wrap(" ".join(prose), width) + ([] if line is None else [line])
             prose = []
         return "\n".join(lines)
+
+
+class Parser(argparse.ArgumentParser):
+    """Of a program and all its commands: help is laid out in `Paragraphs`."""
+
+    def __init__(self, **settings: Any):
+        super().__init__(**{"formatter_class": Paragraphs, **settings})
 
 
 def add_version(parser: argparse.ArgumentParser) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twc_env.command_line import Paragraphs, add_set, alone_in, assignments, count, make_folder, natural
+from twc_env.command_line import add_set, alone_in, assignments, count, make_folder, natural
 from twc_env.errors import DataError
 from twc_env.json_values import check_folder, write_json
 
@@ -31,7 +31,6 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         description="Robots wander by reflex. Writes frames.npz (sensor frames and settings, no truth) and truth.npz "
         "(true poses); docs/frames.md describes both. `python -m agents explore` records its episodes too.",
         epilog="example:\n  python -m twc_env record --map twin-02 --steps 900 --out runs/log",
-        formatter_class=Paragraphs,
     )
     record.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
     record.add_argument("--robots", type=count, default=3, help="how many (default: %(default)s)")
@@ -55,7 +54,6 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         "  python -m twc_env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
         "  python -m twc_env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel\n"
         "  python -m twc_env replay runs/demo --html",
-        formatter_class=Paragraphs,
     )
     replay.add_argument(
         "log", type=Path, help="a run folder, a frame log (frames.npz), or a laser log (.log, .json; .gz too)"

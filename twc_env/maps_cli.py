@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from twc_env.command_line import Paragraphs, count, natural
+from twc_env.command_line import count, natural
 from twc_env.errors import MapError
 from twc_env.json_values import check_writable, write_json
 from twc_env.maps import load_map, map_names, schema
@@ -33,7 +33,6 @@ def add_maps_parser(commands) -> None:
         help="list, draw, generate, import, export and check floor plans",
         description="Floor plans: list, draw, generate, import, export and check them.",
         epilog="examples:\n  python -m twc_env maps list\n  python -m twc_env maps show gen:ward:600:2\n\n" + _NAMES,
-        formatter_class=Paragraphs,
     )
     maps.set_defaults(run=_list, maps=[])
     parts = maps.add_subparsers(metavar="COMMAND")
@@ -139,7 +138,6 @@ def _part(parts, name: str, run, help_text: str, epilog: str = "") -> argparse.A
         help=help_text,
         description=help_text[0].upper() + help_text[1:] + ".",
         epilog=f"{epilog}\n\n{_NAMES}" if epilog else _NAMES,
-        formatter_class=Paragraphs,
     )
     parser.set_defaults(run=run)
     return parser

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.command_line import Paragraphs, count, natural
+from twc_env.command_line import count, natural
 
 
 def add_ocr_parser(commands) -> None:
@@ -15,7 +15,6 @@ def add_ocr_parser(commands) -> None:
         help="measure how a real OCR misreads signs, or show the measured table",
         description="Measure how a real OCR misreads signs, or show the measured table (docs/ocr.md).",
         epilog="example:\n  python -m twc_env ocr show --out runs/ocr.png",
-        formatter_class=Paragraphs,
     )
     actions = parser.add_subparsers(required=True, metavar="ACTION")
 
@@ -24,7 +23,6 @@ def add_ocr_parser(commands) -> None:
         help="draw signs, read them with a real OCR, write the table of errors (about 10 minutes; extra `ocr`)",
         description="Interrupted, it goes on where it was. The table that the package ships came from the defaults.",
         epilog="example:\n  python -m twc_env ocr measure --signs 4 --out runs/ocr/table.json",
-        formatter_class=Paragraphs,
     )
     make.add_argument("--out", type=Path, required=True, metavar="FILE", help="table to write, json")
     make.add_argument("--seed", type=natural, default=0, help="of signs and views (default: %(default)s)")
@@ -37,7 +35,6 @@ def add_ocr_parser(commands) -> None:
         "show",
         help="picture of drawn signs and of the error rates in the table (extra `ocr`)",
         epilog="example:\n  python -m twc_env ocr show --out runs/ocr.png",
-        formatter_class=Paragraphs,
     )
     show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write, png")
     show.set_defaults(run=_show)

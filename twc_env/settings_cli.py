@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.command_line import Paragraphs, add_set, assignments
+from twc_env.command_line import add_set, assignments
 
 
 def add_settings_parser(commands: argparse._SubParsersAction) -> None:
@@ -17,7 +17,6 @@ def add_settings_parser(commands: argparse._SubParsersAction) -> None:
         "config file: save it, change it, and give it to --config or to twc_env.config.load.",
         epilog="examples:\n  python -m twc_env settings lidar slam.keyframe\n"
         "  python -m twc_env settings --task twc/ExploreHard-v0 > hard.toml",
-        formatter_class=Paragraphs,
     )
     parser.add_argument("sections", nargs="*", metavar="SECTION", help="show these alone, e.g. radio or slam.merging")
     parser.add_argument("--task", metavar="ID", help="begin with the settings of a standard task")

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from twc_env.command_line import Paragraphs, add_set, assignments, count, natural
+from twc_env.command_line import add_set, assignments, count, natural
 from twc_env.errors import TwcError
 from twc_env.json_values import write_json
 
@@ -21,7 +21,6 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
         "--actions or --observations, that is done instead.",
         epilog="examples:\n  python -m twc_env soak --steps 100000 --set observation.kind=flat\n"
         "  python -m twc_env soak --actions 100000 --observations 10000",
-        formatter_class=Paragraphs,
     )
     long.add_argument(
         "--steps", type=count, default=1_000_000, help="time steps in all, in whole episodes (default: %(default)s)"

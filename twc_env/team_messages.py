@@ -248,7 +248,7 @@ class TeamBeliefs(_Team[Belief]):
             mate_poses,
             contact_steps,
         )
-        team._records = team._given = list(beliefs)
+        team._records = list(beliefs)
         return team
 
     def __len__(self) -> int:
@@ -258,9 +258,7 @@ class TeamBeliefs(_Team[Belief]):
 class _GivenBeliefs(TeamBeliefs):
     """Beliefs that were made one by one before they were stacked."""
 
-    __slots__ = ("_given",)
-
-    _given: list[Belief]
+    __slots__ = ()
 
     def _make(self) -> list[Belief]:
-        return self._given
+        return self._records or []

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.ble_flat import ANCHORS, POSE_LAYOUT_RUN
-from twc_env.datasets.fingerprints import numbers, read_table
+from twc_env.datasets.fingerprints import read_numbers
 from twc_env.datasets.scan_log import onto_circle
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
@@ -47,12 +47,9 @@ def read_ble_drive(folder: str | Path, run: str, beam_count: int, range_max_m: f
     ends_s, angles_rad, ranges_m = _scans(folder / f"{run}_scan.txt.gz")
     times_s = ends_s - 0.5 * SCAN_S
     path, is_turning = _commanded(folder / f"{run}_motion.txt.gz", times_s)
-    table_path = folder / f"{run}_df.csv.gz"
-    header, lines = read_table(table_path, ("ts", "x", "y", *(f"rssi_{a}" for a in ANCHORS[run])))
-    table = numbers(lines, table_path)
-    tracked_s = table[:, header.index("ts")] * 1e-9
-    positions = transform_points(POSE_LAYOUT_RUN[run], table[:, [header.index("x"), header.index("y")]])
-    rssi_dbm = table[:, [header.index(f"rssi_{a}") for a in ANCHORS[run]]]
+    table = read_numbers(folder / f"{run}_df.csv.gz", ("ts", "x", "y", *(f"rssi_{a}" for a in ANCHORS[run])))
+    tracked_s, rssi_dbm = table[:, 0] * 1e-9, table[:, 3:]
+    positions = transform_points(POSE_LAYOUT_RUN[run], table[:, 1:3])
     frames: list[SensorFrame] = []
     last, tracked = 0, []
     for k in np.flatnonzero(~is_turning).tolist():
@@ -92,14 +89,10 @@ def _scans(path: Path) -> tuple[Array, list[Array], list[Array]]:
     except ValueError as error:
         raise DataError(f"{path} is no scan file: {error}; expected numbers in brackets") from error
     angles, ranges = blocks[0::2], blocks[1::2]
-    if not times or not len(times) == len(angles) == len(ranges) or any(map(_differ, angles, ranges)):
+    if not times or not len(times) == len(angles) == len(ranges) or [*map(len, angles)] != [*map(len, ranges)]:
         raise DataError(f"{path} is no scan file or is cut off; expected a time, angles and ranges for each scan")
     kept = [np.where((r > 100 * RANGE_MIN_M) & (r < 100 * RANGE_RELIABLE_M), 0.01 * r, 0.0) for r in ranges]
     return np.array(times, float), [np.deg2rad(0.001 * a) for a in angles], kept
-
-
-def _differ(a: Array, b: Array) -> bool:
-    return len(a) != len(b)
 
 
 def _commanded(path: Path, times_s: Array) -> tuple[Array, Array]:

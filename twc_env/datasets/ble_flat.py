@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.fingerprints import RadioSurvey, numbers, read_table
+from twc_env.datasets.fingerprints import RadioSurvey, read_numbers
 from twc_env.errors import DataError
 from twc_env.geometry import transform_points
 
@@ -38,33 +38,25 @@ class Flat:
 
 def read_flat(folder: str | Path) -> Flat:
     """The outline and the anchors. Raises DataError for missing or broken files."""
-    folder = Path(folder)
-    _, outline = read_table(folder / "layout.csv", ("x", "y"))
-    _, anchors = read_table(folder / "anchors.csv", ("id", "x", "y", "z"))
-    ring = numbers(outline, folder / "layout.csv")[:, :2]
-    return Flat(
-        ring[:-1] if np.array_equal(ring[0], ring[-1]) else ring, numbers(anchors, folder / "anchors.csv")[:, 1:3]
-    )
+    ring = read_numbers(Path(folder) / "layout.csv", ("x", "y"))
+    anchors = read_numbers(Path(folder) / "anchors.csv", ("id", "x", "y", "z"))
+    return Flat(ring[:-1] if np.array_equal(ring[0], ring[-1]) else ring, anchors[:, 1:3])
 
 
 def read_ble_run(folder: str | Path, run: str) -> RadioSurvey:
     """One drive: "calibration", "calib3" or "calib4", in the frame of the wall plan."""
     if run not in POSE_LAYOUT_RUN:
         raise DataError(f"the flat has no run {run!r}; known are {', '.join(POSE_LAYOUT_RUN)}")
-    path = Path(folder) / f"{run}_df.csv.gz"
-    columns = [f"rssi_{anchor}" for anchor in ANCHORS[run]]
-    header, rows = read_table(path, ("ts", "x", "y", *columns))
-    table = numbers(rows, path)
-    at = {name: i for i, name in enumerate(header)}
-    rssi = table[:, [at[c] for c in columns]]
+    columns = tuple(f"rssi_{anchor}" for anchor in ANCHORS[run])
+    table = read_numbers(Path(folder) / f"{run}_df.csv.gz", ("ts", "x", "y", *columns))
     return RadioSurvey(
         name=f"ble_lidar/{run}",
-        position_m=transform_points(POSE_LAYOUT_RUN[run], table[:, [at["x"], at["y"]]]),
+        position_m=transform_points(POSE_LAYOUT_RUN[run], table[:, 1:3]),
         floor=np.zeros(len(table), int),
-        time_s=(table[:, at["ts"]] - table[0, at["ts"]]) * 1e-9,
+        time_s=(table[:, 0] - table[0, 0]) * 1e-9,
         walk=np.zeros(len(table), int),
         addresses=tuple(f"anchor-{i + 1}" for i in range(len(columns))),
-        rssi_dbm=rssi.astype(np.float32),
+        rssi_dbm=table[:, 3:].astype(np.float32),
         transmitter_m=read_flat(folder).anchors_m,
         transmitter_floor=np.zeros(len(columns), int),
         is_high_band=np.zeros(len(columns), bool),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray as Array
 from twc_env.datasets.geojson_features import EXTENT_MAX_M, Area, metric, name_of, polygons_of, signed_area_m2, walls_of
 from twc_env.datasets.house_expo import fill_ring
 from twc_env.datasets.name_plate import hung_sign
+from twc_env.datasets.outline import sides_of
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan, Room, Sign
@@ -91,7 +92,7 @@ def _point_between(floor: list[Array], blocks: list[Area], size_m: Array, where:
 
 def _sign_on(plan: Floorplan, block: Area) -> Sign | None:
     """The block's name on its longest side that faces the floor."""
-    ends = np.stack([block.ring_m, np.roll(block.ring_m, -1, axis=0)], axis=1)
+    ends = sides_of(block.ring_m)
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     for i in np.argsort(-lengths):
         if lengths[i] < 0.3:

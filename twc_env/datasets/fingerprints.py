@@ -106,6 +106,12 @@ def numbers(rows: list[list[str]], path: Path) -> Array:
         raise DataError(f"{path}: {error}; expected a table of numbers") from error
 
 
+def read_numbers(path: Path, columns: tuple[str, ...]) -> Array:
+    """(rows, columns) the columns named of a CSV file of numbers; DataError as of `read_table` and `numbers`."""
+    header, rows = read_table(path, columns)
+    return numbers(rows, path)[:, [header.index(name) for name in columns]]
+
+
 def heard_only(rssi: Array) -> Array:
     """Readings with the marks for "not heard" (100, -105 and the like) turned into NaN."""
     return np.where((rssi < 0) & (rssi > -105), rssi, np.nan).astype(np.float32)

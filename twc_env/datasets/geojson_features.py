@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.outline import simplified_ring, without_repeats
+from twc_env.datasets.outline import sides_of, simplified_ring, without_repeats
 from twc_env.errors import MapError
 
 SIMPLIFY_M = 0.05
@@ -36,11 +36,6 @@ class Area:
 def metric(lonlat: Array, origin: Array, scale: Array) -> Array:
     """Places (..., 2) in degrees as metres from the origin (2,), with metres per degree (2,)."""
     return (lonlat - origin) * scale
-
-
-def sides_of(ring: Array) -> Array:
-    """(k, 2, 2) ends of the sides of a ring (k, 2)."""
-    return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
 
 
 def walls_of(ring: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.furnish import furnish
-from twc_env.datasets.outline import simplified_ring
+from twc_env.datasets.outline import sides_of, simplified_ring
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
 from twc_env.kernels import kernel
@@ -41,19 +41,12 @@ def house_expo_plan(values: object, where: str, seed: int = 0) -> Floorplan:
     if not isinstance(values, dict):
         raise MapError(f"{where} must be a JSON object with 'verts'; got {type(values).__name__}")
     contour = simplified_ring(_contour(values, where), SIMPLIFY_M)
-    ends = np.stack([contour, np.roll(contour, -1, axis=0)], axis=1)
-    name = str(values.get("id", Path(where).stem))
+    walls = sides_of(contour)
     inside = interior_point([contour], where)
     if inside is None:
         raise MapError(f"{where} has no free space inside its contour; verts must go around the floor")
-    plan = validate(
-        Floorplan(
-            name=name,
-            walls_m=ends,
-            wall_loss_db=np.full(len(ends), WALL_LOSS_DB / 2),
-            interior_m=inside[None],
-        )
-    )
+    name, losses_db = str(values.get("id", Path(where).stem)), np.full(len(walls), WALL_LOSS_DB / 2)
+    plan = validate(Floorplan(name=name, walls_m=walls, wall_loss_db=losses_db, interior_m=inside[None]))
     rooms = _rooms(values.get("room_category", {}), plan.cells(), where)
     return validate(furnish(dataclasses.replace(plan, rooms=rooms), seed))
 

@@ -15,13 +15,13 @@ from twc_env.datasets.geojson_features import (
     part_of,
     point_of,
     polygons_of,
-    sides_of,
     tag_of,
     walls_of,
     width_m_of,
 )
 from twc_env.datasets.house_expo import interior_point
 from twc_env.datasets.name_plate import hung_sign
+from twc_env.datasets.outline import sides_of
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan, Room

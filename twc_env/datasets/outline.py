@@ -21,6 +21,11 @@ def outer_ring(mask: Array) -> Array:
     return ring[:count].astype(float) - 1.0
 
 
+def sides_of(ring: Array) -> Array:
+    """(k, 2, 2) ends of the sides of a ring (k, 2)."""
+    return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
+
+
 def without_repeats(ring: Array) -> Array:
     """Corners of a closed ring (k, 2) that differ from those before them; one where all are the same."""
     is_repeated = np.all(ring == np.roll(ring, 1, axis=0), axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +24,9 @@ SPECK_M2 = 0.02
 """Obstacles smaller than this are taken for dirt."""
 STRIP_M = 0.2
 """Free strips no wider than this, where no robot fits, are taken for stray beams and gaps of the scan."""
+_GAP = rb"(?:\s|#[^\n]*\n)*"
+_PGM_HEADER = re.compile(_GAP + rb"(P[25])" + 3 * (rb"\s" + _GAP + rb"(\d{1,9})") + rb"(?!\S)")
+"""Kind, columns, rows and the value of white; comments may stand between them."""
 
 
 def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequence[float] = (0.0, 0.0)) -> Floorplan:
@@ -116,35 +120,17 @@ def _decode_with_pillow(raw: bytes, path: Path, behind: int) -> Array:
 
 def _decode_pgm(raw: bytes, where: str) -> Array:
     """P5 (binary) and P2 (text), 8 or 16 bit, comments allowed; values are scaled to 0..255."""
-    fields: list[bytes] = []
-    at = 0
-    while len(fields) < 4:
-        while raw[at : at + 1].isspace():
-            at += 1
-        if raw[at : at + 1] == b"#":
-            at = raw.find(b"\n", at)
-            if at < 0:
-                break
-            continue
-        end = at
-        while end < len(raw) and not raw[end : end + 1].isspace():
-            end += 1
-        if end == at:
-            break
-        fields.append(raw[at:end])
-        at = end
     incomplete = f"{where} is no complete PGM picture (P5 or P2); export it again"
-    try:
-        kind = fields[0]
-        columns, rows, white = (int(field) for field in fields[1:4])
-    except (ValueError, IndexError):
-        raise MapError(incomplete) from None
-    if kind not in (b"P5", b"P2") or min(columns, rows) < 1 or not 0 < white < 65536:
+    header = _PGM_HEADER.match(raw)
+    if header is None:
+        raise MapError(incomplete)
+    at, (columns, rows, white) = header.end(), map(int, header.group(2, 3, 4))
+    if min(columns, rows) < 1 or not 0 < white < 65536:
         raise MapError(incomplete)
     if rows * columns > CELLS_MAX:
         raise MapError(f"{where} has {columns} x {rows} pixels, more than {CELLS_MAX}; cut it or make it coarser")
     try:
-        if kind == b"P2":
+        if header[1] == b"P2":
             pixels = np.array(raw[at:].split()[: rows * columns], dtype=float)
         else:
             pixels = np.frombuffer(raw, "u1" if white < 256 else ">u2", rows * columns, at + 1).astype(float)

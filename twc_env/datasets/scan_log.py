@@ -231,7 +231,7 @@ def sensor_frames(
     return frames
 
 
-def read_relations(path: str | Path, log: ScanLog, tolerance_s: float = TIME_TOLERANCE_S) -> Relations:
+def read_relations(path: str | Path, log: ScanLog) -> Relations:
     """The relations between two different scans of the log. Raises DataError for anything but lines of 8 numbers."""
     try:
         rows = np.array([line.split() for line in read_text(path).splitlines() if line.strip()], float)
@@ -240,7 +240,7 @@ def read_relations(path: str | Path, log: ScanLog, tolerance_s: float = TIME_TOL
         raise DataError(f"{path} holds no relations: {_short(error)}; expected lines of 8 numbers") from error
     scans = np.stack([_nearest(log.times_s, times[:, end]) for end in (0, 1)])
     away_s = np.abs(log.times_s[scans] - times.T).max(axis=0)
-    found = (away_s <= tolerance_s) & (scans[0] != scans[1])
+    found = (away_s <= TIME_TOLERANCE_S) & (scans[0] != scans[1])
     if not found.any():
         raise DataError(
             f"none of the {len(rows)} relations of {path} belongs to a scan of the log; wrong pair of files"

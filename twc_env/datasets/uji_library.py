@@ -10,17 +10,19 @@ from twc_env.datasets.fingerprints import RadioSurvey, heard_only, numbers
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 
+_PART = "trn01"
 
-def read_uji_library(folder: str | Path, month: str, part: str = "trn01") -> RadioSurvey:
+
+def read_uji_library(folder: str | Path, month: str) -> RadioSurvey:
     """One collection of one month ("01", "13"). Raises DataError for files that are missing or do not match."""
     values = []
     for what in ("rss", "crd", "tms"):
-        path = Path(folder) / month / f"{part[:3]}{part[3:]}{what}.csv.gz"
+        path = Path(folder) / month / f"{_PART}{what}.csv.gz"
         values.append(numbers([line.split(",") for line in read_text(path).split()], path))
     rssi, places, times = values
     if len({len(table) for table in values}) > 1 or places.shape[1] < 3:
         raise DataError(
-            f"the tables of {folder}/{month}/{part} have {[len(v) for v in values]} rows; expected as many each"
+            f"the tables of {folder}/{month}/{_PART} have {[len(v) for v in values]} rows; expected as many each"
         )
     heard = heard_only(rssi)
     known = np.isfinite(heard).any(axis=0)

@@ -3,7 +3,7 @@
 from twc_env.planning.candidates import Candidates, find_candidates
 from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph
 from twc_env.planning.driver import Driver
-from twc_env.planning.follow import Follower, as_action, drive_to
+from twc_env.planning.follow import Follower, as_action, drive_to, room_around_m
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
 from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
 
@@ -22,5 +22,6 @@ __all__ = [
     "find_candidates",
     "is_frontier",
     "path_is_blocked",
+    "room_around_m",
     "walk_graph",
 ]

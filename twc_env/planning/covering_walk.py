@@ -25,6 +25,7 @@ REACH = 2.2
 """Places are joined up to so many spacings apart, where the line between them is open."""
 WIDER = 1.25
 """A terrain with too many places is read with so much wider spacing."""
+PLACES_MAX = 900
 HOT_M, COLD_M = 1.0, 0.02
 """Walks longer by this are accepted at first, and at last."""
 
@@ -54,7 +55,7 @@ class WalkGraph:
         return np.array(found)
 
 
-def walk_graph(terrain: Terrain, start_m: Array, spacing_m: float, places_max: int = 900) -> WalkGraph:
+def walk_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> WalkGraph:
     """Places that can be reached from start_m (2,), about `spacing_m` apart, along the rim of the open floor first."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
@@ -64,7 +65,7 @@ def walk_graph(terrain: Terrain, start_m: Array, spacing_m: float, places_max: i
     spacing = spacing_m / terrain.resolution_m
     while True:
         cells = _spread_out(is_open, spacing)
-        if len(cells) <= places_max:
+        if len(cells) <= PLACES_MAX:
             break
         spacing *= WIDER
     places = np.vstack([terrain.to_cells(start_m), cells + 0.5])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray as Array
 from twc_env.config import DynamicsConfig
 from twc_env.geometry import compose, inverse, transform_points
 from twc_env.messages import Belief
-from twc_env.planning.follow import Follower, drive_to
+from twc_env.planning.follow import Follower, drive_to, room_around_m
 from twc_env.planning.path_finder import Disc, PathFinder
 from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
 
@@ -143,10 +143,7 @@ class Driver:
         ranges = belief.ranges_m
         if ranges is None or len(ranges) == 0:
             return 0.0, 0.5 * self._dynamics.turn_rate_max_rad_s
-        half = max(1, round(0.04 * len(ranges)))
-        ring = np.minimum(np.concatenate([ranges[-half:], ranges, ranges[:half]]), 3.0)
-        room = np.lib.stride_tricks.sliding_window_view(ring, 2 * half + 1).min(axis=1)
-        bearing = 2 * math.pi * int(np.argmax(room)) / len(ranges)
+        bearing = 2 * math.pi * int(np.argmax(room_around_m(ranges))) / len(ranges)
         return drive_to(0.6 * math.cos(bearing), 0.6 * math.sin(bearing), ranges, self._dynamics)
 
 

@@ -176,10 +176,10 @@ class Follower:
         """Whether there is a path to follow."""
         return len(self.path_m) > 0
 
-    def ahead(self, pose: Array, length_m: float, step_m: float = 0.1) -> Array:
-        """(k, 2) points along the next stretch of the path, from the robot on."""
+    def ahead(self, pose: Array, length_m: float) -> Array:
+        """(k, 2) points along the next stretch of the path, from the robot on, a decimetre apart."""
         corners = np.vstack([pose[:2], self.path_m[self._index + 1 :]])
-        return points_along(corners, np.arange(0.0, min(length_m, travelled_m(corners)[-1]) + 1e-9, step_m))
+        return points_along(corners, np.arange(0.0, min(length_m, travelled_m(corners)[-1]) + 1e-9, 0.1))
 
     def command(self, pose: Array, ranges_m: Array | None, patience: bool = False) -> tuple[float, float]:
         """Speed [m/s] and turn rate [rad/s] for the next step; (0, 0) without a path."""
@@ -205,6 +205,13 @@ def drive_to(
         points, count, x_m, y_m, dynamics.speed_max_m_s, dynamics.turn_rate_max_rad_s, dynamics.time_step_s,
         dynamics.robot_radius_m, MARGIN_M, CAUTION_M, HORIZON_STEPS, patience,
     )  # fmt: skip
+
+
+def room_around_m(ranges_m: Array) -> Array:
+    """(beams,) how far the way is open toward each beam of a scan: the least of the ranges around it, 3 m at most."""
+    half = max(1, round(0.04 * len(ranges_m)))
+    ring = np.minimum(np.concatenate([ranges_m[-half:], ranges_m, ranges_m[:half]]), 3.0)
+    return np.lib.stride_tricks.sliding_window_view(ring, 2 * half + 1).min(axis=1)
 
 
 def as_action(speed_m_s: float, turn_rate_rad_s: float, dynamics: DynamicsConfig) -> Array:

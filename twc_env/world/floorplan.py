@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -112,19 +113,15 @@ class Floorplan:
             self._cache["home"] = _carried(self, inverse(self.pose_building_home), np.zeros(3))
         return self._cache["home"]
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Twelve hex digits of the content; the same wherever the building stands."""
-        if "digest" not in self._cache:
-            self._cache["digest"] = hashlib.sha256(_digest_text(self.home).encode()).hexdigest()[:12]
-        return self._cache["digest"]
+        return hashlib.sha256(_digest_text(self.home).encode()).hexdigest()[:12]
 
-    @property
+    @cached_property
     def wall_index(self) -> WallIndex:
         """The walls in buckets, built once."""
-        if "wall_index" not in self._cache:
-            self._cache["wall_index"] = index_walls(self.walls_m, self.wall_loss_db)
-        return self._cache["wall_index"]
+        return index_walls(self.walls_m, self.wall_loss_db)
 
     def moved(self, pose: Array) -> Floorplan:
         """The same building after the rigid motion `pose` (3,)."""
@@ -138,25 +135,23 @@ class Floorplan:
             self._cache["cells", resolution_m] = rasterise(self.name, self.walls_m, self.interior_m, resolution_m)
         return self._cache["cells", resolution_m]
 
-    @property
+    @cached_property
     def floor_area_m2(self) -> float:
         """Free floor up to the lines of its walls.
 
         Cells that walls pass through are not free, which costs half a cell along every wall. That error shrinks with
         the cell, so two rasters tell how large it is.
         """
-        if "floor_area_m2" not in self._cache:
-            sizes = self.bounds_m[2:] - self.bounds_m[:2]
-            fine = next(size for size, top in _AREA_CELLS if np.prod(sizes) < top)
-            rasters = [rasterise(self.name, self.walls_m, self.interior_m, size) for size in (fine, 2 * fine)]
-            areas = [raster.free.sum() * raster.resolution_m**2 for raster in rasters]
-            self._cache["floor_area_m2"] = float(2 * areas[0] - areas[1])
-        return self._cache["floor_area_m2"]
+        sizes = self.bounds_m[2:] - self.bounds_m[:2]
+        fine = next(size for size, top in _AREA_CELLS if np.prod(sizes) < top)
+        rasters = [rasterise(self.name, self.walls_m, self.interior_m, size) for size in (fine, 2 * fine)]
+        areas = [raster.free.sum() * raster.resolution_m**2 for raster in rasters]
+        return float(2 * areas[0] - areas[1])
 
     def __getstate__(self) -> dict:
-        # Caches stay behind, but not the home: it must come back to the last bit.
+        # What was worked out stays behind, but not the home: it must come back to the last bit.
         kept = {key: self._cache[key] for key in ("home",) if key in self._cache}
-        return {**self.__dict__, "_cache": kept}
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | {"_cache": kept}
 
 
 def mac_text(mac: int) -> str:
