@@ -14,7 +14,7 @@ from twc_env.exploration.environment import ExplorationEnv
 
 def test_broken_actions_of_every_kind_are_refused_and_leave_no_mark():
     report = fuzz_actions(900, seed=1)
-    assert report.is_sound, (report.escaped, report.changed)
+    assert (report.escaped, report.changed) == ([], [])
     assert report.count == 900 == report.refused + report.accepted
     assert report.refused > 850
     assert report.steps_compared >= 3

@@ -35,11 +35,6 @@ class ActionFuzzReport:
     changed: list[str] = field(default_factory=list)
     """Kinds of action after whose refusals the episode was not what it would have been without."""
 
-    @property
-    def is_sound(self) -> bool:
-        """Nothing but ActionError, and no trace of it."""
-        return not self.escaped and not self.changed
-
 
 def fuzz_actions(
     count: int, seed: int = 0, report: Callable[[int, int], None] = lambda done, total: None

@@ -25,6 +25,7 @@ from twc_env.world.generate import generate
 
 SECONDS_MAX = 1.0
 MEMORY_MAX_MB = 1000.0
+"""Reading a file that takes more of either is a fault."""
 
 _ODD_VALUES: tuple = (
     None, True, False, "", "x", "NaN", 0, -1, 1e308, -1e308, 10**400, 1e-320, float("nan"), float("inf"),
@@ -51,11 +52,6 @@ class FuzzReport:
     """How far the mutated files raised the peak memory of the process; NaN where the system does not tell."""
     escaped: list[str] = field(default_factory=list)
     """Mutations that raised something else than MapError."""
-
-    @property
-    def is_sound(self) -> bool:
-        """Nothing but MapError, nothing slow, nothing large."""
-        return not self.escaped and self.slowest_s <= SECONDS_MAX and not self.grown_mb > MEMORY_MAX_MB
 
 
 def fuzz_maps(count: int, seed: int = 0) -> FuzzReport:

@@ -40,11 +40,6 @@ class ObservationReport:
     faults: list[str] = field(default_factory=list)
     """Each fault once per block and kind of action."""
 
-    @property
-    def is_sound(self) -> bool:
-        """Whether every promise was kept."""
-        return not self.faults
-
 
 def check_observations(
     steps: int, seed: int = 0, report: Callable[[int, int], None] = lambda done, total: None

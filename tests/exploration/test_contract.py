@@ -195,7 +195,7 @@ def test_robots_start_where_the_options_put_them():
     env = twc_env.parallel_env(robots=2)
     starts = [(9.0, 1.2, 0.5), (9.8, 1.2, -1.0)]
     env.reset(seed=0, options={"starts": starts})
-    assert np.allclose(env.record.true_poses[0], starts)
+    assert np.allclose(env.episode.record.true_poses[0], starts)
 
 
 @pytest.mark.parametrize("config", ["mine.toml", Path("mine.toml")])

@@ -102,7 +102,7 @@ def test_the_report_judges_peers_as_it_judges_a_team(played):
 
 def test_beliefs_of_robots_that_never_meet_hold_themselves_alone(explore):
     log = explore(60, robots=3, config={"link.topology": "peer", "link.range_max_m": 0.0})
-    assert log.env.bytes_sent == 0
+    assert log.env.episode.bytes_sent == 0
     for robot, agent in enumerate(log.env.possible_agents):
         assert log.env.belief(agent).mates == {}
         assert [len(path) > 0 for path in log.env.engine.mappers[robot].keyframes] == [r == robot for r in range(3)]

@@ -84,9 +84,9 @@ def test_blocks_of_a_map_that_were_counted_before_make_no_difference(wander):
         ranges_m = env.frames.ranges_m
         env.step({a: wander(ranges_m[k], env.episode.steps, k) for k, a in enumerate(env.agents)})
         if env.episode.steps % 50 == 0:
-            for verdict in verdicts_of(env.engine, env.record, cells):
+            for verdict in verdicts_of(env.engine, env.episode.record, cells):
                 where = verdict.view.viewers[0], verdict.grid, verdict.pose_building_map, cells
-                area_m2 = env.record.map_judges.correct_area_m2(*where)
+                area_m2 = env.episode.record.map_judges.correct_area_m2(*where)
                 assert area_m2 == MapJudges().correct_area_m2(*where)
                 judged += area_m2 > 0
     assert judged > 8
@@ -117,11 +117,11 @@ def test_the_reward_is_the_weighted_sum_of_the_terms(explore):
 def test_the_term_of_bytes_is_what_the_team_sent_in_the_step(wander):
     env = twc_env.parallel_env(map="twin-02", robots=2, max_cycles=100)
     env.reset(seed=1)
-    told, sent_before = 0, env.bytes_sent
+    told, sent_before = 0, env.episode.bytes_sent
     while env.agents:
         ranges_m = env.frames.ranges_m
         *_, infos = env.step({a: wander(ranges_m[k], env.episode.steps, k) for k, a in enumerate(env.agents)})
-        sent, sent_before = env.bytes_sent - sent_before, env.bytes_sent
+        sent, sent_before = env.episode.bytes_sent - sent_before, env.episode.bytes_sent
         told += sent > 0 and not env.episode.world.contacts.any() and env.episode.steps % 10 > 0
         for info in infos.values():
             assert info["reward_terms"]["bytes"] == pytest.approx(min(sent / 2 / 10_000, 1.0))

@@ -74,7 +74,7 @@ def test_robots_that_push_against_walls_and_mates_go_on_to_the_byte(robots, stop
         for _ in range(40):
             env.step(ahead)
             own.append(env.state().tolist())
-        assert env.record.contact_count > 0
+        assert env.episode.record.contact_count > 0
         env.restore(moment)
     assert seen[0] == seen[1] == seen[2]
 

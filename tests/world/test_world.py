@@ -95,7 +95,7 @@ def test_the_first_frame_reports_no_motion():
 
 def test_odometry_without_drift_leads_from_the_start_to_the_true_pose():
     w = world(odometry={"drift": 0.0})
-    poses = w.start_poses.copy()
+    poses = w.poses.copy()
     for frames in episode(w, 100):
         poses = compose(poses, np.array([frame.odometry for frame in frames]))
     assert between(poses, w.poses) == pytest.approx(np.zeros((3, 3)), abs=1e-9)
@@ -105,12 +105,11 @@ def test_robots_start_on_open_floor_clear_of_walls_and_of_each_other():
     plan = load_map("twin-01")
     for seed in range(20):
         w = world(plan, seed=seed, robots=5)
-        places = w.start_poses[:, :2]
+        places = w.poses[:, :2]
         assert plan.cells().is_free(places).all()
         assert plan.wall_index.distance_m(places, 1.0).min() >= START_CLEARANCE_M
         gaps = np.linalg.norm(places[:, None] - places[None], axis=-1) + 9 * np.eye(5)
         assert gaps.min() >= START_SPACING_M
-        assert np.array_equal(w.poses, w.start_poses)
 
 
 @pytest.mark.parametrize("radius_m", [0.5, 1.0])
@@ -118,19 +117,19 @@ def test_large_robots_do_not_start_in_walls_or_in_each_other(radius_m):
     plan = load_map("sfw-e6")
     for seed in range(20):
         w = world(plan, seed=seed, robots=2, dynamics={"robot_radius_m": radius_m})
-        assert plan.wall_index.distance_m(w.start_poses[:, :2], 2.0).min() > radius_m
-        assert np.hypot(*(w.start_poses[0] - w.start_poses[1])[:2]) > 2 * radius_m
+        assert plan.wall_index.distance_m(w.poses[:, :2], 2.0).min() > radius_m
+        assert np.hypot(*(w.poses[0] - w.poses[1])[:2]) > 2 * radius_m
     with pytest.raises(MapError, match=r"no place 1\.02 m clear of walls"):
         world(TINY, robots=1, dynamics={"robot_radius_m": 1.0})
 
 
 def test_different_seeds_start_in_different_places():
-    assert not np.array_equal(world(seed=0).start_poses, world(seed=1).start_poses)
+    assert not np.array_equal(world(seed=0).poses, world(seed=1).poses)
 
 
 def test_the_plans_own_starts_are_used_when_asked_for():
     plan = load_map("twin-01")
-    assert np.array_equal(world(plan, starts="map").start_poses, plan.starts[:3])
+    assert np.array_equal(world(plan, starts="map").poses, plan.starts[:3])
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.geometry import farthest_first
 from twc_env.random_streams import random_stream
-from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, AccessPoint, Floorplan, Sign
+from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, AccessPoint, Floorplan, Sign, local_macs
 
 AREA_PER_ACCESS_POINT_M2 = 25.0
 ACCESS_POINTS_MIN, ACCESS_POINTS_MAX = 6, 40
@@ -27,8 +27,6 @@ _NOUNS = (
     "JOINERY", "KITCHEN", "LIBRARY", "MAILROOM", "NURSERY", "OPTICS", "PHARMACY", "QUIET STUDY", "RECORDS", "SEMINAR",
     "TEXTILES", "UTILITY", "VAULT", "WORKSHOP", "X-RAY", "YOGA", "ZOOLOGY",
 )  # fmt: skip
-_MAC_VENDOR = 0x02005E
-"""The first three bytes; the 02 says that the address is locally administered."""
 
 
 def furnish(plan: Floorplan, seed: int = 0) -> Floorplan:
@@ -70,11 +68,7 @@ def place_access_points(
     chosen = pool[farthest_first(pool, count)]
     boxes = random.choice(1 << 16, size=len(chosen), replace=False)
     return tuple(
-        AccessPoint(
-            f"ap-{i + 1:02d}",
-            position,
-            tuple(_MAC_VENDOR << 24 | int(box) << 8 | k for k in range(int(random.integers(2, 4)))),
-        )
+        AccessPoint(f"ap-{i + 1:02d}", position, local_macs(box, int(random.integers(2, 4))))
         for i, (position, box) in enumerate(zip(chosen, boxes, strict=True))
     )
 

@@ -21,7 +21,6 @@ from twc_env.exploration import evaluation, rewards
 from twc_env.exploration.actions import velocity_space
 from twc_env.exploration.compilation import FIRST_START, announce_compilation
 from twc_env.exploration.episode import Episode
-from twc_env.exploration.episode_record import EpisodeRecord
 from twc_env.exploration.observation_blocks import observation_space
 from twc_env.exploration.pilot import Pilot, frontier_space, waypoint_space
 from twc_env.exploration.reset_options import ResetOptions
@@ -255,19 +254,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self.episode.frames_of_step
 
     @property
-    def record(self) -> EpisodeRecord:
-        """What truly happened in this episode, for judging; no agent may read it."""
-        return self.episode.record
-
-    @property
     def contacts(self) -> Contacts:
         """Who heard whom in the last time step."""
         return self.episode.contacts
-
-    @property
-    def bytes_sent(self) -> int:
-        """Bytes put on the air so far, by all robots."""
-        return self.episode.bytes_sent
 
     def belief(self, agent: str) -> Belief:
         """What one robot knows: the merged map of its group and where it is in it. Estimates only.

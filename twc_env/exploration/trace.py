@@ -49,7 +49,7 @@ class EpisodeTrace:
 
     def note(self, rewards: dict[str, float] | None = None) -> None:
         """Take down one step; `rewards` as `step` gave them."""
-        step = self._env.record.count - 1
+        step = self._env.episode.steps
         self._rewards.append(sum(rewards.values()) if rewards else 0.0)
         if not self._moments or step - self._moments[-1][0]["step"] >= self._period:
             self._add_moment(step)
@@ -75,7 +75,7 @@ class EpisodeTrace:
                 access_points_m=np.array([a.position_m for a in plan.access_points]).reshape(-1, 2),
                 signal_dbm=signal_dbm.astype(np.float32),
                 signal_place=np.array([*signal_origin_m, signal_cell_m]),
-                true_poses=env.record.true_poses[: last + 1],
+                true_poses=env.episode.record.true_poses[: last + 1],
                 estimated_poses=np.array(self._estimated),
                 maps=np.frombuffer(b"".join(packed), np.uint8),
                 map_ends=np.cumsum([len(p) for p in packed]),
@@ -88,9 +88,9 @@ class EpisodeTrace:
     def _add_moment(self, step: int) -> None:
         env, verdicts = self._env, self._env.episode.verdicts()
         self._alignment, closures, figures = evaluation.progress(
-            env.engine, env.record, env.floorplan.cells(), verdicts
+            env.engine, env.episode.record, env.floorplan.cells(), verdicts
         )
-        figures |= {"bytes_sent": env.bytes_sent, "reward_sum": sum(self._rewards)}
+        figures |= {"bytes_sent": env.episode.bytes_sent, "reward_sum": sum(self._rewards)}
         layers, cells = zip(*map(_layer, verdicts), strict=True)
         moment = {
             "step": step,

@@ -12,10 +12,9 @@ from numpy.typing import NDArray as Array
 from twc_env.errors import MapError
 from twc_env.geometry import farthest_first
 from twc_env.world.drawing import FURNITURE_DB, INNER_DB, ROOM_MIN, Drawing, Edge, Tile
-from twc_env.world.floorplan import AccessPoint, Floorplan, Room
+from twc_env.world.floorplan import AccessPoint, Floorplan, Room, local_macs
 
 _PLATE_OFFSET, _CONNECTION_OFFSET = 3, 6
-_MAC_VENDOR = 0x02005E
 
 
 def finish(
@@ -278,7 +277,7 @@ def _access_points(
     boxes = random.choice(1 << 16, size=len(chosen), replace=False)
     shares = random.integers(2, 4, len(chosen)) if macs is None else _shares(macs, len(chosen))
     return tuple(
-        AccessPoint(f"ap-{i + 1:03d}", place, tuple(_MAC_VENDOR << 24 | int(box) << 8 | k for k in range(int(share))))
+        AccessPoint(f"ap-{i + 1:03d}", place, local_macs(box, int(share)))
         for i, (place, box, share) in enumerate(zip(places, boxes, shares, strict=True))
     )
 

@@ -154,6 +154,11 @@ class Floorplan:
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | {"_cache": kept}
 
 
+def local_macs(box: int, count: int) -> tuple[int, ...]:
+    """Addresses of a box of ours; the 02 in front says that they are locally administered."""
+    return tuple(0x02005E << 24 | int(box) << 8 | k for k in range(count))
+
+
 def mac_text(mac: int) -> str:
     """48-bit address -> "02:00:5e:10:00:01"."""
     return ":".join(f"{mac >> shift & 255:02x}" for shift in range(40, -1, -8))

@@ -63,24 +63,11 @@ def _steps(count: int) -> int:
     return _STEPS_MAX if count <= _FEW else STEPS
 
 
-class NormalPool:
-    """Normal deviates of one stream, drawn many at once; the same numbers as if drawn when they are asked for."""
-
-    def __init__(self, stream: np.random.Generator):
-        self._stream = stream
-        self._numbers, self._used = np.empty(0), 0
-
-    def take(self, count: int) -> Array:
-        """The next (count,) numbers."""
-        if self._used + count > len(self._numbers):
-            fresh = self._stream.standard_normal(max(_POOL, count))
-            self._numbers, self._used = np.concatenate([self._numbers[self._used :], fresh]), 0
-        self._used += count
-        return self._numbers[self._used - count : self._used]
-
-
 class NormalPools:
-    """The same for a kernel, of one stream per robot: it takes what it needs from a row and counts that itself."""
+    """Normal deviates from one stream per robot for a kernel, which takes what it needs from a row and counts that.
+
+    The same numbers as if drawn when they are asked for.
+    """
 
     def __init__(self, streams: Sequence[np.random.Generator], count_max: int):
         """`count_max`: the most that is ever asked for at once."""

@@ -13,7 +13,6 @@ from twc_env.config import SignsConfig
 from twc_env.kernels import Lent
 from twc_env.random_streams import random_stream
 from twc_env.world.misreading import SignTexts, TableReader, draw_count, misread
-from twc_env.world.noise import NormalPool
 from twc_env.world.ocr_table import load_table
 
 DRAWN_MAX_PX = 128.0
@@ -46,12 +45,12 @@ class _Fast:
     """Draws from the measured table. Part of what goes wrong stays with the sign, for all robots and the episode."""
 
     def __init__(self, texts: Sequence[str], robot: int, seed: int):
-        self._noise = NormalPool(ocr_stream(seed, robot))
+        self._noise = ocr_stream(seed, robot)
         self._texts = texts_of(tuple(texts), seed)
         self._draw_counts = [draw_count(text) for text in texts]
 
     def read(self, signs: Sequence[int], sights: Array, hidden: Array) -> list[str]:
-        fresh = self._noise.take(sum([self._draw_counts[sign] for sign in signs]))
+        fresh = self._noise.standard_normal(sum([self._draw_counts[sign] for sign in signs]))
         return _shipped().read_signs(sights, hidden, self._texts, fresh)
 
 

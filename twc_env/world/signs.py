@@ -12,7 +12,6 @@ from twc_env.kernels import borrowing_kernel
 from twc_env.messages import SignReading
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, Floorplan
-from twc_env.world.noise import NormalPool
 from twc_env.world.sign_readers import make_reader
 from twc_env.world.wall_index import is_blocked
 
@@ -46,7 +45,7 @@ class SignCamera:
                 CHARACTER_PITCH * config.character_height_m,
             ]
         )
-        self._noise = NormalPool(bearing_stream(seed, robot))
+        self._noise = bearing_stream(seed, robot)
         self._reader = make_reader(config, texts, robot, seed)
 
     def read(
@@ -70,7 +69,7 @@ class SignCamera:
         config, rows = self._config, sights.tolist()
         signs = [int(row[0]) for row in rows]
         readings, sources = [], []
-        noise = self._noise.take(2 * len(rows)).tolist()
+        noise = self._noise.standard_normal(2 * len(rows)).tolist()
         for k, text in enumerate(self._reader.read(signs, sights, hidden)):
             if not text:
                 continue

@@ -10,6 +10,9 @@ from twc_env.config import BuildingConfig
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import AccessPoint, Floorplan, Sign
 
+DUPLICATES = 4
+"""About so many signs carry each repeated text."""
+
 
 def thinned(plan: Floorplan, config: BuildingConfig) -> Floorplan:
     """The plan with the shares of signs and access points that `config` leaves; the plan itself where it leaves all.
@@ -38,10 +41,6 @@ def _signs(plan: Floorplan, config: BuildingConfig, seed: int) -> tuple[Sign, ..
         for count, k in enumerate(repeated.tolist()):
             signs[k] = dataclasses.replace(signs[k], text=texts[count % len(texts)])
     return tuple(signs)
-
-
-DUPLICATES = 4
-"""About so many signs carry each repeated text."""
 
 
 def _access_points(plan: Floorplan, config: BuildingConfig, seed: int) -> tuple[AccessPoint, ...]:

@@ -52,8 +52,6 @@ class World:
 
     def __init__(self, config: EnvConfig, plan: Floorplan):
         self.config, self.plan = config, validate(plan)
-        self.start_poses = np.empty((0, 3))
-        """(n, 3) true poses in the building at the last `reset`."""
         self.sighted_signs: tuple[tuple[int, ...], ...] = ()
         """For each robot the true signs (plan numbers) behind the readings of its last frame; for metrics only."""
         self._dynamics: Dynamics | None = None
@@ -79,10 +77,9 @@ class World:
         seed = whole_number("seed", seed, 0)
         config, robots = self.config, self.config.robots
         radius = config.dynamics.robot_radius_m
-        start_poses_home = start_poses(self.plan, robots, radius, seed, starts)
-        self.start_poses = self._in_building(start_poses_home) if self._is_moved else start_poses_home
+        starts_home = start_poses(self.plan, robots, radius, seed, starts)
         self._walls = self._home.wall_index.buckets()
-        dynamics = self._dynamics = Dynamics(config.dynamics, self._home.wall_index, start_poses_home)
+        dynamics = self._dynamics = Dynamics(config.dynamics, self._home.wall_index, starts_home)
         self.contacts = dynamics.contacts
         """(n,) whether each robot touches something."""
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
