@@ -13,9 +13,8 @@ from typing import Any
 from agents import benchmark, compare, picture, radio_survey
 from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
-from agents.seeds import parse_seeds
 from twc_env import EnvConfig, load_map, map_names, task_config
-from twc_env.command_line import Parser, add_set, add_version, assignments, count, exit_status, natural
+from twc_env.command_line import Parser, add_set, add_version, assignments, count, exit_status, natural, parse_seeds
 from twc_env.config import digest, load, override
 from twc_env.json_values import TERMINAL, check_folder, check_writable, write_json
 

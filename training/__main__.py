@@ -6,8 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from agents.seeds import parse_seeds
-from twc_env.command_line import Parser, add_set, add_version, assignments, exit_status, natural
+from twc_env.command_line import Parser, add_set, add_version, assignments, exit_status, natural, parse_seeds
 from twc_env.errors import DataError
 from twc_env.json_values import check_folder, check_writable, write_json
 

@@ -109,7 +109,8 @@ def evaluate(
     for seed in progress_bar(seeds, unit="building", disable=not show_progress):
         choosers = {"trained": _trained(model, task, seed), "random": _random(seed), "nearest": _nearest}
         for name, choose in choosers.items():
-            episodes[name].append(_choosing(task, seed, choose, filmed if name == "trained" else None))
+            env = (filmed if name == "trained" else None) or _team(task)
+            episodes[name].append(_played(task, seed, env, choose))
         episodes["nearest-frontier"].append(_scripted(task, seed))
     return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()})
 
@@ -146,33 +147,22 @@ def _team(task: Task, render_mode: str | None = None) -> twc_env.ExplorationEnv:
     return twc_env.parallel_env(config=override(task.config, _JUDGED), render_mode=render_mode)
 
 
-def _choosing(task: Task, seed: int, choose: Choose, filmed: RecordEpisodes | None = None) -> Episode:
-    env = filmed or _team(task)
+def _scripted(task: Task, seed: int) -> Episode:
+    """The scripted team of `agents`, which steers by itself: its advantage is that it decides at every time step."""
+    config = override(task.config, {"action.kind": "velocity", **_JUDGED})
+    env, policy = twc_env.parallel_env(config=config), make_policy("nearest-frontier", config)
+    policy.reset(seed, env.possible_agents)
+    return _played(task, seed, env, lambda _seen, _: policy.act({agent: env.belief(agent) for agent in env.agents}))
+
+
+def _played(task: Task, seed: int, env: RecordEpisodes | twc_env.ExplorationEnv, choose: Choose) -> Episode:
     observations, _ = env.reset(seed, {"map": task.held_out_map(seed)})
     reached, total, elapsed = 0.0, 0.0, 0
     while env.agents:
         observations, _, _, _, infos = env.step(choose(observations, elapsed))
         info = infos["robot_0"]
-        elapsed += info["time_steps"]
-        total += info["time_steps"] * reached  # what a step gains is known at its end
+        took = info.get("time_steps", 1)
+        elapsed += took
+        total += took * reached  # what a step gains is known at its end
         reached += info["reward_terms"]["coverage"]
-    return _episode(infos["robot_0"], total / task.max_cycles)
-
-
-def _scripted(task: Task, seed: int) -> Episode:
-    """The scripted team of `agents`, which steers by itself: its advantage is that it decides at every time step."""
-    config = override(task.config, {"action.kind": "velocity", **_JUDGED})
-    env = twc_env.parallel_env(config=config)
-    env.reset(seed, {"map": task.held_out_map(seed)})
-    policy = make_policy("nearest-frontier", config)
-    policy.reset(seed, env.possible_agents)
-    reached, total = 0.0, 0.0
-    while env.agents:
-        infos = env.step(policy.act({agent: env.belief(agent) for agent in env.agents}))[-1]
-        total += reached
-        reached += infos["robot_0"]["reward_terms"]["coverage"]
-    return _episode(infos["robot_0"], total / task.max_cycles)
-
-
-def _episode(info: dict, mean_coverage: float) -> Episode:
-    return Episode(info["coverage_correct"], mean_coverage, info["merged_robots"], info["wrong_merges"])
+    return Episode(info["coverage_correct"], total / task.max_cycles, info["merged_robots"], info["wrong_merges"])

@@ -23,6 +23,9 @@ from twc_env.file_lock import FileLock
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 """How writing fails where a place was fit to be written to before the work."""
 
+SEEDS_MAX = 100_000
+"""Of a range on a command line."""
+
 
 def exit_status(command: Callable[[], int | None], remark: str = "interrupted") -> int:
     """Run a command: 0 or what it gives when done, 130 when interrupted.
@@ -149,6 +152,20 @@ def number(least: float, most: float) -> Callable[[str], float]:
         return value
 
     return read
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Seeds of a list such as 0-3,7 -> (0, 1, 2, 3, 7). Raises ConfigError for others and for endless ranges."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not first.isdecimal() or (dash and not last.isdecimal()) or (dash and int(last) < int(first)):
+            raise ConfigError(f"seeds must be numbers and ranges such as 0-9 or 1,4,7-9; got {text!r}")
+        begin, end = int(first), int(last if dash else first) + 1
+        if end - begin > SEEDS_MAX:
+            raise ConfigError(f"a range holds at most {SEEDS_MAX} seeds; got {part.strip()}")
+        seeds += range(begin, end)
+    return tuple(dict.fromkeys(seeds))
 
 
 def make_folder(folder: Path) -> None:

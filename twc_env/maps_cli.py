@@ -37,35 +37,20 @@ def add_maps_parser(commands) -> None:
     maps.set_defaults(run=_list, maps=[])
     parts = maps.add_subparsers(metavar="COMMAND")
 
-    listing = _part(
-        parts,
-        "list",
-        _list,
-        "sizes and contents of the bundled maps, or of those named",
-        "example:\n  python -m twc_env maps list twin-01 gen:office:800:7",
-    )
+    text = "sizes and contents of the bundled maps, or of those named"
+    listing = _part(parts, "list", _list, text, ["list twin-01 gen:office:800:7"])
     listing.add_argument("maps", nargs="*", metavar="MAP", help="default: all bundled maps")
 
-    show = _part(
-        parts,
-        "show",
-        _show,
-        "draw a map: walls, rooms, signs, access points and signal strength",
-        "example:\n  python -m twc_env maps show test/0003 --out building.png",
-    )
+    text = "draw a map: walls, rooms, signs, access points and signal strength"
+    show = _part(parts, "show", _show, text, ["show test/0003 --out building.png"])
     show.add_argument("map", metavar="MAP", help="as below")
     show.add_argument("--out", type=Path, metavar="FILE.png", help="default: the map's name in this folder")
     show.add_argument("--no-signal", action="store_true", help="leave the signal-strength overlay out")
     _seed(show)
 
-    make = _part(
-        parts,
-        "generate",
-        _generate,
-        "make buildings of a kind, area and seed, and write them as native JSON",
-        "example:\n  python -m twc_env maps generate office 800 --seed 7 --out office.json\n"
-        "The same building is the map gen:office:800:7 wherever a map is named.",
-    )
+    text = "make buildings of a kind, area and seed, and write them as native JSON"
+    more = "\nThe same building is the map gen:office:800:7 wherever a map is named."
+    make = _part(parts, "generate", _generate, text, ["generate office 800 --seed 7 --out office.json"], more)
     from twc_env.world.generate import AREA_MAX_M2, AREA_MIN_M2
     from twc_env.world.layouts import KINDS
 
@@ -77,14 +62,9 @@ def add_maps_parser(commands) -> None:
     )
     make.add_argument("--out", type=Path, metavar="FILE.json", help="default: KIND-AREA-SEED.json in this folder")
 
-    bring = _part(
-        parts,
-        "import",
-        _import,
-        "read a file of another format, check it, and write native JSON",
-        "example:\n  python -m twc_env maps import plan.png --resolution 0.02 --out plan.json\n"
-        "Formats without signs and access points are furnished by --seed. Edit the JSON to your liking.",
-    )
+    text = "read a file of another format, check it, and write native JSON"
+    more = "\nFormats without signs and access points are furnished by --seed. Edit the JSON to your liking."
+    bring = _part(parts, "import", _import, text, ["import plan.png --resolution 0.02 --out plan.json"], more)
     bring.add_argument("map", metavar="FILE", help="file, or FILE#LEVEL of an OpenStreetMap building")
     bring.add_argument(
         "--resolution", type=float, metavar="M", help="metres per pixel of a .png or .pgm (default: 0.05)"
@@ -92,13 +72,8 @@ def add_maps_parser(commands) -> None:
     bring.add_argument("--out", type=Path, metavar="FILE.json", help="default: the file's stem in this folder")
     _seed(bring)
 
-    give = _part(
-        parts,
-        "export",
-        _export,
-        "write a map as .json (native), .yaml + .pgm (ROS map_server) or .png",
-        "example:\n  python -m twc_env maps export twin-01 twin-01.yaml",
-    )
+    text = "write a map as .json (native), .yaml + .pgm (ROS map_server) or .png"
+    give = _part(parts, "export", _export, text, ["export twin-01 twin-01.yaml"])
     give.add_argument("map", metavar="MAP", help="as below")
     give.add_argument("out", type=Path, metavar="FILE", help="the suffix picks the format")
     give.add_argument(
@@ -106,15 +81,12 @@ def add_maps_parser(commands) -> None:
     )
     _seed(give)
 
-    check = _part(
-        parts,
-        "check",
-        _check,
-        "say whether maps are sound and every room can be reached; exit status 2 if one is not",
-        "examples:\n  python -m twc_env maps check mine.json\n  python -m twc_env maps check --splits\n\n"
-        "--splits draws all 1,200 buildings of the splits and compares their layouts, turned and mirrored too.\n"
-        "--fuzz reads that many mutated files: nothing but a one-line error may come of them.",
-    )
+    text = "say whether maps are sound and every room can be reached; exit status 2 if one is not"
+    more = """
+
+--splits draws all 1,200 buildings of the splits and compares their layouts, turned and mirrored too.
+--fuzz reads that many mutated files: nothing but a one-line error may come of them."""
+    check = _part(parts, "check", _check, text, ["check mine.json", "check --splits"], more)
     check.add_argument(
         "maps", nargs="*", metavar="MAP", help="default: all bundled maps, unless an option asks for more"
     )
@@ -123,22 +95,14 @@ def add_maps_parser(commands) -> None:
     check.add_argument("--json", type=Path, metavar="FILE", help="write the findings")
     _seed(check)
 
-    _part(
-        parts,
-        "schema",
-        _schema,
-        "print the JSON schema of the native format",
-        "example:\n  python -m twc_env maps schema > floorplan.schema.json",
-    )
+    text = "print the JSON schema of the native format"
+    _part(parts, "schema", _schema, text, ["schema > floorplan.schema.json"])
 
 
-def _part(parts, name: str, run, help_text: str, epilog: str = "") -> argparse.ArgumentParser:
-    parser = parts.add_parser(
-        name,
-        help=help_text,
-        description=help_text[0].upper() + help_text[1:] + ".",
-        epilog=f"{epilog}\n\n{_NAMES}" if epilog else _NAMES,
-    )
+def _part(parts, name: str, run, text: str, examples: list[str], more: str = "") -> argparse.ArgumentParser:
+    lines = "".join(f"\n  python -m twc_env maps {example}" for example in examples)
+    epilog = f"example{'s' if len(examples) > 1 else ''}:{lines}{more}\n\n{_NAMES}"
+    parser = parts.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=epilog)
     parser.set_defaults(run=run)
     return parser
 

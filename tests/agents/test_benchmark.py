@@ -7,8 +7,8 @@ import pytest
 
 from agents import benchmark
 from agents.__main__ import main
-from agents.seeds import parse_seeds
 from twc_env import ConfigError, EnvConfig
+from twc_env.command_line import parse_seeds
 from twc_env.maps import bundled_folder
 
 

@@ -8,7 +8,7 @@ from twc_env.errors import MapError
 from twc_env.maps import load_map
 from twc_env.world.floorplan_check import validate
 from twc_env.world.floorplan_file import floorplan_from_values, read_floorplan, write_floorplan
-from twc_env.world.materials import MATERIALS, wall_loss_db
+from twc_env.world.materials import MATERIALS
 
 
 def values() -> dict:
@@ -17,15 +17,9 @@ def values() -> dict:
 
 
 def test_every_material_loses_more_at_five_gigahertz_than_at_two_and_less_on_lte():
-    for name in MATERIALS:
-        assert wall_loss_db(name, "high") > wall_loss_db(name, "low") > wall_loss_db(name, "cell") > 0
-
-
-def test_unknown_materials_and_bands_are_named():
-    with pytest.raises(MapError, match="unknown wall material 'paper'"):
-        wall_loss_db("paper")
-    with pytest.raises(MapError, match="unknown radio band 'uhf'"):
-        wall_loss_db("glass", "uhf")
+    for material in MATERIALS.values():
+        low, high, cell = material.losses_db
+        assert high > low > cell > 0
 
 
 def test_materials_and_storeys_survive_writing_and_moving(tmp_path):

@@ -9,42 +9,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from twc_env.errors import MapError
-
 
 @dataclass(frozen=True, slots=True)
 class Material:
     """One crossing of a wall."""
 
-    low_band_loss_db: float
-    """2.4 GHz."""
-    high_band_loss_db: float
-    """5 GHz."""
-    cell_loss_db: float
-    """LTE below 2 GHz."""
+    losses_db: tuple[float, float, float]
+    """At 2.4 GHz, at 5 GHz, and of LTE below 2 GHz."""
     is_glass: bool = False
     """A laser often passes through (`lidar.glass_return_probability`)."""
 
 
 MATERIALS = {
-    "glass": Material(3.0, 5.0, 2.5, is_glass=True),
-    "coated-glass": Material(12.0, 20.0, 11.0, is_glass=True),
-    "wood": Material(3.5, 6.0, 3.0),
-    "plasterboard": Material(4.0, 5.0, 3.5),
-    "shelf": Material(3.0, 4.5, 2.5),
-    "brick": Material(7.0, 11.0, 6.0),
-    "concrete": Material(12.0, 20.0, 10.0),
-    "reinforced-concrete": Material(18.0, 28.0, 15.0),
-    "metal": Material(26.0, 32.0, 22.0),
+    "glass": Material((3.0, 5.0, 2.5), is_glass=True),
+    "coated-glass": Material((12.0, 20.0, 11.0), is_glass=True),
+    "wood": Material((3.5, 6.0, 3.0)),
+    "plasterboard": Material((4.0, 5.0, 3.5)),
+    "shelf": Material((3.0, 4.5, 2.5)),
+    "brick": Material((7.0, 11.0, 6.0)),
+    "concrete": Material((12.0, 20.0, 10.0)),
+    "reinforced-concrete": Material((18.0, 28.0, 15.0)),
+    "metal": Material((26.0, 32.0, 22.0)),
 }
-
-
-def wall_loss_db(material: str, band: str = "low") -> float:
-    """Loss [dB] of one crossing; band: "low" (2.4 GHz), "high" (5 GHz) or "cell" (LTE). MapError for other names."""
-    if material not in MATERIALS:
-        raise MapError(f"unknown wall material {material!r}; known are {', '.join(MATERIALS)}")
-    losses = MATERIALS[material]
-    table = {"low": losses.low_band_loss_db, "high": losses.high_band_loss_db, "cell": losses.cell_loss_db}
-    if band not in table:
-        raise MapError(f"unknown radio band {band!r}; known are {', '.join(table)}")
-    return table[band]

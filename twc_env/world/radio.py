@@ -20,7 +20,7 @@ from twc_env.config import RadioConfig
 from twc_env.geometry import inverse, transform_points
 from twc_env.world.crossing_table import CrossingTable
 from twc_env.world.floorplan import Floorplan
-from twc_env.world.materials import wall_loss_db
+from twc_env.world.materials import MATERIALS
 from twc_env.world.reception import mean_rssi
 from twc_env.world.wall_index import WallIndex
 
@@ -28,7 +28,6 @@ LOW_BAND, HIGH_BAND, CELL_BAND = 0, 1, 2
 """2.4 GHz, 5 GHz, LTE."""
 CELL_ID_MIN = 1 << 48
 """LTE cells are numbered from here: beyond all MAC addresses."""
-_BAND_NAMES = ("low", "high", "cell")
 _WAVES = 32
 """Cosines summed per shadowing field."""
 _SECTORS = 3
@@ -295,7 +294,8 @@ def _index_for(config: RadioConfig, plan: Floorplan, band: int) -> WallIndex | N
     factors = np.full(len(plan.walls_m), factor)
     for i, material in enumerate(plan.wall_materials):
         if material:
-            factors[i] = wall_loss_db(material, _BAND_NAMES[band]) / wall_loss_db(material)
+            losses_db = MATERIALS[material].losses_db
+            factors[i] = losses_db[band] / losses_db[LOW_BAND]
     return _scaled(plan, config.wall_loss_scale * factors)
 
 

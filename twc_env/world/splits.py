@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
@@ -34,7 +34,7 @@ def generate_by_name(name: str) -> Floorplan | None:
     if split not in SPLITS or not number.isdecimal() or len(number) != 4:
         return None
     if int(number) >= SPLITS[split]:
-        raise MapError(f"no building {name!r}: {split} holds {SPLITS[split]}, {split}/0000 to {_last(split)}")
+        raise MapError(f"no building {name!r}: {split} holds {SPLITS[split]}, {split}/0000 to {split_names(split)[-1]}")
     return _cached(*split_recipe(split, int(number)), name)
 
 
@@ -84,7 +84,7 @@ def digest_of_layouts(layouts: Iterable[str]) -> str:
 
 def split_layouts(split: str) -> list[str]:
     """Layout digest of every building of a split."""
-    return [layout_digest(plan) for plan in _drawn(split)]
+    return [layout_digest(generate(*split_recipe(split, k), check=False)) for k in range(SPLITS[split])]
 
 
 @lru_cache(maxsize=32)
@@ -92,15 +92,6 @@ def _cached(kind: str, area_m2: float, seed: int, name: str) -> Floorplan:
     plan = generate(kind, area_m2, seed)
     object.__setattr__(plan, "name", name)  # not yet seen by anyone; its caches stay warm
     return plan
-
-
-def _drawn(split: str) -> Iterator[Floorplan]:
-    for number in range(len(split_names(split))):
-        yield generate(*split_recipe(split, number), check=False)
-
-
-def _last(split: str) -> str:
-    return split_names(split)[-1]
 
 
 def _parts(name: str, rest: str) -> tuple[str, float, int]:
