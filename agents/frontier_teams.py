@@ -47,12 +47,11 @@ class _SharedOut(NearestFrontier, ABC):
 
     def extra_penalty_m(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> Array:
         """(frontiers,) more for those that belong to others."""
-        belief = beliefs[agent]
-        mates = [pose for mate, pose in belief.mates.items() if mate != belief.robot]
-        count = len(terrain.frontier_sizes)
-        if not mates:
+        belief, count = beliefs[agent], len(terrain.frontier_sizes)
+        if not belief.mates:
             return np.zeros(count)
-        lengths_m = np.array([self._lengths_m(terrain, pose) for pose in [belief.pose_map_robot, *mates]])
+        poses = [belief.pose_map_robot, *belief.mates.values()]
+        lengths_m = np.array([self._lengths_m(terrain, pose) for pose in poses])
         is_mine = np.ones(count, bool)
         is_mine[1:] = self.shared_out(lengths_m[:, 1:])
         return np.where(is_mine, 0.0, self.explorer.claim_penalty_m)

@@ -202,15 +202,12 @@ class NearestFrontier:
         plan = self._tours.plan(robot, belief, terrain, discs, self._banned(robot, belief, {}), self._rng)
         return plan, "tour" if plan is not None else ""
 
-    def _mates(self, belief: Belief) -> list[int]:
-        return [mate for mate in belief.mates if mate != belief.robot]
-
     def _discs(self, robot: ExplorerRobot, belief: Belief, terrain: Terrain) -> list[Disc]:
         """What to drive around: mates, places where it got stuck, and scan points the map does not explain."""
         discs = [
             Disc(float(pose[0]), float(pose[1]), 0.6, 12)
-            for mate, pose in belief.mates.items()
-            if mate != belief.robot and math.hypot(*(pose[:2] - robot.pose[:2])) < 6.0
+            for pose in belief.mates.values()
+            if math.hypot(*(pose[:2] - robot.pose[:2])) < 6.0
         ]
         robot.obstacles = [(place, until) for place, until in robot.obstacles if until > belief.step]
         discs += [Disc(float(place[0]), float(place[1]), 0.5, 40) for place, _ in robot.obstacles]
@@ -307,7 +304,7 @@ class NearestFrontier:
 
     def _note_idle(self, beliefs: dict[str, Belief]) -> None:
         """Keep the step since which the whole merged team has had nothing to do."""
-        merged = all(len(self._mates(b)) + 1 == len(self._robots) for b in beliefs.values())
+        merged = all(len(b.mates) + 1 == len(self._robots) for b in beliefs.values())
         if not (merged and all(self._robots[agent].is_idle for agent in beliefs)):
             self._idle_since = None
         elif self._idle_since is None:

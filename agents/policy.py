@@ -65,10 +65,8 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     config = config or EnvConfig()
     if config.action.kind != "velocity":
         raise ConfigError(f"scripted teams steer by velocity; got action.kind = {config.action.kind!r}: leave it out")
-    policy: Policy = (_in_file(name) if is_in_file(name) else _POLICIES[name])(config)
+    if name in _POLICIES:
+        return _POLICIES[name](config)
+    remedy = "derive it from agents.Policy, or add what lacks"
+    policy: Policy = class_in(name, ("reset", "act", "finished"), remedy)(config)
     return policy
-
-
-def _in_file(name: str) -> type[Policy]:
-    own: type[Policy] = class_in(name, ("reset", "act", "finished"), "derive it from agents.Policy, or add what lacks")
-    return own

@@ -52,7 +52,8 @@ def write_rerun(run: Path, path: Path) -> Path:
         _log_building(rerun, trace)
         recording.log("report", rerun.TextDocument(json.dumps(figures, indent=2)), static=True)
         for count, moment in enumerate(moments):
-            _set_time(recording, moment["step"], config)
+            recording.set_time("step", sequence=moment["step"])
+            recording.set_time("time", duration=moment["step"] * config.dynamics.time_step_s)
             _log_moment(rerun, moment, cells[count])
         _log_robots(rerun, trace, config)
         recording.flush()
@@ -82,11 +83,6 @@ def _blueprint(corners_m: Array) -> Any:
         ),
         collapse_panels=True,
     )
-
-
-def _set_time(recording: Any, step: int, config: EnvConfig) -> None:
-    recording.set_time("step", sequence=step)
-    recording.set_time("time", duration=step * config.dynamics.time_step_s)
 
 
 def _log_building(rerun: Any, trace: dict[str, Array]) -> None:

@@ -53,19 +53,20 @@ class RadioSurvey:
 
     def at_scans(self, chosen: Array) -> RadioSurvey:
         """Only some of the scans (numbers or a mask)."""
-        columns = ("position_m", "floor", "time_s", "walk", "rssi_dbm", "age_s", "room_kind")
-        told = {name: values for name in columns if (values := getattr(self, name)) is not None}
+        told = self._told("position_m", "floor", "time_s", "walk", "rssi_dbm", "age_s", "room_kind")
         return dataclasses.replace(self, **{name: values[chosen] for name, values in told.items()})
 
     def of_transmitters(self, chosen: Array) -> RadioSurvey:
         """Only some of the transmitters (numbers or a mask)."""
-        names = ("transmitter_m", "transmitter_floor", "is_high_band")
-        parts = {name: getattr(self, name)[chosen] for name in names if getattr(self, name) is not None}
-        tables = {
-            name: getattr(self, name)[:, chosen] for name in ("rssi_dbm", "age_s") if getattr(self, name) is not None
-        }
+        rows, tables = self._told("transmitter_m", "transmitter_floor", "is_high_band"), self._told("rssi_dbm", "age_s")
+        parts = {name: values[chosen] for name, values in rows.items()}
+        parts |= {name: values[:, chosen] for name, values in tables.items()}
         addresses = np.array(self.addresses, object)[chosen].tolist()
-        return dataclasses.replace(self, addresses=tuple(addresses), **parts, **tables)
+        return dataclasses.replace(self, addresses=tuple(addresses), **parts)
+
+    def _told(self, *names: str) -> dict[str, Array]:
+        """Those of these arrays that the set tells."""
+        return {name: values for name in names if (values := getattr(self, name)) is not None}
 
     @property
     def room_kinds(self) -> Array:

@@ -145,15 +145,11 @@ def evaluate(
         estimated_poses=estimated,
         odometry_poses=reckoned,
         groups=tuple(v.robots for v in verdicts),
-        grids=tuple(_copy(v.grid) for v in verdicts),
+        grids=tuple(GridMap(v.grid.log_odds.copy(), v.grid.origin_m.copy(), v.grid.resolution_m) for v in verdicts),
         pose_building_map=np.array([v.pose_building_map for v in verdicts]),
         closures=closures,
         graph=best.view.mapper.graph(),
     )
-
-
-def _copy(grid: GridMap) -> GridMap:
-    return GridMap(grid.log_odds.copy(), grid.origin_m.copy(), grid.resolution_m)
 
 
 def _or_none(value: float) -> float | None:

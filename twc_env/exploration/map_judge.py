@@ -151,11 +151,6 @@ class _Held:
         self.arguments = np.array(place, float), self.mask, self.known, self.counts
         """For `_judge`."""
 
-    def count(self) -> int:
-        """Free cells of the floor."""
-        count: int = metrics.recount_free(self.grid.log_odds, self.mask, self.grid.touched, self.known, self.counts)
-        return count
-
 
 class MapJudges:
     """What is kept of each map that is judged again; it follows from the maps, so copies may begin without any."""
@@ -195,7 +190,7 @@ class MapJudges:
     def _judge_again(self, held: _Held, robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> list[float]:
         """What `_judge` says of a map that is kept."""
         if not self._room or len(nodes[0]) > len(self._room[0]):
-            self._make_room(2 * len(nodes[0]), true_poses.shape[1])
+            self._room, self._run = _room_for(2 * len(nodes[0]), true_poses.shape[1]), None
         now = (
             *held.arguments, self._result, _numbers(robots), *nodes, true_poses, held.grid.log_odds, held.grid.touched
         )  # fmt: skip
@@ -219,7 +214,5 @@ class MapJudges:
             held = _Held(grid, place, cells)
         if not kept or held is not kept[0]:  # the latest first
             self._held[owner] = (held, *[other for other in kept[:2] if other is not held][:1])
-        return held.count() * grid.resolution_m**2
-
-    def _make_room(self, nodes: int, robots: int) -> None:
-        self._room, self._run = _room_for(nodes, robots), None
+        count: int = recount_free(grid.log_odds, held.mask, grid.touched, held.known, held.counts)
+        return count * grid.resolution_m**2

@@ -65,11 +65,8 @@ class RecentSigns(BindsAnew):
             if places is not self.places[robot]:
                 self.places = self.places.copy()
                 self.places[robot], self._text_counts[robot] = places, counts
-                self._count_elsewhere(robot)
-
-    def _count_elsewhere(self, robot: int) -> None:
-        for row, text in enumerate(self._texts[robot]):
-            self.readings[robot, row, 3] = max(self._text_counts[robot][text] - 1, 0)
+                for row, text in enumerate(self._texts[robot]):
+                    self.readings[robot, row, 3] = max(counts[text] - 1, 0)
 
 
 @lru_cache(maxsize=16)

@@ -7,7 +7,6 @@ from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
 from twc_env.geometry import farthest_first
@@ -40,7 +39,7 @@ def finish(
         rooms=tuple(drawing.rooms),
         signs=tuple(drawing.signs),
         access_points=_access_points(drawing, random, access_points, macs),
-        interior_m=_clear_point(start),
+        interior_m=np.array([[start.x0 + 5.5, start.y0 + 5.5]]) / 10,  # on no box: half a metre off its walls
     )
 
 
@@ -284,8 +283,3 @@ def _access_points(
 
 def _shares(total: int, count: int) -> list[int]:
     return [total // count + (i < total % count) for i in range(count)]
-
-
-def _clear_point(tile: Tile) -> Array:
-    """A point of an open tile that lies on no box: near its lower left corner, half a metre off its walls."""
-    return np.array([[tile.x0 + 5.5, tile.y0 + 5.5]]) / 10

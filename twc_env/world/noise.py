@@ -46,16 +46,12 @@ class StepNoise:
         """
         block = step // len(self.numbers)
         if block != self._block:
-            self._block = block
-            self._draw()
-
-    def _draw(self) -> None:
-        first, steps = 0, len(self.numbers)
-        for streams, count, kind in self._sources:
-            for robot, stream in enumerate(streams):
-                draw = stream.bit_generator.random_raw if kind == "bits" else getattr(stream, kind)
-                self.numbers[:, robot, first : first + count] = draw(steps * count).reshape(steps, count)
-            first += count
+            self._block, first, steps = block, 0, len(self.numbers)
+            for streams, count, kind in self._sources:
+                for robot, stream in enumerate(streams):
+                    draw = stream.bit_generator.random_raw if kind == "bits" else getattr(stream, kind)
+                    self.numbers[:, robot, first : first + count] = draw(steps * count).reshape(steps, count)
+                first += count
 
 
 def _steps(count: int) -> int:
@@ -102,12 +98,9 @@ class StepQueue:
 
     def hold(self, step: int) -> None:
         """Have enough for a step and those after it with the same `step // STEPS`."""
-        if step // STEPS != self._block:
-            self._block = step // STEPS
-            self._refill()
-
-    def _refill(self) -> None:
-        """Draw anew what was taken."""
+        if step // STEPS == self._block:
+            return
+        self._block = step // STEPS
         for robot, (stream, used) in enumerate(zip(self._streams, self.used.tolist(), strict=True)):
             rows = self.numbers[:, robot]
             rows[: STEPS - used] = rows[used:].copy()

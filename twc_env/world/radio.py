@@ -77,8 +77,9 @@ class RadioModel:
         """(transmitters,) LOW_BAND, HIGH_BAND or CELL_BAND."""
         self.is_cell = self.band_of == CELL_BAND
         """(transmitters,)."""
-        self._power_offsets_db = np.array([_power_offset_db(config, plan.digest, mac) for mac in self.macs])
-        self._power_offsets_db += self._box_offsets_db(plan)[self.access_point_of]
+        draws = [_building_stream(plan.digest, "power", int(mac)).standard_normal() for mac in self.macs]
+        boxes_db = self._box_offsets_db(plan)
+        self._power_offsets_db = config.power_spread_db * np.array(draws) + boxes_db[self.access_point_of]
         self._aim_rad = np.array([aim for _, aim in cells])
         self._index_of_band = [_index_for(config, plan, band) for band in range(3)]
         high, cell = config.high_band, config.cells
@@ -191,10 +192,6 @@ class RadioModel:
 
 def _building_stream(digest: str, what: str, mac: int) -> np.random.Generator:
     return np.random.default_rng([int(digest, 16), zlib.crc32(what.encode()), mac])
-
-
-def _power_offset_db(config: RadioConfig, digest: str, mac: int) -> float:
-    return config.power_spread_db * _building_stream(digest, "power", int(mac)).standard_normal()
 
 
 def _share_round_walls(wall_loss_limit_db: float) -> float:

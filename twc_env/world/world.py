@@ -11,7 +11,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig, RadioConfig
+from twc_env.config import EnvConfig
 from twc_env.config.checks import whole_number
 from twc_env.errors import ActionError, TwcError
 from twc_env.geometry import compose
@@ -247,9 +247,7 @@ def _shapes_of_room(robots: int, laser: tuple[int, int], listeners: int, transmi
     return [(_STEPS_AT_ONCE, *shape) for shape in shapes]
 
 
-@lru_cache(maxsize=8)
-def _radio_model(config: RadioConfig, plan: Floorplan) -> RadioModel:
-    return RadioModel(config, plan)
+_radio_model = lru_cache(maxsize=8)(RadioModel)
 
 
 @borrowing_kernel
