@@ -59,14 +59,26 @@ def wander(env: ExplorationEnv, seed: int) -> Iterator[dict[str, Array]]:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Speed:
-    """One timed episode."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One timed run."""
 
+    steps: int
     wall_s: float
     cpu_s: float
-    steps: int
-    team_ate_m: float
+    team_ate_m: float = float("nan")
+    step_s: Array | None = None
+    """(steps,) wall time of each step, where it was taken."""
+
+    @property
+    def rate(self) -> float:
+        """Steps per second."""
+        return self.steps / self.wall_s
+
+    @property
+    def cpu_rate(self) -> float:
+        """Steps per second of CPU time."""
+        return self.steps / self.cpu_s
 
 
 def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lambda _line: None) -> dict:
@@ -74,21 +86,18 @@ def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lamb
     world, slam = [], []
     for seed in range(episodes):
         world.append(time_world(config, seed))
-        report(f"world alone, seed {seed}: {world[-1].steps / world[-1].wall_s:,.0f} steps/s")
+        report(f"world alone, seed {seed}: {world[-1].rate:,.0f} steps/s")
         slam.append(time_environment(config, seed))
-        report(
-            f"whole step,  seed {seed}: {slam[-1].steps / slam[-1].wall_s:,.0f} steps/s, "
-            f"team ATE {slam[-1].team_ate_m:.3f} m"
-        )
+        report(f"whole step,  seed {seed}: {slam[-1].rate:,.0f} steps/s, team ATE {slam[-1].team_ate_m:.3f} m")
     return {
-        "world_env_steps_per_s": statistics.median(s.steps / s.wall_s for s in world),
-        "slam_env_steps_per_s": statistics.median(s.steps / s.wall_s for s in slam),
-        "world_env_steps_per_cpu_s": statistics.median(s.steps / s.cpu_s for s in world),
-        "slam_env_steps_per_cpu_s": statistics.median(s.steps / s.cpu_s for s in slam),
-        "slam_agent_steps_per_s": config.robots * statistics.median(s.steps / s.wall_s for s in slam),
-        "slam_env_steps_per_s_min": min(s.steps / s.wall_s for s in slam),
-        "slam_env_steps_per_s_max": max(s.steps / s.wall_s for s in slam),
-        "team_ate_m": statistics.median(s.team_ate_m for s in slam),
+        "world_env_steps_per_s": statistics.median(run.rate for run in world),
+        "slam_env_steps_per_s": statistics.median(run.rate for run in slam),
+        "world_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in world),
+        "slam_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in slam),
+        "slam_agent_steps_per_s": config.robots * statistics.median(run.rate for run in slam),
+        "slam_env_steps_per_s_min": min(run.rate for run in slam),
+        "slam_env_steps_per_s_max": max(run.rate for run in slam),
+        "team_ate_m": statistics.median(run.team_ate_m for run in slam),
         "map": config.map,
         "robots": config.robots,
         "beams": config.lidar.beam_count,
@@ -98,7 +107,7 @@ def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lamb
     }
 
 
-def time_world(config: EnvConfig, seed: int) -> Speed:
+def time_world(config: EnvConfig, seed: int) -> Run:
     """An episode of the world alone: physics and all sensors."""
     world = World(config, load_map(config.map))
     world.reset(seed)
@@ -114,10 +123,10 @@ def time_world(config: EnvConfig, seed: int) -> Speed:
         if step >= WARM_UP_STEPS:
             wall_s += time.perf_counter() - wall
             cpu_s += time.process_time() - cpu
-    return Speed(wall_s, cpu_s, config.max_cycles, float("nan"))
+    return Run(config.max_cycles, wall_s, cpu_s)
 
 
-def time_environment(config: EnvConfig, seed: int) -> Speed:
+def time_environment(config: EnvConfig, seed: int) -> Run:
     """An episode of the environment: world, SLAM, observations, rewards."""
     warm = ExplorationEnv(config=config)
     warm.reset(seed=seed)
@@ -130,4 +139,4 @@ def time_environment(config: EnvConfig, seed: int) -> Speed:
         env.step(actions)
         wall_s += time.perf_counter() - wall
         cpu_s += time.process_time() - cpu
-    return Speed(wall_s, cpu_s, config.max_cycles, env.result().figures["team_ate_m"])
+    return Run(config.max_cycles, wall_s, cpu_s, env.result().figures["team_ate_m"])

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env import bench_probes
-from twc_env.bench import wander
+from twc_env.bench import Run, wander
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
@@ -53,18 +53,6 @@ class Settings:
     probe_steps: int = 1000
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
-    """One timed repetition."""
-
-    steps: int
-    wall_s: float
-    cpu_s: float
-    step_s: Array | None = None
-    """(steps,) wall time of each step, where it was taken."""
-    team_ate_m: float = float("nan")
-
-
 def bench_peers(settings: Settings | None = None, report: Report = lambda _line: None) -> dict[str, Any]:
     """All figures of the comparison as one flat object; a peer that is not installed has None."""
     settings = settings or Settings()
@@ -80,13 +68,11 @@ def _rates(settings: Settings, report: Report) -> dict[str, Any]:
     for repetition in range(settings.repetitions):
         for name, once in candidates.items():
             runs[name].append(once(repetition))
-            run = runs[name][-1]
-            report(f"{repetition + 1}/{settings.repetitions} {name:<6} {run.steps / run.wall_s:>9,.0f} env-steps/s")
+            report(f"{repetition + 1}/{settings.repetitions} {name:<6} {runs[name][-1].rate:>9,.0f} env-steps/s")
     figures: dict[str, Any] = {}
     for name in ("world", "slam", *PEERS):
-        rates = [(run.steps / run.wall_s, run.steps / run.cpu_s) for run in runs.get(name, [])]
-        for suffix, column in (("s", 0), ("cpu_s", 1)):
-            values = [rate[column] for rate in rates]
+        for suffix, rate in (("s", "rate"), ("cpu_s", "cpu_rate")):
+            values = [getattr(run, rate) for run in runs.get(name, [])]
             figures[f"{name}_env_steps_per_{suffix}"] = statistics.median(values) if values else None
     for ours in ("world", "slam"):
         for peer in PEERS:
@@ -143,7 +129,7 @@ class OurRuns:
             step_s[k] = now - before
             before = now
         wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
-        return Run(len(actions), wall_s, cpu_s, step_s, self._env.result().figures["team_ate_m"])
+        return Run(len(actions), wall_s, cpu_s, self._env.result().figures["team_ate_m"], step_s)
 
 
 def record_actions(env: ExplorationEnv, seed: int) -> list[dict[str, Array]]:

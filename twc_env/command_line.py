@@ -154,6 +154,13 @@ def number(least: float, most: float) -> Callable[[str], float]:
     return read
 
 
+def show_count(done: int, total: int, what: str = "") -> None:
+    """How far a command is, on one line of a terminal; nothing in a pipe."""
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r{done}/{total}{what}" + ("\n" if done == total else ""))
+        sys.stderr.flush()
+
+
 def parse_seeds(text: str) -> tuple[int, ...]:
     """Seeds of a list such as 0-3,7 -> (0, 1, 2, 3, 7). Raises ConfigError for others and for endless ranges."""
     seeds: list[int] = []

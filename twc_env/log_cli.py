@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twc_env.command_line import add_set, alone_in, assignments, count, make_folder, natural
+from twc_env.command_line import add_set, alone_in, assignments, count, make_folder, natural, show_count
 from twc_env.errors import DataError
 from twc_env.json_values import check_folder, write_json
 
@@ -106,8 +106,8 @@ def _record(options: argparse.Namespace) -> None:
 
 
 def _progress(done: int, total: int) -> None:
-    if sys.stderr.isatty() and (done % 50 == 0 or done == total):
-        print(f"\r{done}/{total} steps", end="\n" if done == total else "", file=sys.stderr, flush=True)
+    if done % 50 == 0 or done == total:
+        show_count(done, total, " steps")
 
 
 def _replay(options: argparse.Namespace) -> None:

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from twc_env.command_line import add_set, assignments, count, natural
+from twc_env.command_line import add_set, assignments, count, natural, show_count
 from twc_env.errors import TwcError
 from twc_env.json_values import write_json
 
@@ -66,7 +66,7 @@ def _misuse(options: argparse.Namespace) -> None:
     figures: dict[str, object] = {}
     faults: list[str] = []
     if options.actions is not None:
-        thrown = fuzz_actions(options.actions, options.seed, _count)
+        thrown = fuzz_actions(options.actions, options.seed, show_count)
         print(
             f"{thrown.count} broken actions: {thrown.refused} refused, {thrown.accepted} sound after all, "
             f"{len(thrown.escaped)} raised something else; {thrown.steps_compared} steps equal to those of a team "
@@ -75,15 +75,10 @@ def _misuse(options: argparse.Namespace) -> None:
         faults += thrown.escaped[:5] + [f"refused actions of kind {kind} left a mark" for kind in thrown.changed]
         figures["actions"] = {name: getattr(thrown, name) for name in thrown.__slots__}
     if options.observations is not None:
-        seen = check_observations(options.observations, options.seed, _count)
+        seen = check_observations(options.observations, options.seed, show_count)
         print(f"{seen.steps} random steps, {seen.blocks} blocks looked at, {len(seen.faults)} faults")
         faults += seen.faults
         figures["observations"] = {name: getattr(seen, name) for name in seen.__slots__}
     write_json(options.json, figures)
     if faults:
         raise TwcError("; ".join(faults))
-
-
-def _count(done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        print(f"\r{done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)

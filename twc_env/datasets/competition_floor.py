@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.geojson_features import EXTENT_MAX_M, Area, metric, name_of, polygons_of, signed_area_m2, walls_of
+from twc_env.datasets.furnish import hung_sign
+from twc_env.datasets.geojson_features import EXTENT_MAX_M, Area, name_of, polygons_of, signed_area_m2, walls_of
 from twc_env.datasets.house_expo import fill_ring
-from twc_env.datasets.name_plate import hung_sign
 from twc_env.datasets.outline import sides_of
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
@@ -33,9 +33,10 @@ def competition_floor(features: list[dict], path: Path, name: str) -> Floorplan:
     extent = np.max([ring.max(axis=0) for ring in outline], axis=0) - low
     if (extent <= 0).any():
         raise MapError(f"{path.name}: the floor's outline has no area; export it again")
-    floor = [metric(ring, low, size_m / extent) for ring in outline]
+    scale = size_m / extent  # metres per degree
+    floor = [(ring - low) * scale for ring in outline]
     blocks = _distinct(
-        Area(name_of(feature), metric(rings[0], low, size_m / extent))
+        Area(name_of(feature), (rings[0] - low) * scale)
         for feature in features[1:]
         for rings in polygons_of(feature, path.name)
     )

@@ -1,4 +1,4 @@
-"""Signs and access points for buildings whose map has none, placed by seed."""
+"""Signs and access points on maps: placed by seed where there are none, or hung where a name belongs."""
 
 from __future__ import annotations
 
@@ -71,6 +71,17 @@ def place_access_points(
         AccessPoint(f"ap-{i + 1:02d}", position, local_macs(box, int(random.integers(2, 4))))
         for i, (position, box) in enumerate(zip(chosen, boxes, strict=True))
     )
+
+
+def hung_sign(plan: Floorplan, text: str, at: Array, normal: Array) -> Sign | None:
+    """A sign there, if open floor lies before it."""
+    front = at + SIGN_FRONT_M * normal
+    if not plan.cells().is_free(np.stack([front, at + 2 * SIGN_FRONT_M * normal])).all():
+        return None
+    face = at + SIGN_FACE_M * normal
+    if plan.wall_index.crossing(front, face[None])[0][0] or plan.wall_index.distance_m(at[None], 0.3)[0] >= 0.1:
+        return None
+    return Sign(text, at, float(np.arctan2(normal[1], normal[0])))
 
 
 def room_label(number: int) -> str:

@@ -33,11 +33,6 @@ class Area:
     """The same, clockwise: what they go around is no part of it."""
 
 
-def metric(lonlat: Array, origin: Array, scale: Array) -> Array:
-    """Places (..., 2) in degrees as metres from the origin (2,), with metres per degree (2,)."""
-    return (lonlat - origin) * scale
-
-
 def walls_of(ring: Array) -> Array:
     """(j, 2, 2) ends of the walls along a ring (k, 2), straightened to `SIMPLIFY_M`."""
     sides = sides_of(simplified_ring(ring, SIMPLIFY_M))

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.datasets.furnish import hung_sign
 from twc_env.datasets.geojson_features import (
     EXTENT_MAX_M,
     Area,
     levels_of,
-    metric,
     part_of,
     point_of,
     polygons_of,
@@ -20,7 +20,6 @@ from twc_env.datasets.geojson_features import (
     width_m_of,
 )
 from twc_env.datasets.house_expo import interior_point
-from twc_env.datasets.name_plate import hung_sign
 from twc_env.datasets.outline import sides_of
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
@@ -62,7 +61,7 @@ def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorp
     jambs = []
     for feature in features:
         if tag_of(feature, "door"):
-            place = metric(point_of(feature, where)[None], origin, scale)[0]
+            place = (point_of(feature, where) - origin) * scale
             jambs += _open_door(outlines, walls, place, width_m_of(feature), plates)
     table = np.concatenate([*walls, np.array(jambs).reshape(-1, 2, 2)])
     # Every room seeds the floor; then only what hangs together is kept.
@@ -79,7 +78,7 @@ def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorp
 
 def _in_metres(rings: list[Array], origin: Array, scale: Array) -> tuple[Array, tuple[Array, ...]]:
     """The outer ring, and the holes."""
-    outer, *holes = (metric(ring, origin, scale) for ring in rings)
+    outer, *holes = ((ring - origin) * scale for ring in rings)
     return outer, tuple(holes)
 
 

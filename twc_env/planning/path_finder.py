@@ -257,7 +257,8 @@ class PathFinder:
         row, column = np.floor(terrain.to_cells(start_m)).astype(int)
         start = _nearest_open(terrain.cost, row, column, round(self.START_REACH_M / cell))
         if start < 0:
-            self._forget()
+            self._spent[self._opened[: self._opened_count]] = FAR
+            self._opened_count = 0
             return None
         units = UNITS_PER_CELL / cell
         penalty = np.minimum(np.asarray(penalty_m, float) * units, float(FAR)).astype(np.int32)
@@ -305,11 +306,6 @@ class PathFinder:
         values[:, :2] = terrain.to_cells(values[:, :2])
         values[:, 2] /= terrain.resolution_m
         return _add_discs(terrain.cost, values, self._undo_cell, self._undo_cost)
-
-    def _forget(self) -> None:
-        """No cell is open any more."""
-        self._spent[self._opened[: self._opened_count]] = FAR
-        self._opened_count = 0
 
     def _reserve(self, size: int) -> None:
         if size <= self._capacity:

@@ -156,16 +156,12 @@ def _space(walls_m: Array, starts: Array, radius_m: float) -> pymunk.Space:
     space.collision_bias = _PENETRATION_KEPT_PER_S
     space.collision_persistence = 1  # steps are left out: what touched in the last one is no hint
     space.add(*(pymunk.Segment(space.static_body, a, b, 0.0) for a, b in walls_m.reshape(-1, 2, 2).tolist()))
-    for pose in starts:
-        _add_robot(space, pose, radius_m)
+    for x, y, heading in starts.tolist():
+        # An infinite moment of inertia: contacts push a robot, they never turn it. Nothing rubs (friction is 0).
+        body = pymunk.Body(_MASS_KG, math.inf)
+        body.position, body.angle = (x, y), heading
+        space.add(body, pymunk.Circle(body, radius_m))
     return space
-
-
-def _add_robot(space: pymunk.Space, pose: Array, radius_m: float) -> None:
-    # An infinite moment of inertia: contacts push a robot, they never turn it. Nothing rubs (friction is 0).
-    body = pymunk.Body(_MASS_KG, math.inf)
-    body.position, body.angle = (float(pose[0]), float(pose[1])), float(pose[2])
-    space.add(body, pymunk.Circle(body, radius_m))
 
 
 def _anchor(space: pymunk.Space, robots: Iterable[int]) -> None:
