@@ -86,13 +86,13 @@ class Checked:
         """What a config file calls the field, as in slam.local_map.resolution_m."""
         from twc_env.config.environment import EnvConfig
 
-        section = next((name for name, cls in _sections(EnvConfig, "") if cls is type(self)), "")
+        section = next((name for name, cls in sections_of(EnvConfig) if cls is type(self)), "")
         return f"{section}.{setting.name}".lstrip(".")
 
 
-def _sections(cls: type, name: str) -> Iterator[tuple[str, type]]:
+def sections_of(cls: type, name: str = "") -> Iterator[tuple[str, type]]:
     """Dotted names and classes of a section and of all inside it."""
     yield name, cls
     for key, kind in typing.get_type_hints(cls).items():
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-            yield from _sections(kind, f"{name}.{key}".lstrip("."))
+            yield from sections_of(kind, f"{name}.{key}".lstrip("."))

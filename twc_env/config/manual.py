@@ -8,10 +8,11 @@ import inspect
 import json
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
-from twc_env.config.checks import choices_of
+from twc_env.config.checks import choices_of, sections_of
 from twc_env.config.environment import EnvConfig
 from twc_env.errors import ConfigError, did_you_mean
 
@@ -24,28 +25,22 @@ def as_toml(config: EnvConfig, sections: Sequence[str] = ()) -> str:
     sections: dotted names, to show these and what is in them alone ("slam.merging"); none shows all. Raises ConfigError
     for a section that is not there.
     """
-    parts = list(_sections(config, EnvConfig(), ""))
+    names = [name for name, _ in sections_of(EnvConfig)]  # that of the outermost is ""
     for name in sections:
-        if name not in [part[0] for part in parts]:
-            names = [part[0] for part in parts if part[0]]
-            hint = did_you_mean(name, names) or f"; sections are {', '.join(names)}"
+        if name not in names:
+            hint = did_you_mean(name, names) or f"; sections are {', '.join(names[1:])}"
             raise ConfigError(f"there is no section {name!r} among the settings{hint}")
-    is_wanted = [not sections or any(f"{part[0]}.".startswith(f"{name}.") for name in sections) for part in parts]
-    chosen = [_text(*part) for part, wanted in zip(parts, is_wanted, strict=True) if wanted]
-    return "\n\n".join(chosen) + "\n"
+    chosen = [name for name in names if not sections or any(f"{name}.".startswith(f"{part}.") for part in sections)]
+    return "\n\n".join(_text(name, _part(config, name), _part(EnvConfig(), name)) for name in chosen) + "\n"
 
 
-def _sections(values: Any, defaults: Any, name: str) -> Iterator[tuple[str, Any, Any]]:
-    """(dotted name, values, defaults) of a section and of all inside it."""
-    yield name, values, defaults
-    for field in dataclasses.fields(values):
-        inner = getattr(values, field.name)
-        if dataclasses.is_dataclass(inner):
-            yield from _sections(inner, getattr(defaults, field.name), f"{name}.{field.name}".lstrip("."))
+def _part(config: EnvConfig, name: str) -> Any:
+    return attrgetter(name)(config) if name else config
 
 
 def _text(name: str, values: Any, defaults: Any) -> str:
-    lines = [f"# {line}" for line in textwrap.wrap(_summary(type(values)), _WIDTH)]
+    summary = " ".join((type(values).__doc__ or "").split())
+    lines = [f"# {line}" for line in textwrap.wrap(summary, _WIDTH)]
     lines += [f"[{name}]"] if name else []
     explained = _explained(type(values))
     for field in dataclasses.fields(values):
@@ -53,13 +48,9 @@ def _text(name: str, values: Any, defaults: Any) -> str:
         if dataclasses.is_dataclass(value):
             continue
         lines += [f"# {line}" for line in textwrap.wrap(explained.get(field.name, ""), _WIDTH)]
-        was = "" if value == default else f"; default {_literal(default)}"
-        lines.append(f"{field.name} = {_literal(value)}".ljust(36) + f"  # {_allowed(field, value)}{was}")
+        was = "" if value == default else f"; default {json.dumps(default)}"
+        lines.append(f"{field.name} = {json.dumps(value)}".ljust(36) + f"  # {_allowed(field, value)}{was}")
     return "\n".join(lines)
-
-
-def _literal(value: Any) -> str:
-    return json.dumps(value)
 
 
 def _allowed(field: dataclasses.Field, value: Any) -> str:
@@ -74,10 +65,6 @@ def _allowed(field: dataclasses.Field, value: Any) -> str:
 
 def _short(limit: float) -> str:
     return f"{limit:,.0f}" if limit == round(limit) else f"{limit:.6g}"
-
-
-def _summary(section: type) -> str:
-    return " ".join((section.__doc__ or "").split())
 
 
 def _explained(section: type) -> dict[str, str]:

@@ -39,14 +39,6 @@ class Driver:
         self._follower = Follower(dynamics)
         self.status = "idle"
         """"idle", "driving", "arrived" or "failed"."""
-        self._goal_m = np.zeros(2)
-        self._is_frontier = False
-        self._arrival_m = ARRIVAL_M
-        self._map_id = (-1, 0)
-        self._pose = np.zeros(3)
-        self._ticks = 0
-        self._anchor = (0.0, 0.0, 0)
-        self._escape_ticks = 0
 
     def start(self, goal_m: Array, belief: Belief, kind: str = "place", arrival_m: float = ARRIVAL_M) -> None:
         """Head for goal_m (2,) in the map frame; kind is "place", "frontier" (over once mapped) or "mate"."""
