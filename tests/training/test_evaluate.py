@@ -35,11 +35,11 @@ def test_a_trained_team_is_filmed_and_plays_as_it_does_unseen(run, tmp_path):
 
 
 def test_what_a_team_covers_does_not_depend_on_how_it_is_paid(task):
-    from training.evaluate import _choosing, _nearest, _scripted
+    from training.evaluate import _nearest, _played, _scripted, _team
 
     team = replace(task, robots=3, max_cycles=60)
     alone = replace(team, overrides={**team.overrides, "reward.sharing": "individual"})
-    for play in (lambda task: _choosing(task, 1, _nearest), lambda task: _scripted(task, 1)):
+    for play in (lambda task: _played(task, 1, _team(task), _nearest), lambda task: _scripted(task, 1)):
         assert play(alone) == play(team)
 
 
