@@ -28,11 +28,6 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def json_text(values: Any) -> str:
-    """The same as text."""
-    return json.dumps(plain(values), indent=2, allow_nan=False)
-
-
 def write_json(path: Path | None, values: Any) -> None:
     """Write values, folders included; nothing without a path, to the terminal for `-`.
 
@@ -40,12 +35,13 @@ def write_json(path: Path | None, values: Any) -> None:
     """
     if path is None:
         return
+    text = json.dumps(plain(values), indent=2, allow_nan=False) + "\n"
     if path == TERMINAL:
-        sys.stdout.write(json_text(values) + "\n")
+        sys.stdout.write(text)
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json_text(values) + "\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
 

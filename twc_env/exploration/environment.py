@@ -23,7 +23,7 @@ from twc_env.exploration.compilation import FIRST_START, announce_compilation
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.observation_blocks import observation_space
 from twc_env.exploration.pilot import Pilot, frontier_space, waypoint_space
-from twc_env.exploration.reset_options import ResetOptions
+from twc_env.exploration.reset_options import read_options
 from twc_env.exploration.settings import resolve
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
@@ -178,10 +178,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """
         self.agents, self._begun = [], None
         seed = self._next_seed() if seed is None else whole_number("seed", seed, 0)
-        chosen = ResetOptions.of(options, seed)
-        config = self._move_into(chosen.building)
+        starts, building = read_options(options, seed)
+        config = self._move_into(building)
         self._seed = seed
-        episode = self._begun = Episode(config, self._world, seed, chosen.starts)
+        episode = self._begun = Episode(config, self._world, seed, starts)
         self.agents = self.possible_agents[:]
         if self._viewer is not None:
             self._viewer.begin()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import NoneType
 from typing import Any
 
@@ -15,31 +14,22 @@ from twc_env.world.splits import split_names
 NAMES = ("starts", "map", "split")
 
 
-@dataclass(frozen=True, slots=True)
-class ResetOptions:
-    """The options that this environment knows; those of others are ignored."""
+def read_options(options: Mapping[str, Any] | None, seed: int) -> tuple[Any, str | None]:
+    """Starts as `World.reset` takes them, and the building to play in, None for the environment's own.
 
-    starts: Any
-    """As `World.reset` takes them."""
-    building: str | None
-    """The building to play in; None: the environment's own."""
-
-    @classmethod
-    def of(cls, options: Mapping[str, Any] | None, seed: int) -> ResetOptions:
-        """Read them; of a split, the seed draws the building.
-
-        Raises ConfigError for what is no dict, for a misspelt name, and for a building that is named twice.
-        """
-        if not isinstance(options, (Mapping, NoneType)):
-            raise ConfigError(f"reset options must be a dict, such as {{'map': 'twin-02'}}; got {options!r}")
-        options = dict(options or {})
-        for unknown in options.keys() - NAMES:
-            if near := difflib.get_close_matches(str(unknown), NAMES, n=1, cutoff=0.8):
-                raise ConfigError(f"reset options have no {unknown!r}; did you mean {near[0]!r}?")
-        if "map" in options and "split" in options:
-            raise ConfigError("reset options name either a map or a split, not both")
-        building = options.get("map")
-        if "split" in options:
-            names = split_names(options["split"])
-            building = names[int(random_stream(seed, "building").integers(len(names)))]
-        return cls(options.get("starts", "random"), building)
+    Of a split, the seed draws the building. Options of other environments are ignored. Raises ConfigError for what
+    is no dict, for a misspelt name, and for a building that is named twice.
+    """
+    if not isinstance(options, (Mapping, NoneType)):
+        raise ConfigError(f"reset options must be a dict, such as {{'map': 'twin-02'}}; got {options!r}")
+    options = dict(options or {})
+    for unknown in options.keys() - NAMES:
+        if near := difflib.get_close_matches(str(unknown), NAMES, n=1, cutoff=0.8):
+            raise ConfigError(f"reset options have no {unknown!r}; did you mean {near[0]!r}?")
+    if "map" in options and "split" in options:
+        raise ConfigError("reset options name either a map or a split, not both")
+    building = options.get("map")
+    if "split" in options:
+        names = split_names(options["split"])
+        building = names[int(random_stream(seed, "building").integers(len(names)))]
+    return options.get("starts", "random"), building

@@ -31,8 +31,6 @@ class Failures:
 
     def contacts(self, step: int, contacts: Contacts) -> Contacts:
         """What is left of the contacts of a step: the dead neither speak nor hear, and in a cut nobody does."""
-        if self.is_nothing:
-            return contacts
         config = self._config
         if config.link_begin_step <= step < config.link_end_step:
             nobody = np.zeros_like(contacts.tried)

@@ -26,8 +26,6 @@ class Link:
     def contacts(self, poses: Array) -> Contacts:
         """The contacts of one step at true poses (robots, 2 or 3) in the frame of the walls."""
         config = self._config
-        if self.constant is not None:
-            return self.constant
         tried = self._in_range(poses[:, :2]) if config.topology == "peer" else self._always
         if config.loss_probability == 0.0:
             return Contacts(tried, tried)

@@ -14,7 +14,7 @@ from twc_env.messages import SignReading
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.misreading import CODES, LINE_DRAWS, misread_signs
 from twc_env.world.noise import NormalPools
-from twc_env.world.sign_readers import ocr_stream, shipped_table, texts_of
+from twc_env.world.sign_readers import ocr_stream, shipped_reader, texts_of
 from twc_env.world.signs import SignCamera, bearing_stream
 
 _TURN_RAD = 2.0 * math.pi
@@ -80,7 +80,7 @@ class _TableReading(BindsAnew):
         """Robot, sign and reading of all that is read in a step in which robot `first` looks first."""
         if self._run is None:
             team = Lent(self._kept)
-            self._run = partial(bound(_read_in_turn, shipped_table(), team, first), team)
+            self._run = partial(bound(_read_in_turn, shipped_reader().table, team, first), team)
         count = self._run(first)
         while count < 0:
             self._luck.refill(-count)

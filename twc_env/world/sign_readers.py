@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import SignsConfig
-from twc_env.kernels import Lent
 from twc_env.random_streams import random_stream
 from twc_env.world.misreading import SignTexts, TableReader, draw_count, misread
 from twc_env.world.ocr_table import load_table
@@ -51,7 +50,7 @@ class _Fast:
 
     def read(self, signs: Sequence[int], sights: Array, hidden: Array) -> list[str]:
         fresh = self._noise.standard_normal(sum([self._draw_counts[sign] for sign in signs]))
-        return _shipped().read_signs(sights, hidden, self._texts, fresh)
+        return shipped_reader().read_signs(sights, hidden, self._texts, fresh)
 
 
 def ocr_stream(seed: int, robot: int) -> np.random.Generator:
@@ -66,14 +65,9 @@ def texts_of(texts: tuple[str, ...], seed: int) -> SignTexts:
 
 
 @lru_cache(maxsize=1)
-def _shipped() -> TableReader:
+def shipped_reader() -> TableReader:
     """The same for all: copies and snapshots of an environment carry no table along."""
     return TableReader(load_table())
-
-
-def shipped_table() -> Lent:
-    """For `misread_signs`."""
-    return _shipped().table
 
 
 class _Simple:
