@@ -244,7 +244,7 @@ def test_the_belief_of_nobody_is_refused_with_the_team(agent):
         env.belief(agent)
 
 
-@pytest.mark.parametrize("what", ["frames", "contacts", "record", "engine", "bytes_sent", "np_random"])
+@pytest.mark.parametrize("what", ["frames", "contacts", "engine", "np_random", "episode"])
 def test_what_an_episode_holds_is_not_there_before_it(what):
     with pytest.raises(twc_env.TwcError, match="call reset"):
         getattr(twc_env.parallel_env(robots=1), what)
