@@ -164,8 +164,7 @@ class NearestFrontier:
         key = squeeze, belief.grid
         if key in self._terrains and self._terrains[key][0] == belief.step:
             return self._terrains[key][1]
-        poses = [belief.pose_map_robot, *belief.mates.values()]
-        terrain = Terrain(belief.grid, squeeze * self.dynamics.robot_radius_m, np.array(poses)[:, :2])
+        terrain = Terrain.of(belief, squeeze * self.dynamics.robot_radius_m)
         self._terrains = {k: v for k, v in self._terrains.items() if v[0] == belief.step}
         self._terrains[key] = (belief.step, terrain)
         return terrain

@@ -95,8 +95,7 @@ class RadioWalk:
 
     def _terrain_of(self, belief: Belief, squeeze: float) -> Terrain:
         """Floor near walls costs no more: rays to there cross most floor."""
-        poses = np.array([belief.pose_map_robot, *belief.mates.values()])
-        terrain = Terrain(belief.grid, squeeze * HUG * self._dynamics.robot_radius_m, poses[:, :2])
+        terrain = Terrain.of(belief, squeeze * HUG * self._dynamics.robot_radius_m)
         terrain.cost = np.where(terrain.cost > 0, 2, 0).astype(terrain.cost.dtype)
         return terrain
 

@@ -16,7 +16,7 @@ from numba.core.types.functions import BaseFunction
 from numba.core.typing.context import BaseContext
 
 from tests.forks import ALONE
-from twc_env import kernel_compiler
+from twc_env import file_lock, kernel_compiler
 from twc_env.file_lock import FileLock
 from twc_env.kernel_compiler import Part
 from twc_env.kernels import kernel
@@ -265,20 +265,21 @@ print(0, 0)
 
 def test_where_there_are_no_locks_each_process_compiles_for_itself(monkeypatch, tmp_path):
     naps: list[float] = []
-    monkeypatch.setattr(kernel_compiler.time, "sleep", naps.append)
+    monkeypatch.setattr(file_lock.time, "sleep", naps.append)
     monkeypatch.setattr(FileLock, "take", lambda _self: None)
-    with kernel_compiler._alone(tmp_path / "x.lock"), kernel_compiler._alone(tmp_path / "x.lock"):
+    with FileLock(tmp_path / "x.lock").held(120.0), FileLock(tmp_path / "x.lock").held(120.0):
         assert naps == []
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
 def test_nobody_waits_for_ever(monkeypatch, tmp_path):
     clock = iter(range(0, 10_000, 50))
-    monkeypatch.setattr(kernel_compiler.time, "monotonic", lambda: next(clock))
-    monkeypatch.setattr(kernel_compiler.time, "sleep", lambda _seconds: None)
+    monkeypatch.setattr(file_lock.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(file_lock.time, "sleep", lambda _seconds: None)
     lock = FileLock(tmp_path / "x.lock")
     assert lock.take()
-    with kernel_compiler._alone(tmp_path / "x.lock"):
+    with FileLock(tmp_path / "x.lock").held(120.0) as is_held:
+        assert not is_held
         assert lock.take()
 
 

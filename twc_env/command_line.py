@@ -9,7 +9,6 @@ import math
 import os
 import sys
 import textwrap
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -190,12 +189,7 @@ def alone_in(folder: Path, patience_s: float = 60.0) -> Iterator[None]:
     Raises DataError where another one does not end within `patience_s`, or the folder cannot be made.
     """
     make_folder(folder)
-    lock, end = FileLock(folder / ".lock"), time.monotonic() + patience_s
-    while lock.take() is False:
-        if time.monotonic() >= end:
+    with FileLock(folder / ".lock").held(patience_s) as is_ours:
+        if is_ours is False:
             raise DataError(f"another command writes to {folder}: wait for its end, or choose another with --out")
-        time.sleep(0.05)
-    try:
         yield
-    finally:
-        lock.release()

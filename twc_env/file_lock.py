@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 if sys.platform != "win32":
     import fcntl
 
-_TRIES = 100
+_TRIES, _LOOK_AGAIN_S = 100, 0.02
 
 
 class FileLock:
@@ -41,6 +43,17 @@ class FileLock:
                 return True
             os.close(descriptor)  # its holder gave it up in between: who comes next makes a file of the same name
         return None
+
+    @contextlib.contextmanager
+    def held(self, patience_s: float) -> Iterator[bool | None]:
+        """Wait for it so long at most; in here is what `take` gave last, and afterwards the next one may have it."""
+        end = time.monotonic() + patience_s
+        while (is_taken := self.take()) is False and time.monotonic() < end:
+            time.sleep(_LOOK_AGAIN_S)
+        try:
+            yield is_taken
+        finally:
+            self.release()
 
     def release(self) -> None:
         """Let the next one have it; who does not hold it does nothing."""

@@ -12,7 +12,6 @@ import glob
 import hashlib
 import os
 import pickle
-import time
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -42,7 +41,7 @@ from twc_env.kernel_context import KernelContext, nothing_twice
 from twc_env.kernel_library import KernelLibrary, PartLibrary
 
 _CONSTANTS = (bool, int, float, str, bytes, tuple, np.generic)
-_WAIT_MAX_S, _LOOK_AGAIN_S = 120.0, 0.02
+_WAIT_MAX_S = 120.0
 
 
 class Part:
@@ -256,7 +255,7 @@ class KernelFiles(_Cache):
         if path is None or self.cache_path is None or path.exists():
             yield
         else:
-            with _alone(path.with_suffix(".lock")):
+            with FileLock(path.with_suffix(".lock")).held(_WAIT_MAX_S):
                 yield
 
     def _path(self, sig, codegen) -> Path | None:
@@ -314,15 +313,3 @@ def _foundation(function: Any, impl: CompileResultCacheImpl | None = None) -> tu
                 digest.update(f"{name} {value!r}".encode())
         _FOUNDATIONS[id(names)] = digest.hexdigest(), names
     return _FOUNDATIONS[id(names)]
-
-
-@contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """No other process is in here with the same path, where the system can tell."""
-    lock, given_up_s = FileLock(path), time.monotonic() + _WAIT_MAX_S
-    try:
-        while lock.take() is False and time.monotonic() < given_up_s:
-            time.sleep(_LOOK_AGAIN_S)
-        yield
-    finally:
-        lock.release()

@@ -196,14 +196,12 @@ class _Boards:
         self._view()
 
     def _view(self) -> None:
-        views = {
-            name: np.frombuffer(raw, np.uint8, math.prod(self._shapes[name][0]) * self._shapes[name][1].itemsize)
-            .view(self._shapes[name][1])
-            .reshape(self._shapes[name][0])
-            for name, raw in self._raw.items()
+        views: dict[str, Array] = {
+            name: np.frombuffer(self._raw[name], dtype, math.prod(shape)).reshape(shape)
+            for name, (shape, dtype) in self._shapes.items()
         }
         self.rewards, self.ended, self.actions = (views.pop(f" {name}") for name in ("rewards", "ended", "actions"))
-        self.blocks: dict[str, Array] = views
+        self.blocks = views
 
     def __getstate__(self) -> dict:
         return {"_shapes": self._shapes, "_raw": self._raw}

@@ -165,8 +165,7 @@ def terrain_of(known: dict[tuple[float, GridMap], Terrain], belief: Belief, radi
     """
     key = radius_m, belief.grid
     if key not in known:
-        poses = np.array([belief.pose_map_robot, *belief.mates.values()])
-        known[key] = Terrain(belief.grid, radius_m, poses[:, :2])
+        known[key] = Terrain.of(belief, radius_m)
     return known[key]
 
 

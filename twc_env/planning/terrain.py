@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
-from twc_env.messages import GridMap
+from twc_env.messages import Belief, GridMap
 
 UNKNOWN, FREE, WALL = 0, 1, 2
 OPEN_COST = 2
@@ -218,6 +218,12 @@ class Terrain:
         _price(self.kind, squared, _prices(limit, reach), self.cost)
         self.labels = np.zeros(shape, np.int32)
         self.clusters = _frontiers(self.kind, self.cost, self.labels, np.empty((self.kind.size // 2 + 1, 2), np.int32))
+
+    @classmethod
+    def of(cls, belief: Belief, robot_radius_m: float) -> Terrain:
+        """The map of a robot, in which it and its mates stand."""
+        poses = np.array([belief.pose_map_robot, *belief.mates.values()])
+        return cls(belief.grid, robot_radius_m, poses[:, :2])
 
     @property
     def frontier_sizes(self) -> Array:
