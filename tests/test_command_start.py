@@ -25,7 +25,7 @@ def interrupted(tmp_path, module: str, *command: str) -> subprocess.CompletedPro
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent by a signal of POSIX")
-@pytest.mark.parametrize("module", ["numpy", "gymnasium", "numba", "twc_env.command_line"])
+@pytest.mark.parametrize("module", ["numpy", "gymnasium", "pettingzoo", "twc_env.command_line"])
 @pytest.mark.parametrize("package", ["twc_env", "agents", "training"])
 def test_ctrl_c_while_a_command_is_being_read_is_one_line(tmp_path, package, module):
     done = interrupted(tmp_path, module, "-m", package, "--help")
