@@ -249,6 +249,8 @@ def test_scans_that_end_at_the_border_are_kept_when_the_grid_grows_elsewhere():
         assert levels_at(grid.snapshot(), pose[:2]) < 0
 
 
-def test_scans_that_no_grid_can_hold_are_refused():
-    with pytest.raises(DataError, match=r"no grid of .* holds scans that reach"):
-        map_of([(2**58.5 + 459 * 2**50, 0.0, 0.0)], [np.full(BEAMS, 9.0)])
+@pytest.mark.parametrize("poses", [[(2**58.5 + 459 * 2**50, 0.0, 0.0)], [(0.0, 0.0, 0.0), (8e4, 5e4, 0.0)]])
+def test_scans_that_no_grid_can_hold_are_refused(poses):
+    """Cells cannot be told apart there, or would fill 800 GB."""
+    with pytest.raises(DataError, match=r"no grid of .* holds scans that reach .* units of odometry"):
+        map_of(poses, [np.full(BEAMS, 9.0)] * len(poses))

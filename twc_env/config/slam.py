@@ -10,7 +10,11 @@ from twc_env.config.checks import Checked, choice, number
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryFilterConfig(Checked):
-    """The EKF of one robot: what it assumes about its sensors."""
+    """The EKF of one robot: what it assumes about its sensors.
+
+    The defaults are for odometry and gyro as `odometry.drift` 1 has them. With better ones (`drift` 0.1), noises, scale
+    and bias should be as much smaller: otherwise matches of few or noisy beams move a pose that odometry knows better.
+    """
 
     backend: str = choice("compiled", "filterpy")
     """Same equations twice: a compiled kernel, or filterpy's ExtendedKalmanFilter (the oracle; about 20 x slower)."""

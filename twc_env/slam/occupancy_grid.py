@@ -17,6 +17,8 @@ from twc_env.slam.sparse_scans import SparseScans
 
 ROUNDING_M = 1e-9
 """A box that ends so close to the grid's end may lie outside once the grid has grown elsewhere."""
+CELLS_MAX = 2**31
+"""4 GB; robots whose map needs more are not where they are said to be."""
 NOWHERE_M = (math.inf, math.inf, -math.inf, -math.inf)
 """A box that holds nothing: left, bottom, right and top end."""
 
@@ -58,7 +60,8 @@ class OccupancyGrid(BindsAnew):
     def integrate(self, poses: Array, scans: Array) -> None:
         """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall.
 
-        Raises DataError for poses so far away that cells cannot be told apart.
+        Raises DataError for poses so far apart that there is no room for the cells between, or that these cannot be
+        told apart.
         """
         if len(poses) == 0:
             return
@@ -66,7 +69,14 @@ class OccupancyGrid(BindsAnew):
         if not self._fold_in(poses, scans):
             self._grow(self._reached_m[:2], self._reached_m[2:])
             if not self._fold_in(poses, scans):
-                raise DataError(f"no grid of {self.resolution_m:g} m cells holds scans that reach {self._reached_m} m")
+                raise self._too_far()
+
+    def _too_far(self) -> DataError:
+        reached = ", ".join(f"{reached:.6g}" for reached in self._reached_m)
+        return DataError(
+            f"no grid of {self.resolution_m:g} m cells holds scans that reach {reached} m (left, bottom, right, top): "
+            "look at the units of odometry and gyro"
+        )
 
     def _fold_in(self, poses: Array, scans: Array) -> bool:
         """Whether the scans could be folded in: not where they touch more than there are cells."""
@@ -120,6 +130,8 @@ class OccupancyGrid(BindsAnew):
         if rows:  # grow only on the sides that need it
             first = np.where(low_m < old_low + ROUNDING_M, first, np.round(old_low / self.resolution_m))
             last = np.where(high_m > old_high - ROUNDING_M, last, np.round(old_high / self.resolution_m))
+        if not np.prod(last - first) <= CELLS_MAX:
+            raise self._too_far()
         shape = (last - first).astype(int)[::-1]
         grown = np.zeros(shape, np.int16)
         if rows:
