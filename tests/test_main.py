@@ -2,6 +2,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from agents.__main__ import main as agents
 from twc_env import metrics
 from twc_env.__main__ import main
 from twc_env.bench import wander as drive
-from twc_env.datasets.frame_log import read_truth_log, write_frame_log
+from twc_env.config import override
+from twc_env.datasets.frame_log import read_frame_log, read_truth_log, write_frame_log
 from twc_env.datasets.tum import read_tum
 from twc_env.geometry import compose
 from twc_env.maps import bundled_folder
@@ -74,6 +76,21 @@ def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, caps
         assert pose == pytest.approx(env.belief(agent).pose_map_robot, abs=1e-5)
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"map.pgm", "map.yaml", "pose_graph.g2o"} <= written
+
+
+def test_a_replay_does_not_mind_how_robots_number_their_frames(tmp_path):
+    """One of them is far ahead, and falls silent."""
+    assert main(["record", "--map", "twin-01", "--seed", "1", "--steps", "800", "--out", str(tmp_path)]) == 0
+    config, steps = read_frame_log(tmp_path / "frames.npz")
+    config = override(config, {"max_cycles": 100_000})  # it goes on: the mapper has not cleared its desk
+    kept = [[frame for frame in frames if frame.robot or frame.step < 300] for frames in steps]
+    numbered = [[replace(frame, step=frame.step + 10_000 * (frame.robot == 0)) for frame in frames] for frames in kept]
+    found = []
+    for each in (kept, numbered):
+        write_frame_log(tmp_path / "other.npz", config, each)
+        assert main(["replay", str(tmp_path / "other.npz"), "--json", str(tmp_path / "replay.json")]) == 0
+        found.append(json.loads((tmp_path / "replay.json").read_text()))
+    assert found[0] == found[1]
 
 
 def test_a_frame_log_is_known_by_what_it_holds(tmp_path, capsys):

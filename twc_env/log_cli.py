@@ -146,15 +146,15 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
         )
     seen = 1 + max(frame.robot for frames in steps for frame in frames)
     engine = CooperativeSlam(config, contacts[0].heard.shape[1] if contacts else seen)
-    step = -1
-    for k, frames in enumerate(steps):
-        step = frames[0].step if frames else step + 1
+    first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
+    for step, frames in enumerate(steps, first):  # each robot may number its own in its own way
         if frames:
             engine.track(frames)
-        engine.absorb(step, contacts[k] if contacts else None)
+        engine.absorb(step, contacts[step - first] if contacts else None)
         odom_poses.append(engine.poses_odom)
-        _progress(k + 1, len(steps))
-    if step >= config.max_cycles or not _is_frame_log(log):  # played to its end, where the mapper clears its desk
+        _progress(step - first + 1, len(steps))
+    last = max([step, *(frame.step for frame in steps[-1])])
+    if last >= config.max_cycles or not _is_frame_log(log):  # played to its end, where the mapper clears its desk
         engine.finish()
     team = engine.team
     figures = {
