@@ -96,3 +96,18 @@ def test_a_robot_that_waits_before_a_door_remembers_no_more_than_its_latest_read
     texts = [sign.text for sign in keyframe.signs]
     assert len(texts) == READINGS_MAX
     assert texts.count("A101") == 100
+
+
+@pytest.mark.parametrize("backend", ["compiled", "filterpy"])
+def test_without_laser_what_is_learned_of_the_gyro_moves_no_robot_that_turns_on_the_spot(backend):
+    """It would move the end of the whole way gone, and that would stand in the motion from one keyframe to the next."""
+    settings = {"robots": 1, "slam.cues.lidar": False, "slam.odometry_filter.backend": backend}
+    ends, random, blind = FrontEnds(override(EnvConfig(), settings), 1), np.random.default_rng(0), np.zeros(180)
+    found, gone_m = [], 30.0
+    for step in range(800):
+        ahead_m, turn = (STEP_M, 0.0) if STEP_M * step < gone_m else (0.0, STEP_RAD)
+        odometry = np.array([ahead_m, 0.0, turn + random.normal(0, 0.01)])
+        found += ends.update([SensorFrame(0, step, 0.1 * step, odometry, 10 * turn + 0.004, blind, None, ())])
+    turning = [k for k in found if STEP_M * k.step > gone_m][1:]
+    assert len(turning) > 8
+    assert max(np.hypot(*k.motion[:2]) for k in turning) < 0.01

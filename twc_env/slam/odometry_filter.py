@@ -220,6 +220,20 @@ def _update_all(states, covariances, robots, poses, information, is_matched, is_
             is_matched[k] = believe_match(states[k], covariances[k], poses[k], information[k], gate, is_clear[k])
 
 
+@borrowing_kernel
+def anchor(covariances, robots, is_new):
+    """Whoever of these robots (k,) `is_new` (n,) stands, from now on, where it is by definition.
+
+    Where nothing but odometry tells of poses, what is learned later of the gyro's bias would move all of the way gone:
+    a motion between two places would take in what the whole way before them was off.
+    """
+    for k in robots:
+        if is_new[k]:
+            for axis in range(3):
+                for j in range(5):
+                    covariances[k, axis, j] = covariances[k, j, axis] = 0.0
+
+
 def _first_covariance(config: OdometryFilterConfig) -> Array:
     return np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2, config.odometry_scale_std**2])
 
@@ -251,6 +265,10 @@ class CompiledFilters:
         since the match contradicts the prediction and is not a clear one (n,), is marked as not matched.
         """
         _update_all(self.states, self.covariances, robots, poses, information, is_matched, is_clear, self.noise[5])
+
+    def anchor(self, robots: Array, is_new: Array) -> None:
+        """See the kernel of this name."""
+        anchor(self.covariances, robots, is_new)
 
 
 class FilterpyFilters:
@@ -304,6 +322,11 @@ class FilterpyFilters:
                     R=noise,
                     residual=_pose_difference,
                 )
+
+    def anchor(self, robots: Array, is_new: Array) -> None:
+        """See the kernel of this name."""
+        for k in robots[is_new[robots]]:
+            self._filters[k].P[:3] = self._filters[k].P[:, :3] = 0.0
 
     def _predict(self, ekf, odometry: Array, turn_rate_rad_s: float, dt_s: float, before: Array, now: Array) -> None:
         dx, dy, turn_odometry = odometry

@@ -16,7 +16,7 @@ from twc_env.geometry import beam_directions
 from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, parts_of
 from twc_env.slam.lost_beams import bridge, mark_lost, opening_beams
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
-from twc_env.slam.odometry_filter import CompiledFilters, believe_match, make_filters, predict_state
+from twc_env.slam.odometry_filter import CompiledFilters, anchor, believe_match, make_filters, predict_state
 from twc_env.slam.radio_fingerprint import NO_AGES, ScanWindows, ages_of, keep
 from twc_env.slam.scan_matching import LineFields, match_scan, matching_room
 from twc_env.team_messages import TeamFrames
@@ -92,9 +92,12 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
             is_matched[k] = believe_match(states[k], covariances[k], matched[k], information[k], noise[5], is_clear[k])
             if not is_matched[k]:
                 information[k, :, :] = 0.0
-    return _arrive(
+    has_arrived = _arrive(
         robots, odometry, dts, states, explained, keyframe_rule, keyframe_poses, poses, travels, steps, is_new
     )
+    if not has_lidar:
+        anchor(covariances, robots, is_new)
+    return has_arrived
 
 
 class Tracker(BindsAnew):
@@ -131,7 +134,8 @@ class Tracker(BindsAnew):
         for_mates = np.empty(beams, bool), np.empty(beams + 1, np.int64)
         for_lost = np.zeros(beams, bool), np.empty(beams)
         room = for_mates, for_lost, matching_room(beams)
-        self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, config.slam.cues.lidar, room)
+        self._has_lidar = config.slam.cues.lidar
+        self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, self._has_lidar, room)
         self._run: Callable[..., bool] | None = None
         """`_track` with all that it needs in every step."""
         self._keyframe_rule = np.array([rule.explained_min, rule.distance_m, rule.distance_new_m, rule.turn_rad])
@@ -186,3 +190,5 @@ class Tracker(BindsAnew):
             robots, frames.odometry, dts_s, self._filters.states, explained, self._keyframe_rule,
             self.keyframe_poses, self.poses_odom, self.travels_m, self.steps, self.is_new,
         )  # fmt: skip
+        if not self._has_lidar:
+            self._filters.anchor(robots, self.is_new)
