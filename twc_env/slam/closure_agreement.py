@@ -31,7 +31,9 @@ class Pairs:
         put = compose(poses[self.i], graph.measured[closures])
         claim = compose(put, inverse(poses[self.j]))
         noise = turned(adjoint(put), np.linalg.inv(graph.information[closures]))
-        self._facts = (claim, adjoint(claim), noise, self.i, self.j, chains.step, chains.grown(poses))
+        bent = chains.bent(poses)
+        bent = np.zeros((0, 3, 3)) if bent is None else bent
+        self._facts = (claim, adjoint(claim), noise, self.i, self.j, chains.step, chains.grown(poses), bent)
 
     def squared(self, a: Array, b: Array) -> Array:
         """(k,) squared length of the disagreement of closures a, b (k,)."""
@@ -46,7 +48,7 @@ class Pairs:
 
 
 @kernel
-def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown):
+def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown, bent):
     ta, tb = claim[a], claim[b]
     turn = (ta[2] - tb[2] + np.pi) % (2 * np.pi) - np.pi
     c, s = np.cos(turn), np.sin(turn)
@@ -70,6 +72,8 @@ def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown):
             for k in range(3):
                 value += half_turned[p, k] * ad[q, k]
             total[p, q] = value
+    if len(bent):
+        _add_bent(ad, bent[i[b]] - bent[i[a]], bent[j[b]] - bent[j[a]], total)
     l00 = np.sqrt(total[0, 0])
     l10, l20 = total[1, 0] / l00, total[2, 0] / l00
     l11 = np.sqrt(total[1, 1] - l10 * l10)
@@ -82,10 +86,27 @@ def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown):
 
 
 @kernel
-def _disagreements(first, second, claim, adjoint, noise, i, j, step, grown):
+def _add_bent(ad, forth, back, total):
+    """Add to a covariance (3, 3), in place, what shared errors of one standard deviation add by two stretches.
+
+    As if those of the two were of different robots.
+    """
+    moved = np.zeros((3, 3))
+    for p in range(3):
+        for q in range(3):
+            for k in range(3):
+                moved[p, q] += ad[p, k] * back[k, q]
+    for p in range(3):
+        for q in range(3):
+            for k in range(3):
+                total[p, q] += forth[p, k] * forth[q, k] + moved[p, k] * moved[q, k]
+
+
+@kernel
+def _disagreements(first, second, claim, adjoint, noise, i, j, step, grown, bent):
     out = np.empty(len(first))
     for k in range(len(first)):
-        out[k] = _disagreement(first[k], second[k], claim, adjoint, noise, i, j, step, grown)
+        out[k] = _disagreement(first[k], second[k], claim, adjoint, noise, i, j, step, grown, bent)
     return out
 
 

@@ -166,7 +166,8 @@ class ClosureGrowth:
                 return
             for scale in (300.0, 30.0):
                 config = replace(self._config, robust="dcs", robust_scale=scale, iterations_max=10)
-                self.poses = pose_graph.optimise(self.poses, *self._graph.of(weight > 0).parts, config)
+                heard = self._graph.of(weight > 0)
+                self.poses = pose_graph.optimise(self.poses, *heard.parts, config, shared=heard.shared)
             self._look()
             if not self._revoke():
                 return

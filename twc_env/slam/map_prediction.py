@@ -12,6 +12,7 @@ from twc_env.kernels import kernel
 from twc_env.slam import pose_graph
 from twc_env.slam.odometry_chains import Chains
 from twc_env.slam.pose_graph import GATE, Graph
+from twc_env.slam.shared_errors import NOBODY
 from twc_env.slam.twists import adjoint, logarithm, squared_length, turned
 
 MEDIAN_SQUARED = 2.366
@@ -54,9 +55,10 @@ class MapPrediction:
     def look(self, poses: Array, used: Array) -> None:
         """Predict from these poses (n, 3) and the used closures (k,) indices into the closures."""
         self._poses = poses
-        self._grown = self._chains.grown(poses)
+        self._grown, self._bent = self._chains.grown(poses), self._chains.bent(poses)
         keys, count = self._keys, len(self._keys)
-        hessian = np.zeros((count, 3, count, 3))
+        size = count + int(self._chains.owner.max(initial=NOBODY)) + 1
+        hessian = np.zeros((size, 3, size, 3))
         chain, step = self._chains.chain, self._chains.step
         for k in range(count):
             if step[keys[k]] == 0:
@@ -64,11 +66,14 @@ class MapPrediction:
         follows = np.flatnonzero(chain[keys[1:]] == chain[keys[:-1]])
         weight = np.linalg.inv(self._chains.stretch(self._grown, keys[follows], keys[follows + 1]) + 1e-12 * np.eye(3))
         _add_edges(hessian, follows, follows + 1, weight)
+        if self._bent is not None:
+            owner, bends = self._chains.owner[keys[follows + 1]], np.diff(self._bent[keys], axis=0)[follows]
+            _add_shared(hessian, follows, count, owner, weight, bends)
         if len(used):
             i, j = self._i[used], self._j[used]
             covariance = self.own_noise(used) + self._off_key(i) + self._off_key(j)
             _add_edges(hessian, self._key_of[i], self._key_of[j], np.linalg.inv(covariance))
-        self._joint = _inverse(hessian.reshape(3 * count, 3 * count)).reshape(count, 3, count, 3)
+        self._joint = _inverse(hessian.reshape(3 * size, 3 * size)).reshape(size, 3, size, 3)
         extent = np.ptp(poses[:, :2], axis=0) + 1.0
         self._log_volume = math.log(extent[0] * extent[1] * 2 * math.pi / 8)
 
@@ -101,7 +106,7 @@ class MapPrediction:
         z = self._graph.measured[self._closures[closures]]
         error = logarithm(compose(compose(self._poses[i], z), inverse(self._poses[j])))
         same = (self._chains.chain[i] == self._chains.chain[j]) & (self._key_of[i] == self._key_of[j])
-        stretch = self._chains.stretch(self._grown, i, j)
+        stretch = self._chains.stretch(self._grown, i, j, self._bent)
         off = np.where(same[:, None, None], stretch, self._off_key(i) + self._off_key(j))
         return error, self.drift(closures) + off + self.own_noise(closures)
 
@@ -147,7 +152,7 @@ class MapPrediction:
         return joint
 
     def _off_key(self, nodes: Array) -> Array:
-        return self._chains.stretch(self._grown, self._keys[self._key_of[nodes]], nodes)
+        return self._chains.stretch(self._grown, self._keys[self._key_of[nodes]], nodes, self._bent)
 
     def _claimed(self, closures: Array) -> Array:
         """(k, 3, 3) from the frame where a closure puts its second pose into the world frame, for twists."""
@@ -176,3 +181,17 @@ def _add_edges(hessian, a, b, weight):
                 hessian[q, i, q, j] += weight[e, i, j]
                 hessian[p, i, q, j] -= weight[e, i, j]
                 hessian[q, i, p, j] -= weight[e, i, j]
+
+
+def _add_shared(hessian: Array, a: Array, first: int, owner: Array, weight: Array, bends: Array) -> None:
+    """Add to (n, 3, n, 3) that edges a - a + 1 (k,) with information (k, 3, 3) are bent (k, 3, 3) by errors of their
+    owners (k,), whose rows begin at `first`, each of one standard deviation."""
+    for row in range(first, len(hessian)):
+        hessian[row, :, row] += np.eye(3)
+    says = np.swapaxes(bends, 1, 2) @ weight
+    for k in np.flatnonzero(owner >= 0).tolist():
+        row = first + owner[k]
+        hessian[row, :, row] += says[k] @ bends[k]
+        for key, sign in ((a[k] + 1, -1.0), (a[k], 1.0)):
+            hessian[row, :, key] += sign * says[k]
+            hessian[key, :, row] += sign * says[k].T

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from twc_env.geometry import compose
 from twc_env.slam.pose_graph import Graph
+from twc_env.slam.shared_errors import NOBODY
 from twc_env.slam.twists import adjoint, turned
 
 Array = NDArray
@@ -37,6 +38,13 @@ class Chains:
         self._covariance = np.linalg.inv(graph.information[np.maximum(self.edge_before, 0)])
         self._covariance[self.edge_before < 0] = 0.0
         self._measured = graph.measured
+        self._bends: Array | None = None
+        self.owner = np.full(count, NOBODY)
+        """(n,) whose odometry leads to each pose, as of `SharedErrors`."""
+        if graph.shared is not None:
+            self._bends = graph.shared.bends[np.maximum(self.edge_before, 0)]
+            self._bends[self.edge_before < 0] = 0.0
+            self.owner = np.where(self.edge_before < 0, NOBODY, graph.shared.owner[np.maximum(self.edge_before, 0)])
 
     def dead_reckoning(self, poses: Array) -> Array:
         """Poses that follow the odometry exactly from each chain's first pose."""
@@ -50,14 +58,23 @@ class Chains:
         return out
 
     def grown(self, poses: Array) -> Array:
-        """(n, 3, 3) covariance of each pose against its chain's first, as world twists; stretches are differences."""
-        order = np.array(self.order)
-        steps = turned(adjoint(poses), self._covariance)[order]
-        out = np.empty_like(steps)
-        out[order] = np.cumsum(steps, axis=0)  # over all chains: only differences within one are used
+        """(n, 3, 3) covariance of each pose against its chain's first by the noise of single motions, as world twists;
+        stretches are differences."""
+        return self._summed(turned(adjoint(poses), self._covariance))
+
+    def bent(self, poses: Array) -> Array | None:
+        """(n, 3, 3) how shared errors of one standard deviation move each pose against its chain's first, as world
+        twists; stretches are differences. None where there are none."""
+        return None if self._bends is None else self._summed(adjoint(poses) @ self._bends)
+
+    def _summed(self, steps: Array) -> Array:
+        """Sums of what each pose adds (n, 3, 3), over all chains one after the other: differences in one are used."""
+        out, order = np.empty_like(steps), np.array(self.order)
+        out[order] = np.cumsum(steps[order], axis=0)
         return out
 
-    def stretch(self, grown: Array, a: Array, b: Array) -> Array:
-        """(k, 3, 3) covariance of the odometry between poses a and b of one chain each."""
+    def stretch(self, grown: Array, a: Array, b: Array, bent: Array | None = None) -> Array:
+        """(k, 3, 3) covariance of the odometry between poses a and b of one chain each; with shared errors if given."""
         sign = np.where(self.step[a] > self.step[b], -1.0, 1.0)
-        return (grown[b] - grown[a]) * sign[:, None, None]
+        noise = (grown[b] - grown[a]) * sign[:, None, None]
+        return noise if bent is None else noise + turned(bent[b] - bent[a], np.eye(3))

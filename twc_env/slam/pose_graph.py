@@ -22,6 +22,7 @@ from twc_env.slam.relative_equations import (
     relative_squared_errors,
     sparse_step,
 )  # fmt: skip
+from twc_env.slam.shared_errors import SharedErrors, linearise_shared
 
 GATE = 11.345
 """99 % of chi squared with three degrees of freedom."""
@@ -41,6 +42,8 @@ class Graph:
     measured: Array
     information: Array
     is_closure: Array
+    shared: SharedErrors | None = None
+    """What odometry has in common, whose edges always have a weight of 1; None where it errs by noise alone."""
 
     @property
     def parts(self) -> tuple[Array, Array, Array, Array]:
@@ -49,20 +52,26 @@ class Graph:
 
     def of(self, kept: Array) -> Graph:
         """The graph of some edges: (e,) bool or indices."""
-        return Graph(*(part[kept] for part in self.parts))
+        edges, measured, information, is_closure = (part[kept] for part in self.parts)
+        return Graph(edges, measured, information, is_closure, None if self.shared is None else self.shared.of(kept))
 
     def fit(self, poses: Array, weight: Array, iterations_max: int = 100) -> Array:
         """Poses (n, 3) after plain least squares with these weights (e,), pose 0 held; a weight of 0 costs nothing."""
         kept = weight > 0
         if len(poses) < 2 or not kept.any():
             return np.array(poses, float)
-        equations = NormalEquations(self.edges[kept], self.measured[kept], self.information[kept], len(poses), 0)
+        heard = self.of(kept)
+        equations = NormalEquations(heard.edges, heard.measured, heard.information, len(poses), 0, heard.shared)
         weight = np.ascontiguousarray(weight[kept], float)
         return equations.minimise(np.array(poses, float), lambda squared: weight, iterations_max)
 
     def squared_errors(self, poses: Array) -> Array:
-        """(e,) squared Mahalanobis length of each residual."""
-        return squared_errors(poses, self.edges, self.measured, self.information)
+        """(e,) squared Mahalanobis length of each residual; odometry's after its robot's shared errors, which cost it
+        a part."""
+        if self.shared is None:
+            return squared_errors(poses, self.edges, self.measured, self.information)
+        measured, cost = self.shared.corrected(poses, self.edges, self.measured, self.information)
+        return squared_errors(poses, self.edges, measured, self.information) + cost
 
 
 def residuals(poses: Array, edges: Array, measured: Array) -> Array:
@@ -89,23 +98,32 @@ def robust_weights(squared: Array, is_closure: Array, config: PoseGraphConfig) -
 
 def optimise(
     poses: Array, edges: Array, measured: Array, information: Array, is_closure: Array, config: PoseGraphConfig,
-    fixed: int = 0,
+    fixed: int = 0, shared: SharedErrors | None = None,
 ) -> Array:  # fmt: skip
     """The poses (n, 3) that fit the edges best, pose `fixed` held where it is.
 
-    edges (e, 2) indices, measured (e, 3), information (e, 3, 3), is_closure (e,) bool. Warm: starts from `poses`.
+    edges (e, 2) indices, measured (e, 3), information (e, 3, 3), is_closure (e,) bool, shared as of `Graph`. Warm:
+    starts from `poses`.
     """
     poses = np.array(poses, float)
     if len(poses) < 2 or len(edges) == 0:
         return poses
-    graph = NormalEquations(edges, measured, information, len(poses), fixed)
+    graph = NormalEquations(edges, measured, information, len(poses), fixed, shared)
     return graph.minimise(poses, lambda squared: robust_weights(squared, is_closure, config), config.iterations_max)
 
 
 class NormalEquations:
     """Gauss-Newton's normal equations of one set of edges, whose sparse pattern is found once."""
 
-    def __init__(self, edges: Array, measured: Array, information: Array, count: int, fixed: int | Array):
+    def __init__(
+        self,
+        edges: Array,
+        measured: Array,
+        information: Array,
+        count: int,
+        fixed: int | Array,
+        shared: SharedErrors | None = None,
+    ):
         """fixed: a pose that is held where it is, or several (k,). Raises DataError for edges between other poses."""
         self.edges = np.ascontiguousarray(edges, np.int64)
         if self.edges.size and not 0 <= self.edges.min() <= self.edges.max() < count:
@@ -114,21 +132,47 @@ class NormalEquations:
         self.information = np.ascontiguousarray(information, float)
         self._count, self._held = count, np.atleast_1d(np.asarray(fixed, np.int64))
         self._fewer: tuple[bytes, NormalEquations] | None = None
+        self._shared = shared
         pairs = self.edges.copy()
         is_held = np.zeros(count, bool)
         is_held[self._held] = True
         pairs[is_held[pairs]] = -1
-        self._cholesky = BlockCholesky(pairs, count)
+        unknowns = count
+        if shared is not None:
+            unknowns += shared.count
+            pairs = np.concatenate([pairs, *(self._with_errors(ends, shared.owner) for ends in pairs.T)])
+        self._cholesky = BlockCholesky(pairs, unknowns)
         self._blocks = self._cholesky.block_of_pair
 
+    def _with_errors(self, ends: Array, owner: Array) -> Array:
+        """(edges, 2) pairs of one end of each edge and the errors of its robot, which stand after all poses."""
+        return np.stack([np.where(owner < 0, -1, ends), self._count + owner], axis=1)
+
     def squared_errors(self, poses: Array) -> Array:
-        """(edges,) squared Mahalanobis length of each residual."""
-        return relative_squared_errors(poses, self.edges, self.measured, self.information)
+        """(edges,) as `Graph.squared_errors`."""
+        if self._shared is None:
+            return relative_squared_errors(poses, self.edges, self.measured, self.information)
+        measured, cost = self._shared.corrected(poses, self.edges, self.measured, self.information)
+        return relative_squared_errors(poses, self.edges, measured, self.information) + cost
 
     def linearise(self, poses: Array, weight: Array) -> tuple[Array, Array, Array]:
-        """Diagonal blocks (n, 3, 3), blocks of the edges' pairs, gradient (n, 3); held poses have unit blocks."""
-        block_count, known = int(self._blocks.max(initial=-1)) + 1, (self.edges, self.measured, self.information)
-        return linearise_relative(poses, *known, weight, self._blocks, block_count, self._held)
+        """Diagonal blocks (n, 3, 3), blocks of the edges' pairs, gradient (n, 3); held poses have unit blocks.
+
+        Where robots have shared errors, their rows follow those of the poses.
+        """
+        block_count, measured, shared = int(self._blocks.max(initial=-1)) + 1, self.measured, self._shared
+        if shared is not None:
+            measured, _ = shared.corrected(poses, self.edges, measured, self.information)
+        known, between_poses = (self.edges, measured, self.information), self._blocks[: len(self.edges)]
+        found = linearise_relative(poses, *known, weight, between_poses, block_count, self._held)
+        if shared is None:
+            return found
+        diagonal, blocks, gradient = found
+        rest = np.zeros((shared.count, 3, 3))
+        diagonal, gradient = np.concatenate([diagonal, rest]), np.concatenate([gradient, rest[:, 0]])
+        block_of_ends = self._blocks[len(self.edges) :].reshape(2, -1).T
+        linearise_shared(poses, *known, shared.owner, shared.bends, block_of_ends, diagonal, blocks)
+        return diagonal, blocks, gradient
 
     def minimise(
         self, poses: Array, weigh, iterations_max: int, step_m: float = STEP_M, step_rad: float = STEP_RAD
@@ -166,7 +210,7 @@ class NormalEquations:
     def _go(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
         """Poses after one damped step, and its longest moves [m, rad]; False: the equations have no one solution."""
         cholesky = self._cholesky
-        if cholesky.has_dense_rest:
+        if cholesky.has_dense_rest or self._shared is not None:
             return self._go_in_parts(poses, weight, damping)
         return sparse_step(
             poses, self.edges, self.measured, self.information, weight, self._blocks, self._held,
@@ -176,7 +220,7 @@ class NormalEquations:
     def _go_in_parts(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
         diagonal, blocks, gradient = self.linearise(poses, weight)
         delta = self._cholesky.solve(damped(diagonal, damping), blocks, gradient)
-        return (False, poses, 0.0, 0.0) if delta is None else (True, *moved_by(poses, delta, self._held))
+        return (False, poses, 0.0, 0.0) if delta is None else (True, *moved_by(poses, delta[: len(poses)], self._held))
 
     def _heard(self, weight: Array) -> tuple[NormalEquations, Array]:
         """The equations of edges that are not weighed away, where these are so few that a smaller pattern pays."""
@@ -186,7 +230,8 @@ class NormalEquations:
         key = heard.tobytes()
         if self._fewer is None or self._fewer[0] != key:
             edges, measured, information = self.edges[heard], self.measured[heard], self.information[heard]
-            self._fewer = key, NormalEquations(edges, measured, information, self._count, self._held)
+            shared = None if self._shared is None else self._shared.of(heard)
+            self._fewer = key, NormalEquations(edges, measured, information, self._count, self._held, shared)
         return self._fewer[1], weight[heard]
 
 

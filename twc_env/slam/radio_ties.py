@@ -66,7 +66,7 @@ class RadioTies:
             found = self._ties(cue, places, poses[nodes])
             if found is not None:
                 graph = self._extended(graph, nodes[found[0]], *found[1:], poses)
-        return graph_fit(poses, *graph.parts, FIT, fixed)
+        return graph_fit(poses, *graph.parts, FIT, fixed, graph.shared)
 
     def _extended(self, graph: Graph, edges: Array, measured: Array, information: Array, poses: Array) -> Graph:
         """With ties, each of which weighs the less the further it lies from the present estimate."""
@@ -77,6 +77,7 @@ class RadioTies:
             np.concatenate([graph.measured, measured]),
             np.concatenate([graph.information, information]),
             np.concatenate([graph.is_closure, np.zeros(len(edges), bool)]),
+            None if graph.shared is None else graph.shared.and_none(len(edges)),
         )
 
     def _ties(self, cue: str, places: list[Keyframe], poses: Array) -> tuple[Array, Array, Array] | None:

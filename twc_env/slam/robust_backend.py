@@ -23,6 +23,7 @@ from twc_env.slam.closure_growth import ClosureGrowth
 from twc_env.slam.given_arrays import given_rows
 from twc_env.slam.map_prediction import KEYS_MAX
 from twc_env.slam.pose_graph import GATE, Graph, NormalEquations
+from twc_env.slam.shared_errors import SharedErrors
 
 REVOKED_ABOVE, RETURNS_BELOW = 12.5, 5.5
 """Squared errors above which a closure is taken back, and below which it returns; far apart: none flickers."""
@@ -65,13 +66,13 @@ def revise(
     every one is believed. The other modes judge all closures anew each time.
     """
     if config.robust != "ours":
-        return solve(poses, *graph.parts, config, fixed)
+        return solve(poses, *graph.parts, config, fixed, shared=graph.shared)
     result = second_thoughts(poses, graph, is_used, config, fixed)
     if is_thorough and not result.accepted.all():
         if len(result.rejections) <= FEW_REFUSED:
             afresh = _all_together(result, graph, config, fixed)
         else:
-            afresh = solve(result.poses, *graph.parts, config, fixed, EPISODE_KEYS_MAX)
+            afresh = solve(result.poses, *graph.parts, config, fixed, EPISODE_KEYS_MAX, graph.shared)
         if afresh.accepted.sum() > result.accepted.sum() and may_replace(result.accepted, afresh.accepted):
             return afresh
     return result
@@ -79,7 +80,7 @@ def revise(
 
 def _all_together(result: BackendResult, graph: Graph, config: PoseGraphConfig, fixed: int) -> BackendResult:
     """Second thoughts that begin where all closures pull alike, with the refused ones that agree with all others."""
-    equations = NormalEquations(graph.edges, graph.measured, graph.information, len(result.poses), fixed)
+    equations = NormalEquations(graph.edges, graph.measured, graph.information, len(result.poses), fixed, graph.shared)
     poses = equations.minimise(result.poses, np.ones_like, config.iterations_max, EPISODE_STEP_M, EPISODE_STEP_RAD)
     fits = equations.squared_errors(poses) < RETURNS_BELOW
     return second_thoughts(poses, graph, result.accepted | fits, config, fixed)
@@ -93,7 +94,7 @@ def second_thoughts(
     fixed: a pose that is held where it is, or several (k,).
     """
     used = is_used | ~graph.is_closure
-    equations = NormalEquations(graph.edges, graph.measured, graph.information, len(poses), fixed)
+    equations = NormalEquations(graph.edges, graph.measured, graph.information, len(poses), fixed, graph.shared)
     for _ in range(ROUNDS_MAX):
         poses = equations.minimise(
             poses, lambda squared: _weights_of_used(squared, graph.is_closure, used, config.robust_scale),
@@ -129,7 +130,7 @@ def _reconsider(squared, is_closure, used):
 
 def solve(
     poses: Array, edges: Array, measured: Array, information: Array, is_closure: Array, config: PoseGraphConfig,
-    fixed: int = 0, keys_max: int = KEYS_MAX,
+    fixed: int = 0, keys_max: int = KEYS_MAX, shared: SharedErrors | None = None,
 ) -> BackendResult:  # fmt: skip
     """Optimise in the mode `config.robust` and say which closures were believed. Deterministic.
 
@@ -142,12 +143,13 @@ def solve(
         given_rows(measured, (3,), "measurements of a graph", rows="edges"),
         given_rows(information, (3, 3), "information of a graph", rows="edges"),
         given_rows(is_closure, (), "is_closure of a graph", bool, "edges"),
+        shared,
     )
     _check(poses, graph, fixed, is_inverted=config.robust in ("pcm", "ours"))
     reasons: dict[int, str] = {}
     held = poses[fixed].copy() if len(poses) else np.zeros(3)
     if len(poses) < 2 or not graph.is_closure.any():
-        out, accepted = pose_graph.optimise(poses, *graph.parts, config, fixed), np.ones(len(graph.edges), bool)
+        out, accepted = pose_graph.optimise(poses, *graph.parts, config, fixed, shared), np.ones(len(graph.edges), bool)
     elif config.robust in ("plain", "dcs", "cauchy"):
         out, accepted = _weighed(graph, poses, config, fixed)
     elif config.robust == "gnc":
@@ -198,7 +200,7 @@ def _check_information(information: Array, is_inverted: bool) -> None:
 
 
 def _weighed(graph: Graph, poses: Array, config: PoseGraphConfig, fixed: int) -> tuple[Array, Array]:
-    out = pose_graph.optimise(poses, *graph.parts, config, fixed)
+    out = pose_graph.optimise(poses, *graph.parts, config, fixed, graph.shared)
     weight = pose_graph.robust_weights(graph.squared_errors(out), graph.is_closure, config)
     return out, weight > 0.5
 

@@ -44,7 +44,9 @@ class TeamMapper:
         self._turns, self._turn = (1, 0) if home is None else (robot_count, home)
         """Of so many steps the one in which this mapper, and no other, has second thoughts about merges and does what
         takes long with large maps."""
-        self._graph = TeamGraph(robot_count, config.lidar.beam_count, config.slam.pose_graph.robust == "ours")
+        scale_std = None if config.slam.cues.lidar else config.slam.odometry_filter.odometry_scale_std
+        keeps_refused = config.slam.pose_graph.robust == "ours"
+        self._graph = TeamGraph(robot_count, config.lidar.beam_count, keeps_refused, scale_std)
         self._maps = GroupMaps(config, self._graph, home, robot_count)
         self.groups: list[Group] = self._maps.groups
         """Robots that share a map."""

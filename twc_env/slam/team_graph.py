@@ -19,6 +19,7 @@ from twc_env.slam.graph_thinning import Edges, thinned
 from twc_env.slam.keyframe_paths import place_on
 from twc_env.slam.odometry_filter import invert_symmetric, squared_error
 from twc_env.slam.pose_graph import Graph
+from twc_env.slam.shared_errors import NOBODY, shared_errors
 from twc_env.slam.sign_readings import SignReadings
 from twc_env.slam.waiting_closures import WaitingClosures
 from twc_env.team_messages import KnownSigns
@@ -47,11 +48,19 @@ def _disagreement(poses, target, source, measured, covariance):
 class TeamGraph(GraphArrays):
     """Nodes are keyframes in the order of their arrival, edges odometry and closures; everything is kept in arrays.
 
-    With `keeps_refused`, closures that the map contradicts are edges that are not used, so that they can return.
+    With `keeps_refused`, closures that the map contradicts are edges that are not used, so that they can return. With
+    `odometry_scale_std` odometry errs all along a path, too (`shared_errors`): where no scans take that out.
     """
 
-    def __init__(self, robot_count: int, beam_count: int, keeps_refused: bool = False):
+    def __init__(
+        self,
+        robot_count: int,
+        beam_count: int,
+        keeps_refused: bool = False,
+        odometry_scale_std: float | None = None,
+    ):
         super().__init__(robot_count, beam_count)
+        self._scale_std = odometry_scale_std
         self._keeps_refused = keeps_refused
         self.changes = 0
         """Grows whenever a keyframe arrives, poses move or a closure is believed or refused."""
@@ -281,7 +290,12 @@ class TeamGraph(GraphArrays):
             self._are(robots), first, self.robot_of_node, self.ends, self.measured, self.information,
             self.closure_of_edge, self.is_used,
         )  # fmt: skip
-        return nodes, edges, Graph(local, measured, information, is_closure), is_used
+        shared = None
+        if self._scale_std is not None:
+            owner = np.where(is_closure, NOBODY, self.robot_of_node[nodes[local[:, 1]]])
+            length_m = np.diff(self.travels_m[nodes[local]], axis=1)[:, 0]
+            shared = shared_errors(owner, measured, length_m, self._scale_std)
+        return nodes, edges, Graph(local, measured, information, is_closure, shared), is_used
 
     def refused_count(self, robots: Sequence[int]) -> int:
         """How many closures among some robots are edges that are not used."""

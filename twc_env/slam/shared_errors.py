@@ -1,0 +1,158 @@
+"""Errors that all odometry of a robot has in common, as unknowns of a pose graph: its scale, and how it curls.
+
+Where no scan takes them out, these and not noise are what odometry is off by after some metres: the error of a stretch
+grows with its length and not with the root of it, and whatever closure tells how long one stretch was tells it of all.
+Each robot's are unknowns beside its poses (self-calibration as of Kuemmerle, Grisetti and Burgard 2011), eliminated
+with them in one sparse factorisation; at given poses they follow in closed form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.kernels import kernel
+from twc_env.slam.odometry_filter import invert3
+from twc_env.slam.relative_equations import relative_residuals, wrapped
+
+CURL_STD_RAD_M = 0.006
+"""Wheels of unequal size, and what is not yet learned of the gyro's bias."""
+NOBODY = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedErrors:
+    """How each edge of a graph depends on the errors of the robot whose odometry it is."""
+
+    owner: Array
+    """(e,) whose odometry an edge is, robots counted from 0; `NOBODY`'s where it is none."""
+    bends: Array
+    """(e, 3, 3) what is added to an edge's residual by errors of one standard deviation; the third is not used."""
+
+    @property
+    def count(self) -> int:
+        """How many robots there are."""
+        return int(self.owner.max(initial=NOBODY)) + 1
+
+    def of(self, kept: Array) -> SharedErrors:
+        """Those of some edges: (e,) bool or indices."""
+        return SharedErrors(self.owner[kept], self.bends[kept])
+
+    def and_none(self, count: int) -> SharedErrors:
+        """With so many more edges that are nobody's odometry."""
+        bends = np.concatenate([self.bends, np.zeros((count, 3, 3))])
+        return SharedErrors(np.concatenate([self.owner, np.full(count, NOBODY)]), bends)
+
+    def corrected(self, poses: Array, edges: Array, measured: Array, information: Array) -> tuple[Array, Array]:
+        """Measurements (e, 3) without the errors that poses show best; (e,) each edge's share of what these cost."""
+        return _corrected(poses, edges, measured, information, self.owner, self.bends, self.count)
+
+
+def shared_errors(owner: Array, measured: Array, length_m: Array, scale_std: float) -> SharedErrors:
+    """Of edges with measurements (e, 3) over paths of this length (e,), by whose odometry (e,) they are."""
+    c, s = np.cos(measured[:, 2]), np.sin(measured[:, 2])
+    ahead, left = c * measured[:, 0] + s * measured[:, 1], c * measured[:, 1] - s * measured[:, 0]
+    curl = CURL_STD_RAD_M * length_m
+    bends = np.zeros((len(owner), 3, 3))
+    bends[:, 0, 0], bends[:, 1, 0] = scale_std * ahead, scale_std * left
+    bends[:, 0, 1], bends[:, 1, 1], bends[:, 2, 1] = -0.5 * curl * left, 0.5 * curl * ahead, curl
+    bends[owner == NOBODY] = 0.0
+    return SharedErrors(owner, bends)
+
+
+@kernel
+def _said(bend, information):
+    """(3, 3) what an edge says of the errors: bend^T information."""
+    out = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                out[i, j] += bend[k, i] * information[k, j]
+    return out
+
+
+@kernel
+def _add_product(a, b, out):
+    """Add a b to out, all (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                out[i, j] += a[i, k] * b[k, j]
+
+
+@kernel
+def _corrected(poses, edges, measured, information, owner, bends, count):
+    """See `SharedErrors.corrected`."""
+    residuals = relative_residuals(poses, edges, measured)
+    normal, right, edge_counts = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count)
+    for e in range(len(edges)):
+        k = owner[e]
+        if k < 0:
+            continue
+        says = _said(bends[e], information[e])
+        _add_product(says, bends[e], normal[k])
+        for i in range(3):
+            for j in range(3):
+                right[k, i] += says[i, j] * residuals[e, j]
+        edge_counts[k] += 1
+    errors, cost, covariance = np.zeros((count, 3)), np.zeros(count), np.empty((3, 3))
+    for k in range(count):
+        for i in range(3):
+            normal[k, i, i] += 1.0
+        invert3(normal[k], covariance)
+        for i in range(3):
+            for j in range(3):
+                errors[k, i] += covariance[i, j] * right[k, j]
+            cost[k] += errors[k, i] ** 2 / max(edge_counts[k], 1.0)
+    out, shares, off = measured.copy(), np.zeros(len(edges)), np.empty(3)
+    for e in range(len(edges)):
+        k = owner[e]
+        if k < 0:
+            continue
+        for i in range(3):
+            off[i] = 0.0
+            for j in range(3):
+                off[i] += bends[e, i, j] * errors[k, j]
+        c, s = np.cos(measured[e, 2]), np.sin(measured[e, 2])
+        out[e, 0] += c * off[0] - s * off[1]
+        out[e, 1] += s * off[0] + c * off[1]
+        out[e, 2] = wrapped(out[e, 2] + off[2])
+        shares[e] = cost[k]
+    return out, shares
+
+
+@kernel
+def linearise_shared(poses, edges, measured, information, owner, bends, block_of_ends, diagonal, blocks):
+    """Add to diagonal (n + robots, 3, 3) and blocks, in place, what odometry says of its robots' errors.
+
+    block_of_ends (e, 2): the blocks of an edge's ends with the errors of its robot; -1 where an end is held. The
+    derivatives by its two poses are those of `linearise_relative`.
+    """
+    first = len(poses)
+    for k in range(first, len(diagonal)):
+        for i in range(3):
+            diagonal[k, i, i] += 1.0
+    by_first, by_second = np.zeros((3, 3)), np.zeros((3, 3))
+    for e in range(len(edges)):
+        if owner[e] < 0:
+            continue
+        a, b = edges[e, 0], edges[e, 1]
+        angle = poses[a, 2] + measured[e, 2]
+        c, s = np.cos(angle), np.sin(angle)
+        dx, dy = poses[b, 0] - poses[a, 0], poses[b, 1] - poses[a, 1]
+        by_second[0, 0], by_second[0, 1], by_second[1, 0], by_second[1, 1], by_second[2, 2] = c, s, -s, c, 1.0
+        for i in range(3):
+            for j in range(2):
+                by_first[i, j] = -by_second[i, j]
+        by_first[0, 2], by_first[1, 2], by_first[2, 2] = -s * dx + c * dy, -c * dx - s * dy, -1.0
+        says = _said(bends[e], information[e])
+        _add_product(says, bends[e], diagonal[first + owner[e]])
+        for i in range(3):
+            for j in range(3):
+                says[i, j] = -says[i, j]
+        if block_of_ends[e, 0] >= 0:
+            _add_product(says, by_first, blocks[block_of_ends[e, 0]])
+        if block_of_ends[e, 1] >= 0:
+            _add_product(says, by_second, blocks[block_of_ends[e, 1]])
