@@ -14,9 +14,9 @@ from agents import benchmark, compare, picture, radio_survey
 from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from twc_env import EnvConfig, load_map, map_names, task_config
-from twc_env.command_line import Parser, add_set, add_version, assignments, count, exit_status, natural, parse_seeds
+from twc_env.command_line import Parser, add_set, add_version, assignments, count, natural, parse_seeds, run_command
 from twc_env.config import digest, load, override
-from twc_env.json_values import TERMINAL, check_folder, check_writable, write_json
+from twc_env.json_values import TERMINAL, check_folder, write_json
 
 _EXPLORE_HELP = """\
 Let a scripted team explore one building and write a run folder:
@@ -76,13 +76,7 @@ _TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 2 wrong input, 130 interrupted."""
-    options = _parser().parse_args(arguments)
-
-    def command() -> int:
-        check_writable(getattr(options, "json", None))
-        return options.run(options)
-
-    return exit_status(command)
+    return run_command(_parser(), arguments)
 
 
 def _explore(options: argparse.Namespace) -> int:

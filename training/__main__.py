@@ -6,9 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from twc_env.command_line import Parser, add_set, add_version, assignments, exit_status, natural, parse_seeds
+from twc_env.command_line import Parser, add_set, add_version, assignments, natural, parse_seeds, run_command
 from twc_env.errors import DataError
-from twc_env.json_values import check_folder, check_writable, write_json
+from twc_env.json_values import check_folder, write_json
 
 SEEDS = 2**31
 """torch and numpy take no larger ones, with the steps added that were taken before a resumption."""
@@ -16,9 +16,8 @@ SEEDS = 2**31
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 2 wrong input, 130 interrupted."""
-    options = _parser().parse_args(arguments)
     try:
-        return exit_status(lambda: options.run(options), options.when_interrupted)
+        return run_command(_parser(), arguments)
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("torch", "stable_baselines3", "tqdm"):
             raise
@@ -87,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument(
         "--films", type=Path, metavar="FOLDER", help="write a GIF of the trained team in each building"
     )
-    evaluate.set_defaults(run=_evaluate, when_interrupted="interrupted")
+    evaluate.set_defaults(run=_evaluate)
     return parser
 
 
@@ -116,7 +115,6 @@ def _train_ppo(options: argparse.Namespace) -> int:
 def _evaluate(options: argparse.Namespace) -> int:
     from training.evaluate import evaluate
 
-    check_writable(options.json)
     seeds = parse_seeds(options.seeds)
     if max(seeds) >= SEEDS:
         raise DataError(f"--seeds must be 0 to {SEEDS - 1}; got {max(seeds)}")

@@ -7,8 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from twc_env.bench_cli import add_bench_parser
-from twc_env.command_line import Parser, add_version, exit_status
-from twc_env.json_values import check_writable
+from twc_env.command_line import Parser, add_version, run_command
 from twc_env.log_cli import add_log_parsers
 from twc_env.maps_cli import add_maps_parser
 from twc_env.ocr_cli import add_ocr_parser
@@ -19,13 +18,7 @@ from twc_env.soak_cli import add_soak_parser
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit status is 0 when done, 2 after bad input (one line on stderr), 130 when interrupted."""
-    options = _parser().parse_args(arguments)
-
-    def command() -> None:
-        check_writable(getattr(options, "json", None))
-        options.run(options)
-
-    return exit_status(command)
+    return run_command(_parser(), arguments)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -18,6 +18,7 @@ from twc_env._version import __version__
 from twc_env.command_start import begin_work, end_when_interrupted, is_loading
 from twc_env.errors import ConfigError, DataError, TwcError
 from twc_env.file_lock import FileLock
+from twc_env.json_values import check_writable
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 """How writing fails where a place was fit to be written to before the work."""
@@ -64,6 +65,20 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
     finally:
         if is_loading():
             end_when_interrupted()
+
+
+def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
+    """Run what the arguments ask for, its --json looked at before; the exit status is that of `exit_status`.
+
+    A command's `run` gets its options; `when_interrupted`, where it has one, is its remark.
+    """
+    options = parser.parse_args(arguments)
+
+    def command() -> int | None:
+        check_writable(getattr(options, "json", None))
+        return options.run(options)
+
+    return exit_status(command, getattr(options, "when_interrupted", "interrupted"))
 
 
 def _silence() -> None:
