@@ -1,15 +1,11 @@
 """Pose graphs survive the g2o format, and public ones can be read."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.real_data import DATA, needs_data
 from twc_env.datasets.g2o import read_g2o, write_g2o
 from twc_env.errors import DataError
-
-DATA = os.environ.get("TWC_DATA")
 
 
 def some_graph():
@@ -64,6 +60,7 @@ def test_nodes_of_a_file_of_edges_alone_lie_along_the_odometry(tmp_path):
     [
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\n", "no edges lead from vertex 0 to 5"),
         ("VERTEX_SE2 0 0 0\n", "line 1: expected 4 finite numbers"),
+        ("VERTEX_SE2 99999999999999999999 0 0 0\n", "line 1: expected"),
         ("VERTEX_SE2 0 0 0 inf\n", "line 1: expected 4 finite numbers"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 9 1 0 0 1 0 0 1 0 1\n", "line 2: the edge names vertex 9"),
         ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "holds VERTEX_SE3:QUAT"),
@@ -91,9 +88,9 @@ def test_a_graph_that_does_not_fit_together_is_not_written(tmp_path, change, mes
     assert not (tmp_path / "a.g2o").exists()
 
 
-@pytest.mark.skipif(DATA is None, reason="TWC_DATA names no folder with the public pose graphs")
+@needs_data
 @pytest.mark.parametrize(("name", "vertices", "edges"), [("MIT", 808, 827), ("intel", 1728, 2512)])
 def test_public_graphs_have_their_published_size(name, vertices, edges):
-    graph = read_g2o(Path(DATA) / "posegraph" / f"{name}.g2o.gz")
+    graph = read_g2o(DATA / "posegraph" / f"{name}.g2o.gz")
     assert (len(graph["nodes"]), len(graph["edges_ij"])) == (vertices, edges)
     assert np.all(np.linalg.eigvalsh(graph["edges_information"]) > 0)

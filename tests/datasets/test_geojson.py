@@ -1,13 +1,13 @@
 import gzip
 import json
 import lzma
-import os
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.real_data import DATA, needs_data
 from twc_env.config import EnvConfig
 from twc_env.datasets.competition_floor import DRAWING_CLASSES
 from twc_env.datasets.geojson import read_geojson
@@ -15,9 +15,6 @@ from twc_env.errors import MapError
 from twc_env.maps import load_map
 from twc_env.world.world import World
 
-DATA = os.environ.get("TWC_DATA")
-FOLDER = Path(DATA or ".")
-needs_data = pytest.mark.skipif(not DATA, reason="TWC_DATA is not set: no real indoor maps")
 EAST_M, NORTH_M = 111_320 * np.cos(np.deg2rad(47.0)), 111_320
 """Metres per degree."""
 
@@ -35,8 +32,30 @@ def box(x0, y0, x1, y1) -> list:
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
+def node(x, y, **tags) -> dict:
+    geometry = {"type": "Point", "coordinates": lonlat(x, y)}
+    return {"type": "Feature", "properties": {"tags": tags}, "geometry": geometry}
+
+
+def room(corners, name, floor="0") -> dict:
+    relations = [{"role": "buildingpart", "reltags": {"level": floor}}]
+    return polygon(corners, tags={"buildingpart": "room", "name": name}, relations=relations)
+
+
 def collection(*features) -> dict:
     return {"type": "FeatureCollection", "features": list(features)}
+
+
+@pytest.fixture
+def building(tmp_path):
+    """Writes a building to `building.geojson`."""
+
+    def write(values: dict) -> Path:
+        path = tmp_path / "building.geojson"
+        path.write_text(json.dumps(values))
+        return path
+
+    return write
 
 
 @pytest.fixture
@@ -61,15 +80,6 @@ def floor(tmp_path):
 
 def level(door_width="1") -> dict:
     """Two rooms of one level with a wall of 0.2 m between them, one above, a door and a window."""
-
-    def room(corners, name, floor="0"):
-        relations = [{"role": "buildingpart", "reltags": {"level": floor}}]
-        return polygon(corners, tags={"buildingpart": "room", "name": name}, relations=relations)
-
-    def node(x, y, **tags):
-        geometry = {"type": "Point", "coordinates": lonlat(x, y)}
-        return {"type": "Feature", "properties": {"tags": tags}, "geometry": geometry}
-
     return collection(
         room([(0, 0), (8, 0), (8, 4), (4, 4), (0, 4)], "001"),
         room(box(0, 4.2, 8, 7.2), "002"),
@@ -126,11 +136,10 @@ def test_a_level_is_joined_by_its_doors_and_closed_elsewhere(tmp_path):
         [(4, 4.2), (4, 4.2), (8, 4.2), (8, 7.2), (0, 7.2), (0, 4.2)],
     ],
 )
-def test_a_door_may_be_a_corner_of_both_rooms_and_drawn_twice(tmp_path, above):
-    path, building = tmp_path / "building.geojson", level()
-    building["features"][1]["geometry"]["coordinates"] = polygon(above)["geometry"]["coordinates"]
-    path.write_text(json.dumps(building))
-    plan = load_map(path)
+def test_a_door_may_be_a_corner_of_both_rooms_and_drawn_twice(building, above):
+    values = level()
+    values["features"][1]["geometry"] = polygon(above)["geometry"]
+    plan = load_map(building(values))
     assert sorted(room.name for room in plan.rooms) == ["001", "002"]
     assert sorted(sign.text for sign in plan.signs) == ["001", "002"]
     low, high = (
@@ -142,37 +151,26 @@ def test_a_door_may_be_a_corner_of_both_rooms_and_drawn_twice(tmp_path, above):
 def around_a_core(door: bool) -> dict:
     """A corridor around a store of 7.6 x 3.6 m and a yard, its two holes; beside it the second part of a room."""
 
-    def room(name, *polygons):
-        relations = [{"role": "buildingpart", "reltags": {"level": "0"}}]
-        feature = polygon(box(0, 0, 1, 1), tags={"buildingpart": "room", "name": name}, relations=relations)
+    def parts(name, *polygons):
+        feature = room(box(0, 0, 1, 1), name)
         rings = [[[lonlat(*corner) for corner in [*ring, ring[0]]] for ring in rings] for rings in polygons]
         feature["geometry"] = {"type": "MultiPolygon", "coordinates": rings}
         return feature
 
     store = [(4.2, 4.2), (8, 4.2), (11.8, 4.2), (11.8, 7.8), (4.2, 7.8)]
-    doors = [(8, 4.2)] * door + [(16.2, 2.0)]
-    point = {"type": "Point"}
     return collection(
-        room("corridor", [box(0, 0, 16, 12), box(4, 4, 12, 8), box(4, 9, 8, 11)[::-1]]),
-        room("store", [store]),
-        room("annex", [box(30, 0, 31, 1)], [[(16.2, 0), (16.2, 2), (16.2, 4), (20, 4), (20, 0)][::-1]]),
-        room("sliver", [[(1, 1), (2, 1), (1, 1)]], [[(1, 1), (2, 1), (3, 1)]]),
-        *(
-            {
-                "type": "Feature",
-                "properties": {"tags": {"door": "yes"}},
-                "geometry": {**point, "coordinates": lonlat(*d)},
-            }
-            for d in doors
-        ),
+        parts("corridor", [box(0, 0, 16, 12), box(4, 4, 12, 8), box(4, 9, 8, 11)[::-1]]),
+        parts("store", [store]),
+        parts("annex", [box(30, 0, 31, 1)], [[(16.2, 0), (16.2, 2), (16.2, 4), (20, 4), (20, 0)][::-1]]),
+        parts("sliver", [[(1, 1), (2, 1), (1, 1)]], [[(1, 1), (2, 1), (3, 1)]]),
+        *[node(8, 4.2, door="yes")] * door,
+        node(16.2, 2.0, door="yes"),
     )
 
 
 @pytest.mark.parametrize("door", [True, False])
-def test_rooms_go_around_others_and_have_several_parts(tmp_path, door):
-    path = tmp_path / "building.geojson"
-    path.write_text(json.dumps(around_a_core(door)))
-    plan = load_map(path)
+def test_rooms_go_around_others_and_have_several_parts(building, door):
+    plan = load_map(building(around_a_core(door)))
     corner = np.array(plan.bounds_m[:2])
     places = {"corridor": (2, 2), "store": (6, 6), "yard": (6, 10), "wall": (4.1, 6), "annex": (18, 2)}
     is_free = dict(zip(places, plan.cells().is_free(corner + np.array([*places.values()])), strict=True))
@@ -181,14 +179,11 @@ def test_rooms_go_around_others_and_have_several_parts(tmp_path, door):
     assert sorted(room.name for room in plan.rooms) == ["annex", "corridor", *["store"] * door]
 
 
-def test_a_ring_that_is_not_closed_keeps_its_last_corner(tmp_path):
-    building = level()
-    for feature in building["features"][:3]:
+def test_a_ring_that_is_not_closed_keeps_its_last_corner(building):
+    closed, values = load_map(building(level())), level()
+    for feature in values["features"][:3]:
         del feature["geometry"]["coordinates"][0][-1]
-    (tmp_path / "open.geojson").write_text(json.dumps(building))
-    (tmp_path / "closed.geojson").write_text(json.dumps(level()))
-    opened, closed = (load_map(tmp_path / f"{name}.geojson") for name in ("open", "closed"))
-    np.testing.assert_array_equal(opened.walls_m, closed.walls_m)
+    np.testing.assert_array_equal(load_map(building(values)).walls_m, closed.walls_m)
 
 
 def test_all_parts_of_a_place_are_closed(floor):
@@ -199,9 +194,8 @@ def test_all_parts_of_a_place_are_closed(floor):
     assert plan.floor_area_m2 == pytest.approx(300 - 30 - 45, rel=0.01)
 
 
-def test_another_level_is_asked_for_by_its_number(tmp_path):
-    path = tmp_path / "building.geojson"
-    path.write_text(json.dumps(level()))
+def test_another_level_is_asked_for_by_its_number(building):
+    path = building(level())
     assert [room.name for room in load_map(f"{path}#1").rooms] == ["101"]
     with pytest.raises(MapError, match="has no level '7'; levels are 0, 1: write FILE#LEVEL"):
         load_map(f"{path}#7")
@@ -209,10 +203,9 @@ def test_another_level_is_asked_for_by_its_number(tmp_path):
 
 @pytest.mark.parametrize("floor", ["0", 0, "0;1"])
 @pytest.mark.parametrize("scheme", ["buildingpart", "indoor"])
-def test_tags_may_be_properties_in_either_scheme(tmp_path, scheme, floor):
-    values, path = level(), tmp_path / "building.geojson"
-    path.write_text(json.dumps(values))
-    rooms = [room.name for room in load_map(path).rooms]
+def test_tags_may_be_properties_in_either_scheme(building, scheme, floor):
+    values = level()
+    rooms = [room.name for room in load_map(building(values)).rooms]
     for feature in values["features"]:
         own = feature["properties"]
         is_above = own.get("relations", [{}])[0].get("reltags") == {"level": "1"}
@@ -220,41 +213,41 @@ def test_tags_may_be_properties_in_either_scheme(tmp_path, scheme, floor):
         own["level"] = "1" if is_above else floor
         own.pop("relations", None)
     outline = polygon(box(-1, -1, 9, 9), indoor="wall", level="0")
-    path = tmp_path / "flat.geojson"
-    path.write_text(json.dumps({**values, "features": [*values["features"], outline]}))
-    assert [room.name for room in load_map(path).rooms] == rooms
+    flat = building(collection(*values["features"], outline))
+    assert [room.name for room in load_map(flat).rooms] == rooms
 
 
 @pytest.mark.parametrize("tags", [{}, {"tags": None}])
-def test_rooms_without_a_level_are_those_of_level_0(tmp_path, tags):
-    path = tmp_path / "flat.geojson"
+def test_rooms_without_a_level_are_those_of_level_0(building, tags):
     rooms = [polygon(box(8 * k, 0, 8 * k + 8, 6), indoor="room", name=f"R{k}", **tags) for k in range(2)]
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": rooms}))
+    path = building(collection(*rooms))
     assert [room.name for room in load_map(path).rooms] == ["R0"]
     with pytest.raises(MapError, match="has no level '1'; levels are 0: write FILE#LEVEL"):
         load_map(f"{path}#1")
 
 
-def test_a_building_without_rooms_says_what_rooms_are(tmp_path):
-    path = tmp_path / "flat.geojson"
-    outline = polygon(box(0, 0, 8, 6), tags={"indoor": "wall", "level": "0"})
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": [outline]}))
-    with pytest.raises(MapError, match="has no rooms: polygons tagged indoor=room"):
-        load_map(path)
+def in_metres() -> dict:
+    values = level()
+    values["features"][0]["geometry"]["coordinates"] = [[[0, 0], [8, 0], [8, 4], [4, 4], [0, 4], [0, 0]]]
+    return values
 
 
-def test_one_feature_is_no_floor(tmp_path):
-    path = tmp_path / "room.geojson"
-    path.write_text(json.dumps(polygon(box(0, 0, 8, 6))))
-    with pytest.raises(MapError, match="is no GeoJSON FeatureCollection with features"):
-        load_map(path)
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        (collection(polygon(box(0, 0, 8, 6), tags={"indoor": "wall", "level": "0"})), "tagged indoor=room"),
+        (polygon(box(0, 0, 8, 6)), "is no GeoJSON FeatureCollection with features"),
+        (in_metres(), "is wider than 2000 m; cut out one building, or, if its numbers are metres"),
+    ],
+)
+def test_what_is_no_building_in_degrees_is_refused(building, values, expected):
+    with pytest.raises(MapError, match=expected):
+        load_map(building(values))
 
 
 @pytest.mark.parametrize("width", ["1.2m", "wide", "", "900"])
-def test_door_widths_that_are_no_numbers_become_plain_doors(tmp_path, width):
-    path = tmp_path / "building.geojson"
-    path.write_text(json.dumps(level(width)))
-    assert len(load_map(path).rooms) == 2
+def test_door_widths_that_are_no_numbers_become_plain_doors(building, width):
+    assert len(load_map(building(level(width))).rooms) == 2
 
 
 @pytest.mark.parametrize(
@@ -300,29 +293,16 @@ def test_a_file_that_says_that_it_is_in_degrees_is_read(floor, name):
 
 
 @pytest.mark.parametrize("place", [[2138456.5, 6024123.25], [19.0, 95.0]])
-def test_a_building_in_metres_of_a_projection_is_refused_with_the_remedy(tmp_path, place):
+@pytest.mark.parametrize("what", ["corner", "door"])
+def test_a_building_in_metres_of_a_projection_is_refused_with_the_remedy(building, place, what):
     values = level()
-    values["features"][0]["geometry"]["coordinates"][0][1] = place
-    path = tmp_path / "building.geojson"
-    path.write_text(json.dumps(values))
+    if what == "corner":
+        values["features"][0]["geometry"]["coordinates"][0][1] = place
+    else:
+        values["features"][3]["geometry"]["coordinates"] = place
     with pytest.raises(MapError, match=r"is no longitude and latitude in degrees; export it in .*EPSG:4326") as caught:
-        load_map(path)
+        load_map(building(values))
     assert f"[{place[0]:.9g}, {place[1]:.9g}]" in str(caught.value)
-    values = level()
-    values["features"][3]["geometry"]["coordinates"] = place
-    path.write_text(json.dumps(values))
-    with pytest.raises(MapError, match="is no longitude and latitude"):
-        load_map(path)
-
-
-def test_a_building_in_metres_from_a_corner_is_told_from_one_in_degrees(tmp_path):
-    values = level()
-    ring = values["features"][0]["geometry"]["coordinates"][0]
-    ring[:] = [[0, 0], [8, 0], [8, 4], [4, 4], [0, 4], [0, 0]]
-    path = tmp_path / "building.geojson"
-    path.write_text(json.dumps(values))
-    with pytest.raises(MapError, match="is wider than 2000 m; cut out one building, or, if its numbers are metres"):
-        load_map(path)
 
 
 def area_m2(ring: np.ndarray) -> float:
@@ -333,13 +313,13 @@ def area_m2(ring: np.ndarray) -> float:
 @needs_data
 @pytest.mark.parametrize(("floor", "signs"), [("site1_B1", 500), ("site2_F6", 60)])
 def test_walkers_of_a_real_floor_stay_on_its_free_space(floor, signs):
-    plan = load_map(FOLDER / f"indoor20/{floor}/geojson_map.json.gz")
+    plan = load_map(DATA / f"indoor20/{floor}/geojson_map.json.gz")
     texts = Counter(sign.text for sign in plan.signs)
     assert plan.name == floor
     assert len(plan.signs) >= signs
     assert not DRAWING_CLASSES & set(texts)
     points = []
-    for path in sorted((FOLDER / f"indoor20/{floor}/traces").glob("*.xz"))[::4]:
+    for path in sorted((DATA / f"indoor20/{floor}/traces").glob("*.xz"))[::4]:
         with lzma.open(path, "rt", encoding="utf-8") as file:
             rows = [line.split("\t") for line in file if "TYPE_WAYPOINT" in line]
         points += [(float(row[2]), float(row[3])) for row in rows]
@@ -351,7 +331,7 @@ def test_walkers_of_a_real_floor_stay_on_its_free_space(floor, signs):
 @needs_data
 @pytest.mark.parametrize(("number", "rooms", "names"), [("-1", 20, 0), ("0", 20, 12), ("1", 29, 20), ("2", 18, 10)])
 def test_every_level_of_a_real_building_loads(number, rooms, names):
-    plan = load_map(f"{FOLDER}/maps/osm_indoor/budapest.geojson.gz#{number}")
+    plan = load_map(f"{DATA}/maps/osm_indoor/budapest.geojson.gz#{number}")
     assert len(plan.rooms) >= rooms
     assert len(plan.signs) >= names
     # Closed in a fine raster too, and rooms and doors are all of the floor.

@@ -1,13 +1,19 @@
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.real_data import DATA, needs_data
+from twc_env.config import EnvConfig
 from twc_env.datasets.picture import read_picture
 from twc_env.errors import MapError
+from twc_env.maps import load_map
+from twc_env.world.world import World
 
-DATA = os.environ.get("TWC_DATA")
+IPA_M2 = {
+    "Freiburg101_scan": 680, "Freiburg52_scan": 338, "Freiburg79_scan": 290, "NLB": 1163, "lab_d_scan": 518,
+    "lab_f_scan": 910, "lab_intel": 726, "lab_ipa": 286, "office_a": 1464, "office_b": 1076, "office_d": 832,
+}  # fmt: skip
 
 
 def write_pgm(path: Path, free: np.ndarray) -> Path:
@@ -47,13 +53,15 @@ def test_rooms_drawn_on_another_picture_are_refused(tmp_path):
         read_picture(path, resolution_m=0.1)
 
 
-@pytest.mark.skipif(not DATA, reason="TWC_DATA is not set: no real room maps")
-def test_every_real_building_with_cut_rooms_gets_them():
-    counts = {}
-    for path in sorted((Path(DATA) / "maps" / "ipa").glob("*.png")):
-        if "_gt_" not in path.name:
-            plan = read_picture(path)
-            counts[path.stem] = len(plan.rooms)
-            inside = [plan.cells().is_free(room.polygon_m.mean(axis=0)[None])[0] for room in plan.rooms]
-            assert np.mean(inside) > 0.8
-    assert len(counts) == 11 and min(counts.values()) >= 10
+@needs_data
+@pytest.mark.parametrize("name", IPA_M2)
+def test_every_real_room_map_loads_with_its_rooms_and_runs(name):
+    plan = load_map(DATA / f"maps/ipa/{name}.png")
+    assert plan.cells().free.sum() * 0.01 == pytest.approx(IPA_M2[name], rel=0.02)
+    inside = [plan.cells().is_free(room.polygon_m.mean(axis=0)[None])[0] for room in plan.rooms]
+    assert len(inside) >= 10 and np.mean(inside) > 0.8
+    assert name != "office_b" or 30 <= len(plan.access_points) <= 40
+    world = World(EnvConfig(), plan)
+    world.reset(0)
+    world.step(np.ones((3, 2)))
+    assert all(0 < frame.ranges_m.min() < 10.0 for frame in world.sense())

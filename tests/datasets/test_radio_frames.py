@@ -1,10 +1,8 @@
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import twc_env
+from tests.real_data import DATA, needs_data
 from twc_env.config import EnvConfig, override
 from twc_env.datasets.radio_frames import radio_frames
 from twc_env.datasets.step_heading import read_walks
@@ -53,9 +51,9 @@ def test_odometry_makes_the_whole_turns_that_the_gyro_counts():
     assert [frame.turn_rate_rad_s for frame in frames] == pytest.approx([0.0, 1.65, -3.2])
 
 
-@pytest.mark.skipif("TWC_DATA" not in os.environ, reason="radio logs: set TWC_DATA to the data folder")
+@needs_data
 def test_the_engine_runs_on_a_robots_radio_log_and_betters_its_odometry():
-    survey = read_uw_floor(Path(os.environ["TWC_DATA"]) / "wifi" / "uw_floor" / "uw-floor.txt")
+    survey = read_uw_floor(DATA / "wifi" / "uw_floor" / "uw-floor.txt")
     true, shares = np.column_stack([survey.position_m, np.zeros(len(survey.position_m))]), []
     for seed in range(8):
         log = drifted(survey, seed)
@@ -74,9 +72,9 @@ def test_the_engine_runs_on_a_robots_radio_log_and_betters_its_odometry():
     assert np.mean(shares) < 0.85
 
 
-@pytest.mark.skipif("TWC_DATA" not in os.environ, reason="phone traces: set TWC_DATA to the data folder")
+@needs_data
 def test_the_engine_runs_on_walks_of_phones():
-    walks = read_walks(Path(os.environ["TWC_DATA"]) / "indoor20" / "site2_F6", traces_max=3)
+    walks = read_walks(DATA / "indoor20" / "site2_F6", traces_max=3)
     settings = config(len(walks))
     engine = twc_env.CooperativeSlam(settings, len(walks))
     logs = [

@@ -1,12 +1,11 @@
 import gzip
 import json
 import lzma
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.real_data import DATA, needs_data
 from twc_env.datasets.ble_flat import read_ble_run, read_flat
 from twc_env.datasets.fingerprints import read_table
 from twc_env.datasets.indoor20 import read_indoor20
@@ -15,10 +14,6 @@ from twc_env.datasets.sod_indoor_loc import read_sod
 from twc_env.datasets.uji_library import read_uji_library
 from twc_env.datasets.uw_floor import read_uw_floor
 from twc_env.errors import DataError
-
-DATA = os.environ.get("TWC_DATA")
-FOLDER = Path(DATA or ".")
-needs_data = pytest.mark.skipif(not DATA, reason="TWC_DATA is not set: no real radio surveys")
 
 
 def test_readings_of_one_time_are_one_scan(tmp_path):
@@ -68,21 +63,21 @@ SCAN = '{"range": [1, 2], "x": 3, "y": 0, "theta": 0}'
 @pytest.mark.parametrize(
     ("name", "content", "read"),
     [
-        ("floor.txt", "100.5 aa 1.0 2.0", lambda p: read_uw_floor(p)),
-        ("floor.txt", "", lambda p: read_uw_floor(p)),
-        ("floor.txt", "x aa 1 2 -60", lambda p: read_uw_floor(p)),
-        ("floor.txt", "1 aa 0 0 nan", lambda p: read_uw_floor(p)),
-        ("log.json", "{}", lambda p: read_scan_log(p)),
-        ("log.json", '{"map": {}}', lambda p: read_scan_log(p)),
-        ("log.json", f'{{"map": {{"1": {SCAN}, "2": {SCAN.replace("3", "null")}}}}}', lambda p: read_scan_log(p)),
-        ("log.json", f'{{"map": {{"1": {SCAN}, "nan": {SCAN}}}}}', lambda p: read_scan_log(p)),
-        ("carmen.log", "FLASER -2 1 1 0 0 0 0 0 0 12 h 12", lambda p: read_carmen_log(p)),
-        ("carmen.log", "FLASER 1 1.0 0 nan 0 0 0 0 12 h 12", lambda p: read_carmen_log(p)),
-        ("table.csv", 'x,y\n1,"' + 200_000 * "2", lambda p: read_table(p)),
-        ("log.json", '{"map": {"1": 3}}', lambda p: read_scan_log(p)),
-        ("log.json", '{"map": {"1": ', lambda p: read_scan_log(p)),
-        ("carmen.log", "ODOM 0 0 0", lambda p: read_carmen_log(p)),
-        ("carmen.log", "FLASER 2 1.0 2.0 0 0", lambda p: read_carmen_log(p)),
+        ("floor.txt", "100.5 aa 1.0 2.0", read_uw_floor),
+        ("floor.txt", "", read_uw_floor),
+        ("floor.txt", "x aa 1 2 -60", read_uw_floor),
+        ("floor.txt", "1 aa 0 0 nan", read_uw_floor),
+        ("log.json", "{}", read_scan_log),
+        ("log.json", '{"map": {}}', read_scan_log),
+        ("log.json", f'{{"map": {{"1": {SCAN}, "2": {SCAN.replace("3", "null")}}}}}', read_scan_log),
+        ("log.json", f'{{"map": {{"1": {SCAN}, "nan": {SCAN}}}}}', read_scan_log),
+        ("carmen.log", "FLASER -2 1 1 0 0 0 0 0 0 12 h 12", read_carmen_log),
+        ("carmen.log", "FLASER 1 1.0 0 nan 0 0 0 0 12 h 12", read_carmen_log),
+        ("table.csv", 'x,y\n1,"' + 200_000 * "2", read_table),
+        ("log.json", '{"map": {"1": 3}}', read_scan_log),
+        ("log.json", '{"map": {"1": ', read_scan_log),
+        ("carmen.log", "ODOM 0 0 0", read_carmen_log),
+        ("carmen.log", "FLASER 2 1.0 2.0 0 0", read_carmen_log),
         ("layout.csv", "x,z\n1,2\n", lambda p: read_flat(p.parent)),
         ("layout.csv", "x,y\n1,2\n3\n", lambda p: read_flat(p.parent)),
         ("none", "", lambda p: read_sod(p.parent, "CETC331")),
@@ -119,12 +114,12 @@ def test_empty_lines_of_a_table_are_left_out(tmp_path):
 
 @needs_data
 def test_surveys_have_the_documented_sizes():
-    cetc = read_sod(FOLDER / "wifi" / "sod", "CETC331")
+    cetc = read_sod(DATA / "wifi" / "sod", "CETC331")
     assert cetc.rssi_dbm.shape == (955, 52)
     assert cetc.is_high_band.sum() == 26
-    assert read_sod(FOLDER / "wifi" / "sod", "SYL").rssi_dbm.shape == (296, 46)
-    assert len(read_uji_library(FOLDER / "wifi" / "uji_lib", "13").position_m) == 576
-    robot = read_uw_floor(FOLDER / "wifi" / "uw_floor" / "uw-floor.txt")
+    assert read_sod(DATA / "wifi" / "sod", "SYL").rssi_dbm.shape == (296, 46)
+    assert len(read_uji_library(DATA / "wifi" / "uji_lib", "13").position_m) == 576
+    robot = read_uw_floor(DATA / "wifi" / "uw_floor" / "uw-floor.txt")
     assert robot.rssi_dbm.shape == (394, 30)
     assert np.isfinite(robot.rssi_dbm).sum(axis=1).mean() == pytest.approx(14, abs=0.1)
 
@@ -132,7 +127,7 @@ def test_surveys_have_the_documented_sizes():
 @needs_data
 def test_fresh_phone_scans_hold_as_many_addresses_as_documented():
     for floor, expected in (("site1_B1", 74), ("site2_F6", 114)):
-        survey = read_indoor20(FOLDER / "indoor20" / floor)
+        survey = read_indoor20(DATA / "indoor20" / floor)
         assert np.isfinite(survey.rssi_dbm).sum(axis=1).mean() == pytest.approx(expected, abs=1.0)
 
 
@@ -140,7 +135,7 @@ def test_fresh_phone_scans_hold_as_many_addresses_as_documented():
 def test_runs_of_the_flat_lie_inside_its_outline():
     import shapely
 
-    folder = FOLDER / "wifi" / "ble_lidar"
+    folder = DATA / "wifi" / "ble_lidar"
     outline = shapely.Polygon(read_flat(folder).outline_m).buffer(0.2)
     for run in ("calibration", "calib3", "calib4"):
         inside = shapely.contains_xy(outline, read_ble_run(folder, run).position_m)
@@ -149,7 +144,7 @@ def test_runs_of_the_flat_lie_inside_its_outline():
 
 @needs_data
 def test_relations_of_the_intel_log_are_the_119_documented_ones():
-    folder = FOLDER / "lidar" / "raw_odometry"
+    folder = DATA / "lidar" / "raw_odometry"
     log = read_scan_log(folder / "intel_gfs.json.gz")
     assert log.poses.shape == (910, 3)
     assert len(read_relations(folder / "intel.relations.gz", log).first) == 119

@@ -1,5 +1,4 @@
 import gzip
-import os
 from pathlib import Path
 
 import numpy as np
@@ -7,14 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twc_env.config import EnvConfig
 from twc_env.datasets.picture import read_picture
 from twc_env.datasets.raster import deepest_cell, free_edges, largest_part, plan_from_free, read_grey
 from twc_env.errors import MapError
-from twc_env.maps import load_map
-from twc_env.world.world import World
-
-DATA = os.environ.get("TWC_DATA")
 
 
 def rooms() -> np.ndarray:
@@ -146,17 +140,19 @@ def test_broken_pgm_pictures_are_refused(tmp_path, content):
         read_picture(path)
 
 
-@pytest.mark.parametrize("name", ["none.pgm", "none.png"])
-def test_a_missing_picture_is_refused(tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "raw"),
+    [
+        ("none.pgm", None), ("none.png", None), ("not-compressed.pgm.gz", b"P5\n1 1\n255\n0"), ("a.png", b""),
+        ("a.png", b"\x89PNG\r\n\x1a\n"), ("a.png", b"no picture"), ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(200)),
+    ],
+)  # fmt: skip
+def test_what_is_no_picture_is_refused(tmp_path, name, raw):
+    if raw is not None:
+        pytest.importorskip("PIL", reason="Pillow is an optional dependency")
+        (tmp_path / name).write_bytes(raw)
     with pytest.raises(MapError, match="cannot read the picture"):
         read_picture(tmp_path / name)
-
-
-def test_a_file_that_is_not_compressed_is_refused(tmp_path):
-    path = tmp_path / "a.pgm.gz"
-    path.write_bytes(b"P5\n1 1\n255\n0")
-    with pytest.raises(MapError, match="cannot read the picture"):
-        read_picture(path)
 
 
 @pytest.mark.parametrize("mode", ["L", "LA", "P", "RGBA", "RGB", "1"])
@@ -193,40 +189,6 @@ def test_transparent_pixels_are_not_free(tmp_path):
 def test_a_black_picture_is_refused(tmp_path):
     with pytest.raises(MapError, match="shows no free space"):
         read_picture(write_pgm(tmp_path / "black.pgm", np.zeros((9, 9), bool)))
-
-
-@pytest.mark.skipif(not DATA, reason="TWC_DATA is not set: no real maps")
-def test_a_real_office_loads_and_runs():
-    plan = read_picture(Path(DATA) / "maps/ipa/office_b.png")
-    assert 900 < plan.cells().free.sum() * 0.01 < 1200
-    assert 30 <= len(plan.access_points) <= 40
-    world = World(EnvConfig(), plan)
-    world.reset(0)
-    world.step(np.ones((3, 2)))
-    assert all(0 < frame.ranges_m.min() < 10.0 for frame in world.sense())
-
-
-@pytest.mark.skipif(not os.environ.get("TWC_DATA"), reason="TWC_DATA is not set: no real room maps")
-@pytest.mark.parametrize(
-    ("name", "area_m2"),
-    [
-        ("Freiburg101_scan", 680), ("Freiburg52_scan", 338), ("Freiburg79_scan", 290), ("NLB", 1163),
-        ("lab_d_scan", 518), ("lab_f_scan", 910), ("lab_intel", 726), ("lab_ipa", 286), ("office_a", 1464),
-        ("office_b", 1076), ("office_d", 832),
-    ],
-)  # fmt: skip
-def test_real_room_maps_of_every_mode_load(name, area_m2):
-    plan = load_map(Path(os.environ["TWC_DATA"]) / f"maps/ipa/{name}.png")
-    assert plan.cells().free.sum() * 0.01 == pytest.approx(area_m2, rel=0.02)
-    World(EnvConfig(), plan).reset(0)
-
-
-@pytest.mark.parametrize("raw", [b"", b"\x89PNG\r\n\x1a\n", b"no picture", b"\x89PNG\r\n\x1a\n" + bytes(200)])
-def test_broken_png_pictures_are_refused(tmp_path, raw):
-    pytest.importorskip("PIL", reason="Pillow is an optional dependency")
-    (tmp_path / "a.png").write_bytes(raw)
-    with pytest.raises(MapError, match="cannot read the picture"):
-        read_picture(tmp_path / "a.png")
 
 
 def test_a_picture_of_too_many_pixels_is_refused_before_it_is_unpacked(tmp_path):

@@ -1,9 +1,7 @@
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.real_data import DATA, needs_data
 from twc_env.datasets.scan_log import ScanLog, onto_circle, read_any_log, read_carmen_log, read_scan_log, sensor_frames
 from twc_env.errors import DataError
 from twc_env.geometry import compose
@@ -11,15 +9,12 @@ from twc_env.messages import UNSEEN_M
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.scan_matching import scan_points
 
-needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="laser logs: set TWC_DATA to the data folder")
-
-
 LINE = "FLASER 3 1.0 2.0 81.9 4 5 0.5 9 9 9 7.25 host 7.3"
 
 
 def test_a_line_of_carmen_is_a_scan_with_its_pose(tmp_path):
     path = tmp_path / "drive.log"
-    path.write_text("# a log\nODOM 1 2 3 0 0 0 5 host 5\nFLASER 3 1.0 2.0 81.9 4 5 0.5 9 9 9 7.25 host 7.3\n")
+    path.write_text(f"# a log\nODOM 1 2 3 0 0 0 5 host 5\n{LINE}\n")
     log = read_carmen_log(path)
     assert log.ranges_m.tolist() == [[1.0, 2.0, 81.9]]
     assert log.poses.tolist() == [[4.0, 5.0, 0.5]] and log.times_s.tolist() == [7.25]
@@ -49,15 +44,10 @@ def test_what_is_no_carmen_log_is_answered_with_the_way_for_other_logs(tmp_path)
         read_carmen_log(path)
 
 
-def test_comments_of_carmen_may_be_in_any_encoding(tmp_path):
+@pytest.mark.parametrize("text", [f"# Büro\n{LINE}\n", "  " + LINE.replace(" ", "\t") + "\r\n"])
+def test_carmen_may_have_comments_in_any_encoding_indented_lines_and_tabs(tmp_path, text):
     path = tmp_path / "drive.log"
-    path.write_bytes(f"# Büro\n{LINE}\n".encode("latin-1"))
-    assert read_carmen_log(path).ranges_m.tolist() == [[1.0, 2.0, 81.9]]
-
-
-def test_lines_of_carmen_may_be_indented_and_have_tabs(tmp_path):
-    path = tmp_path / "drive.log"
-    path.write_text("  " + LINE.replace(" ", "\t") + "\r\n")
+    path.write_bytes(text.encode("latin-1"))
     assert read_carmen_log(path).ranges_m.tolist() == [[1.0, 2.0, 81.9]]
 
 
@@ -93,10 +83,8 @@ def test_a_scan_of_the_front_says_nothing_of_the_back():
 
 
 def test_of_beams_that_share_a_direction_the_nearest_counts():
-    assert onto_circle(np.array([3.0, 2.0, 0.0]), np.deg2rad([1.0, -1.0, 90.0]), 4, 10.0)[:2].tolist() == [
-        2.0,
-        UNSEEN_M,
-    ]
+    scan = onto_circle(np.array([3.0, 2.0, 0.0]), np.deg2rad([1.0, -1.0, 90.0]), 4, 10.0)
+    assert scan[:2].tolist() == [2.0, UNSEEN_M]
 
 
 def test_the_engine_neither_clears_nor_matches_what_was_not_seen():
@@ -123,7 +111,7 @@ def test_odometry_and_gyro_of_the_frames_give_the_path_back():
 
 @needs_data
 def test_both_forms_of_the_intel_log_hold_the_same_scans():
-    folder = Path(os.environ["TWC_DATA"]) / "lidar"
+    folder = DATA / "lidar"
     carmen = read_carmen_log(folder / "carmen" / "intel-corrected.log.gz")
     log = read_scan_log(folder / "raw_odometry" / "intel_corrected_log.json.gz")
     assert carmen.ranges_m.shape == log.ranges_m.shape == (910, 180)

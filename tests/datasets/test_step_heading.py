@@ -1,9 +1,7 @@
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.real_data import DATA, needs_data
 from twc_env.datasets.step_heading import dead_reckoning, headings_rad, read_walks, steps
 from twc_env.errors import DataError
 
@@ -34,9 +32,9 @@ def test_steps_and_headings_make_a_path():
     assert turned.sum() == pytest.approx(np.pi / 2)
 
 
-@pytest.mark.skipif("TWC_DATA" not in os.environ, reason="phone traces: set TWC_DATA to the data folder")
+@needs_data
 def test_dead_reckoning_of_real_walks_is_near_the_survey():
-    walks = read_walks(Path(os.environ["TWC_DATA"]) / "indoor20" / "site2_F6", traces_max=6)
+    walks = read_walks(DATA / "indoor20" / "site2_F6", traces_max=6)
     reckoned, surveyed = (
         sum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum() for path in paths)
         for paths in ([w.reckoned for w in walks], [w.surveyed_m for w in walks])

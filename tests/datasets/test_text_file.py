@@ -22,17 +22,11 @@ def test_text_is_unpacked_by_its_name_and_loses_its_byte_order_mark(tmp_path, na
     assert read_text(tmp_path / name) == "Zürich\n"
 
 
-def broken(raw, kind):
-    if kind == "cut off":
-        return raw[: len(raw) // 2]
-    return raw[:200] + b"\xff" * 20 + raw[220:]
-
-
-@pytest.mark.parametrize("kind", ["cut off", "damaged"])
 @pytest.mark.parametrize("read", READERS)
-def test_a_broken_archive_is_a_data_error(tmp_path, read, kind):
+@pytest.mark.parametrize("rest", [b"", b"\xff" * 3000], ids=["cut off", "damaged"])
+def test_a_broken_archive_is_a_data_error(tmp_path, read, rest):
     numbers = np.random.default_rng(0).random(2000).tobytes().hex().encode()
-    (tmp_path / "a.gz").write_bytes(broken(gzip.compress(numbers), kind))
+    (tmp_path / "a.gz").write_bytes(gzip.compress(numbers)[:5000] + rest)
     with pytest.raises(DataError, match=r"cannot read .*a\.gz"):
         read(tmp_path / "a.gz")
 
@@ -42,14 +36,3 @@ def test_text_in_another_encoding_is_named_with_the_remedy(tmp_path, read):
     (tmp_path / "a.txt").write_bytes("Zürich\n".encode("latin-1"))
     with pytest.raises(DataError, match=r"a\.txt is no text in UTF-8: .*; save it as UTF-8"):
         read(tmp_path / "a.txt")
-
-
-def test_a_byte_order_mark_does_not_hide_the_first_vertex(tmp_path):
-    (tmp_path / "a.g2o").write_text("\ufeffVERTEX_SE2 0 1 2 3\r\n", encoding="utf-8")
-    assert read_g2o(tmp_path / "a.g2o")["nodes"].tolist() == [[1.0, 2.0, 3.0]]
-
-
-def test_a_vertex_number_beyond_64_bits_is_named(tmp_path):
-    (tmp_path / "a.g2o").write_text("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 99999999999999999999 0 0 0\n")
-    with pytest.raises(DataError, match="line 2: expected"):
-        read_g2o(tmp_path / "a.g2o")

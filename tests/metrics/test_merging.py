@@ -45,18 +45,20 @@ def test_a_small_turn_is_judged_amid_the_paths_not_at_the_origin_of_the_frame():
     assert wrong_pairs(frames, centre) == []
 
 
-def test_paths_of_unequal_shape_are_refused():
-    with pytest.raises(DataError, match="equal shape"):
-        implied_frames(np.zeros((4, 3)), np.zeros((5, 3)), np.zeros(4, int))
-
-
 @pytest.mark.parametrize("frames", [np.zeros((3, 2)), [[np.nan, 0.0, 0.0], [0.0, 0.0, 0.0]], []])
 def test_frames_that_are_no_poses_are_refused(frames):
     with pytest.raises(DataError, match="finite poses"):
         wrong_pairs(frames)
 
 
-@pytest.mark.parametrize("robot_of", [[0, 0], [0.0, 0.0, 1.0, 1.0]])
-def test_poses_of_nobody_are_refused(robot_of):
-    with pytest.raises(DataError, match="one for each pose"):
-        implied_frames(np.zeros((4, 3)), np.zeros((4, 3)), robot_of)
+@pytest.mark.parametrize(
+    ("true", "robot_of", "message"),
+    [
+        (np.zeros((5, 3)), [0, 0, 1, 1], "equal shape"),
+        (np.zeros((4, 3)), [0, 0], "one for each pose"),
+        (np.zeros((4, 3)), [0.0, 0.0, 1.0, 1.0], "one for each pose"),
+    ],
+)
+def test_poses_that_do_not_fit_together_are_refused(true, robot_of, message):
+    with pytest.raises(DataError, match=message):
+        implied_frames(np.zeros((4, 3)), true, robot_of)

@@ -1,9 +1,6 @@
-import argparse
-
 import numpy as np
 
 from twc_env.reproduce import bare_places
-from twc_env.reproduce.runner import Runner
 from twc_env.world.floorplan_check import validate
 
 BARE = "corridor 1.2 m"
@@ -17,16 +14,8 @@ def test_every_scene_is_a_sound_plan_with_the_signs_and_access_points_of_its_nam
         assert all(0.0 < x < plan.bounds_m[2] for x in np.array([sign.position_m[0] for sign in plan.signs]))
 
 
-def test_robots_that_hear_one_access_point_along_a_bare_corridor_are_not_merged_by_that(tmp_path):
-    parser = argparse.ArgumentParser()
-    bare_places.add_arguments(parser)
-    options = parser.parse_args(["--scenes", BARE, "--seeds", "3-4", "--steps", "240"])
-    (row,) = bare_places.rows(options, Runner("bare-places", tmp_path, {}))
-    assert (row["scene"], row["episodes"], row["wrong_merges"], row["undone"], row["false_closures"]) == (
-        BARE,
-        2,
-        0,
-        0,
-        0,
-    )
+def test_robots_that_hear_one_access_point_along_a_bare_corridor_are_not_merged_by_that(rows_of):
+    (row,) = rows_of(bare_places, "--scenes", BARE, "--seeds", "3-4", "--steps", "240")
+    assert (row["scene"], row["episodes"]) == (BARE, 2)
+    assert row["wrong_merges"] == row["wrong_episodes"] == row["undone"] == row["false_closures"] == 0
     assert row["merged_share"] == 0.333 and 0.0 < row["ate_m"] <= row["ate_worst_m"] < 0.5

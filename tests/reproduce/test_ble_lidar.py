@@ -1,17 +1,14 @@
-import argparse
 import gzip
-import os
 
 import numpy as np
 import pytest
 
+from tests.real_data import needs_data
 from twc_env.datasets.ble_drive import read_ble_drive
 from twc_env.errors import DataError
 from twc_env.messages import UNSEEN_M
 from twc_env.reproduce import ble_lidar
 from twc_env.reproduce.runner import Runner
-
-needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="the flat: set TWC_DATA to the data folder")
 
 
 def write_drive(folder, scans):
@@ -46,11 +43,8 @@ def test_a_drive_that_is_cut_off_is_a_data_error(tmp_path):
 
 
 @needs_data
-def test_the_table_has_a_row_for_each_method_and_a_picture(tmp_path):
-    parser = argparse.ArgumentParser()
-    ble_lidar.add_arguments(parser)
-    options = parser.parse_args(["--runs", "calib4", "--frames", "150"])
-    runner = Runner("ble-lidar", tmp_path, {})
+def test_the_table_has_a_row_for_each_method_and_a_picture(parsed, tmp_path):
+    options, runner = parsed(ble_lidar, "--runs", "calib4", "--frames", "150"), Runner("ble-lidar", tmp_path, {})
     table = {row["method"]: row for row in ble_lidar.rows(options, runner)}
     assert list(table) == ["commands", "scan odometry", "lidar", "radio+lidar"]
     assert table["lidar"]["error_mean_m"] < 0.5 and table["lidar"]["map_iou"] > 0.1

@@ -1,14 +1,8 @@
-import json
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from twc_env.__main__ import main
+from tests.real_data import needs_data
 from twc_env.reproduce.building_axes import figures, spaced
-
-needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="laser logs: set TWC_DATA to the data folder")
 
 
 def test_share_and_deviation_of_a_made_path_are_found():
@@ -27,10 +21,8 @@ def test_places_lie_at_least_three_metres_apart():
 
 
 @needs_data
-def test_the_logs_stray_as_the_engine_takes_them_to(tmp_path: Path):
-    file = tmp_path / "t.json"
-    assert main(["reproduce", "building-axes", "--seeds", "1", "--json", str(file), "--cache", str(tmp_path)]) == 0
-    table = json.loads(file.read_text())
+def test_the_logs_stray_as_the_engine_takes_them_to(written):
+    table = written("building-axes", "--seeds", "1")
     logs = [row["std_deg"] for row in table if row["role"] == "calibrated"]
     assert len(logs) == 5 and np.median(logs) == pytest.approx(5.0, abs=0.2)
     assert all(row["std_deg"] < min(logs) for row in table if row["role"] == "reported")

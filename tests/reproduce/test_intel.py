@@ -1,14 +1,10 @@
-import argparse
-import os
-
 import numpy as np
 import pytest
 
+from tests.real_data import needs_data
 from twc_env.datasets.scan_log import Relations, read_scan_log
 from twc_env.reproduce import intel
 from twc_env.reproduce.runner import Runner
-
-needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="the Intel log: set TWC_DATA to the data folder")
 
 
 def test_relations_between_robots_that_share_no_map_are_not_judged():
@@ -42,10 +38,8 @@ def test_what_the_corrected_log_misses_belongs_to_scans_that_were_left_out():
 
 
 @needs_data
-def test_the_engine_betters_the_odometry_of_the_first_scans(tmp_path):
-    parser = argparse.ArgumentParser()
-    intel.add_arguments(parser)
-    options = parser.parse_args(["--scans", "120", "--robots", "1", "--particles", "4", "--seeds", "1"])
+def test_the_engine_betters_the_odometry_of_the_first_scans(parsed, tmp_path):
+    options = parsed(intel, "--scans", "120", "--robots", "1", "--particles", "4", "--seeds", "1")
     runner = Runner("intel", tmp_path, {})
     table = {row["method"]: row for row in intel.rows(options, runner)}
     assert table["engine"]["relations"] == table["odometry"]["relations"] >= 10

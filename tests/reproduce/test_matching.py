@@ -1,14 +1,8 @@
-import argparse
-
 from twc_env.reproduce import matching
-from twc_env.reproduce.runner import Runner
 
 
-def test_candidates_are_verified_with_a_guess_and_without(tmp_path):
-    parser = argparse.ArgumentParser()
-    matching.add_arguments(parser)
-    options = parser.parse_args(["--buildings", "1", "--pairs", "2", "--points", "180"])
-    table = matching.rows(options, Runner("matching", tmp_path, {}))
+def test_candidates_are_verified_with_a_guess_and_without(rows_of):
+    table = rows_of(matching, "--buildings", "1", "--pairs", "2", "--points", "180")
     assert [(row["task"], row["method"], row["guess"]) for row in table] == [
         ("match", "point-to-line", "with"),
         ("match", "point-to-line", "without"),

@@ -1,21 +1,16 @@
-import argparse
-
 import numpy as np
 import pytest
 
 from twc_env.errors import ConfigError
 from twc_env.maps import load_map
-from twc_env.reproduce.merging import BYTES, THICKNESS, add_arguments, merge_in, overlapping_ways, rows
-from twc_env.reproduce.runner import Runner
+from twc_env.reproduce import merging
+from twc_env.reproduce.merging import BYTES, THICKNESS, merge_in, overlapping_ways
+
+SMALL = "test/0005"
 
 
-@pytest.fixture(scope="module")
-def small():
-    return "test/0005"
-
-
-def test_ways_start_apart_stay_on_the_floor_and_overlap(small):
-    plan = load_map(small)
+def test_ways_start_apart_stay_on_the_floor_and_overlap():
+    plan = load_map(SMALL)
     ways = overlapping_ways(plan, 3)
     starts = np.array([way[0] for way in ways])
     for k, way in enumerate(ways):
@@ -25,8 +20,8 @@ def test_ways_start_apart_stay_on_the_floor_and_overlap(small):
         assert np.hypot(*(np.delete(starts, k, axis=0) - starts[k]).T).min() >= 1.0
 
 
-def test_one_building_is_merged_rightly(small):
-    row = merge_in(small, robots=3, seed=0)
+def test_one_building_is_merged_rightly():
+    row = merge_in(SMALL, robots=3, seed=0)
     assert row["fully_merged"] == 1 and row["wrong_merges"] == 0
     assert 0 < row["first_merge_s"] <= row["all_merged_s"] and row["bytes_to_first_merge"] > 0
     assert row["team_ate_m"] < 0.1
@@ -40,10 +35,11 @@ def test_more_robots_than_rooms_are_refused():
         overlapping_ways(load_map("test/0000"), 8)
 
 
-def test_the_table_ends_with_the_sum_over_buildings(tmp_path, monkeypatch):
+def test_the_table_ends_with_the_sum_over_buildings(rows_of, monkeypatch):
     found = {"test/0000": 1, "test/0001": 0}
     monkeypatch.setattr(
-        "twc_env.reproduce.merging.merge_in",
+        merging,
+        "merge_in",
         lambda name, robots, seed, settings: {
             "building": name, "rooms": 3, "steps": 10, "fully_merged": found[name], "wrong_merges": 0,
             "first_merge_s": None if name == "test/0001" else 4.0, "all_merged_s": None, "bytes_to_first_merge": 7,
@@ -51,9 +47,7 @@ def test_the_table_ends_with_the_sum_over_buildings(tmp_path, monkeypatch):
             "undone": 0, **dict.fromkeys(BYTES[1:], 1), **dict.fromkeys(THICKNESS, 0.1),
         },
     )  # fmt: skip
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    table = rows(parser.parse_args(["--buildings", "2"]), Runner("merging", tmp_path, {}))
+    table = rows_of(merging, "--buildings", "2")
     assert [row["building"] for row in table] == ["test/0000", "test/0001", "all 2"]
     assert [row.get("buildings") for row in table] == [None, None, 2]
     assert table[-1]["fully_merged"] == 1 and table[-1]["first_merge_s"] == 4.0

@@ -1,11 +1,8 @@
-import argparse
-
 import numpy as np
 import pytest
 
 from twc_env.reproduce import ocr, ocr_measure
 from twc_env.reproduce.ocr_alignment import Aligned
-from twc_env.reproduce.runner import Runner
 from twc_env.world.misreading import TableReader, codes_of, draw_count
 from twc_env.world.ocr_table import load_table, table_of
 
@@ -86,11 +83,10 @@ def test_an_interrupted_measurement_goes_on_where_it_stopped(tmp_path, monkeypat
 
 
 @pytest.mark.usefixtures("real_ocr")
-def test_the_table_of_comparisons_has_the_promised_rows(tmp_path, monkeypatch):
+def test_the_table_of_comparisons_has_the_promised_rows(rows_of, monkeypatch):
     monkeypatch.setattr(ocr, "DISTANCES_M", (1.0, 6.0))
     monkeypatch.setattr(ocr, "held_out_texts", lambda: ["EXIT", "A301 OPTICS LAB"])
-    options = argparse.Namespace(signs=8, seed=0, hidden=0.0)
-    near, far = ocr.rows(options, Runner("ocr", tmp_path, {}))
+    near, far = rows_of(ocr, "--signs", "8")
     assert list(near) == ["distance_m", "exact_real", "exact_fast", "similarity_real", "similarity_fast"]
     assert near["similarity_real"] > far["similarity_real"]
     assert near["similarity_fast"] > far["similarity_fast"]

@@ -1,16 +1,10 @@
-import json
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from twc_env.__main__ import main
+from tests.real_data import needs_data
 from twc_env.config import OdometryConfig
 from twc_env.datasets.scan_log import Relations
 from twc_env.reproduce.odometry import dead_reckoning, figures
-
-needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="the Intel log: set TWC_DATA to the data folder")
 
 
 def test_dead_reckoning_without_drift_is_the_path():
@@ -28,12 +22,8 @@ def test_errors_are_those_of_the_relative_pose():
 
 
 @needs_data
-def test_the_table_meets_the_real_drift_within_fifteen_percent(tmp_path: Path):
-    code = main(
-        ["reproduce", "odometry", "--seeds", "20", "--json", str(tmp_path / "t.json"), "--cache", str(tmp_path)]
-    )
-    rows = {row["quantity"]: row for row in json.loads((tmp_path / "t.json").read_text())}
-    assert code == 0
+def test_the_table_meets_the_real_drift_within_fifteen_percent(written):
+    rows = {row["quantity"]: row for row in written("odometry", "--seeds", "20")}
     assert rows["all relations: translation_m"]["real"] == pytest.approx(6.5, abs=0.05)
     assert rows["all relations: rotation_deg"]["real"] == pytest.approx(24, abs=0.5)
     for name in ("all relations", "loops over 60 s"):

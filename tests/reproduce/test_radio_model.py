@@ -1,12 +1,9 @@
 import dataclasses
-import json
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from twc_env.__main__ import main
+from tests.real_data import DATA, needs_data
 from twc_env.config import HighBandConfig, RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.reproduce import radio_places as places
@@ -17,7 +14,6 @@ from twc_env.reproduce.radio_rooms import surveyed_rooms
 from twc_env.reproduce.radio_study import spread_over
 from twc_env.world.floor_cells import Cells
 
-needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="real surveys: set TWC_DATA to the data folder")
 CLEAR = RadioConfig(
     shadowing_std_db=0.0, fading_std_db=0.0, device_offset_std_db=0.0, noise_std_db=0.0, power_spread_db=0.0,
     detection_floor_dbm=-119.0,
@@ -167,7 +163,7 @@ def test_remarks_count_what_is_near_and_quote_the_evidence():
 @needs_data
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.name)
 def test_every_reason_for_a_miss_can_be_told_from_the_data(study):
-    evidence = study.evidence(Path(os.environ["TWC_DATA"]), True) if study.evidence else {}
+    evidence = study.evidence(DATA, True) if study.evidence else {}
     assert all(np.isfinite(value) for value in evidence.values())
     assert all(reason.format(**evidence) for reason in study.reasons.values())
 
@@ -182,38 +178,16 @@ def test_every_set_is_either_calibrated_or_reported_and_both_exist():
 @pytest.mark.parametrize("name", ["sfw_authors E3", "sfw_authors E5"])
 def test_routers_are_as_strong_near_by_as_each_experiment_says(name):
     study = next(study for study in STUDIES if study.name == name)
-    folder = Path(os.environ["TWC_DATA"])
-    real, simulated = study.real(folder, True), study.simulated(folder, study.config, 0, True)
+    real, simulated = study.real(DATA, True), study.simulated(DATA, study.config, 0, True)
     for figure in ("mean RSS of class 0 [dBm]", "mean RSS of class 1 [dBm]"):
         assert simulated[figure] == pytest.approx(real[figure], abs=2.5)
 
 
 @needs_data
-def test_a_quick_run_gives_a_real_and_a_simulated_figure_for_every_quantity(tmp_path):
-    out = tmp_path / "rows.json"
-    code = main(
-        [
-            "reproduce",
-            "radio-model",
-            "--quick",
-            "--seeds",
-            "1",
-            "--only",
-            "wifi",
-            "--json",
-            str(out),
-            "--cache",
-            str(tmp_path),
-        ]
-    )
-    rows = json.loads(out.read_text())
-    assert code == 0
-    assert {row["dataset"].split()[0] for row in rows} >= {
-        "wifi/sod",
-        "wifi/uji_lib",
-        "wifi/ble_lidar",
-        "wifi/uw_floor",
-    }
+def test_a_quick_run_gives_a_real_and_a_simulated_figure_for_every_quantity(written):
+    rows = written("radio-model", "--quick", "--seeds", "1", "--only", "wifi")
+    sets = {"wifi/sod", "wifi/uji_lib", "wifi/ble_lidar", "wifi/uw_floor"}
+    assert {row["dataset"].split()[0] for row in rows} >= sets
     assert {row["role"] for row in rows} == {"calibrated", "reported"}
     assert all(row["real_low"] <= row["real_high"] for row in rows if row["real_low"] is not None)
     exponents = [row for row in rows if "exponent" in row["quantity"] and "CETC331" in row["dataset"]]

@@ -1,18 +1,11 @@
-import json
-
-from twc_env.__main__ import main
-
 KEYS = [
     "travel_km", "places", "memory_kib", "scan_ms", "scan_ms_max", "error_mean_m", "odometry_mean_m", "error_sd_m",
     "seeds",
 ]  # fmt: skip
 
 
-def test_the_command_writes_a_row_for_each_stretch_and_says_how_fast_similarity_is(tmp_path, capsys):
-    path = tmp_path / "rows.json"
-    arguments = ["--seeds", "1", "--length", "200", "--stored", "100", "--cache", str(tmp_path / "cache")]
-    main(["reproduce", "radio-scale", *arguments, "--json", str(path)])
-    rows = json.loads(path.read_text())
+def test_the_command_writes_a_row_for_each_stretch_and_says_how_fast_similarity_is(written, capsys):
+    rows = written("radio-scale", "--seeds", "1", "--length", "200", "--stored", "100")
     assert [list(row) for row in rows] == [KEYS] * 10
     assert rows[-1]["travel_km"] == 0.2 and rows[-1]["places"] > rows[0]["places"]
     assert "one against 100 stored" in capsys.readouterr().out

@@ -1,5 +1,3 @@
-import json
-
 import numpy as np
 import pytest
 
@@ -14,11 +12,9 @@ from twc_env.reproduce.radio_twins import PLACES, true_path
 KEYS = ["environment", "method", "error_mean_m", "error_std_m", "ate_m", "paper_mean_m", "paper_std_m", "seeds"]
 
 
-def test_the_command_writes_its_rows(tmp_path, capsys):
-    path = tmp_path / "rows.json"
-    arguments = ["--seeds=1", "--places=semi-indoor", "--share=0.4", "--methods=odometry,wifi", "--processes=1"]
-    main(["reproduce", "radio-table1", *arguments, "--json", str(path), "--cache", str(tmp_path / "cache")])
-    rows = json.loads(path.read_text())
+def test_the_command_writes_its_rows(written, capsys):
+    words = ["--seeds=1", "--places=semi-indoor", "--share=0.4", "--methods=odometry,wifi", "--processes=1"]
+    rows = written("radio-table1", *words)
     assert [list(row) for row in rows] == [KEYS] * 2
     assert rows[0]["error_mean_m"] == pytest.approx(0.4 * 51.98, rel=0.02)
     assert rows[1]["error_mean_m"] < rows[0]["error_mean_m"]

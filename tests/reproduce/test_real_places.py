@@ -1,15 +1,11 @@
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.real_data import DATA, needs_data
 from twc_env.messages import Fingerprint
 from twc_env.reproduce import place_cues, real_places, surveyed_places
 from twc_env.slam.radio_fingerprint import mac_similarity, rssi_distance_db
 from twc_env.slam.radio_statistics import radio_difference_db
-
-needs_data = pytest.mark.skipif("TWC_DATA" not in os.environ, reason="real floors: set TWC_DATA to the data folder")
 
 
 def test_comparing_all_places_at_once_gives_what_pairs_give():
@@ -42,8 +38,7 @@ def test_neighbours_along_a_trace_may_be_passed_in_either_direction():
 
 @needs_data
 def test_fused_learns_on_one_real_floor_what_beats_the_others_on_the_other():
-    folder = Path(os.environ["TWC_DATA"]) / "indoor20"
-    floors = {name: surveyed_places.read_floor(folder / part) for name, part in real_places.FLOORS.items()}
+    floors = {name: surveyed_places.read_floor(DATA / "indoor20" / part) for name, part in real_places.FLOORS.items()}
     figures = real_places.judge_draw(floors, seed=100)
     for floor in floors:
         fused = figures[floor].pop("fused")["average_precision"]

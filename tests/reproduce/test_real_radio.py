@@ -1,11 +1,9 @@
 import dataclasses
-import json
-import os
 
 import numpy as np
 import pytest
 
-from twc_env.__main__ import main
+from tests.real_data import needs_data
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.datasets.step_heading import WalkerTrace
 from twc_env.messages import Fingerprint
@@ -15,12 +13,9 @@ from twc_env.reproduce.real_radio import drifted
 KEYS = ["floor", "method", "traces_joined", "traces", "error_mean_m", "error_std_m"]
 
 
-@pytest.mark.skipif("TWC_DATA" not in os.environ, reason="phone traces: set TWC_DATA to the data folder")
-def test_the_command_writes_its_rows(tmp_path):
-    path = tmp_path / "rows.json"
-    options = ["--floors", "site2_F6,uw_floor", "--traces", "8", "--seeds", "1"]
-    main(["reproduce", "real-radio", *options, "--json", str(path), "--cache", str(tmp_path)])
-    rows = json.loads(path.read_text())
+@needs_data
+def test_the_command_writes_its_rows(written):
+    rows = written("real-radio", "--floors", "site2_F6,uw_floor", "--traces", "8", "--seeds", "1")
     assert [list(row) for row in rows] == [KEYS] * 8
     malls, (odometry, paper, ours) = rows[:5], rows[5:]
     assert [row["method"] for row in (odometry, paper, ours)] == ["odometry", "paper", "ours"]

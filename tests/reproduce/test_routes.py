@@ -61,8 +61,8 @@ def test_a_floor_without_clear_room_is_refused(plan):
     class Narrow:
         name = "narrow"
 
-        def cells(self):
-            cells = plan.cells()
+        def cells(self, resolution_m):
+            cells = plan.cells(resolution_m)
             return type(cells)(np.zeros_like(cells.free), cells.wall, cells.origin_m, cells.resolution_m)
 
     with pytest.raises(MapError, match="clear of walls"):

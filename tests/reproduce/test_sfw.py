@@ -1,15 +1,12 @@
-import argparse
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.real_data import DATA, needs_data
 from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
 from twc_env.metrics.k_visibility import score_structure
-from twc_env.reproduce import sfw_authors, sfw_ble, sfw_houseexpo, sfw_table1
-from twc_env.reproduce.runner import Runner
+from twc_env.reproduce import sfw_authors, sfw_ble, sfw_table1
+from twc_env.reproduce.runner import Runner, table_module
 from twc_env.reproduce.sfw_flats import flat
 from twc_env.reproduce.sfw_registration import register
 from twc_env.reproduce.sfw_scoring import Mapped, at_coverage
@@ -29,10 +26,9 @@ def test_the_route_follows_every_wall_at_its_distance(name):
     assert path_length_m(way) > 0.8 * np.linalg.norm(plan.walls_m[:, 0] - plan.walls_m[:, 1], axis=1).sum()
 
 
-def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(tmp_path, monkeypatch):
+def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(rows_of, tmp_path, monkeypatch):
     monkeypatch.setitem(sfw_table1.POINTS, 1, 600)
-    options = argparse.Namespace(seeds=[0], experiments="1", routers="known", flats=0, out=tmp_path)
-    rows = sfw_table1.rows(options, Runner("sfw-table1", tmp_path, {}))
+    rows = rows_of(sfw_table1, "--seeds", "1", "--experiments", "1", "--out", str(tmp_path))
     assert [row["method"] for row in rows] == ["paper", "paper, distance", "ours", "ours, SLAM"]
     assert rows[3]["iou_free"] > 0.9
     assert list(rows[0]) == [
@@ -58,10 +54,9 @@ def test_the_surest_cells_are_told_first_up_to_a_coverage():
     assert told.score.iou_free < 1.0
 
 
-def test_flats_are_measured_in_the_same_columns(tmp_path, monkeypatch):
+def test_flats_are_measured_in_the_same_columns(rows_of, tmp_path, monkeypatch):
     monkeypatch.setattr(sfw_table1, "_READINGS_PER_M", 10.0)
-    options = argparse.Namespace(routers="known", flats=1, out=tmp_path)
-    rows = sfw_table1.rows(options, Runner("sfw-table1", tmp_path, {}))
+    rows = rows_of(sfw_table1, "--flats", "1", "--out", str(tmp_path))
     assert [(row["experiment"], row["routers"]) for row in rows] == [("1 flats", n) for n in (1, 2) for _ in range(4)]
     assert rows[2]["k_accuracy"] > 0.9
     assert rows[0]["paper_iou"] is None
@@ -96,31 +91,24 @@ def test_the_engine_drives_the_route_and_believes_it_was_there():
     assert 0.001 < np.linalg.norm(true - believed, axis=1).mean() < 0.1
 
 
-class _Labels:
-    """A runner that keeps the labels of the parts and runs none."""
-
-    def __init__(self):
-        self.seen, self.notes = [], []
-
-    def each(self, parts, work, label=str):
-        self.seen += [label(part) for part in parts]
+@pytest.mark.parametrize(
+    "words", ["sfw-authors", "sfw-ble", "sfw-houseexpo", "sfw-table1 --seeds 2", "sfw-table1 --flats 1"]
+)
+def test_pictures_asked_for_in_another_folder_are_drawn_again(words, parsed, tmp_path, monkeypatch):
+    def label_first(runner, parts, work, label=str):
+        labels.add(label(parts[0]))
         raise StopIteration
 
-
-@pytest.mark.parametrize("flats", [0, 1])
-@pytest.mark.parametrize("table", [sfw_authors, sfw_ble, sfw_houseexpo, sfw_table1])
-def test_pictures_asked_for_in_another_folder_are_drawn_again(table, flats, tmp_path, monkeypatch):
     (tmp_path / "houseexpo").mkdir()
     (tmp_path / "houseexpo" / "plan.json").write_text("{}", encoding="utf-8")
     monkeypatch.setenv("TWC_DATA", str(tmp_path))
-    labels = []
+    monkeypatch.setattr(Runner, "each", label_first)
+    name, *words = words.split()
+    table, labels = table_module(name), set()
     for folder in ("a", "b"):
-        runner = _Labels()
-        options = argparse.Namespace(out=folder, seeds=[0, 1], experiments="1", routers="known", flats=flats, plans=1)
         with pytest.raises(StopIteration):
-            table.rows(options, runner)
-        labels.append(runner.seen)
-    assert labels[0][0] != labels[1][0]
+            table.rows(parsed(table, *words, "--out", folder), Runner(name, tmp_path, {}))
+    assert len(labels) == 2
 
 
 def test_walls_that_a_reading_stands_in_are_none_whichever_way_the_map_is_turned():
@@ -138,10 +126,9 @@ def test_walls_that_a_reading_stands_in_are_none_whichever_way_the_map_is_turned
     assert found == [[0, 0, 1]] * 4
 
 
-@pytest.mark.skipif("TWC_DATA" not in os.environ, reason="the BLE flat: set TWC_DATA to the data folder")
+@needs_data
 def test_walls_of_the_real_flat_are_told_by_all_rays_at_once_where_every_tag_was_passed():
-    folder = Path(os.environ["TWC_DATA"]) / "wifi" / "ble_lidar"
-    whole, part = (sfw_ble.measure(run, folder, None) for run in ("calibration", "calib4"))
+    whole, part = (sfw_ble.measure(run, DATA / "wifi" / "ble_lidar", None) for run in ("calibration", "calib4"))
     true = np.minimum(whole["true"], 2)
     ours, alone = (np.mean(whole[f"{method} 2"] == true) for method in ("ours", "signal alone"))
     assert ours > 0.7 > 0.65 > alone

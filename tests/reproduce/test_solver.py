@@ -1,28 +1,16 @@
-import argparse
-import os
 import sys
 
 import pytest
 
+from tests.real_data import needs_data
 from twc_env.errors import ConfigError
 from twc_env.reproduce import solver
-from twc_env.reproduce.runner import Runner
-
-needs_data = pytest.mark.skipif(
-    "TWC_DATA" not in os.environ, reason="real pose graphs lie in the folder TWC_DATA, which is not set"
-)
-
-
-def table(tmp_path, *words: str) -> list[dict]:
-    parser = argparse.ArgumentParser()
-    solver.add_arguments(parser)
-    return solver.rows(parser.parse_args(words), Runner("solver", tmp_path, {"words": words}))
 
 
 @needs_data
-def test_both_solvers_find_one_optimum_and_ours_takes_at_most_twice_as_long(tmp_path):
+def test_both_solvers_find_one_optimum_and_ours_takes_at_most_twice_as_long(rows_of):
     pytest.importorskip("gtsam", reason="gtsam is an extra of its own: pip install twc_env[crosscheck]")
-    ours, theirs = table(tmp_path, "--datasets", "intel", "--repeats", "3")
+    ours, theirs = rows_of(solver, "--datasets", "intel", "--repeats", "3")
     assert (ours["solver"], theirs["solver"]) == ("ours", "gtsam")
     assert ours["from_best_m"] < 0.005 and theirs["from_best_m"] < 0.005
     assert ours["squared_error"] == pytest.approx(theirs["squared_error"], rel=1e-3)
@@ -30,7 +18,7 @@ def test_both_solvers_find_one_optimum_and_ours_takes_at_most_twice_as_long(tmp_
 
 
 @needs_data
-def test_without_gtsam_the_table_says_what_to_install(tmp_path, monkeypatch):
+def test_without_gtsam_the_table_says_what_to_install(rows_of, monkeypatch):
     monkeypatch.setitem(sys.modules, "gtsam", None)
     with pytest.raises(ConfigError, match="pip install"):
-        table(tmp_path, "--datasets", "MIT", "--repeats", "1")
+        rows_of(solver, "--datasets", "MIT", "--repeats", "1")

@@ -1,11 +1,8 @@
-import argparse
-
 import pytest
 
 from twc_env.config import EnvConfig, override
 from twc_env.maps import load_map
 from twc_env.reproduce import stress
-from twc_env.reproduce.runner import Runner
 
 BUILDING = "test/0005"
 
@@ -23,12 +20,9 @@ def test_each_condition_breaks_something_that_exists():
     assert as_usual == {"normal", "repeated names"}
 
 
-def test_a_lost_robot_is_reported_and_merges_nothing_wrongly(tmp_path, monkeypatch):
+def test_a_lost_robot_is_reported_and_merges_nothing_wrongly(rows_of, monkeypatch):
     monkeypatch.setattr(stress, "load_map", lambda name: load_map(BUILDING))
-    parser = argparse.ArgumentParser()
-    stress.add_arguments(parser)
-    options = parser.parse_args(["--buildings", "1", "--conditions", "robot lost"])
-    normal, lost = stress.rows(options, Runner("stress", tmp_path, {}))
+    normal, lost = rows_of(stress, "--buildings", "1", "--conditions", "robot lost")
     assert (normal["condition"], lost["condition"]) == ("normal", "robot lost")
     assert normal["d_ate"] == normal["d_merged"] == 0.0 and normal["merged_share"] == 1.0
     assert lost["wrong_merges"] == 0 and "not heard since" in lost["lacked"]

@@ -1,4 +1,3 @@
-import argparse
 import json
 
 import numpy as np
@@ -13,13 +12,9 @@ from twc_env.reproduce.sighting_judge import judge_some
 from twc_env.reproduce.twc_scenes import scene_plan, walk_scene
 
 
-def options(**changes):
-    parser = argparse.ArgumentParser()
-    twc_table1.add_arguments(parser)
-    values = parser.parse_args([])
-    for key, value in ({"seeds": [50], "scenes": ["#01"]} | changes).items():
-        setattr(values, key, value)
-    return values
+@pytest.fixture(scope="module")
+def options(parsed):
+    return parsed(twc_table1, "--seeds", "50-50", "--scenes", "#01")
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +23,8 @@ def runner(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def table(runner):
-    rows = twc_table1.rows(options(), runner)
+def table(options, runner):
+    rows = twc_table1.rows(options, runner)
     return {(r["method"], *(v for v in (r["alpha"], r["gamma"]) if v is not None)): r for r in rows}
 
 
@@ -75,14 +70,12 @@ def test_with_signs_of_departments_text_is_surer_and_the_hard_rule_less_sure_as_
     assert table["twc departments", 0.8, 0.8]["precision"] > table["twc departments", 0.5, 0.8]["precision"] + 5
 
 
-def test_with_signs_of_departments_the_hard_rule_is_near_the_print_on_walks_of_both_scenes():
-    wanted = options(seeds=[52, 53, 54], scenes=["#01", "#02"])
+def test_with_signs_of_departments_the_hard_rule_is_near_the_print_on_walks_of_both_scenes(options):
     gaps = []
-    for scene in wanted.scenes:
-        walks = [
-            walk_scene(twc_table1.scene_config(scene, wanted), scene, "departments", seed) for seed in wanted.seeds
-        ]
-        figures = [judge_some(twc_table1.scene_config(scene, wanted), walk, "departments", ("twc",)) for walk in walks]
+    for scene in twc_table1.SCENES:
+        config = twc_table1.scene_config(scene, options)
+        walks = [walk_scene(config, scene, "departments", seed) for seed in (52, 53, 54)]
+        figures = [judge_some(config, walk, "departments", ("twc",)) for walk in walks]
         for cells, (precision, recall) in zip(zip(*figures, strict=True), twc_table1.PRINT[scene]["twc"], strict=True):
             gaps.append(100 * np.mean([cell["precision"] for cell in cells]) - precision)
             gaps.append(100 * np.mean([cell["recall_absolute"] for cell in cells]) - recall)
@@ -110,9 +103,9 @@ def test_verification_never_lets_more_through_and_fused_keeps_its_recall(table):
     assert table["fused",]["recall_at_full_precision_verified"] >= 85.0
 
 
-def test_curves_fall_and_reach_what_the_rows_say(table, runner, tmp_path, monkeypatch):
+def test_curves_fall_and_reach_what_the_rows_say(table, options, runner, tmp_path, monkeypatch):
     monkeypatch.setattr(twc_table2, "METHODS", {"twc": {}, "fused": {}})
-    paths = twc_table1.draw(options(), runner, tmp_path)
+    paths = twc_table1.draw(options, runner, tmp_path)
     assert paths[1].stat().st_size > 5000
     assert [path.name for path in paths[2:]] == ["twc-01-trajectories.png", "twc-01-maps.png", "twc-01-closures.png"]
     written = json.loads(paths[0].read_text())
@@ -125,8 +118,8 @@ def test_curves_fall_and_reach_what_the_rows_say(table, runner, tmp_path, monkey
     assert all(precision == 1.0 for level, precision in fused.items() if level <= share)
 
 
-def test_other_readings_of_the_equations_have_rows_of_their_own():
-    config = twc_table1.scene_config("#01", options())
+def test_other_readings_of_the_equations_have_rows_of_their_own(options):
+    config = twc_table1.scene_config("#01", options)
     walks = walk_scene(config, "#01", "as-drawn", 51)
     changed = override(config, {"slam.place_recognition.rssi_mode": "inverse"})
     figures = judge_some(changed, walks, "inverse")
@@ -134,8 +127,8 @@ def test_other_readings_of_the_equations_have_rows_of_their_own():
     assert all(f["recall_absolute"] == 0.0 for f in figures if f["gamma"] == 1.0)  # it never reaches 1
 
 
-def test_the_printed_rules_can_be_chosen():
-    literal = twc_table1.judge_scene("#01", 51, options(std_mode="paper", rssi_mode="paper"))
+def test_the_printed_rules_can_be_chosen(parsed):
+    literal = twc_table1.judge_scene("#01", 51, parsed(twc_table1, "--std-mode=paper", "--rssi-mode=paper"))
     rows = {(f["method"], f["gamma"]): f for f in literal["figures"] if f["method"] == "wifi"}
     # A distance of at least gamma dB is met by nearly all pairs: what is left is the ratio of shared transmitters.
     assert rows["wifi", 0.5]["recall_absolute"] > 0.99 and rows["wifi", 0.5]["precision"] < 0.3

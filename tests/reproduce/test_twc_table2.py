@@ -1,5 +1,3 @@
-import argparse
-
 import numpy as np
 import pytest
 
@@ -12,10 +10,8 @@ from twc_env.reproduce.runner import Runner
 
 
 @pytest.fixture(scope="module")
-def options():
-    parser = argparse.ArgumentParser()
-    twc_table2.add_arguments(parser)
-    return parser.parse_args(["--seeds", "50-50", "--scenes", "#01"])
+def options(parsed):
+    return parsed(twc_table2, "--seeds", "50-50", "--scenes", "#01")
 
 
 @pytest.fixture(scope="module")
@@ -51,13 +47,9 @@ def test_remarks_say_how_right_text_must_be_for_the_order_of_the_print():
     for share, epe_m in zip(twc_table2.SHARES_RIGHT, (0.1, 0.3, 1.0, 1.8, 2.0, 4.0), strict=True):
         few = {"method": "text", "backend": f"literal {share:g}", "epe_m": epe_m, "closure_precision": share}
         table.append(row | few)
-    told = [line for line in twc_table2.remarks(_both_scenes(table)) if line.startswith("#01 text as printed by")]
+    both_scenes = [*table, *({**row, "scene": "#02"} for row in table)]  # the paper's claim is about both
+    told = [line for line in twc_table2.remarks(both_scenes) if line.startswith("#01 text as printed by")]
     assert len(told) == 1 and told[0].endswith("is that of the print with 99, 98 %")
-
-
-def _both_scenes(rows):
-    """The reductions of the paper's claim need both scenes."""
-    return [*rows, *({**row, "scene": "#02"} for row in rows)]
 
 
 def test_the_whole_system_reaches_its_goal_on_a_walk(table):

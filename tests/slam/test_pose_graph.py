@@ -1,6 +1,4 @@
 import gzip
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
+from tests.real_data import DATA, needs_data
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
 from twc_env.geometry import align_rigidly, between, compose, wrap_angle
@@ -214,14 +213,9 @@ def test_headings_across_the_seam_are_taken_the_short_way():
     assert wrap_angle(poses[1, 2] - 3.2) == pytest.approx(0.0, abs=1e-6)
 
 
-needs_data = pytest.mark.skipif(
-    "TWC_DATA" not in os.environ, reason="real pose graphs lie in the folder TWC_DATA, which is not set"
-)
-
-
 def read_g2o(name: str):
     """Vertices (by id), edges, measured poses, information and is_closure of a real pose graph."""
-    path = Path(os.environ["TWC_DATA"]) / "posegraph" / f"{name}.g2o.gz"
+    path = DATA / "posegraph" / f"{name}.g2o.gz"
     with gzip.open(path, "rt") as file:
         rows = [line.split() for line in file]
     vertices = np.array([row[2:] for row in rows if row[0] == "VERTEX_SE2"], float)

@@ -99,10 +99,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per scene."""
-    parts = [(scene, str(seed)) for scene in dict.fromkeys(options.scenes) for seed in options.seeds]
-    found = runner.each(parts, lambda part: episode(part[0], int(part[1]), options.robots, options.steps), " ".join)
-    size = len(options.seeds)
-    return [_row(parts[k][0], found[k : k + size]) for k in range(0, len(parts), size)]
+    runs = runner.grid(
+        options.scenes, options.seeds, lambda scene, seed: episode(scene, seed, options.robots, options.steps)
+    )
+    return [_row(scene, episodes) for scene, episodes in runs.items()]
 
 
 def episode(scene: str, seed: int, robots: int, steps: int) -> dict:

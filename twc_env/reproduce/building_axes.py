@@ -39,11 +39,11 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     folder = data_folder() / "lidar" / "carmen"
     found = runner.each(LOGS, lambda log: figures(read_carmen_log(folder / f"{log}-corrected.log.gz").poses), str)
     table = [{"path": log, "role": "calibrated", **row} for log, row in zip(LOGS, found, strict=True)]
-    walks = [(name, seed) for name in PLACES for seed in options.seeds]
-    found = runner.each(walks, lambda walk: figures(true_path(PLACES[walk[0]], walk[1])), lambda walk: f"walk {walk}")
+    walks = runner.grid(PLACES, options.seeds, lambda name, seed: figures(true_path(PLACES[name], seed)))
     return table + [
         {"path": f"{name}, walk {seed}", "role": "reported", **row}
-        for (name, seed), row in zip(walks, found, strict=True)
+        for name, rows_ in walks.items()
+        for seed, row in zip(options.seeds, rows_, strict=True)
     ]
 
 

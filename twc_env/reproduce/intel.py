@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.command_line import count
-from twc_env.config import EnvConfig, from_dict
+from twc_env.config import from_dict
 from twc_env.datasets.scan_log import (
     BEAMS,
     RANGE_MAX_M,
@@ -115,16 +115,11 @@ def read_log(count: int) -> tuple[ScanLog, Relations]:
     )
 
 
-def config_for(robots: int) -> EnvConfig:
-    """The engine's settings for this log, see `SETTINGS`."""
-    return from_dict(SETTINGS | {"robots": robots})
-
-
 def run_engine(log: ScanLog, robots: int) -> dict:
     """Poses (scans, 3) by the engine, each in the map of its robot's group, and the group (scans,) of each."""
     pieces = np.array_split(np.arange(len(log.times_s)), robots)
     paths = [sensor_frames(log, BEAMS, RANGE_MAX_M, piece, robot) for robot, piece in enumerate(pieces)]
-    engine = CooperativeSlam(config_for(robots), robots)
+    engine = CooperativeSlam(from_dict(SETTINGS | {"robots": robots}), robots)
     placed = place_frames(engine, paths)
     group = [np.full(len(path), engine.team.group_index(robot)) for robot, path in enumerate(placed)]
     return {"poses": np.concatenate(placed), "group": np.concatenate(group)}

@@ -81,13 +81,13 @@ def compare(texts: list[str], distance_m: float, count: int, seed: int, hidden_s
     views = [_view(config, distance_m, part, random) for part in hidden]
     real = read_signs(chosen, plates, views, random)
     reader = TableReader(load_table())
-    exact_real, similarity_real = _rates(chosen, real)
+    exact_real, similarity_real = rates(chosen, real)
     drawn = [
         reader.read(codes_of(t), part, v.height_px, v.incidence_rad, v.blur_px, random.standard_normal(draw_count(t)))
         for _ in range(DRAWS)
         for t, v, part in zip(chosen, views, hidden, strict=True)
     ]
-    exact_fast, similarity_fast = _rates(chosen * DRAWS, drawn)
+    exact_fast, similarity_fast = rates(chosen * DRAWS, drawn)
     return {
         "distance_m": distance_m,
         "exact_real": exact_real,
@@ -114,7 +114,8 @@ def _view(config: SignsConfig, distance_m: float, hidden: Array, random: np.rand
     return View(height_px, angle, blur_px, hidden_part(hidden), config.focal_length_px)
 
 
-def _rates(texts: list[str], readings: list[str]) -> tuple[float, float]:
+def rates(texts: list[str], readings: list[str]) -> tuple[float, float]:
+    """Share of readings that are exact, and their mean similarity to the texts, case aside."""
     normal = [normalise(reading) for reading in readings]
     exact = np.mean([reading == text for reading, text in zip(normal, texts, strict=True)])
     similarity = np.mean([text_similarity(reading, text) for reading, text in zip(normal, texts, strict=True)])

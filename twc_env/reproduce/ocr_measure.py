@@ -17,6 +17,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import expit
 
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.ocr_alignment import Aligned
@@ -171,7 +173,7 @@ def _length_exponent(bins: list[list[Aligned]]) -> float:
         for lines in some:
             missed = np.array([a.is_missed for a in lines], float)
             length = np.log([len(a.truth) / MISS_LENGTH for a in lines])
-            chance = _missed_at(_odds_of(missed.mean(), length, exponent), length, exponent)
+            chance = expit(_log_odds_of(missed.mean(), length, exponent) - exponent * length)
             spread = chance * (1.0 - chance)
             offset = length - (spread * length).sum() / spread.sum()
             slope += (offset * (missed - chance)).sum()
@@ -180,29 +182,17 @@ def _length_exponent(bins: list[list[Aligned]]) -> float:
     return round(float(exponent), 3)
 
 
-def _missed_at(odds: float, log_length: Array, exponent: float) -> Array:
-    """(lines,) chance of a miss when it has these odds at the reference length."""
-    mine = odds * np.exp(-exponent * log_length)
-    return mine / (1.0 + mine)
-
-
-def _odds_of(rate: float, log_length: Array, exponent: float) -> float:
-    """Odds at the reference length that give lines of these lengths this rate together, by bisection."""
-    low, high = -15.0, 15.0
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        if _missed_at(math.exp(middle), log_length, exponent).mean() < rate:
-            low = middle
-        else:
-            high = middle
-    return math.exp(0.5 * (low + high))
+def _log_odds_of(rate: float, log_length: Array, exponent: float) -> float:
+    """Log-odds of a miss at the reference length that give lines of these lengths this rate together."""
+    rate = float(np.clip(rate, 1e-6, 1.0 - 1e-6))
+    return brentq(lambda odds: expit(odds - exponent * log_length).mean() - rate, -40.0, 40.0)
 
 
 def _at_reference_length(rates: Array, bins: list[list[Aligned]], exponent: float) -> list:
     """(H, A, B) miss rates of a text as long as `MISS_LENGTH` from those of the texts that were read."""
     length = [np.log([len(a.truth) / MISS_LENGTH for a in lines]) for lines in bins]
-    odds = np.array([_odds_of(rate, x, exponent) for rate, x in zip(rates.ravel(), length, strict=True)])
-    return [np.round(plane, 4).tolist() for plane in (odds / (1.0 + odds)).reshape(rates.shape)]
+    odds = [_log_odds_of(rate, x, exponent) for rate, x in zip(rates.ravel(), length, strict=True)]
+    return np.round(expit(odds), 4).reshape(rates.shape).tolist()
 
 
 def _space_proneness(bins: list[list[Aligned]], space_loss: Array) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 
@@ -9,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.random_streams import random_stream
-from twc_env.reproduce.ocr import held_out_texts
-from twc_env.slam.text_similarity import normalise, text_similarity
+from twc_env.reproduce.drawing import new_figure
+from twc_env.reproduce.ocr import held_out_texts, rates
 from twc_env.world.misreading import TableReader, codes_of, draw_count
 from twc_env.world.ocr import read_signs
 from twc_env.world.ocr_table import load_table
@@ -33,18 +34,12 @@ DRAWS = 300
 
 def draw_table(path: Path) -> None:
     """Write the picture: sample signs with their readings, then rates against height, incidence and blur."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure = plt.figure(figsize=(13.0, 7.2), layout="constrained")
-    top, bottom = figure.subfigures(2, 1, height_ratios=(1.0, 1.7))
+    figure = new_figure(13.0, 7.2, dpi=110)
+    top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.0, 1.7))[:, 0]
     _draw_samples(top.subplots(2, 4))
     _draw_rates(bottom.subplots(1, 3))
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    figure.savefig(path)
 
 
 def _draw_samples(axes) -> None:
@@ -80,14 +75,11 @@ def _draw_rates(axes) -> None:
 
 def _rates(height_px: float, incidence_rad: float, blur_widths: float) -> tuple[float, float]:
     """Exact share and mean similarity of drawn readings of held-out texts."""
-    random, reader, texts = random_stream(0, "ocr rates"), TableReader(load_table()), held_out_texts()
+    random, reader = random_stream(0, "ocr rates"), TableReader(load_table())
+    texts = list(itertools.islice(itertools.cycle(held_out_texts()), DRAWS))
     blur_px = blur_widths * height_px * math.cos(incidence_rad)
-    exact, similarity = 0, 0.0
-    for k in range(DRAWS):
-        text = texts[k % len(texts)]
-        draws = random.standard_normal(draw_count(text))
-        hidden = np.zeros(len(text), np.bool_)
-        reading = normalise(reader.read(codes_of(text), hidden, height_px, incidence_rad, blur_px, draws))
-        exact += reading == text
-        similarity += text_similarity(reading, text)
-    return exact / DRAWS, similarity / DRAWS
+    readings = []
+    for text in texts:
+        draws, hidden = random.standard_normal(draw_count(text)), np.zeros(len(text), np.bool_)
+        readings.append(reader.read(codes_of(text), hidden, height_px, incidence_rad, blur_px, draws))
+    return rates(texts, readings)

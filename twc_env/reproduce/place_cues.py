@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from rapidfuzz.distance import Levenshtein
@@ -24,28 +26,30 @@ class Cues:
     def __init__(self, places: Places):
         first, second = np.triu_indices(len(places.trace), 1)
         apart = places.trace[first] != places.trace[second]
-        self._places = places
-        self._pairs = first[apart], second[apart]
+        pairs = first[apart], second[apart]
         distance = np.linalg.norm(places.position_m[:, None] - places.position_m[None], axis=2)
-        self.is_same = distance[self._pairs] <= SAME_PLACE_M
+        self.is_same = distance[pairs] <= SAME_PLACE_M
         shared, rms, difference, counts = _compare_radio(places.rssi_dbm)
-        self.text = self._best_pair(*_unique(places.readings), _similarity)
-        self.macs = (shared / np.maximum(np.maximum.outer(counts, counts), 1))[self._pairs]
-        self.rms_db = rms[self._pairs]
+        self.text = _best_pair(places.readings, _similarity)[pairs]
+        self.macs = (shared / np.maximum(np.maximum.outer(counts, counts), 1))[pairs]
+        self.rms_db = rms[pairs]
         radio = _log_ratios(difference, distance, places.trace)
-        evidence = self._best_pair(*_unique(places.agreed), _log_text_ratio, whole=True)
+        evidence = _best_pair(places.agreed, _log_text_ratio)
         self.features = np.column_stack(
-            [evidence[self._pairs], radio[self._pairs], np.log(self.macs + 0.02), _loud(places.rssi_dbm)[self._pairs]]
-            + [_along(cue, places.trace)[self._pairs] for cue in (evidence, radio)]
+            [evidence[pairs], radio[pairs], np.log(self.macs + 0.02), _loud(places.rssi_dbm)[pairs]]
+            + [_along(cue, places.trace)[pairs] for cue in (evidence, radio)]
         )
         """(pairs, 6): text, radio, shared transmitters, loudest transmitters, and the first two along both traces."""
 
-    def _best_pair(self, values: list, owners: list[Array], compare, whole: bool = False) -> Array:
-        """The largest comparison between any value of one place and any of the other."""
-        table = compare(values)  # (values, values)
-        reach = np.stack([table[owned].max(axis=0) for owned in owners])  # (places, values)
-        best = np.stack([reach[:, owned].max(axis=1) for owned in owners], axis=1)
-        return best if whole else best[self._pairs]
+
+def _best_pair(owned: tuple[tuple, ...], compare: Callable[[list], Array]) -> Array:
+    """(places, places) the largest comparison between any value of one place and any of the other."""
+    values = sorted({value for own in owned for value in own})
+    number = {value: k for k, value in enumerate(values)}
+    owners = [np.array([number[value] for value in own]) for own in owned]
+    table = compare(values)  # (values, values)
+    reach = np.stack([table[own].max(axis=0) for own in owners])  # (places, values)
+    return np.stack([reach[:, own].max(axis=1) for own in owners], axis=1)
 
 
 def _loud(rssi_dbm: Array) -> Array:
@@ -53,13 +57,6 @@ def _loud(rssi_dbm: Array) -> Array:
     power = np.where(np.isfinite(rssi_dbm), 10 ** (np.nan_to_num(rssi_dbm, nan=-100.0) / 40), 0.0)
     power /= np.maximum(np.linalg.norm(power, axis=1, keepdims=True), 1e-12)
     return power @ power.T
-
-
-def _unique(owned: tuple[tuple, ...]) -> tuple[list, list[Array]]:
-    """All different values, and for each place which of them are its own."""
-    values = sorted({value for own in owned for value in own})
-    number = {value: k for k, value in enumerate(values)}
-    return values, [np.array([number[value] for value in own]) for own in owned]
 
 
 def _similarity(texts: list[str]) -> Array:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twc_env.config import EnvConfig, LidarConfig, OdometryConfig, RadioSlamConfig
+from twc_env.config import EnvConfig, LidarConfig, RadioSlamConfig
 from twc_env.geometry import compose
 from twc_env.maps import load_map
 from twc_env.messages import GridMap, SensorFrame, WifiScan
@@ -23,11 +23,12 @@ from twc_env.slam.distance_factor import Distances
 from twc_env.slam.particle_filter import ParticleFilterSettings, map_frames
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.similarity_model import SimilarityModel
-from twc_env.world.odometry import Odometry
 
 Array = NDArray
 
 LIDAR = LidarConfig(beam_count=360, range_max_m=20.0)
+CONFIG = EnvConfig(robots=1, lidar=LIDAR)
+"""One robot with the paper's scanner."""
 FALSE_DISTANCE_M, FALSE_VARIANCE_M2 = 3.0, 4.0
 """What a false closure claims: about what true ones do."""
 PARTICLE_STRIDE, PARTICLE_CELL_M = 2, 0.2
@@ -111,7 +112,7 @@ def _false_closures(walk: RadioWalk, count: int, seed: int) -> Distances:
 def with_lidar(place: Place, walk: RadioWalk, seed: int) -> Outcome:
     """Radio SLAM, then scan matching where its path comes near itself."""
     keyframes, truth = keyframes_of(place, walk, seed)
-    result = radio_lidar.solve(keyframes, lidar_config())
+    result = radio_lidar.solve(keyframes, CONFIG)
     return Outcome(truth, compose(truth[0], result.poses), grid=result.grid)
 
 
@@ -130,22 +131,12 @@ def gmapping(place: Place, walk: RadioWalk, seed: int) -> Outcome:
     return Outcome(walk.true_poses, compose(walk.true_poses[0], path))
 
 
-def lidar_config() -> EnvConfig:
-    """One robot with the paper's scanner."""
-    return EnvConfig(robots=1, lidar=LIDAR)
-
-
 def keyframes_of(place: Place, walk: RadioWalk, seed: int):
     """What the engine's front end remembers of a walk with its laser, and the true poses (keyframes, 3)."""
     true_poses = true_path(place, seed)
     ranges = radio_walks.scan_lidar(load_map(place.twin), LIDAR, true_poses, seed)
-    odometry = Odometry(
-        OdometryConfig(platform=radio_walks.PLATFORM, drift=walk.drift),
-        radio_walks.ODOMETRY_STEP_S,
-        1,
-        walk.odometry_stream,
-    )
-    front_end, every = FrontEnds(lidar_config(), 1), radio_walks.STEPS_PER_SCAN
+    odometry = radio_walks.odometry_of(walk.drift, walk.odometry_stream)
+    front_end, every = FrontEnds(CONFIG, 1), radio_walks.STEPS_PER_SCAN
     keyframes, truth = [], []
     for step, pose in enumerate(true_poses):
         motion, turn_rate = np.zeros((1, 3)), np.zeros(1)

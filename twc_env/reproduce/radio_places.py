@@ -7,6 +7,7 @@ else they are spread by seed. Strengths are never taken from the data.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,7 +18,6 @@ from twc_env.config import RadioConfig
 from twc_env.datasets.ble_flat import Flat
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.geometry import points_along
-from twc_env.metrics import path_length_m
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.routes import RoutePlanner
 from twc_env.world.floor_cells import Cells
@@ -28,25 +28,21 @@ from twc_env.world.reception import WifiReceiver
 Array = NDArray
 
 _VENDOR = 0x02_00_5E << 24
+MODULE_M, WALL_DB, OUTER_WALL_DB = 7.0, 4.0, 10.0
+"""Width of rooms, and losses of walls, where a set tells neither."""
 WALL_FACES = 2
 """Lines of a flat's outline, or rims of its free space, that a way through one wall crosses."""
 
 
-def office(
-    name: str, bounds_m: Array, module_m: float = 7.0, wall_db: float = 4.0, outer_db: float = 10.0
-) -> Floorplan:
+def office(name: str, bounds_m: Array, module_m: float = MODULE_M, wall_db: float = WALL_DB) -> Floorplan:
     """Rooms of `module_m` on both sides of corridors 2.4 m wide along the longer side of bounds (4,)."""
     x0, y0, x1, y1 = (float(v) for v in bounds_m)
     middle = np.array([[(x0 + x1) / 2, (y0 + y1) / 2]])
     turned = y1 - y0 > x1 - x0
     if turned:
         x0, y0, x1, y1 = y0, x0, y1, x1
-    walls = [
-        (x0, y0, x1, y0, outer_db),
-        (x1, y0, x1, y1, outer_db),
-        (x1, y1, x0, y1, outer_db),
-        (x0, y1, x0, y0, outer_db),
-    ]
+    corners = ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))
+    walls = [(*start, *end, OUTER_WALL_DB) for start, end in itertools.pairwise(corners)]
     bands = max(1, round((y1 - y0) / (2 * module_m + 2.4)))
     height = (y1 - y0) / bands
     for band in range(bands):
@@ -192,12 +188,7 @@ def simulate(
 
 def stroll(plan: Floorplan, length_m: float, spacing_m: float, speed_m_s: float, seed: int) -> RadioSurvey:
     """An empty survey along a walk between random places of the open floor."""
-    planner, random = RoutePlanner(plan), random_stream(seed, f"stroll {plan.name}")
-    floor_m = plan.cells().centre_of(np.argwhere(plan.cells().free))
-    way = np.zeros((0, 2))
-    while path_length_m(way) < length_m:
-        stops = floor_m[random.integers(0, len(floor_m), 6)]
-        way = np.concatenate([way, planner.route([*way[-1:], *stops])])
+    way = RoutePlanner(plan).wander(length_m, random_stream(seed, f"stroll {plan.name}"))
     at = np.arange(0.0, length_m, spacing_m)
     zeros, nothing = np.zeros(len(at), int), np.zeros((len(at), 0), np.float32)
     return RadioSurvey(plan.name, points_along(way, at), zeros, at / speed_m_s, zeros, (), nothing)

@@ -12,6 +12,7 @@ from scipy.ndimage import binary_fill_holes, distance_transform_edt, maximum_fil
 
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.datasets.raster import free_edges, parts
+from twc_env.reproduce.radio_places import MODULE_M, OUTER_WALL_DB, WALL_DB
 from twc_env.world.floorplan import Floorplan
 
 Array = NDArray
@@ -26,28 +27,21 @@ CORRIDOR = 1
 """Kind of room in which the points fill the floor."""
 
 
-def surveyed_rooms(
-    survey: RadioSurvey,
-    floor: int,
-    bounds_m: Array,
-    module_m: float = 7.0,
-    wall_db: float = 4.0,
-    outer_db: float = 10.0,
-) -> Floorplan:
-    """The storey of a survey that tells its kinds of rooms, within bounds (4,); drawn rooms are `module_m` wide."""
+def surveyed_rooms(survey: RadioSurvey, floor: int, bounds_m: Array) -> Floorplan:
+    """The storey of a survey that tells its kinds of rooms, within bounds (4,)."""
     origin = np.asarray(bounds_m[:2], float)
     columns, rows = np.ceil((np.asarray(bounds_m[2:]) - origin) / CELL_M).astype(int).tolist()
     here = survey.floor == floor
     cells = np.floor((survey.position_m[here] - origin) / CELL_M).astype(int)
     labels = _known(cells, survey.room_kinds[here], (rows, columns))
-    drawn = labels.max() + 1 + _drawn((rows, columns), module_m / CELL_M)
+    drawn = labels.max() + 1 + _drawn((rows, columns))
     walls = free_edges(_without_slivers(np.where(labels > 0, labels, drawn)))
     is_outer = (walls == 0).all(axis=1).any(axis=1) | (walls == [columns, rows]).all(axis=1).any(axis=1)
     column, row = cells[0]
     return Floorplan(
         f"{survey.name} floor {floor}",
         walls * CELL_M + origin,
-        np.where(is_outer, outer_db, wall_db),
+        np.where(is_outer, OUTER_WALL_DB, WALL_DB),
         interior_m=origin + (np.array([[column, row]]) + 0.5) * CELL_M,
     )
 
@@ -77,9 +71,9 @@ def _width(length_m: float) -> int:
     return 2 * round(length_m / CELL_M / 2) + 1
 
 
-def _drawn(shape: tuple[int, int], module: float) -> Array:
-    """(rows, columns) number from 0 of the drawn room of each cell: squares of `module` cells."""
-    row, column = np.indices(shape)
+def _drawn(shape: tuple[int, int]) -> Array:
+    """(rows, columns) number from 0 of the drawn room of each cell: squares of MODULE_M."""
+    (row, column), module = np.indices(shape), MODULE_M / CELL_M
     return (row // module * shape[1] + column // module).astype(int)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -16,41 +17,38 @@ ODOMETRY_ERRORS_M = (5.0, 15.0, 52.0)
 LENGTHS_M = (300.0, 600.0, 1200.0, 2400.0)
 METHODS = {"odometry": radio_methods.odometry, "wifi": radio_methods.radio("ours")}
 
-Case = tuple[str, Place, float]
-"""What is varied, the place, and which share of its access points is heard."""
+Cases = dict[str, tuple[Place, float]]
+"""What is varied -> the place, and which share of its access points is heard."""
 
 
 def rows(seeds: Sequence[int], runner: Runner, share: float, processes: int) -> list[dict]:
     """One row a case and method; means over seeds."""
     cases = _cases(PLACES["semi-indoor"].shortened(share), share)
-    parts = [(case, seed) for case in cases for seed in seeds]
-    found = runner.each(parts, _measured, lambda part: f"{part[0][0]} seed {part[1]}", processes)
+    found = runner.grid(cases, seeds, partial(_measured, cases), processes)
     table = []
-    for case in cases:
-        mine = [result for part, result in zip(parts, found, strict=True) if part[0] is case]
+    for case, mine in found.items():
         heard = np.mean([result["heard"] for result in mine])
         for method in METHODS:
             errors = radio_methods.means([result[method] for result in mine])
-            name = f"semi-indoor, {case[0]} ({heard:.0f} heard per scan)"
+            name = f"semi-indoor, {case} ({heard:.0f} heard per scan)"
             nothing_printed = {"paper_mean_m": None, "paper_std_m": None}
             table.append({"environment": name, "method": method, **errors, **nothing_printed, "seeds": len(mine)})
     return table
 
 
-def _cases(base: Place, share: float) -> list[Case]:
-    cases: list[Case] = [(f"{s:.0%} of the access points", base, s) for s in AP_SHARES]
+def _cases(base: Place, share: float) -> Cases:
+    cases = {f"{s:.0%} of the access points": (base, s) for s in AP_SHARES}
     for error_m in ODOMETRY_ERRORS_M:
         drift = base.drift * error_m / base.odometry_m
         place = dataclasses.replace(base, odometry_m=error_m, drift=drift)
-        cases.append((f"odometry off by {error_m:g} m", place, 1.0))
+        cases[f"odometry off by {error_m:g} m"] = place, 1.0
     for length_m in LENGTHS_M:
-        place = base.shortened(length_m * share / base.length_m)
-        cases.append((f"{length_m:.0f} m walked", place, 1.0))
+        cases[f"{length_m:.0f} m walked"] = base.shortened(length_m * share / base.length_m), 1.0
     return cases
 
 
-def _measured(part: tuple[Case, int]) -> dict:
-    (_, place, ap_share), seed = part
+def _measured(cases: Cases, case: str, seed: int) -> dict:
+    place, ap_share = cases[case]
     walk = record(place, "wifi", seed)
     if ap_share < 1.0:
         walk = dataclasses.replace(walk, fingerprints=radio_walks.thinned(walk.fingerprints, ap_share, seed))

@@ -23,7 +23,7 @@ from twc_env.command_line import count, number
 from twc_env.reproduce import radio_figures, radio_sweep
 from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.radio_methods import METHODS, means, outcomes
-from twc_env.reproduce.radio_twins import PLACES, Place
+from twc_env.reproduce.radio_twins import PLACES
 from twc_env.reproduce.runner import Runner, chosen, seeds_argument
 
 SUMMARY = "radio SLAM in twins of its three environments: WiFi, LTE, WiFi with laser"
@@ -50,22 +50,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row an environment and method; means over seeds."""
-    places = {name: PLACES[name] for name in chosen(options.places, PLACES)}
+    chosen(options.places, PLACES)  # a misspelt place fails now
     if options.sweep:
         return radio_sweep.rows(options.seeds, runner, options.share, options.processes)
     if options.out:
         new_figure(1, 1)  # fails now without matplotlib, not after the walks
     methods = chosen(options.methods, METHODS)
-    parts = [(name, place.shortened(options.share), seed) for name, place in places.items() for seed in options.seeds]
-    found = _walks(options, runner, parts)
     table = []
-    for name, place in places.items():
-        mine = [result for part, result in zip(parts, found, strict=True) if part[0] == name]
-        walks = [result["errors"] for result in mine]
-        table += [_row(name, method, place, walks) for method in methods if method in walks[0]]
+    for name, found in _walks(options, runner, options.seeds).items():
+        walks = [walk["errors"] for walk in found]
+        table += [_row(name, method, walks) for method in methods if method in walks[0]]
         _note_worse(runner, name, walks)
         if options.out:
-            runner.notes += map(str, radio_figures.draw(options.out, name, place.twin, mine[0]["drawn"]))
+            runner.notes += map(str, radio_figures.draw(options.out, name, PLACES[name].twin, found[0]["drawn"]))
     _note_survey(runner, table)
     runner.notes.append("gmapping and wifi+lidar run semi-indoor only, as in print")
     runner.notes.append("settings were chosen on other walks: seeds 0 to 3 of all places, 100 to 105 semi-indoor")
@@ -74,28 +71,31 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
     """The same pictures of each place's first walk beside the rows, where no other folder was named."""
-    paths: list[Path] = []
-    for name in chosen(options.places, PLACES) if not (options.out or options.sweep) else ():
-        place = PLACES[name]
-        (walk,) = _walks(options, runner, [(name, place.shortened(options.share), options.seeds[0])])
-        paths += radio_figures.draw(folder, name, place.twin, walk["drawn"])
-    return paths
+    if options.out or options.sweep:
+        return []
+    first = _walks(options, runner, options.seeds[:1])
+    return [
+        path
+        for name, (walk,) in first.items()
+        for path in radio_figures.draw(folder, name, PLACES[name].twin, walk["drawn"])
+    ]
 
 
-def _walks(options: argparse.Namespace, runner: Runner, parts: list[tuple[str, Place, int]]) -> list[dict]:
-    work = functools.partial(_measured, methods=chosen(options.methods, METHODS))
-    return runner.each(parts, work, lambda part: f"{part[0]} seed {part[2]}", processes=options.processes)
+def _walks(options: argparse.Namespace, runner: Runner, seeds: list[int]) -> dict[str, list[dict]]:
+    """By place what `_measured` gives of each seed's walk."""
+    work = functools.partial(_measured, share=options.share, methods=chosen(options.methods, METHODS))
+    return runner.grid(chosen(options.places, PLACES), seeds, work, options.processes)
 
 
-def _measured(part: tuple[str, Place, int], methods: list[str]) -> dict[str, dict]:
+def _measured(name: str, seed: int, share: float, methods: list[str]) -> dict[str, dict]:
     """Of one walk: by method its errors, and what pictures show of it."""
-    found = outcomes(part[1], part[2], methods)
+    found = outcomes(PLACES[name].shortened(share), seed, methods)
     errors = {method: outcome.errors() for method, outcome in found.items()}
     return {"errors": errors, "drawn": radio_figures.shown(found)}
 
 
-def _row(name: str, method: str, place: Place, walks: list[dict]) -> dict:
-    printed = place.printed.get(method.removesuffix(" paper"), (None, None))
+def _row(name: str, method: str, walks: list[dict]) -> dict:
+    printed = PLACES[name].printed.get(method.removesuffix(" paper"), (None, None))
     return {
         "environment": name,
         "method": method,

@@ -38,8 +38,6 @@ PHONES = 5
 SCAN_PERIOD_S = 2.0
 ODOMETRY_STEP_S = 0.5
 STEPS_PER_SCAN = round(SCAN_PERIOD_S / ODOMETRY_STEP_S)
-LEGS_AT_ONCE = 6
-"""Random places drawn at a time until the way is long enough."""
 ROUNDING_M = 0.4
 """Corners of the shortest way are rounded over about this length."""
 TURN_RATE_RAD_S = 0.6
@@ -78,14 +76,7 @@ def planner(name: str, resolution_m: float) -> RoutePlanner:
 
 def drive(name: str, length_m: float, speed_m_s: float, seed: int, resolution_m: float = 0.1) -> Array:
     """(steps, 3) true poses every ODOMETRY_STEP_S along a way of this length between random places."""
-    plan, ways = load_map(name), planner(name, resolution_m)
-    random = random_stream(seed, f"radio walk {name}")
-    cells = plan.cells(resolution_m)
-    floor_m = cells.centre_of(np.argwhere(cells.free))
-    way = np.zeros((0, 2))
-    while path_length_m(way) < length_m + 1.0:
-        stops = floor_m[random.integers(0, len(floor_m), LEGS_AT_ONCE)]
-        way = np.concatenate([way, ways.route([*way[-1:], *stops])])
+    way = planner(name, resolution_m).wander(length_m + 1.0, random_stream(seed, f"radio walk {name}"))
     return _poses_along(way, length_m, speed_m_s)
 
 
@@ -160,9 +151,14 @@ def dead_reckoning(start: Array, motions: Array) -> Array:
     return compose(start, poses_along(motions))
 
 
+def odometry_of(drift: float, seed: int) -> Odometry:
+    """The robot's odometry."""
+    return Odometry(OdometryConfig(platform=PLATFORM, drift=drift), ODOMETRY_STEP_S, 1, seed)
+
+
 def measured_odometry(true_poses: Array, at: Array, drift: float, seed: int) -> tuple[Array, Array]:
     """Motions (scans - 1, 3) between the scans, that lie at the steps `at`, and turns (scans - 1,) not wrapped."""
-    odometry = Odometry(OdometryConfig(platform=PLATFORM, drift=drift), ODOMETRY_STEP_S, 1, seed)
+    odometry = odometry_of(drift, seed)
     steps = np.array([odometry.measure(a[None], b[None])[0][0] for a, b in itertools.pairwise(true_poses)])
     motions = steps[at[:-1]]
     for k in range(1, int(at[1] - at[0])):

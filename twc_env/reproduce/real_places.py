@@ -13,6 +13,7 @@ import argparse
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from twc_env.reproduce.place_cues import Cues
 from twc_env.reproduce.place_pairs import average_precision, precision_recall_curve, recall_at_full_precision
@@ -26,6 +27,7 @@ CHOOSES = ("seeds",)
 
 FLOORS = {"B1": "site1_B1", "F6": "site2_F6"}
 METHODS = ("text", "wifi", "twc", "fused")
+NEWTON_STEPS = 12
 TOLERANCES_DB = (3.0, 4.0, 5.0, 7.0, 10.0, 14.0)
 
 
@@ -117,11 +119,11 @@ def _standard(features: Array, learned: dict) -> Array:
     return np.column_stack([(features - learned["mean"]) / learned["std"], np.ones(len(features))])
 
 
-def logistic(features: Array, is_same: Array, iterations: int = 12) -> Array:
+def logistic(features: Array, is_same: Array) -> Array:
     """(features,) weights of a logistic regression with a weak pull to zero, by Newton's method."""
     weights = np.zeros(features.shape[1])
-    for _ in range(iterations):
-        share = 1.0 / (1.0 + np.exp(-np.clip(features @ weights, -30, 30)))
+    for _ in range(NEWTON_STEPS):
+        share = expit(features @ weights)
         gradient = features.T @ (is_same - share) - weights
         curvature = (features * (share * (1 - share))[:, None]).T @ features + np.eye(len(weights))
         weights = weights + np.linalg.solve(curvature, gradient)

@@ -26,7 +26,8 @@ from twc_env.command_line import count
 from twc_env.config import PoseGraphConfig
 from twc_env.datasets.g2o import read_g2o
 from twc_env.errors import ConfigError, DataError
-from twc_env.geometry import align_rigidly, between, compose, inverse
+from twc_env.geometry import between, compose, inverse, poses_along
+from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.reproduce.runner import Runner, chosen, data_folder, seeds_argument
 from twc_env.slam import robust_backend
 from twc_env.slam.pose_graph import Graph
@@ -107,17 +108,11 @@ def run_case(case: Case, folder: Path) -> dict:
     believed = result.accepted & graph.is_closure
     right = int(np.count_nonzero(believed & is_true))
     return {
-        "ate_m": absolute_error_m(result.poses, best),
+        "ate_m": absolute_trajectory_error_m(result.poses, best),
         "precision": right / max(int(np.count_nonzero(believed)), 1),
         "recall": right / int(np.count_nonzero(graph.is_closure & is_true)),
         "time_s": elapsed,
     }
-
-
-def absolute_error_m(estimated: Array, best: Array) -> float:
-    """Root mean squared distance of positions after rigid alignment."""
-    aligned = compose(align_rigidly(estimated[:, :2], best[:, :2]), estimated)
-    return float(np.sqrt(((aligned - best)[:, :2] ** 2).sum(axis=1).mean()))
 
 
 def corrupt(graph: Graph, best: Array, kind: str, share: float, seed: int) -> tuple[Graph, Array]:
@@ -186,12 +181,10 @@ def read_graph(path: Path) -> Graph:
 def dead_reckoning(graph: Graph) -> Array:
     """(n, 3) poses along the odometry."""
     steps = {int(a): k for k, (a, _) in enumerate(graph.edges) if not graph.is_closure[k]}
-    poses = np.zeros((int(graph.edges.max()) + 1, 3))
-    for node in range(len(poses) - 1):
+    for node in range(int(graph.edges.max())):
         if node not in steps:
             raise DataError(f"the pose graph has no odometry from vertex {node} to {node + 1}; it must be one chain")
-        poses[node + 1] = compose(poses[node], graph.measured[steps[node]])
-    return poses
+    return poses_along(graph.measured[[steps[node] for node in sorted(steps)]])
 
 
 def _row(key: tuple, parts: list[dict]) -> dict:

@@ -33,6 +33,8 @@ CLEARANCE_M = 0.32
 FROM_WALL_M = 1.0
 """A tour of a room touches the corners of a box that lies this far inside it."""
 CRUISE_M_S = 0.8
+LEGS_AT_ONCE = 6
+"""Random places drawn at a time until the way is long enough."""
 AIM_AHEAD_M = 0.5
 PASS_GAP_S = 3.0
 """A sign that was out of view for longer is passed anew."""
@@ -66,25 +68,22 @@ class Walk:
 class RoutePlanner:
     """Shortest ways over the open floor of a plan that keep clear of walls."""
 
-    def __init__(self, plan: Floorplan, resolution_m: float | None = None):
-        self._cells = plan.cells() if resolution_m is None else plan.cells(resolution_m)
+    def __init__(self, plan: Floorplan, resolution_m: float = 0.1):
+        self._cells = plan.cells(resolution_m)
         clear = distance_transform_edt(self._cells.free) * self._cells.resolution_m >= CLEARANCE_M
-        self._rows, self._columns = np.nonzero(clear)
-        if len(self._rows) == 0:
+        cells = np.argwhere(clear)
+        if len(cells) == 0:
             raise MapError(f"map {plan.name!r} has no floor {CLEARANCE_M} m clear of walls; routes need some")
-        number = np.full(clear.shape, -1)
-        number[self._rows, self._columns] = np.arange(len(self._rows))
+        number = np.full(np.add(clear.shape, 2), -1)  # with a rim of cells that are not clear
+        number[1:-1, 1:-1][clear] = np.arange(len(cells))
         links = []
         for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
-            inside = (self._rows + dr < clear.shape[0]) & (self._columns + dc < clear.shape[1])
-            inside &= self._columns + dc >= 0
-            other = np.full(len(self._rows), -1)
-            other[inside] = number[self._rows[inside] + dr, self._columns[inside] + dc]
+            other = number[cells[:, 0] + 1 + dr, cells[:, 1] + 1 + dc]
             known = np.flatnonzero(other >= 0)
             links.append((known, other[known], np.full(len(known), math.hypot(dr, dc))))
         first, second, length = (np.concatenate(parts) for parts in zip(*links, strict=True))
-        self._graph = coo_array((length, (first, second)), shape=(len(self._rows),) * 2).tocsr()
-        self._centres_m = self._cells.centre_of(np.column_stack([self._rows, self._columns]))
+        self._graph = coo_array((length, (first, second)), shape=(len(cells),) * 2).tocsr()
+        self._centres_m = self._cells.centre_of(cells)
 
     def nearest(self, point_m: Array) -> int:
         """The clear cell nearest to a point."""
@@ -104,6 +103,15 @@ class RoutePlanner:
                     raise MapError(f"no way from {self._centres_m[way[-1]]} to {self._centres_m[goal]}; open a door")
                 way.append(step)
         return self._centres_m[way]
+
+    def wander(self, length_m: float, random: np.random.Generator) -> Array:
+        """(points, 2) a way between random places of the open floor, at least so long."""
+        floor_m = self._cells.centre_of(np.argwhere(self._cells.free))
+        way = np.zeros((0, 2))
+        while path_length_m(way) < length_m:
+            stops = floor_m[random.integers(0, len(floor_m), LEGS_AT_ONCE)]
+            way = np.concatenate([way, self.route([*way[-1:], *stops])])
+        return way
 
 
 def room_tour(room: Room, clockwise: bool = False) -> list[Array]:

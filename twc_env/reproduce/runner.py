@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import sys
 import time
@@ -10,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 from twc_env.command_line import Paragraphs
 from twc_env.errors import ConfigError, DataError
@@ -17,33 +19,12 @@ from twc_env.finished_parts import FinishedParts
 from twc_env.json_values import TERMINAL, check_folder, plain, write_json
 from twc_env.worker_processes import in_processes
 
-TABLES: dict[str, str] = {
-    "matching": "matching",
-    "ble-lidar": "ble_lidar",
-    "intel": "intel",
-    "merging": "merging",
-    "odometry": "odometry",
-    "ocr": "ocr",
-    "radio-model": "radio_model",
-    "twc-table1": "twc_table1",
-    "twc-table2": "twc_table2",
-    "real-places": "real_places",
-    "robustness": "robustness",
-    "solver": "solver",
-    "stress": "stress",
-    "bare-places": "bare_places",
-    "sfw-table1": "sfw_table1",
-    "sfw-routers": "sfw_routers",
-    "sfw-authors": "sfw_authors",
-    "sfw-ble": "sfw_ble",
-    "sfw-houseexpo": "sfw_houseexpo",
-    "radio-table1": "radio_table1",
-    "radio-scale": "radio_scale",
-    "building-axes": "building_axes",
-    "real-radio": "real_radio",
-}
-"""Name on the command line -> module of this package."""
-
+TABLES = (
+    "matching", "ble-lidar", "intel", "merging", "odometry", "ocr", "radio-model", "twc-table1", "twc-table2",
+    "real-places", "robustness", "solver", "stress", "bare-places", "sfw-table1", "sfw-routers", "sfw-authors",
+    "sfw-ble", "sfw-houseexpo", "radio-table1", "radio-scale", "building-axes", "real-radio",
+)  # fmt: skip
+"""Names on the command line; with _ for - those of modules of this package."""
 
 _EPILOG = """\
 example:
@@ -83,6 +64,15 @@ class Runner:
         self.say(f"{len(parts)}/{len(parts)}", end="\n")
         return results
 
+    def grid(self, kinds: Iterable, seeds: Iterable, work: Callable[..., object], processes: int = 1) -> dict:
+        """`work(kind, seed)` for each kind with each seed: by kind what came of its seeds. As `each`."""
+        parts = list(itertools.product(dict.fromkeys(kinds), seeds))
+        found = self.each(parts, partial(_unpacked, work), lambda part: f"{part[0]} seed {part[1]}", processes)
+        results: dict = {kind: [] for kind, _ in parts}
+        for (kind, _), result in zip(parts, found, strict=True):
+            results[kind].append(result)
+        return results
+
     def _each_aside(self, parts: Sequence, work: Callable[..., object], label: Callable[..., str], count: int) -> list:
         """`each` in several processes."""
         results = {}
@@ -109,6 +99,10 @@ class Runner:
 
 def _once(finished: FinishedParts, labelled: tuple[str, Callable[[], object]]) -> object:
     return finished.once(*labelled)
+
+
+def _unpacked(work: Callable[..., object], part: tuple) -> object:
+    return work(*part)
 
 
 def print_rows(rows: Iterable[dict]) -> None:
@@ -160,6 +154,11 @@ def chosen(text: str, known: Iterable[str]) -> list[str]:
     return names
 
 
+def table_module(name: str) -> ModuleType:
+    """The module of one of TABLES."""
+    return import_module(f"twc_env.reproduce.{name.replace('-', '_')}")
+
+
 def add_parser(commands) -> None:
     """The `reproduce` command of `python -m twc_env`."""
     parser = commands.add_parser(
@@ -171,8 +170,8 @@ def add_parser(commands) -> None:
         formatter_class=Paragraphs,
     )
     tables = parser.add_subparsers(required=True, metavar="TABLE")
-    for name, module_name in TABLES.items():
-        module = import_module(f"twc_env.reproduce.{module_name}")
+    for name in TABLES:
+        module = table_module(name)
         needs_data = " (needs TWC_DATA)" if hasattr(module, "data_folder") and name != "ocr" else ""
         table = tables.add_parser(
             name,

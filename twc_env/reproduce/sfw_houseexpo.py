@@ -58,8 +58,8 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     for method in scoring.METHODS:
         own = [row for run in runs for row in run["rows"] if row["method"] == method]
         if own:
-            means = {key: float(np.mean([row[key] for row in own])) for key in ("area_m2", "points", *scoring.FIGURES)}
-            means["standoff_m"] = float(np.mean([row["standoff_m"] for row in own]))
+            averaged = ("area_m2", "standoff_m", "points", *scoring.FIGURES)
+            means = {key: float(np.mean([row[key] for row in own])) for key in averaged}
             table.append({**own[0], **means, "plan": f"mean of {len(own)}", "calibration_error": None})
     cells = [np.array(run["cells"]) for run in runs]
     if cells and table:

@@ -30,21 +30,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per experiment, and one for all."""
-    parts = [(experiment, seed) for experiment in POINTS for seed in options.seeds]
-    errors = runner.each(parts, lambda part: errors_m(*part), lambda part: f"experiment {part[0]} seed {part[1]}")
-    table = []
-    for experiment in (*POINTS, "all"):
-        own = np.concatenate([e for p, e in zip(parts, errors, strict=True) if experiment in (p[0], "all")])
-        table.append(
-            {
-                "experiment": experiment,
-                "routers_located": len(own),
-                "median_error_m": float(np.median(own)),
-                "error_90_percent_m": float(np.quantile(own, 0.9)),
-                "seeds": len(options.seeds),
-            }
-        )
-    return table
+    errors = {e: np.concatenate(own) for e, own in runner.grid(POINTS, options.seeds, errors_m).items()}
+    errors["all"] = np.concatenate(list(errors.values()))
+    return [
+        {
+            "experiment": experiment,
+            "routers_located": len(own),
+            "median_error_m": float(np.median(own)),
+            "error_90_percent_m": float(np.quantile(own, 0.9)),
+            "seeds": len(options.seeds),
+        }
+        for experiment, own in errors.items()
+    ]
 
 
 def errors_m(experiment: int, seed: int) -> list[float]:

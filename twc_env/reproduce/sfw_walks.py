@@ -104,16 +104,9 @@ def resampled(way_m: Array, count: int) -> Array:
     return points_along(way_m, np.linspace(0.0, travelled_m(way_m)[-1], count))
 
 
-def read_walk(
-    plan: Floorplan,
-    config: RadioConfig,
-    position_m: Array,
-    seed: int,
-    faces_per_wall: int = 1,
-    routers: int | None = None,
-) -> RadioWalk:
+def read_walk(plan: Floorplan, config: RadioConfig, position_m: Array, seed: int, faces_per_wall: int = 1) -> RadioWalk:
     """What one receiver reads of each router (the first address of each access point) at every position."""
-    points = tuple(dataclasses.replace(p, macs=p.macs[:1]) for p in plan.access_points[:routers])
+    points = tuple(dataclasses.replace(p, macs=p.macs[:1]) for p in plan.access_points)
     plan = dataclasses.replace(plan, access_points=points)
     config = dataclasses.replace(config, bssids_per_access_point=0)
     model = RadioModel(config, plan)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,8 @@ from numpy.typing import NDArray
 from twc_env.command_line import count
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import ConfigError
-from twc_env.reproduce.robustness import DATASETS, absolute_error_m, dead_reckoning, read_graph
+from twc_env.metrics import absolute_trajectory_error_m
+from twc_env.reproduce.robustness import DATASETS, dead_reckoning, read_graph
 from twc_env.reproduce.runner import Runner, chosen, data_folder
 from twc_env.slam import pose_graph
 from twc_env.slam.pose_graph import Graph
@@ -60,7 +60,7 @@ def compare(dataset: str, repeats: int) -> list[dict]:
             "poses": len(start),
             "edges": len(graph.edges),
             "squared_error": float(graph.squared_errors(run[0][0]).sum()),
-            "from_best_m": absolute_error_m(run[0][0], best),
+            "from_best_m": absolute_trajectory_error_m(run[0][0], best),
             "time_s": min(whole for _, whole, _ in run),
             "optimise_s": min(alone for _, _, alone in run),
             "repeats": repeats,
@@ -80,7 +80,10 @@ def solve_ours(start: Array, graph: Graph) -> tuple[Array, float, float]:
 
 def solve_gtsam(start: Array, graph: Graph) -> tuple[Array, float, float]:
     """Poses, CPU seconds with and without putting the factors together. Raises ConfigError without gtsam."""
-    gtsam = _gtsam()
+    try:
+        import gtsam
+    except ImportError:
+        raise ConfigError("this table needs gtsam: pip install twc_env[crosscheck]") from None
     began = time.process_time()
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, 1e-6))
@@ -95,11 +98,3 @@ def solve_gtsam(start: Array, graph: Graph) -> tuple[Array, float, float]:
     done = time.process_time()
     poses = np.array([[p.x(), p.y(), p.theta()] for p in map(found.atPose2, range(len(start)))])
     return poses, done - began, done - built
-
-
-def _gtsam() -> Any:
-    try:
-        import gtsam
-    except ImportError:
-        raise ConfigError("this table needs gtsam: pip install twc_env[crosscheck]") from None
-    return gtsam

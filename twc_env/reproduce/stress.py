@@ -56,7 +56,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     conditions = list(dict.fromkeys(["normal", *options.conditions]))
     parts = list(itertools.product(first_buildings(options.buildings), conditions))
     found = runner.each(parts, lambda part: episode(part[0], part[1], options.robots, options.seed), " ".join)
-    runs = {c: [run for (_, name), run in zip(parts, found, strict=True) if name == c] for c in conditions}
+    runs = {condition: found[k :: len(conditions)] for k, condition in enumerate(conditions)}
     return [_row(condition, runs[condition], runs["normal"]) for condition in conditions]
 
 

@@ -18,9 +18,9 @@ scene never seen.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -71,19 +71,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per scene, method and thresholds, as means over the seeds."""
-    parts = list(itertools.product(options.scenes, options.seeds))
-    results = _judged(options, runner, parts)
-    table = []
-    for scene in options.scenes:
-        runs = [result["figures"] for (name, _), result in zip(parts, results, strict=True) if name == scene]
-        table += [_summary(scene, [run[k] for run in runs]) for k in range(len(runs[0]))]
-    return table
+    return [
+        _summary(scene, figures)
+        for scene, walks in _judged(options, runner).items()
+        for figures in zip(*(judged["figures"] for judged in walks), strict=True)
+    ]
 
 
-def _judged(options: argparse.Namespace, runner: Runner, parts: list[tuple[str, int]]) -> list[dict]:
-    return runner.each(
-        parts, lambda part: judge_scene(part[0], part[1], options), lambda part: f"{part[0]} seed {part[1]}"
-    )
+def _judged(options: argparse.Namespace, runner: Runner) -> dict[str, list[dict]]:
+    return runner.grid(options.scenes, options.seeds, lambda scene, seed: judge_scene(scene, seed, options))
 
 
 def scene_config(scene: str, options: argparse.Namespace) -> EnvConfig:
@@ -131,7 +127,7 @@ def _alternatives(scene: str, config: EnvConfig, walks: list[Walk], seed: int) -
 # --- the rows ---
 
 
-def _summary(scene: str, figures: list[dict]) -> dict:
+def _summary(scene: str, figures: Sequence[dict]) -> dict:
     """Means over the seeds [%] beside the print."""
     first = figures[0]
     shares = [key for key in first if key not in ("method", "alpha", "beta", "gamma")]
@@ -253,16 +249,16 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
     from twc_env.reproduce.twc_pictures import draw_curves
     from twc_env.reproduce.twc_table2 import draw_figures
 
-    curves: dict[str, dict] = {}
-    for scene in options.scenes:
-        parts = [(scene, seed) for seed in options.seeds]
-        runs = [result["curves"] for result in _judged(options, runner, parts)]
-        curves[scene] = {
+    curves = {
+        scene: {
             method: {
-                when: np.mean([run[method][when] for run in runs], axis=0).tolist() for when in ("before", "after")
+                when: np.mean([judged["curves"][method][when] for judged in walks], axis=0).tolist()
+                for when in ("before", "after")
             }
             for method in METHODS
         }
+        for scene, walks in _judged(options, runner).items()
+    }
     path = folder / "twc-table1-curves.json"
     path.write_text(json.dumps({"recall": RECALL_LEVELS.tolist(), "precision": curves}, indent=2) + "\n")
     figures = draw_figures(options.scenes, AS_DRAWN, options.seeds[0], False, runner, folder)

@@ -85,17 +85,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per scene, method and back end, as means over the walks."""
-    parts = list(itertools.product(options.scenes, options.seeds))
-    results = runner.each(
-        parts,
-        lambda part: map_scene(part[0], options.signs, part[1], options.verified),
-        lambda part: f"{part[0]} seed {part[1]}",
+    mapped = runner.grid(
+        options.scenes, options.seeds, lambda scene, seed: map_scene(scene, options.signs, seed, options.verified)
     )
-    table = []
-    for scene in options.scenes:
-        runs = [result for (name, _), result in zip(parts, results, strict=True) if name == scene]
-        table += [_summary(scene, [run[k] for run in runs]) for k in range(len(runs[0]))]
-    return table
+    return [_summary(scene, runs) for scene, walks in mapped.items() for runs in zip(*walks, strict=True)]
 
 
 def scene_config(scene: str, method: str = "fused") -> EnvConfig:
@@ -186,7 +179,7 @@ def _judge(scene: str, walks: Sequence[Walk], matched: Sequence[Matched], built:
 # --- the rows ---
 
 
-def _summary(scene: str, runs: list[dict]) -> dict:
+def _summary(scene: str, runs: Sequence[dict]) -> dict:
     method, backend = runs[0]["method"], runs[0]["backend"]
     values = {key: np.array([run[key] for run in runs], float) for key in runs[0] if key not in ("method", "backend")}
     means = {key: _rounded(value, np.mean) for key, value in values.items()}
