@@ -12,7 +12,7 @@ from agents import explore as explore_module
 from agents.__main__ import main
 from agents.explore import explore, table_of
 from agents.picture import Film
-from twc_env import ConfigError, DataError, EnvConfig
+from twc_env import DataError, EnvConfig
 from twc_env.command_line import alone_in
 from twc_env.config import digest, from_dict, override
 from twc_env.datasets.g2o import read_g2o
@@ -130,6 +130,7 @@ def test_the_same_seed_gives_the_same_figures():
     [
         ("explore --map twin-1", "did you mean 'twin-01'"),
         ("explore --agent nearest", "did you mean 'nearest-frontier'"),
+        ("explore --set action.kind=frontier", "steer by velocity; got action.kind = 'frontier'"),
         ("explore --set lidar.beam_cout=3", "did you mean 'beam_count'"),
         ("explore --set lidar.beam_count", "--set takes KEY=VALUE"),
         ("explore --set lidar.beam_count=many", "must be a whole number"),
@@ -298,13 +299,3 @@ def test_progress_is_silent_in_a_pipe(capsys, monkeypatch):
         progress(done)
     progress.close()
     assert capsys.readouterr().err == ""
-
-
-def test_an_unknown_agent_is_an_error_before_anything_runs():
-    with pytest.raises(ConfigError, match="unknown agent 'none'"):
-        explore(EnvConfig(), "none", 0)
-
-
-def test_actions_that_scripted_teams_do_not_give_are_refused():
-    with pytest.raises(ConfigError, match="steer by velocity"):
-        explore_module.explore(override(EnvConfig(), {"action.kind": "frontier"}), "random", 0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import twc_env
+from twc_env.slam import map_merging
 
 
 @dataclass
@@ -47,6 +48,20 @@ def explore(wander):
     return run
 
 
+@pytest.fixture
+def wrong_merges(monkeypatch):
+    """The first closure between two robots is believed at once, and laid down at a wrong place; ends the lies."""
+
+    def agree(targets, *_):
+        return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), (9, 9, 9))
+
+    lies = {"largest_agreement": agree, "wall_contradiction": lambda *_: 0.0, "wifi_agrees": lambda *_: True}
+    told = {name: getattr(map_merging, name) for name in lies}
+    for name, lie in lies.items():
+        monkeypatch.setattr(map_merging, name, lie)
+    return lambda: [monkeypatch.setattr(map_merging, name, honest) for name, honest in told.items()]
+
+
 def same_observation(a: dict, b: dict) -> bool:
     """Whether two observations of one agent are equal to the last bit."""
     return a.keys() == b.keys() and all(np.array_equal(a[key], b[key]) for key in a)
@@ -55,3 +70,12 @@ def same_observation(a: dict, b: dict) -> bool:
 @pytest.fixture(scope="session")
 def same():
     return same_observation
+
+
+@pytest.fixture(scope="session")
+def same_steps():
+    """Whether steps (observations, rewards, ...) of two episodes are equal to the last bit."""
+    return lambda a, b: all(
+        all(same_observation(x[0][agent], y[0][agent]) for agent in x[0]) and x[1:] == y[1:]
+        for x, y in zip(a, b, strict=True)
+    )

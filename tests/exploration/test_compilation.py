@@ -16,12 +16,12 @@ from twc_env.file_lock import FileLock
 from twc_env.slam import robust_backend, warm_up
 
 
-def compiled(module: str):
+def function_of(module: str):
     def add(a, b):
         return a + b
 
     add.__module__ = module
-    return njit(add)(1, 2)
+    return njit(add)
 
 
 def test_the_first_kernel_of_this_package_that_is_compiled_is_announced_once(caplog):
@@ -31,10 +31,10 @@ def test_the_first_kernel_of_this_package_that_is_compiled_is_announced_once(cap
     event.register("numba:compile", listener)
     try:
         with caplog.at_level(logging.WARNING, "twc_env"):
-            compiled("another.package")
+            function_of("another.package")(1, 2)
             assert not caplog.records
-            compiled("twc_env.world.lidar")
-            compiled("twc_env.world.lidar")
+            function_of("twc_env.world.lidar")(1, 2)
+            function_of("twc_env.world.lidar")(1, 2)
     finally:
         event.unregister("numba:compile", listener)
     # Another environment of this process may have spoken up already, or may do so now.
@@ -62,7 +62,7 @@ def test_environments_ask_for_it_once_per_process():
 
 @pytest.mark.parametrize("collects", [True, False])
 def test_nobody_looks_for_garbage_while_kernels_are_compiled(collects):
-    listener, kernel = _Announcer(), SimpleNamespace(data={"dispatcher": compiled_function("another.package")})
+    listener, kernel = _Announcer(), SimpleNamespace(data={"dispatcher": function_of("another.package")})
     before, seen = gc.isenabled(), []
     (gc.enable if collects else gc.disable)()
     try:
@@ -136,7 +136,7 @@ def test_the_announcer_prepares_for_kernels_of_this_package_only():
     calls = []
     announcer = _Announcer(lambda: calls.append("prepared"))
     for module in ("another.package", "twc_env.world.lidar"):
-        announcer.on_start(SimpleNamespace(data={"dispatcher": compiled_function(module)}))
+        announcer.on_start(SimpleNamespace(data={"dispatcher": function_of(module)}))
         announcer.on_end(None)
         calls.append(module)
     assert calls == ["another.package", "prepared", "twc_env.world.lidar"]
@@ -193,14 +193,6 @@ def test_a_helper_that_cannot_be_started_is_done_without(started, monkeypatch):
     start.prepare()
     start.dismiss()
     assert not start.is_helped
-
-
-def compiled_function(module: str):
-    def add(a, b):
-        return a + b
-
-    add.__module__ = module
-    return njit(add)
 
 
 COVERAGE = """

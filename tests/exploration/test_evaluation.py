@@ -8,6 +8,7 @@ import twc_env
 from twc_env.exploration import verdicts
 from twc_env.geometry import compose, inverse, transform_points
 from twc_env.messages import GridMap
+from twc_env.slam.merge_review import MergeReview
 
 KEYS = {
     "map", "robots", "seed", "steps", "sim_time_s", "coverage_believed", "coverage_true", "coverage_correct", "map_iou",
@@ -193,34 +194,21 @@ def test_a_lossy_link_costs_bytes_and_delays_but_breaks_nothing(explore, result)
 
 @pytest.mark.parametrize(
     ("settings", "is_wrong"),
-    [
-        ({"slam.pose_graph.robust": "dcs", "slam.merging.undo": False}, True),
-        ({}, False),
-    ],
+    [({"slam.pose_graph.robust": "dcs", "slam.merging.undo": False}, True), ({}, False)],
     ids=["stays", "is put right"],
 )
-def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, explore, settings, is_wrong):
+def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, wrong_merges, explore, settings, is_wrong):
     """All that a merge is judged by lies until four seconds after the first merge; then nothing does any more."""
-    from twc_env.slam import map_merging, merge_review
-
-    merged_at = []
-
-    def agree(targets, *_):
-        return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), (9, 9, 9))
+    merged_at, review_of = [], MergeReview.wrong
 
     def wrong(review, step, one_by_one):
         if review.merges and not merged_at:
             merged_at.append(step)
         if merged_at and step >= merged_at[0] + 40:
-            for name, honest in told.items():
-                monkeypatch.setattr(map_merging, name, honest)
+            wrong_merges()
         return review_of(review, step, one_by_one)
 
-    lies = {"largest_agreement": agree, "wall_contradiction": lambda *_: 0.0, "wifi_agrees": lambda *_: True}
-    told, review_of = {name: getattr(map_merging, name) for name in lies}, merge_review.MergeReview.wrong
-    for name, lie in lies.items():
-        monkeypatch.setattr(map_merging, name, lie)
-    monkeypatch.setattr(merge_review.MergeReview, "wrong", wrong)
+    monkeypatch.setattr(MergeReview, "wrong", wrong)
     figures = explore(STEPS, max_cycles=STEPS, config=settings).env.result().figures
     assert figures["wrong_merges"] >= 1
     assert figures["merged_robots"] >= 2

@@ -115,18 +115,3 @@ def test_a_picture_of_a_large_hall_takes_some_milliseconds():
     for _ in range(10):
         render(scene)
     assert (time.process_time() - start) / 10 < 0.05
-
-
-def test_drawing_changes_nothing_in_the_episode():
-    import twc_env
-
-    def report(render_mode):
-        env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=40, render_mode=render_mode)
-        env.reset(seed=3)
-        while env.agents:
-            env.step({agent: np.array([0.5, 0.1], np.float32) for agent in env.agents})
-            image = env.render()
-            assert (image is None) == (render_mode is None)
-        return env.result().figures
-
-    assert report("rgb_array") == report(None)

@@ -18,7 +18,6 @@ from twc_env.exploration.rewards import (
     weights_of,
 )
 from twc_env.exploration.verdicts import verdicts_of
-from twc_env.slam import map_merging
 
 STEPS = 300
 
@@ -180,19 +179,8 @@ def test_nothing_is_known_before_the_first_scan():
     assert not any(nothing.team) and not np.any(nothing.own)
 
 
-@pytest.fixture
-def wrong_merges(monkeypatch):
-    """The first closure between two robots is believed at once, and laid down at a wrong place."""
-
-    def agree(targets, *_):
-        return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), (9, 9, 9))
-
-    monkeypatch.setattr(map_merging, "largest_agreement", agree)
-    monkeypatch.setattr(map_merging, "wall_contradiction", lambda *_: 0.0)
-    monkeypatch.setattr(map_merging, "wifi_agrees", lambda *_: True)
-
-
-def test_a_planted_wrong_merge_is_seen_counted_and_not_paid(wrong_merges, explore):
+@pytest.mark.usefixtures("wrong_merges")
+def test_a_planted_wrong_merge_is_seen_counted_and_not_paid(explore):
     log = explore(STEPS, max_cycles=STEPS, config={"slam.pose_graph.robust": "dcs", "slam.merging.undo": False})
     result = log.env.result()
     areas = mapped_shares(result)

@@ -9,6 +9,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 import twc_env
 from twc_env.errors import ConfigError
 from twc_env.geometry import compose
+from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.slam.dead_reckoning import DeadReckoning
 from twc_env.slam.modes import make_engine
 
@@ -77,18 +78,12 @@ def test_rewards_and_result_judge_dead_reckoning(log):
     assert figures["coverage_correct"] == figures["wall_iou"] == figures["bytes_sent"] == 0
     assert figures["merged_robots"] == 1 and figures["closures"]["proposed"] == 0
     assert figures["per_robot_ate_m"] == pytest.approx(
-        [_own_error(result.odometry_poses[:, r], result.true_poses[:, r]) for r in range(3)]
+        [absolute_trajectory_error_m(result.odometry_poses[:, r], result.true_poses[:, r]) for r in range(3)]
     )
     for rewards, infos in zip(log.rewards, log.infos[1:], strict=True):
         for agent, reward in rewards.items():
             assert infos[agent]["reward_terms"]["coverage"] == 0.0
             assert reward == -0.5 * infos[agent]["reward_terms"]["collision"]
-
-
-def _own_error(path, true) -> float:
-    from twc_env import metrics
-
-    return metrics.absolute_trajectory_error_m(path, true)
 
 
 def test_the_world_is_the_same_with_and_without_an_engine():

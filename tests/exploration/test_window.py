@@ -198,11 +198,6 @@ def test_without_a_display_the_error_says_so(pygame, monkeypatch):
         team(render_mode="human").reset(seed=0)
 
 
-def test_an_unknown_mode_is_refused():
-    with pytest.raises(ConfigError, match="render_mode"):
-        team(render_mode="ansi")
-
-
 def test_pettingzoo_accepts_the_pictures_in_every_mode(pygame):
     assert twc_env.ExplorationEnv.metadata["render_modes"] == ["human", "rgb_array"]
     render_test(lambda render_mode: twc_env.env(**{**SMALL, "render_mode": render_mode}))

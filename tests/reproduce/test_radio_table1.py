@@ -5,8 +5,8 @@ from twc_env.__main__ import main
 from twc_env.json_values import plain
 from twc_env.maps import load_map
 from twc_env.messages import GridMap
-from twc_env.reproduce import radio_figures, radio_table1, radio_walks
-from twc_env.reproduce.radio_methods import Outcome
+from twc_env.reproduce import radio_figures, radio_sweep, radio_table1, radio_walks
+from twc_env.reproduce.radio_methods import Outcome, odometry
 from twc_env.reproduce.radio_twins import PLACES, true_path
 
 KEYS = ["environment", "method", "error_mean_m", "error_std_m", "ate_m", "paper_mean_m", "paper_std_m", "seeds"]
@@ -20,6 +20,16 @@ def test_the_command_writes_its_rows(written, capsys):
     assert rows[1]["error_mean_m"] < rows[0]["error_mean_m"]
     assert (rows[1]["paper_mean_m"], rows[1]["paper_std_m"]) == (4.48, 2.98)
     assert "worse than its odometry in 0 of 1" in capsys.readouterr().out
+
+
+def test_the_sweep_walks_any_share_of_each_case(written, monkeypatch):
+    fewer = {"AP_SHARES": (0.5,), "ODOMETRY_ERRORS_M": (52.0,), "LENGTHS_M": (300.0,)}
+    for name, value in {**fewer, "METHODS": {"odometry": odometry}}.items():
+        monkeypatch.setattr(radio_sweep, name, value)
+    rows = written("radio-table1", "--sweep", "--seeds=4", "--share=0.1", "--processes=1")
+    assert [list(row) for row in rows] == [KEYS] * 3
+    errors_m = 51.98, 52.0, 51.98 * 300.0 / PLACES["semi-indoor"].length_m
+    assert [row["error_mean_m"] for row in rows] == pytest.approx(0.1 * np.array(errors_m), rel=0.02)
 
 
 def test_pictures_are_drawn_of_what_an_earlier_run_found(tmp_path, monkeypatch, capsys):

@@ -170,12 +170,11 @@ def test_a_snapshot_of_a_map_that_forgets_goes_on_as_it_would_have():
     for _ in range(1200):
         env.step(next(actions))
     assert len(env.episode.engine.team.nodes[0]) < len(env.episode.record.true_poses)
-    moment, rest = env.snapshot(), [next(actions) for _ in range(1)]
-    ends = []
+    moment, action, ends = env.snapshot(), next(actions), []
     for _ in range(2):
         env.restore(moment)
         for _ in range(300):
-            env.step(rest[0])
+            env.step(action)
         ends.append(env.episode.engine.team.nodes[0].tobytes())
     assert ends[0] == ends[1]
 
@@ -203,18 +202,14 @@ def test_mappers_of_large_maps_take_turns_with_what_takes_long(monkeypatch):
         run(self, step)
 
     monkeypatch.setattr(MapOptimiser, "optimise_soiled", noting)
-    env, actions = started(1600, **{"link.topology": "peer"})
-    for _ in range(1599):
-        env.step(next(actions))
+    env = before_the_end(1600, **{"link.topology": "peer"})
     for home, mapper in enumerate(env.episode.engine.mappers):
         steps = [step for who, step in busy if who is mapper.optimiser]
         assert len(steps) > 2 and {step % 3 for step in steps} == {home}
 
 
 def test_merges_of_large_maps_are_looked_at_one_by_one():
-    env, actions = started(900)
-    for _ in range(899):
-        env.step(next(actions))
+    env = before_the_end(900)
     review, step = env.episode.engine.team._review, 10000
     review.merges.append(replace(review.merges[0]))
     for due in (1, 0):
@@ -224,9 +219,7 @@ def test_merges_of_large_maps_are_looked_at_one_by_one():
 
 
 def test_a_merge_of_a_map_that_forgot_is_undone_whole():
-    env, actions = started(2500)
-    for _ in range(2499):
-        env.step(next(actions))
+    env = before_the_end(2500)
     team, truth = env.episode.engine.team, env.episode.record.true_poses
     assert team.groups[0].robots == (0, 1, 2) and len(team.nodes[0]) < 700
     merge = team._review.merges[-1]

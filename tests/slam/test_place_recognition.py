@@ -42,25 +42,20 @@ def test_like_text_and_like_radio_make_a_candidate(place):
     assert (found.text_similarity, found.mac_similarity, found.rssi_similarity) == (1.0, 1.0, 1.0)
 
 
-@pytest.mark.parametrize(("alpha", "count"), [(0.75, 1), (0.7501, 0)])
-def test_a_text_exactly_at_its_threshold_passes(place, alpha, count):
-    assert len(candidates(place(0, text="EXIT"), place(1, text="EX1T"), text_similarity_min=alpha)) == count
-
-
-@pytest.mark.parametrize(("beta", "count"), [(0.8, 1), (0.8001, 0)])
-def test_shared_transmitters_exactly_at_their_threshold_pass(place, beta, count):
-    other = place(1, macs=MACS[:4], rssi_dbm=LEVELS_DBM[:4])
-    assert len(candidates(place(0), other, mac_similarity_min=beta)) == count
-
-
-def test_identical_transmitters_pass_the_strictest_threshold(place):
-    assert len(candidates(place(0), place(1), mac_similarity_min=1.0)) == 1
-
-
-@pytest.mark.parametrize(("offset_db", "count"), [(5.0, 1), (6.25, 1), (6.26, 0)])
-def test_strengths_exactly_at_their_threshold_pass(place, offset_db, count):
-    other = place(1, rssi_dbm=np.array(LEVELS_DBM) - offset_db)
-    assert len(candidates(place(0), other, rssi_similarity_min=0.8)) == count
+@pytest.mark.parametrize(
+    ("other", "rule", "count"),
+    [
+        ({"text": "EX1T"}, {"text_similarity_min": 0.75}, 1),
+        ({"text": "EX1T"}, {"text_similarity_min": 0.7501}, 0),
+        ({"macs": MACS[:4], "rssi_dbm": LEVELS_DBM[:4]}, {"mac_similarity_min": 0.8}, 1),
+        ({"macs": MACS[:4], "rssi_dbm": LEVELS_DBM[:4]}, {"mac_similarity_min": 0.8001}, 0),
+        ({}, {"mac_similarity_min": 1.0}, 1),
+        ({"rssi_dbm": np.array(LEVELS_DBM) - 6.25}, {"rssi_similarity_min": 0.8}, 1),
+        ({"rssi_dbm": np.array(LEVELS_DBM) - 6.26}, {"rssi_similarity_min": 0.8}, 0),
+    ],
+)
+def test_what_is_exactly_at_its_threshold_passes(place, other, rule, count):
+    assert len(candidates(place(0), place(1, **other), **rule)) == count
 
 
 @pytest.mark.parametrize(
@@ -75,15 +70,6 @@ def test_nothing_is_compared_without_a_sign(keyframe, place):
     blank = keyframe(1, macs=MACS, rssi_dbm=LEVELS_DBM)
     assert candidates(place(0), blank) == []
     assert candidates(blank, place(0)) == []
-
-
-@pytest.mark.parametrize(("travel_m", "count"), [(11.9, 0), (12.0, 1), (40.0, 1)])
-def test_a_robot_meets_its_own_places_only_after_enough_path(place, travel_m, count):
-    assert len(candidates(place(0, 0), place(0, 1, travel_m=travel_m))) == count
-
-
-def test_robots_meet_each_other_at_once(place):
-    assert len(candidates(place(0, travel_m=0.0), place(1, travel_m=0.0))) == 1
 
 
 def test_a_keyframe_is_never_its_own_candidate(keyframe):
@@ -120,13 +106,6 @@ def test_a_reading_on_no_known_wall_does_not_hide_the_next_one(keyframe, place):
     recogniser.propose(keyframe(0, 0, signs=[sign(facing=math.nan)], macs=MACS, rssi_dbm=LEVELS_DBM))
     recogniser.propose(place(0, 1, travel_m=0.3))
     assert [c.target for c in recogniser.propose(place(1, 0))] == [(0, 1)]
-
-
-def test_robots_that_are_skipped_give_no_candidate_but_are_remembered(place):
-    recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
-    recogniser.propose(place(0, 0))
-    assert recogniser.propose(place(1, 0), skipped_robots=(0,)) == []
-    assert sorted(c.target for c in recogniser.propose(place(2, 0))) == [(0, 0), (1, 0)]
 
 
 def test_the_printed_rule_accepts_large_distances_and_refuses_small_ones(place):

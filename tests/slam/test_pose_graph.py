@@ -9,7 +9,8 @@ from scipy.optimize import least_squares
 from tests.real_data import DATA, needs_data
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
-from twc_env.geometry import align_rigidly, between, compose, wrap_angle
+from twc_env.geometry import between, compose, wrap_angle
+from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.slam import pose_graph
 
 PLAIN = PoseGraphConfig(robust="plain", iterations_max=100)
@@ -60,12 +61,6 @@ def square():
     information = information_of(len(edges))
     information[-1] *= 100
     return true, edges, measured, information, np.arange(len(edges)) == count - 1
-
-
-def test_residuals_vanish_where_the_measurements_are_true(square):
-    true, edges, _, _, _ = square
-    exact = between(true[edges[:, 0]], true[edges[:, 1]])
-    assert pose_graph.residuals(true, edges, exact) == pytest.approx(np.zeros((len(edges), 3)), abs=1e-12)
 
 
 def test_a_residual_is_the_measured_pose_undone(square):
@@ -156,12 +151,8 @@ def false_closure_error(robust: str) -> float:
     return float(np.hypot(*(bad - good)[:, :2].T).max())
 
 
-def test_one_false_closure_among_many_does_not_move_the_map_with_dcs():
-    assert false_closure_error("dcs") < 0.02
-
-
-def test_without_a_robust_loss_one_false_closure_bends_the_map():
-    assert false_closure_error("plain") > 0.3
+def test_one_false_closure_among_many_bends_the_map_only_without_a_robust_loss():
+    assert false_closure_error("dcs") < 0.02 < 0.3 < false_closure_error("plain")
 
 
 def test_robust_weights_leave_odometry_alone():
@@ -263,10 +254,7 @@ def test_simulated_public_graphs_come_out_where_their_truth_is(name, error_max_m
     truth = read_g2o(f"{name}_groundtruth")[0]
     start = dead_reckoning(edges, measured, len(truth))
     poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN)
-    errors = []
-    for estimate in (start, poses):
-        aligned = compose(align_rigidly(estimate[:, :2], truth[:, :2]), estimate)
-        errors.append(np.sqrt(((aligned - truth)[:, :2] ** 2).sum(axis=1).mean()))
+    errors = [absolute_trajectory_error_m(estimate, truth) for estimate in (start, poses)]
     assert errors[1] < min(error_max_m, errors[0])
 
 

@@ -81,11 +81,7 @@ def test_a_false_room_that_agrees_with_itself_is_refused_as_a_group():
     assert result.accepted[: len(graph[0])].all()
     refused = result.rejections[-20:]
     assert all("group of 20 agrees with itself but contradicts the map" in r.reason for r in refused)
-
-
-def test_the_false_room_bends_the_map_that_believes_everything():
-    true, start, graph = loops()
-    assert worst_m(solve("plain", start, false_room(true, graph)).poses, true) > 1.0
+    assert worst_m(solve("plain", start, corrupted).poses, true) > 1.0, "believed, it would bend the map"
 
 
 def test_more_false_rooms_than_true_closures_still_lose():
@@ -215,22 +211,8 @@ def test_block_cholesky_says_when_a_matrix_is_not_positive_definite():
     assert cholesky.solve(np.tile(np.eye(3), (2, 1, 1)), 2 * np.eye(3)[None], np.ones((2, 3))) is None
 
 
-@pytest.mark.parametrize(
-    ("changed", "value", "message"),
-    [
-        (0, [(0, 1), (1, 3)], "edges join poses 0 to 2"),
-        (0, [(0, 1), (-1, 2)], "edges join poses 0 to 2"),
-        (0, [(0, 1)], "as many measurements"),
-        (1, np.full((2, 3), np.nan), "finite"),
-        (2, np.full((2, 3, 3), np.inf), "finite"),
-    ],
-)
-@pytest.mark.parametrize("mode", MODES)
-def test_a_graph_that_cannot_be_meant_is_refused(mode, changed, value, message):
-    graph = [np.array([(0, 1), (1, 2)]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.array([False, True])]
-    graph[changed] = np.array(value)
-    with pytest.raises(DataError, match=message):
-        solve(mode, np.zeros((3, 3)), graph)
+def three_poses() -> list:
+    return [np.array([(0, 1), (1, 2)]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.array([False, True])]
 
 
 def indefinite(*values) -> list:
@@ -240,6 +222,11 @@ def indefinite(*values) -> list:
 @pytest.mark.parametrize(
     ("changed", "value", "message"),
     [
+        (0, [(0, 1), (1, 3)], "edges join poses 0 to 2"),
+        (0, [(0, 1), (-1, 2)], "edges join poses 0 to 2"),
+        (0, [(0, 1)], "as many measurements"),
+        (1, np.full((2, 3), np.nan), "finite"),
+        (2, np.full((2, 3, 3), np.inf), "finite"),
         (0, [(0, 1), (1, 1.5)], "edges of a graph must be whole numbers"),
         (1, np.zeros((2, 2)), r"measurements of a graph must have shape \('edges', 3\); got \(2, 2\)"),
         (2, np.zeros((2, 2, 2)), r"information of a graph must have shape \('edges', 3, 3\)"),
@@ -251,7 +238,7 @@ def indefinite(*values) -> list:
 )
 @pytest.mark.parametrize("mode", MODES)
 def test_parts_of_a_graph_that_cannot_be_meant_are_refused_in_one_line(mode, changed, value, message):
-    graph = [np.array([(0, 1), (1, 2)]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.array([False, True])]
+    graph = three_poses()
     graph[changed] = np.array(value)
     with pytest.raises(DataError, match=message) as error:
         solve(mode, np.zeros((3, 3)), graph)
@@ -260,8 +247,8 @@ def test_parts_of_a_graph_that_cannot_be_meant_are_refused_in_one_line(mode, cha
 
 @pytest.mark.parametrize("mode", MODES)
 def test_information_that_leaves_a_direction_open_is_taken_or_refused_in_one_line(mode):
-    information = np.array([np.eye(3), np.diag([1.0, 0.0, 0.0])])
-    graph = [np.array([(0, 1), (1, 2)]), np.zeros((2, 3)), information, np.array([False, True])]
+    graph = three_poses()
+    graph[2][1] = np.diag([1.0, 0.0, 0.0])
     if mode in ("pcm", "ours"):
         with pytest.raises(DataError, match="positive definite"):
             solve(mode, np.zeros((3, 3)), graph)
@@ -272,9 +259,8 @@ def test_information_that_leaves_a_direction_open_is_taken_or_refused_in_one_lin
 @pytest.mark.parametrize("held", [-1, 3])
 @pytest.mark.parametrize("mode", MODES)
 def test_a_pose_that_is_not_there_cannot_be_held(mode, held):
-    graph = [np.array([(0, 1), (1, 2)]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.array([False, True])]
     with pytest.raises(DataError, match=f"one of 0 to 2; got {held}"):
-        robust_backend.solve(np.zeros((3, 3)), *graph, PoseGraphConfig(robust=mode), held)
+        robust_backend.solve(np.zeros((3, 3)), *three_poses(), PoseGraphConfig(robust=mode), held)
 
 
 def revise(start, graph, is_used, is_thorough):

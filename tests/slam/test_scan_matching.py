@@ -222,19 +222,18 @@ def calls_of(field, points, guess):
     )
 
 
-@pytest.mark.parametrize("points", [np.zeros((5, 1)), np.zeros((5, 3)), np.zeros(10), np.full((5, 2), np.nan), "here"])
-def test_points_of_another_shape_are_refused(points):
-    field, guess = room_field(), np.zeros(3)
-    for call in calls_of(field, points, guess):
-        with pytest.raises(DataError, match="points must"):
-            call()
+NO_POINTS = [np.zeros((5, 1)), np.zeros((5, 3)), np.zeros(10), np.full((5, 2), np.nan), "here"]
+NO_POSES = [np.zeros(2), np.full(3, np.nan), np.zeros((1, 3)), "here"]
 
 
-@pytest.mark.parametrize("guess", [np.zeros(2), np.full(3, np.nan), np.zeros((1, 3)), "here"])
-def test_guesses_that_are_no_pose_are_refused(guess):
-    field, points = room_field(), scan_points(ROOM_M, RANGE_MAX_M)
-    for call in calls_of(field, points, guess):
-        with pytest.raises(DataError, match="must be a finite pose"):
+@pytest.mark.parametrize(
+    ("points", "guess", "message"),
+    [(points, np.zeros(3), "points must") for points in NO_POINTS]
+    + [(scan_points(ROOM_M, RANGE_MAX_M), guess, "must be a finite pose") for guess in NO_POSES],
+)
+def test_what_are_no_points_or_no_pose_is_refused(points, guess, message):
+    for call in calls_of(room_field(), points, guess):
+        with pytest.raises(DataError, match=message):
             call()
 
 
@@ -252,11 +251,8 @@ def test_fields_of_no_size_are_refused(sizes):
 
 
 def test_lists_match_as_arrays_do():
-    field, points, guess = (
-        LineField(24.0, 0.1, RANGE_MAX_M),
-        scan_points(ROOM_M.tolist(), RANGE_MAX_M),
-        [0.05, 0.02, 0.01],
-    )
+    field, points = LineField(24.0, 0.1, RANGE_MAX_M), scan_points(ROOM_M.tolist(), RANGE_MAX_M)
+    guess = [0.05, 0.02, 0.01]
     field.add([[0.0, 0.0, 0.0]], [ROOM_M.tolist()])
     match = field.refine(points.tolist(), guess, 0.5, 20, 0.04)
     same = room_field().refine(points, np.array(guess), 0.5, 20, 0.04)

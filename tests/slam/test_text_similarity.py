@@ -26,6 +26,8 @@ def edit_distance(a: str, b: str) -> int:
         ("ROOM A301", "ROOM A302", 8 / 9),
         ("FIRE HYDRANT", "FIRE HYDRAN", 11 / 12),
         ("ABC", "XYZ", 0.0),
+        ("", "EXIT", 0.0),
+        ("", "", 0.0),  # an empty text is like nothing, not even itself
     ],
 )
 def test_known_pairs_have_the_similarity_of_equation_five(a, b, expected):
@@ -39,28 +41,13 @@ def test_similarity_is_one_minus_the_edit_distance_over_the_longer_length(a, b):
     assert text_similarity(a, b) == pytest.approx(expected, abs=1e-12)
 
 
-@given(texts, texts)
-def test_similarity_is_symmetric_and_lies_between_zero_and_one(a, b):
-    assert text_similarity(a, b) == text_similarity(b, a)
-    assert 0.0 <= text_similarity(a, b) <= 1.0
-
-
 @given(texts, st.lists(texts, max_size=5, unique=True))
 def test_one_against_many_gives_what_one_against_one_gives(text, others):
     many = AlikeTexts(-1.0)
     for other in others:
         many.number_of(other)
     expected = [text_similarity(text, other) for other in others]
-    assert [s for _, s in many.alike(text)][: len(others)] == pytest.approx(expected, abs=1e-12)
-
-
-def test_an_empty_text_is_like_nothing_not_even_itself():
-    assert text_similarity("", "") == 0.0
-    assert text_similarity("", "EXIT") == 0.0
-
-
-def test_nothing_to_compare_with_gives_no_scores():
-    assert AlikeTexts(-1.0).alike("EXIT") == []
+    assert [s for _, s in many.alike(text)] == pytest.approx(expected, abs=1e-12)
 
 
 def test_normalising_ignores_case_and_spaces():

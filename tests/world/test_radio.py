@@ -3,10 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from twc_env.config import (
-    HighBandConfig,
-    RadioConfig,
-)
+from twc_env.config import HighBandConfig, RadioConfig
 from twc_env.maps import load_map
 from twc_env.world.floorplan import AccessPoint, Floorplan
 from twc_env.world.radio import HIGH_BAND, LOW_BAND, RadioModel

@@ -4,7 +4,6 @@ import pytest
 from twc_env.config import EnvConfig
 from twc_env.maps import load_map, map_names
 from twc_env.world.generate import check_reachable
-from twc_env.world.twins import RADIO_TWINS
 from twc_env.world.world import World
 
 
@@ -19,10 +18,6 @@ def test_radio_twins_have_the_printed_area_and_number_of_transmitters(name, area
     assert sum(len(a.macs) for a in plan.access_points) == macs
     assert plan.name == name and name in map_names()
     World(EnvConfig(), plan).reset(0)
-
-
-def test_all_radio_twins_are_listed():
-    assert set(RADIO_TWINS) <= set(map_names())
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ Cases = dict[str, tuple[Place, float]]
 
 def rows(seeds: Sequence[int], runner: Runner, share: float, processes: int) -> list[dict]:
     """One row a case and method; means over seeds."""
-    cases = _cases(PLACES["semi-indoor"].shortened(share), share)
+    cases = _cases(PLACES["semi-indoor"], share)
     found = runner.grid(cases, seeds, partial(_measured, cases), processes)
     table = []
     for case, mine in found.items():
@@ -36,15 +36,15 @@ def rows(seeds: Sequence[int], runner: Runner, share: float, processes: int) -> 
     return table
 
 
-def _cases(base: Place, share: float) -> Cases:
-    cases = {f"{s:.0%} of the access points": (base, s) for s in AP_SHARES}
+def _cases(whole: Place, share: float) -> Cases:
+    """Named by what they are at the whole length; this share of it is walked, with as much less drift."""
+    cases = {f"{s:.0%} of the access points": (whole, s) for s in AP_SHARES}
     for error_m in ODOMETRY_ERRORS_M:
-        drift = base.drift * error_m / base.odometry_m
-        place = dataclasses.replace(base, odometry_m=error_m, drift=drift)
+        place = dataclasses.replace(whole, odometry_m=error_m, drift=whole.drift * error_m / whole.odometry_m)
         cases[f"odometry off by {error_m:g} m"] = place, 1.0
     for length_m in LENGTHS_M:
-        cases[f"{length_m:.0f} m walked"] = base.shortened(length_m * share / base.length_m), 1.0
-    return cases
+        cases[f"{length_m:.0f} m walked"] = whole.shortened(length_m / whole.length_m), 1.0
+    return {name: (place.shortened(share), heard) for name, (place, heard) in cases.items()}
 
 
 def _measured(cases: Cases, case: str, seed: int) -> dict:
