@@ -19,14 +19,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.command_line import count
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.reproduce.runner import Runner, seeds_argument
 from twc_env.world.floorplan import AccessPoint, Floorplan, Sign
-
-Array = NDArray
 
 SUMMARY = "merges where scans fix little: bare corridors and a hall beyond laser range"
 CHOOSES = ("seeds", "scenes")

@@ -19,7 +19,7 @@ import itertools
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env.command_line import count
@@ -36,8 +36,6 @@ from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.scan_matching import LineField, scan_points
 from twc_env.world.floorplan import Floorplan
-
-Array = NDArray
 
 SUMMARY = "radio and LiDAR on real drives through a flat: trajectory and map"
 CHOOSES = ("runs",)

@@ -11,14 +11,12 @@ import argparse
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.scan_log import read_carmen_log
 from twc_env.reproduce.radio_twins import PLACES, true_path
 from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
 from twc_env.slam.building_axes import LENGTH_M, BuildingAxes
-
-Array = NDArray
 
 SUMMARY = "how near robots keep to the directions of walls: five laser logs beside the walks of radio-table1"
 CHOOSES = ("seeds",)

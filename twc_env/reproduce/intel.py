@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import count
 from twc_env.config import from_dict
@@ -43,8 +43,6 @@ from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.particle_filter import ParticleFilterSettings, map_frames
-
-Array = NDArray
 
 SUMMARY = "the Intel Lab log from raw odometry to a map, as one robot and cut into three that merge by geometry"
 CHOOSES = ("robots", "seeds")

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import count
 from twc_env.config import EnvConfig, override
@@ -32,8 +32,6 @@ from twc_env.slam.scan_matching import LineField, scan_points
 from twc_env.slam.target_walls import FIELD_CELL_M, REFINE_ITERATIONS, REFINE_REACH_M
 from twc_env.world.lidar import Lidar
 from twc_env.world.starts import start_places
-
-Array = NDArray
 
 SUMMARY = "time and success of verifying one loop candidate, with a guess and without"
 CHOOSES = ("buildings",)

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import add_set, assignments, count, natural
 from twc_env.config import EnvConfig, override
@@ -32,8 +32,6 @@ from twc_env.reproduce.runner import Runner
 from twc_env.slam.exchange import KINDS
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.splits import split_names
-
-Array = NDArray
 
 SUMMARY = "map merging from unknown start frames in 100 unseen generated buildings"
 CHOOSES = ("buildings",)

@@ -14,7 +14,7 @@ import zlib
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import count, natural, number
 from twc_env.config import SignsConfig
@@ -28,8 +28,6 @@ from twc_env.world.ocr import read_signs, require
 from twc_env.world.ocr_table import SHIPPED, load_table
 from twc_env.world.sign_picture import View, draw_plate
 from twc_env.world.sign_readers import hidden_part
-
-Array = NDArray
 
 SUMMARY = "misread signs: the fast model against a real OCR on signs it was not made from"
 DISTANCES_M = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)

@@ -16,7 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.optimize import brentq
 from scipy.special import expit
 
@@ -27,8 +27,6 @@ from twc_env.reproduce.runner import Runner
 from twc_env.world.ocr import read_signs, require
 from twc_env.world.ocr_table import FORMAT, GARBLED_RATE, MISS_LENGTH
 from twc_env.world.sign_picture import View, draw_plate
-
-Array = NDArray
 
 HEIGHT_PX = (4.5, 5.2, 6.0, 7.0, 8.5, 10.5, 14.0, 20.0, 36.0)
 INCIDENCE_DEG = (0.0, 35.0, 50.0, 63.0)

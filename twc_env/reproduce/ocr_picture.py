@@ -7,7 +7,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.drawing import new_figure
@@ -16,8 +15,6 @@ from twc_env.world.misreading import TableReader, codes_of, draw_count
 from twc_env.world.ocr import read_signs
 from twc_env.world.ocr_table import load_table
 from twc_env.world.sign_picture import View, draw_plate, expose, picture
-
-Array = NDArray
 
 SAMPLES = (
     ("B114 CLEANROOM", View(30.0, 0.3)),

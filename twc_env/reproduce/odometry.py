@@ -11,7 +11,7 @@ import argparse
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import number
 from twc_env.config import OdometryConfig
@@ -19,8 +19,6 @@ from twc_env.datasets.scan_log import Relations, read_relations, read_scan_log
 from twc_env.geometry import compose, poses_along, travelled_m
 from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
 from twc_env.world.odometry import PRESETS, Odometry
-
-Array = NDArray
 
 SUMMARY = "raw odometry of the Intel Lab log beside the simulated platform at the same relations"
 CHOOSES = ("seeds",)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env.config import EnvConfig, PoseGraphConfig
@@ -25,8 +25,6 @@ from twc_env.slam.loop_verification import LoopVerifier
 from twc_env.slam.odometry_filter import invert_symmetric
 from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
 from twc_env.slam.scan_matching import scan_points
-
-Array = NDArray
 
 BACKENDS = {
     "plain": PoseGraphConfig(robust="plain", iterations_max=100),

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import cdist
 
 from twc_env.reproduce.surveyed_places import Places
 from twc_env.slam.radio_statistics import FLOOR_DBM, RadioStatistics
 from twc_env.slam.text_likelihood import log_text_likelihood
-
-Array = NDArray
 
 SAME_PLACE_M = 5.0
 ELSEWHERE_M = 10.0

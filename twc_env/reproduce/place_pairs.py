@@ -6,9 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray
+from numpy.typing import NDArray as Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import inverse, transform_points
 from twc_env.maps import load_map
 from twc_env.messages import GridMap
 from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.radio_methods import Outcome
-
-Array = NDArray
 
 PATHS = {"odometry": "0.5", "lte": "tab:orange", "wifi": "tab:blue"}
 """Methods whose paths are drawn, and their colours; `lte` and `wifi` have models too."""

@@ -7,12 +7,10 @@ compared.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.optimize import minimize
 
 from twc_env.datasets.fingerprints import RadioSurvey
-
-Array = NDArray
 
 _FAINT_SHARE = 0.3
 """So many of the readings, the faintest, tell where a receiver's hearing ends and how sharply."""

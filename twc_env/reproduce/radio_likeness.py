@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
@@ -19,8 +19,6 @@ from twc_env.datasets.indoor20 import FRESH_S, read_indoor20
 from twc_env.datasets.uw_floor import read_uw_floor
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio_study import Figures, Spread, Study, extent, similarity_figures, spread_over, thinned
-
-Array = NDArray
 
 _APART_S = 30.0
 _ADDRESSES_PER_BOX = 4.83

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, LidarConfig, RadioSlamConfig
 from twc_env.geometry import compose
@@ -23,8 +23,6 @@ from twc_env.slam.distance_factor import Distances
 from twc_env.slam.particle_filter import ParticleFilterSettings, map_frames
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.similarity_model import SimilarityModel
-
-Array = NDArray
 
 LIDAR = LidarConfig(beam_count=360, range_max_m=20.0)
 CONFIG = EnvConfig(robots=1, lidar=LIDAR)

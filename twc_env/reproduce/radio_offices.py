@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
@@ -28,8 +28,6 @@ from twc_env.reproduce.radio_study import (
     thinned,
     with_settings,
 )
-
-Array = NDArray
 
 _DISTANCES_M = np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
 _NEAR_BY_M = 10.0

@@ -12,7 +12,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RADIO_PRESETS, RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
@@ -24,8 +24,6 @@ from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio_study import Figures, Spread, Study, share_near, similarity_figures, with_settings
 from twc_env.reproduce.sfw_authors import LaidWalk, lay
 from twc_env.world.floorplan import AccessPoint, Floorplan
-
-Array = NDArray
 
 _PHONES = 5
 _STROLL_M, _STROLL_SPEED_M_S, _STROLL_STEP_M = 1072.6, 0.42, 1.5

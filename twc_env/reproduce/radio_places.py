@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.ndimage import distance_transform_edt
 
 from twc_env.config import RadioConfig
@@ -24,8 +24,6 @@ from twc_env.world.floor_cells import Cells
 from twc_env.world.floorplan import AccessPoint, Floorplan
 from twc_env.world.radio import RadioModel
 from twc_env.world.reception import WifiReceiver
-
-Array = NDArray
 
 _VENDOR = 0x02_00_5E << 24
 MODULE_M, WALL_DB, OUTER_WALL_DB = 7.0, 4.0, 10.0

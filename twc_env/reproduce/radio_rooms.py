@@ -7,15 +7,13 @@ surveyed, square rooms are drawn.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.ndimage import binary_fill_holes, distance_transform_edt, maximum_filter, median_filter, minimum_filter
 
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.datasets.raster import free_edges, parts
 from twc_env.reproduce.radio_places import MODULE_M, OUTER_WALL_DB, WALL_DB
 from twc_env.world.floorplan import Floorplan
-
-Array = NDArray
 
 CELL_M = 0.2
 REACH_M = 1.7

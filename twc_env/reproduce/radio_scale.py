@@ -13,7 +13,7 @@ import pickle
 import time
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import count, number
 from twc_env.config import RadioSlamConfig
@@ -25,8 +25,6 @@ from twc_env.reproduce.radio_twins import PLACES, radio_config
 from twc_env.reproduce.runner import Runner, seeds_argument
 from twc_env.slam.radio_similarity import FingerprintStore, all_similarities, feature_rows
 from twc_env.slam.radio_trail import RadioTrail
-
-Array = NDArray
 
 SUMMARY = "radio SLAM over ten kilometres: memory and time of a scan; similarity over 100,000 fingerprints"
 CHOOSES = ("seeds",)

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig, from_dict
 from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.metrics.radio import cosine_similarity, distance_at_similarity
 from twc_env.random_streams import random_stream
 
-Array = NDArray
 Figures = dict[str, float]
 
 Spread = dict[str, tuple[float, float, float]]

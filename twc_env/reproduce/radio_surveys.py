@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
 from twc_env.datasets.ble_flat import read_ble_run, read_flat
@@ -27,8 +27,6 @@ from twc_env.reproduce.radio_study import (
     thinned,
 )
 from twc_env.world.floorplan import Floorplan
-
-Array = NDArray
 
 _WALLS_MAX = 2
 _HEARD_MIN = 8

@@ -5,13 +5,11 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig, from_dict
 from twc_env.reproduce import radio_walks
 from twc_env.reproduce.radio_walks import RadioWalk
-
-Array = NDArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.ndimage import gaussian_filter1d
 
 from twc_env.config import LidarConfig, OdometryConfig, RadioConfig
@@ -30,8 +30,6 @@ from twc_env.world.lidar import Lidar, glass_walls
 from twc_env.world.odometry import Odometry
 from twc_env.world.radio import RadioModel
 from twc_env.world.reception import WifiReceiver
-
-Array = NDArray
 
 PLATFORM = "skid-steer"
 PHONES = 5

@@ -12,15 +12,13 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.special import expit
 
 from twc_env.reproduce.place_cues import Cues
 from twc_env.reproduce.place_pairs import average_precision, precision_recall_curve, recall_at_full_precision
 from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
 from twc_env.reproduce.surveyed_places import Floor, draw_places, read_floor
-
-Array = NDArray
 
 SUMMARY = "same place within 5 m on two real floors: text, WiFi, both, and all cues fused"
 CHOOSES = ("seeds",)

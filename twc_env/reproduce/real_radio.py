@@ -46,7 +46,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import count
 from twc_env.config import RadioSlamConfig
@@ -59,8 +59,6 @@ from twc_env.random_streams import random_stream
 from twc_env.reproduce import real_radio_oracle
 from twc_env.reproduce.runner import Runner, chosen, data_folder
 from twc_env.slam import radio_slam, trace_joining
-
-Array = NDArray
 
 SUMMARY = "real phone walks joined by WiFi alone, and a robot's floor with drift"
 CHOOSES = ("floors",)

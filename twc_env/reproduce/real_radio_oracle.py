@@ -11,14 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioSlamConfig
 from twc_env.datasets.step_heading import WalkerTrace
 from twc_env.slam.radio_similarity import all_similarities, feature_rows
 from twc_env.slam.trace_joining import COMPASS_STD_RAD, SHARPNESS
-
-Array = NDArray
 
 CELL_M, MARGIN_M = 2.0, 15.0
 REACH_M, FALL = 2.5, 1.5

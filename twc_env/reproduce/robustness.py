@@ -20,7 +20,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import count
 from twc_env.config import PoseGraphConfig
@@ -31,8 +31,6 @@ from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.reproduce.runner import Runner, chosen, data_folder, seeds_argument
 from twc_env.slam import robust_backend
 from twc_env.slam.pose_graph import Graph
-
-Array = NDArray
 
 SUMMARY = "back ends against false closures on public pose graphs"
 CHOOSES = ("seeds", "other_seeds", "datasets", "shares", "methods")

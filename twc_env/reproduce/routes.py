@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -25,8 +25,6 @@ from twc_env.metrics import path_length_m
 from twc_env.slam.robot import FrontEnds
 from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.world import World
-
-Array = NDArray
 
 CLEARANCE_M = 0.32
 """Routes keep this far from walls."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.ndimage import binary_closing, binary_dilation
 
 from twc_env.datasets.raster import largest_part
@@ -31,8 +31,6 @@ from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.sfw_registration import Registration, register
 from twc_env.reproduce.sfw_walks import RadioWalk
 from twc_env.world.floor_cells import Cells
-
-Array = NDArray
 
 AS_COVERED = "ours, as covered"
 SUMMARY = "inverse k-visibility on the authors' own logs, with the registration fit"

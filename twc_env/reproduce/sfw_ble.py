@@ -15,7 +15,6 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.datasets.ble_flat import read_ble_run, read_flat
 from twc_env.reproduce import radio_places as places
@@ -25,8 +24,6 @@ from twc_env.reproduce.sfw_walks import RadioWalk
 from twc_env.slam.k_clusters import k_means, predict_walls, sliding_window
 from twc_env.slam.k_visibility_signal import fit_alike
 from twc_env.slam.path_bins import bin_along_path
-
-Array = NDArray
 
 SUMMARY = "walls crossed in a real flat with six BLE transmitters"
 _WINDOW = 7

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.world.floorplan import AccessPoint, Floorplan
 from twc_env.world.floorplan_check import validate
-
-Array = NDArray
 
 SIDE_M, SHORT_SIDE_M = (5.0, 11.5), (3.0, 6.0)
 ROOM_MIN_M = 1.9

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.ndimage import binary_dilation, distance_transform_edt, map_coordinates
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
-
-Array = NDArray
 
 _OUTSIDE_WEIGHT = 4.0
 """A path point outside counts this many times as much as a wall point as far from the path."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.metrics.k_visibility import StructureScore, calibration_error, score_structure, truth_map
 from twc_env.reproduce.drawing import can_draw, new_figure
@@ -16,8 +16,6 @@ from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls,
 from twc_env.slam.k_visibility import Structure, map_structure
 from twc_env.slam.k_visibility_grid import FREE_BELOW, UNKNOWN, WALL, WALL_ABOVE
 from twc_env.world.floor_cells import Cells
-
-Array = NDArray
 
 METHODS = ("paper", "ours")
 COMPENSATED = "paper, distance"

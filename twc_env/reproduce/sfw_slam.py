@@ -6,7 +6,7 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig, EnvConfig
 from twc_env.geometry import compose, inverse, transform_points, travelled_m
@@ -14,8 +14,6 @@ from twc_env.reproduce.routes import steer
 from twc_env.slam.modes import make_engine
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.world import World
-
-Array = NDArray
 
 AHEAD_M = 0.15
 _CONFIG = EnvConfig(robots=1, dynamics=DynamicsConfig(robot_radius_m=0.1, speed_max_m_s=0.5))

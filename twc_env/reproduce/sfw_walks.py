@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.ndimage import binary_dilation, label, uniform_filter1d
 
 from twc_env.config import RadioConfig
@@ -17,8 +17,6 @@ from twc_env.reproduce.routes import RoutePlanner
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.radio import RadioModel
 from twc_env.world.reception import WifiReceiver
-
-Array = NDArray
 
 STANDOFF_M = 0.3
 """The walker's sensor keeps this far from the wall that it follows."""

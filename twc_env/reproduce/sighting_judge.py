@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.messages import Keyframe, LoopCandidate
@@ -30,8 +30,6 @@ from twc_env.slam.loop_verification import LoopVerifier
 from twc_env.slam.place_cues import similarities
 from twc_env.slam.text_wifi_recogniser import meet_at_sign
 from twc_env.slam.wayside_recognisers import ScanRecogniser
-
-Array = NDArray
 
 TEXT, WIFI = (0.5, 0.8, 1.0), (0.5, 0.8, 1.0)
 COMBINED = ((0.5, 0.8), (0.8, 0.8), (0.5, 1.0))

@@ -13,7 +13,7 @@ import argparse
 import time
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import count
 from twc_env.config import PoseGraphConfig
@@ -23,8 +23,6 @@ from twc_env.reproduce.robustness import DATASETS, dead_reckoning, read_graph
 from twc_env.reproduce.runner import Runner, chosen, data_folder
 from twc_env.slam import pose_graph
 from twc_env.slam.pose_graph import Graph
-
-Array = NDArray
 
 SUMMARY = "our pose-graph solver beside gtsam's, on public graphs from odometry"
 CHOOSES = ("datasets",)

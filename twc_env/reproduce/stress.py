@@ -18,7 +18,6 @@ import re
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.command_line import count, natural
 from twc_env.exploration.environment import ExplorationEnv
@@ -28,8 +27,6 @@ from twc_env.random_streams import random_stream
 from twc_env.reproduce.merging import STEPS_PER_M, begin, first_buildings, overlapping_ways, walk_on
 from twc_env.reproduce.runner import Runner
 from twc_env.world.floorplan import Floorplan
-
-Array = NDArray
 
 SUMMARY = "the engine without signs, WiFi, link or a robot, with an odd device, repeated names and worse lasers"
 CHOOSES = ("buildings", "conditions")

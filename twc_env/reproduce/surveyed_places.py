@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import cdist
 
@@ -17,8 +17,6 @@ from twc_env.random_streams import random_stream
 from twc_env.slam.text_similarity import normalise
 from twc_env.world.floorplan import Floorplan
 from twc_env.world.signs import SignCamera
-
-Array = NDArray
 
 PLACE_STEP_M = 4.0
 TRACE_SHARE = 0.8

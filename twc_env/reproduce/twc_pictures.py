@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env.config import EnvConfig
@@ -16,8 +16,6 @@ from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.offline_mapping import Matched, OfflineMap, point_cloud, wall_thickness_m
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.twc_scenes import SCENES
-
-Array = NDArray
 
 METHODS = ("lidar", "text", "wifi", "twc", "fused")
 BACKENDS = ("plain", "ours")

@@ -23,15 +23,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig, override
 from twc_env.maps import load_map
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.routes import RoutePlanner, Walk, room_tour, walk
 from twc_env.world.floorplan import Floorplan, Room, Sign
-
-Array = NDArray
 
 SCENES: dict[str, tuple[str, tuple[tuple[int, ...], ...]]] = {
     "#01": ("twin-01", ((0, 1, 2, 3), (3, 2, 1, 0))),

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import number
 from twc_env.config import EnvConfig, override
@@ -33,8 +33,6 @@ from twc_env.reproduce.runner import Runner, seeds_argument
 from twc_env.reproduce.sighting_judge import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, judge, judge_some
 from twc_env.reproduce.twc_scenes import AS_DRAWN, DEPARTMENTS, SCENES, walk_scene
 from twc_env.slam.rssi_similarity import BY_DISTANCE, COSINES
-
-Array = NDArray
 
 RSSI_MODES = (*BY_DISTANCE, *COSINES, "paper")
 SUMMARY = "TWC-SLAM Table I: precision and recall of text, WiFi, both, laser and all cues fused"

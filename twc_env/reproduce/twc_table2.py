@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env.config import EnvConfig, override
@@ -49,8 +49,6 @@ from twc_env.reproduce.runner import Runner, seeds_argument
 from twc_env.reproduce.twc_scenes import SCENES, SIGNS, walk_scene
 from twc_env.reproduce.twc_table1 import PRINT as PRINT_TABLE1
 from twc_env.slam.team import TeamMapper
-
-Array = NDArray
 
 SUMMARY = "TWC-SLAM Table II: errors of the maps by text, WiFi, both, laser and all cues fused, by back end"
 CHOOSES = ("seeds", "scenes")
