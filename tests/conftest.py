@@ -37,6 +37,20 @@ def wander():
     return wander_by_scan
 
 
+@pytest.fixture
+def refusal(capsys):
+    """The one line with which a command refuses its arguments."""
+
+    def refusal_of(main, arguments) -> str:
+        capsys.readouterr()
+        assert main(arguments) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("error: ") and said.count("\n") == 1
+        return said
+
+    return refusal_of
+
+
 @pytest.fixture(scope="session")
 def kernel_forks(tmp_path_factory):
     """Processes that compile kernels; numba is made ready once for all of them."""

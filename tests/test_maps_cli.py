@@ -173,12 +173,10 @@ def test_schema_prints_the_schema(capsys):
         (["check", "none"], "one check failed"),
     ],
 )
-def test_mistakes_end_with_one_line_and_status_2(arguments, message, capsys, tmp_path, monkeypatch):
+def test_mistakes_end_with_one_line_and_status_2(arguments, message, refusal, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken").touch()
-    assert run(*arguments) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and message in error and error.count("\n") == 1
+    assert message in refusal(main, ["maps", *arguments])
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,10 @@ def needs(*modules: str, extra: str):
     return found[-1]
 
 
+def shown_team(max_cycles=8, config=SMALL):
+    return twc_env.parallel_env(robots=2, max_cycles=max_cycles, config=config, render_mode="rgb_array")
+
+
 def make_alone():
     return gymnasium.make(ID, max_cycles=8, config=SMALL)
 
@@ -80,19 +84,6 @@ def test_gymnasium_runs_the_single_view_in_processes_as_it_does_in_one():
         played.append({key: block.copy() for key, block in observations.items()})
         envs.close()
     assert all(np.array_equal(played[0][key], played[1][key]) for key in played[0])
-
-
-def test_stable_baselines_trains_one_policy_for_all_robots():
-    ppo = needs("torch", "stable_baselines3", extra="train").PPO
-    from twc_env.sb3 import TeamVecEnv
-
-    envs = TeamVecEnv(2, {**SMALL, "robots": 2, "max_cycles": 8, "observation.kind": "flat"})
-    model = ppo("MlpPolicy", envs, n_steps=8, batch_size=16, n_epochs=1, seed=0, device="cpu")
-    before = [p.detach().clone() for p in model.policy.parameters()]
-    model.learn(32)
-    assert model.num_timesteps == 32
-    assert any(bool((a != b).any()) for a, b in zip(before, model.policy.parameters(), strict=True))
-    envs.close()
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning", "ignore::FutureWarning")
@@ -171,9 +162,7 @@ def test_a_team_is_filmed_one_file_for_each_episode(tmp_path):
     image = pytest.importorskip("PIL.Image", reason="needs the extra 'viz'")
     from twc_env.video import RecordEpisodes
 
-    env = RecordEpisodes(
-        twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL, render_mode="rgb_array"), tmp_path / "films", every=2
-    )
+    env = RecordEpisodes(shown_team(), tmp_path / "films", every=2)
     for seed in (0, 1):
         env.reset(seed=seed)
         while env.agents:
@@ -190,9 +179,7 @@ def test_actions_that_last_are_filmed_time_step_by_time_step(tmp_path):
     image = pytest.importorskip("PIL.Image", reason="needs the extra 'viz'")
     from twc_env.video import RecordEpisodes
 
-    settings = {**SMALL, "action.kind": "waypoint"}
-    team = twc_env.parallel_env(robots=2, max_cycles=30, config=settings, render_mode="rgb_array")
-    env = RecordEpisodes(team, tmp_path, every=3)
+    env = RecordEpisodes(shown_team(30, {**SMALL, "action.kind": "waypoint"}), tmp_path, every=3)
     env.reset(seed=0)
     decisions = 0
     while env.agents:
@@ -207,7 +194,7 @@ def test_who_closes_a_film_keeps_no_more_pictures(tmp_path, monkeypatch):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
     from twc_env import video
 
-    team = twc_env.parallel_env(robots=2, max_cycles=4, config=SMALL, render_mode="rgb_array")
+    team = shown_team(4)
     made, filmed = video.film_frame, []
     monkeypatch.setattr(video, "film_frame", lambda *given: filmed.append(given) or made(*given))
     film = video.RecordEpisodes(team, tmp_path, every=1)
@@ -237,9 +224,7 @@ def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeyp
         return frame
 
     monkeypatch.setattr(video, "film_frame", seen)
-    env = video.RecordEpisodes(
-        twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL, render_mode="rgb_array"), tmp_path, every=4
-    )
+    env = video.RecordEpisodes(shown_team(), tmp_path, every=4)
     env.reset(seed=0)
     while env.agents:
         env.step({agent: np.array([0.9, 0.5], np.float32) for agent in env.agents})
@@ -269,7 +254,7 @@ def test_filming_needs_pictures_and_changes_nothing(tmp_path, same_last=("lidar"
     (tmp_path / "file").touch()
     with pytest.raises(DataError, match="choose another folder"):
         RecordEpisodes(twc_env.parallel_env(render_mode="rgb_array"), tmp_path / "file")
-    plain = twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL, render_mode="rgb_array")
+    plain = shown_team()
     filmed = RecordEpisodes(pickle.loads(pickle.dumps(plain)), tmp_path)
     seen = []
     for env in (plain, filmed):

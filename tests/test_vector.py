@@ -104,16 +104,12 @@ def test_a_dead_worker_is_reported():
     teams.close()
 
 
-@pytest.mark.parametrize("count", [0, -1, 2.5, "2", True, None])
-def test_what_is_no_number_of_environments_is_refused(count):
-    with pytest.raises(ConfigError, match=f"count must be a whole number from 1 on; got {count!r}"):
-        VectorTeams(count, SMALL)
-
-
-@pytest.mark.parametrize("workers", [-1, 0.5, "1", True, None])
-def test_what_is_no_number_of_workers_is_refused(workers):
-    with pytest.raises(ConfigError, match=f"workers must be a whole number from 0 on; got {workers!r}"):
-        VectorTeams(2, SMALL, workers)
+@pytest.mark.parametrize(("what", "least"), [("count", 1), ("workers", 0)])
+@pytest.mark.parametrize("number", [-1, 0.5, "1", True, None])
+def test_what_is_no_number_of_environments_or_workers_is_refused(what, least, number):
+    for wrong in (number, least - 1):
+        with pytest.raises(ConfigError, match=f"{what} must be a whole number from {least} on; got {wrong!r}"):
+            VectorTeams(**{"count": 2, what: wrong}, config=SMALL)
 
 
 def test_numbers_of_numpy_count_environments_and_workers():
@@ -230,18 +226,21 @@ def test_sb3_contrib_learns_with_masks():
     rows.close()
 
 
-def test_stable_baselines_trains_on_rows_of_robots():
+@pytest.mark.parametrize(
+    ("policy", "config"), [("MultiInputPolicy", CHOICES), ("MlpPolicy", {**SMALL, "observation.kind": "flat"})]
+)
+def test_stable_baselines_trains_one_policy_on_rows_of_robots(policy, config):
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
     from stable_baselines3 import PPO
 
     from twc_env.sb3 import TeamVecEnv
 
-    rows = TeamVecEnv(2, CHOICES, seed=3)
+    rows = TeamVecEnv(2, config, seed=3)
     assert rows.num_envs == 4
-    model = PPO("MultiInputPolicy", rows, n_steps=16, batch_size=32, n_epochs=1, seed=0, device="cpu")
-    model.learn(64)
-    assert model.num_timesteps == 64
+    model = PPO(policy, rows, n_steps=32, batch_size=32, n_epochs=1, seed=0, device="cpu")
+    before = [p.detach().clone() for p in model.policy.parameters()]
+    model.learn(128)
+    assert model.num_timesteps == 128
+    assert any(bool((a != b).any()) for a, b in zip(before, model.policy.parameters(), strict=True))
     assert len(model.ep_info_buffer) >= 2
-    flat = TeamVecEnv(1, {**SMALL, "observation.kind": "flat"})
-    assert flat.reset().shape == (2, *flat.observation_space.shape)
     rows.close()

@@ -47,12 +47,10 @@ def test_other_seeds_are_refused(text):
 
 
 @pytest.mark.parametrize("command", ["explore", "benchmark", "compare --buildings 1", "radio-survey"])
-def test_a_folder_that_cannot_be_written_is_refused_before_the_first_episode(command, tmp_path, capsys, monkeypatch):
+def test_a_folder_that_cannot_be_written_is_refused_before_the_first_episode(command, tmp_path, refusal, monkeypatch):
     monkeypatch.setattr("twc_env.parallel_env", None)
     (tmp_path / "file").write_text("")
-    assert main([*command.split(), "--out", str(tmp_path / "file")]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: cannot write to the folder") and error.count("\n") == 1
+    assert "cannot write to the folder" in refusal(main, [*command.split(), "--out", str(tmp_path / "file")])
 
 
 @pytest.mark.parametrize("arguments", ["benchmark --jobs 0", "compare --buildings 0", "explore --steps 0"])

@@ -127,14 +127,13 @@ def test_numbers_that_make_no_table_are_refused_by_the_command_line(arguments, m
         ("sfw-houseexpo", "holds no plans"),
     ],
 )
-def test_what_cannot_be_done_is_said_before_the_first_part(arguments, message, tmp_path, capsys, monkeypatch):
+def test_what_cannot_be_done_is_said_before_the_first_part(arguments, message, tmp_path, refusal, monkeypatch):
     monkeypatch.setenv("TWC_DATA", str(tmp_path))
     file = tmp_path / "file"
     file.write_text("")
     texts = arguments.format(file=file).split()
-    assert command(["reproduce", *(texts if "--cache" in texts else [*texts, "--cache", str(tmp_path / "parts")])]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and message in error and error.count("\n") == 1
+    cache = [] if "--cache" in texts else ["--cache", str(tmp_path / "parts")]
+    assert message in refusal(command, ["reproduce", *texts, *cache])
     assert file.read_text() == ""
 
 

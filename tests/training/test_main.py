@@ -28,12 +28,9 @@ from training.__main__ import main
         ),
     ],
 )
-def test_a_wrong_command_ends_in_one_line_that_names_the_remedy(arguments, message, tmp_path, capsys, monkeypatch):
+def test_a_wrong_command_ends_in_one_line_that_names_the_remedy(arguments, message, tmp_path, refusal, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and message in error
-    assert error.count("\n") == 1
+    assert message in refusal(main, arguments)
 
 
 def test_without_torch_the_error_names_what_to_install():
