@@ -276,6 +276,8 @@ class TeamMapper:
         pose_a_b = proposal.pose_a_b
         if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, pose_a_b):
             return False
+        if not self._config.cues.lidar and not self._judge.is_placed(proposal, pending, robots_a):
+            return False
         if self._config.merging.wifi_check and not self._judge.radio_allows(robots_a, robots_b, pose_a_b):
             return False
         if self._judge.signs_disagree(robots_a, robots_b, pose_a_b):
