@@ -256,7 +256,8 @@ class Belief:
     pose_odom: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) where its front end has it, in the frame it started in: smooth, never corrected."""
     pose_std: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) how far the path may have strayed since the robot's last closure [m, m, rad], as the engine reckons."""
+    """(3,) how far the path may have strayed since the robot's last closure [m, m, rad]; `reproduce stress` has it
+    beside what the error was."""
     since_closure_m: float = 0.0
     """Path length since that closure; since the start where there was none."""
     contact_steps: dict[int, int] = field(default_factory=dict)

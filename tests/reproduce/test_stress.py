@@ -25,5 +25,8 @@ def test_a_lost_robot_is_reported_and_merges_nothing_wrongly(rows_of, monkeypatc
     normal, lost = rows_of(stress, "--buildings", "1", "--conditions", "robot lost")
     assert (normal["condition"], lost["condition"]) == ("normal", "robot lost")
     assert normal["d_ate"] == normal["d_merged"] == 0.0 and normal["merged_share"] == 1.0
+    for row in (normal, lost):
+        assert row["pose_std_m"] / 4 < row["pose_error_m"] < 4 * row["pose_std_m"]
+        assert row["heading_std_deg"] / 8 < row["heading_error_deg"] < 4 * row["heading_std_deg"]
     assert lost["wrong_merges"] == 0 and "not heard since" in lost["lacked"]
     assert lost["d_ate"] == pytest.approx(lost["ate_m"] - normal["ate_m"], abs=1e-3)

@@ -3,7 +3,9 @@
 Episodes are those of `merging`: robots without a common frame walk through unseen buildings on ways that overlap
 partly. Conditions: no signs are read; no WiFi is heard; the link is cut for the middle third of the episode; the last
 robot stops for good half-way; the last robot's receiver reads 10 dB too much; every name hangs at two places or more;
-laser scanners have 60 beams, err by 5 cm (`rough`), or have 36 beams and err by 3 cm (`cheap`). `d_` columns are the
+laser scanners have 60 beams, err by 5 cm (`rough`), have 36 beams and err by 3 cm (`cheap`), or are not matched at all.
+`pose_error_m` is how far robots strayed on their ways since a closure (root mean square along an axis), `pose_std_m`
+how far they believed they might have; `heading_` the same of the heading. `d_` columns are the
 mean difference to the normal run of the same building, with its spread over buildings (`sd_`). `ate_m` aligns every
 group of merged robots once. `lacked` is what the engine's own report names in more episodes than normally (numbers as
 #).
@@ -14,29 +16,34 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import itertools
+import math
 import re
 from collections import Counter
 
 import numpy as np
+from numpy.typing import NDArray as Array
 
 from twc_env.command_line import count, natural
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
+from twc_env.metrics.consistency import errors_since_closure
 from twc_env.random_streams import random_stream
 from twc_env.reproduce.merging import STEPS_PER_M, begin, first_buildings, overlapping_ways, walk_on
 from twc_env.reproduce.runner import Runner
 from twc_env.world.floorplan import Floorplan
 
-SUMMARY = "the engine without signs, WiFi, link or a robot, with an odd device, repeated names and worse lasers"
+SUMMARY = "the engine without signs, WiFi, link or a robot, with an odd device, repeated names, worse lasers or none"
 CHOOSES = ("buildings", "conditions")
 CONDITIONS = (
     "normal", "no signs", "no WiFi", "link cut", "robot lost", "odd device", "repeated names", "60 beams",
-    "rough laser", "cheap laser",
+    "rough laser", "cheap laser", "no laser",
 )  # fmt: skip
 CRUISE_STEPS_PER_M = 14.0
 """About how many steps a walker needs for a metre; failures come at shares of the longest way."""
 LACKS_SHOWN = 3
+SAMPLE_STEPS = 10
+"""Every so many steps robots are asked how sure they are."""
 FIGURES = {"merged": "merged_share", "ate": "ate_m", "coverage": "coverage_correct"}
 
 
@@ -53,7 +60,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     conditions = list(dict.fromkeys(["normal", *options.conditions]))
     parts = list(itertools.product(first_buildings(options.buildings), conditions))
     found = runner.each(parts, lambda part: episode(part[0], part[1], options.robots, options.seed), " ".join)
-    runs = {condition: found[k :: len(conditions)] for k, condition in enumerate(conditions)}
+    runs = {c: [run for (_, name), run in zip(parts, found, strict=True) if name == c] for c in conditions}
     return [_row(condition, runs[condition], runs["normal"]) for condition in conditions]
 
 
@@ -69,8 +76,12 @@ def episode(building: str, condition: str, robots: int, seed: int) -> dict:
     env = ExplorationEnv(config={**base, **changes}, floorplan=plan)
     walkers = begin(env, ways, seed)
     lost = changes.get("failure.robots", 0)
+    told = []
     while env.agents and not all(walker.is_done for walker in walkers[: robots - lost]):
         walk_on(env, walkers)
+        if env.episode.steps % SAMPLE_STEPS == 0:
+            told.append(_told(env))
+    errors, stds = errors_since_closure(*(np.array(values) for values in zip(*told, strict=True)))
     env.engine.finish()
     figures = env.result().figures
     return {
@@ -79,7 +90,22 @@ def episode(building: str, condition: str, robots: int, seed: int) -> dict:
         "ate_m": figures["team_ate_m"],
         "coverage_correct": figures["coverage_correct"],
         "lacked": figures["lacked"],
+        "ways": len(errors),
+        "error_squared": np.square(errors).sum(axis=0).tolist(),
+        "std_squared": np.square(stds).sum(axis=0).tolist(),
     }
+
+
+def _told(env: ExplorationEnv) -> tuple[Array, Array, Array, list[float], list[int]]:
+    """Of all robots now: believed poses, true ones, standard deviations, path since a closure, version of the map."""
+    beliefs = [env.belief(agent) for agent in env.possible_agents]
+    return (
+        np.array([belief.pose_map_robot for belief in beliefs]),
+        env.episode.world.poses.copy(),
+        np.array([belief.pose_std for belief in beliefs]),
+        [belief.since_closure_m for belief in beliefs],
+        [belief.map_version for belief in beliefs],
+    )
 
 
 def settings(condition: str, steps: int) -> dict:
@@ -93,6 +119,7 @@ def settings(condition: str, steps: int) -> dict:
         "60 beams": {"lidar.beam_count": 60},
         "rough laser": {"lidar.range_noise_std_m": 0.05},
         "cheap laser": {"lidar.beam_count": 36, "lidar.range_noise_std_m": 0.03},
+        "no laser": {"slam.cues.lidar": False},
     }
     return changes.get(condition, {})
 
@@ -114,6 +141,7 @@ def _row(condition: str, runs: list[dict], normal: list[dict]) -> dict:
     for key in ("merged_share", "ate_m", "coverage_correct"):
         row[key] = round(float(np.mean([run[key] for run in runs])), 4)
     row["wrong_merges"] = sum(run["wrong_merges"] for run in runs)
+    row |= _surety(runs)
     row["ate_worst_m"] = round(max(run["ate_m"] for run in runs), 4)
     for name, key in FIGURES.items():
         difference = np.array([run[key] - other[key] for run, other in zip(runs, normal, strict=True)])
@@ -124,6 +152,17 @@ def _row(condition: str, runs: list[dict], normal: list[dict]) -> dict:
     new = sorted(here, key=lambda kind: (there[kind] - here[kind], kind))[:LACKS_SHOWN]
     row["lacked"] = "; ".join(f"{kind} ({here[kind]} of {len(runs)}, normally {there[kind]})" for kind in new)
     return row
+
+
+def _surety(runs: list[dict]) -> dict:
+    """Root mean squares over all ways since a closure: what robots got wrong, and how unsure they were of it."""
+    ways = max(sum(run["ways"] for run in runs), 1)
+    out = {}
+    for name in ("error", "std"):
+        x, y, heading = np.sum([run[f"{name}_squared"] for run in runs], axis=0) / ways
+        out[f"pose_{name}_m"] = round(math.sqrt(0.5 * (x + y)), 4)
+        out[f"heading_{name}_deg"] = round(math.degrees(math.sqrt(heading)), 3)
+    return out
 
 
 def _kind(line: str) -> str:

@@ -30,6 +30,10 @@ from twc_env.whole_copy import CopiedWhole
 _STEPS_AT_ONCE = 16
 """Steps whose arrays are made together, which takes half the time."""
 
+MATCHED_STD_SHARE = 0.25
+"""Ways whose scans were matched stray by about so much of what the covariances of their pieces add up to, which are
+loose on purpose: they are the weights that closures are held against."""
+
 
 @borrowing_kernel
 def _believed_poses(held, poses_odom, mates, out, mate_poses):
@@ -37,14 +41,15 @@ def _believed_poses(held, poses_odom, mates, out, mate_poses):
 
     Also where its mates are in the map: now, or when they were heard of last.
     """
-    poses_map_odom, std, are_heard_now, heard_poses = parts_of(held)
+    poses_map_odom, std, std_share, are_heard_now, heard_poses = parts_of(held)
     for k in range(out.shape[0]):
         c, s = math.cos(poses_map_odom[k, 2]), math.sin(poses_map_odom[k, 2])
         x, y, heading = poses_odom[k, 0], poses_odom[k, 1], poses_odom[k, 2]
         out[k, 0, 0] = poses_map_odom[k, 0] + c * x - s * y
         out[k, 0, 1] = poses_map_odom[k, 1] + s * x + c * y
         out[k, 0, 2] = (poses_map_odom[k, 2] + heading + math.pi) % (2 * math.pi) - math.pi
-        out[k, 1, 0], out[k, 1, 1], out[k, 1, 2] = std[k, 0], std[k, 1], std[k, 2]
+        for j in range(3):
+            out[k, 1, j] = std_share * std[k, j]
         out[k, 2, 0], out[k, 2, 1], out[k, 2, 2] = x, y, heading
     for k in range(mates.shape[0]):
         for a in range(mates.shape[1]):
@@ -108,7 +113,8 @@ class CooperativeSlam(CopiedWhole):
         """As `TeamBeliefs.poses`."""
         self._poses_map_odom = np.zeros((robot_count, 3))
         self._since_closure_m, self._std = np.zeros(robot_count), np.zeros((robot_count, 3))
-        """Of each robot: path length since its last closure, and what may have gone astray on it."""
+        """Of each robot: path length since its last closure, and what the covariances on it add up to."""
+        self._std_share = MATCHED_STD_SHARE if config.slam.cues.lidar else 1.0
         self._mates, self._mate_poses, self._contact_steps = nobody(robot_count)
         """As `TeamBeliefs` has them."""
         self._others = np.array([[r for r in range(robot_count) if r != k] for k in range(robot_count)], np.int64)
@@ -218,7 +224,7 @@ class CooperativeSlam(CopiedWhole):
         self._beliefs = None
         now = self.poses_odom, self._mates, self._poses, self._mate_poses
         if self._run is None:
-            held = self._poses_map_odom, self._std, self._is_central, self._heard_poses
+            held = self._poses_map_odom, self._std, self._std_share, self._is_central, self._heard_poses
             self._run = bound(_believed_poses, Lent(held), *now)
         self._run(*now)
 
