@@ -52,7 +52,7 @@ def test_odometry_makes_the_whole_turns_that_the_gyro_counts():
 
 
 @needs_data
-def test_the_engine_runs_on_a_robots_radio_log_and_betters_its_odometry():
+def test_the_engine_runs_on_a_robots_radio_log_and_puts_its_odometry_right():
     survey = read_uw_floor(DATA / "wifi" / "uw_floor" / "uw-floor.txt")
     true, shares = np.column_stack([survey.position_m, np.zeros(len(survey.position_m))]), []
     for seed in range(8):
@@ -69,7 +69,7 @@ def test_the_engine_runs_on_a_robots_radio_log_and_betters_its_odometry():
         )
         shares.append(by_engine / by_odometry)
     assert max(shares) < 1.0
-    assert np.mean(shares) < 0.85
+    assert np.mean(shares) < 0.25
 
 
 @needs_data

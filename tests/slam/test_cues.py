@@ -82,7 +82,7 @@ def test_no_combination_of_cues_is_worse_than_odometry(subset, drives, blind):
     elif "text" in subset:
         assert error < 0.9 * blind
     elif "wifi" in subset:
-        assert error < 0.98 * blind, "ties between places heard twice draw the path in"
+        assert error < 0.75 * blind, "WiFi puts odometry right"
 
 
 def test_a_cue_that_is_switched_off_is_not_heard():

@@ -87,7 +87,7 @@ class MapOptimiser:
         if first > 0 and self._optimise_latest(group, first):
             self.settled_maps.note(robots, count, is_whole=False)
             return
-        self._optimise_whole(group, is_thorough)
+        self._optimise_whole(group, is_thorough, is_last=is_thorough)
         self.settled_maps.note(robots, count, is_whole=True)
         end = self.settled_maps.first_unsettled(robots, count, arrived)
         if self._forgetting is not None and not is_thorough and end > 0:
@@ -124,7 +124,7 @@ class MapOptimiser:
     def _is_refused_often(self, robots: tuple[int, ...], refused: int) -> bool:
         return refused >= max(REFUSED_MIN, 1.5 * self._refused_heard.get(robots, 0))
 
-    def _optimise_whole(self, group: int, is_thorough: bool) -> None:
+    def _optimise_whole(self, group: int, is_thorough: bool, is_last: bool) -> None:
         robots = self._maps.groups[group].robots
         nodes, edges, graph, is_used = self._graph.part(robots)
         if len(nodes) < 2:
@@ -142,6 +142,6 @@ class MapOptimiser:
         poses = result.poses
         if self._radio is not None:
             local = self._graph.places_among(robots, nodes)
-            poses = self._radio.fit(robots, graph.of(result.accepted), poses, local, fixed)
+            poses = self._radio.fit(robots, graph.of(result.accepted), poses, local, fixed, is_last)
         self._graph.place(nodes, poses)
         self._maps.redraw_if_moved(group)

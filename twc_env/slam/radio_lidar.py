@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import between, wrap_angle
+from twc_env.geometry import between
 from twc_env.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam import radio_cue, radio_slam, robust_backend, scan_alignment
 from twc_env.slam.loop_verification import LoopVerifier
@@ -45,15 +45,9 @@ class RadioLidarResult:
     radio: radio_slam.RadioResult
 
 
-def radio_log(keyframes: Sequence[Keyframe]) -> radio_slam.RadioLog:
-    """Keyframes of one robot as a log for radio SLAM."""
-    motions = np.array([k.motion for k in keyframes[1:]]).reshape(-1, 3)
-    return radio_slam.RadioLog(motions, wrap_angle(motions[:, 2]), [k.fingerprint for k in keyframes])
-
-
 def solve(keyframes: Sequence[Keyframe], config: EnvConfig, cues: Sequence[str] = radio_cue.CUES) -> RadioLidarResult:
     """Trajectory and occupancy map from one robot's keyframes, in order."""
-    radio = radio_slam.solve(radio_log(keyframes), config.slam.radio_slam, cues)
+    radio = radio_slam.solve(radio_slam.log_of(keyframes), config.slam.radio_slam, cues)
     poses = radio.poses
     closures: tuple[LoopClosure, ...] = ()
     for reach_m, source in ROUNDS:

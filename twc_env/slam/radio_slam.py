@@ -23,7 +23,7 @@ from scipy.stats import spearmanr
 from twc_env.config import RadioSlamConfig
 from twc_env.errors import DataError
 from twc_env.geometry import between, compose, inverse, poses_along, wrap_angle
-from twc_env.messages import Fingerprint
+from twc_env.messages import Fingerprint, Keyframe
 from twc_env.slam import radio_closures, radio_cue, radio_field
 from twc_env.slam.distance_factor import Distances, together
 from twc_env.slam.given_fingerprints import given_fingerprints
@@ -93,6 +93,12 @@ class RadioLog:
     def travel_m(self) -> Array:
         """(n,) path length."""
         return np.concatenate([[0.0], np.cumsum(np.hypot(self.motions[:, 0], self.motions[:, 1]))])
+
+
+def log_of(keyframes: Sequence[Keyframe]) -> RadioLog:
+    """Keyframes of one robot, in order, as a log."""
+    motions = np.array([k.motion for k in keyframes[1:]]).reshape(-1, 3)
+    return RadioLog(motions, wrap_angle(motions[:, 2]), [k.fingerprint for k in keyframes])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,10 @@ places is compared with the field that the places of other visits near by span, 
 (`radio_field`), and tied to the nearest of them. Ties are made anew from where the keyframes stand each time, so the
 graph does not fill with them, and one that contradicts the present estimate has little weight: radio corrects what
 drifts slowly and leaves alone what it cannot explain.
+
+Ties alone cannot undo what odometry has bent: its edges hold each motion as tightly as noise that strikes anew with
+every one allows, not scale and curl. Of a robot alone without laser radio SLAM puts the odometry right first
+(`radio_odometry`).
 """
 
 from __future__ import annotations
@@ -13,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import PoseGraphConfig, RadioSlamConfig
+from twc_env.geometry import compose, poses_along
 from twc_env.messages import Keyframe
 from twc_env.slam.pose_graph import Graph, squared_errors
 from twc_env.slam.pose_graph import optimise as graph_fit
 from twc_env.slam.radio_field import learn_worth, ties
+from twc_env.slam.radio_odometry import RadioOdometry
 from twc_env.slam.radio_similarity import feature_rows, split_cues
 
 Array = NDArray
@@ -33,34 +39,46 @@ FAR_M = 1e5
 class RadioTies:
     """What was heard at the places of all robots, and the ties that follow from it."""
 
-    def __init__(self, config: RadioSlamConfig, robot_count: int):
+    def __init__(self, config: RadioSlamConfig, robot_count: int, has_laser: bool):
         self._config = config
+        self._odometry = None if has_laser or robot_count > 1 else RadioOdometry(config)
+        """None with a laser, by which odometry is better than radio knows, and in teams: odometry as it was read judges
+        their merges."""
         self._places: list[list[Keyframe]] = [[] for _ in range(robot_count)]
         self._untied = [0] * robot_count
 
     def add(self, keyframe: Keyframe) -> bool:
         """Remember what was heard at a keyframe; whether its map should be optimised now."""
         robot, places = keyframe.robot, self._places[keyframe.robot]
-        if not len(keyframe.fingerprint.macs):
-            return False
-        if places and keyframe.travel_m - places[-1].travel_m < self._config.spacing_m:
-            return False
-        places.append(keyframe)
-        self._untied[robot] += 1
-        return self._untied[robot] >= PLACES_PER_TURN
+        is_due = False
+        if self._odometry is not None:
+            self._odometry.add(keyframe)
+            is_due = self._odometry.is_due
+        is_near = places and keyframe.travel_m - places[-1].travel_m < self._config.spacing_m
+        if len(keyframe.fingerprint.macs) and not is_near:
+            places.append(keyframe)
+            self._untied[robot] += 1
+            is_due |= self._untied[robot] >= PLACES_PER_TURN
+        return is_due
 
     def fit(
-        self, robots: tuple[int, ...], graph: Graph, poses: Array, local: dict[tuple[int, int], int], fixed: int
-    ) -> Array:
+        self, robots: tuple[int, ...], graph: Graph, poses: Array, local: dict[tuple[int, int], int], fixed: int,
+        is_last: bool = False,
+    ) -> Array:  # fmt: skip
         """Poses (n, 3) of a map of some robots by what its graph says, all of which is believed, and by radio.
 
-        `local` says which of the poses a robot's keyframe is; pose `fixed` is held.
+        `local` says which of the poses a robot's keyframe is; pose `fixed` is held. `is_last`: no more will come.
         """
         places = [place for robot in robots for place in self._places[robot]]
         for robot in robots:
             self._untied[robot] = 0
         if not places:
             return poses
+        if self._odometry is not None:
+            if is_last or self._odometry.is_due:
+                self._odometry.solve(is_last)
+            if self._odometry.is_righted:
+                graph, poses = _righted(graph, poses, self._odometry.motions)
         nodes = np.array([local[place.robot, place.index] for place in places])
         for cue in BANDWIDTH_M:
             found = self._ties(cue, places, poses[nodes])
@@ -94,3 +112,10 @@ class RadioTies:
             feature, poses[:, :2], travel, bandwidth_m, self._config.apart_m, worth, MOVED_PER_BANDWIDTH * bandwidth_m
         )
         return (found.pairs, *found.relative(poses)) if len(found.pairs) else None
+
+
+def _righted(graph: Graph, poses: Array, motions: Array) -> tuple[Graph, Array]:
+    """The graph of one robot with other motions (n - 1, 3) as odometry, and poses (n, 3) by these from its first."""
+    measured = graph.measured.copy()
+    measured[~graph.is_closure] = motions
+    return Graph(graph.edges, measured, graph.information, graph.is_closure), compose(poses[0], poses_along(motions))

@@ -61,7 +61,7 @@ class TeamMapper:
         self._judge = MergeJudge(config.slam.merging, self._graph, places.spares_missing_cues, places.meets_by_wifi)
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
-        self._radio = RadioTies(radio, robot_count) if radio.online else None
+        self._radio = RadioTies(radio, robot_count, config.slam.cues.lidar) if radio.online else None
         forgetting = None
         if self._radio is None and not self._on_request:  # else something looks back at all keyframes
             forgetting = Forgetting(self._graph, (self._search, self._judge, self._maps))
