@@ -5,10 +5,9 @@ partly. Conditions: no signs are read; no WiFi is heard; the link is cut for the
 robot stops for good half-way; the last robot's receiver reads 10 dB too much; every name hangs at two places or more;
 laser scanners have 60 beams, err by 5 cm (`rough`), have 36 beams and err by 3 cm (`cheap`), or are not matched at all.
 `pose_error_m` is how far robots strayed on their ways since a closure (root mean square along an axis), `pose_std_m`
-how far they believed they might have; `heading_` the same of the heading. `d_` columns are the
-mean difference to the normal run of the same building, with its spread over buildings (`sd_`). `ate_m` aligns every
-group of merged robots once. `lacked` is what the engine's own report names in more episodes than normally (numbers as
-#).
+how far they believed they might have; `heading_` the same of the heading. `d_` columns are the mean difference to the
+normal run of the same building, with its spread over buildings (`sd_`). `ate_m` aligns every group of merged robots
+once. `lacked` is what the engine's own report names in more episodes than normally (numbers as #).
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     conditions = list(dict.fromkeys(["normal", *options.conditions]))
     parts = list(itertools.product(first_buildings(options.buildings), conditions))
     found = runner.each(parts, lambda part: episode(part[0], part[1], options.robots, options.seed), " ".join)
-    runs = {c: [run for (_, name), run in zip(parts, found, strict=True) if name == c] for c in conditions}
+    runs = {condition: found[k :: len(conditions)] for k, condition in enumerate(conditions)}
     return [_row(condition, runs[condition], runs["normal"]) for condition in conditions]
 
 
