@@ -6,8 +6,9 @@ import pytest
 from tests.real_data import DATA, needs_data
 from twc_env.config import HighBandConfig, RadioConfig
 from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.reproduce import radio_likeness, radio_papers
 from twc_env.reproduce import radio_places as places
-from twc_env.reproduce.radio_hearing import device_hearing, hearing, missed_share
+from twc_env.reproduce.radio_hearing import device_hearing, hearing, missed_by_sweeps, missed_share
 from twc_env.reproduce.radio_model import STUDIES
 from twc_env.reproduce.radio_remarks import told
 from twc_env.reproduce.radio_rooms import surveyed_rooms
@@ -130,6 +131,26 @@ def test_points_beside_each_other_tell_what_a_receiver_misses():
     assert told["high_band"]["miss_probability_offset"] == pytest.approx(-0.2, abs=0.04)
 
 
+def test_sweeps_before_and_after_tell_what_the_one_between_missed():
+    random, scans, networks = np.random.default_rng(0), 600, 40
+    level = np.repeat(np.linspace(-90.0, -40.0, networks)[None], scans, axis=0)
+    is_high = np.arange(networks) % 2 == 1
+    is_heard = random.random((scans, networks)) >= np.where(is_high, 0.2, 0.05)
+    time_s = np.tile(2.0 * np.arange(20), 30)
+    walk = np.repeat(np.arange(30), 20)
+    since_s = np.zeros((scans, networks))
+    for k in range(1, scans):
+        since_s[k] = np.where(is_heard[k], 0.0, since_s[k - 1] + 2.0)
+    survey = RadioSurvey(
+        "mall", np.zeros((scans, 2)), 0 * walk, time_s, walk, tuple(map(str, range(networks))), level,
+        is_high_band=is_high, age_s=since_s + 0.5,
+    )  # fmt: skip
+    assert missed_by_sweeps(survey, True) == pytest.approx(0.2, abs=0.02)
+    assert missed_by_sweeps(survey, False) == pytest.approx(0.05, abs=0.015)
+    shuffled = random.permutation(scans)
+    assert missed_by_sweeps(survey.at_scans(shuffled), True) == missed_by_sweeps(survey, True)
+
+
 def test_the_spread_is_that_of_the_mean_over_what_is_drawn():
     values = np.random.default_rng(1).normal(5.0, 2.0, 400)
     low, high, _ = spread_over(400, lambda drawn: {"mean": float(values[drawn].mean())}, draws=400)["mean"]
@@ -181,6 +202,32 @@ def test_routers_are_as_strong_near_by_as_each_experiment_says(name):
     real, simulated = study.real(DATA, True), study.simulated(DATA, study.config, 0, True)
     for figure in ("mean RSS of class 0 [dBm]", "mean RSS of class 1 [dBm]"):
         assert simulated[figure] == pytest.approx(real[figure], abs=2.5)
+
+
+@needs_data
+def test_walls_take_less_in_the_experiment_whose_5_ghz_says_so():
+    told_db, heard_db = {}, {}
+    for name, routers in (("E3", 1), ("E5", 2)):
+        study = next(study for study in STUDIES if study.name == f"sfw_authors {name}")
+        laid = radio_papers._laid(DATA, routers)
+        told_db[name] = radio_papers._wall_loss_db(laid)
+        heard = [radio_papers._heard_in_flat(DATA, name, study.config, seed).rssi_dbm[:, 0] for seed in range(4)]
+        heard_db[name] = np.mean([radio_papers._behind_walls_db(laid, 0, levels) for levels in heard])
+    assert told_db == pytest.approx({"E3": 9.7, "E5": 8.7 / 1.5}, abs=0.1)
+    assert heard_db["E5"] / heard_db["E3"] == pytest.approx(told_db["E5"] / told_db["E3"], abs=0.2)
+
+
+@needs_data
+def test_the_crowded_mall_misses_more_at_5_ghz_than_the_one_of_the_fit():
+    config = next(study for study in STUDIES if study.name == "indoor20 site2_F6").config
+    settings = radio_likeness._missed_beside_the_fit(DATA, "site2_F6", config, False)
+    told = radio_likeness._missed(DATA, "site2_F6", False), radio_likeness._missed(DATA, "site1_B1", False)
+    added = settings["miss_probability"] - config.miss_probability
+    assert added == pytest.approx(told[0][0] - told[1][0])
+    assert added + settings["high_band"]["miss_probability_offset"] == pytest.approx(told[0][1] - told[1][1])
+    assert told[0][1] == pytest.approx(0.137, abs=0.002)
+    unchanged = radio_likeness._missed_beside_the_fit(DATA, "site1_B1", config, False)
+    assert unchanged["miss_probability"] == config.miss_probability
 
 
 @needs_data

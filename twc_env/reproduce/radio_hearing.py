@@ -11,6 +11,7 @@ from numpy.typing import NDArray as Array
 from scipy.optimize import minimize
 
 from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.errors import DataError
 
 _FAINT_SHARE = 0.3
 """So many of the readings, the faintest, tell where a receiver's hearing ends and how sharply."""
@@ -50,6 +51,23 @@ def missed_share(survey: RadioSurvey, is_high: bool) -> float:
     here, beside = np.nonzero(is_beside & ~np.eye(len(is_beside), dtype=bool))
     is_strong = rssi[here] > hearing(rssi)[0] + _STRONG_DB
     return float(1.0 - np.isfinite(rssi[beside][is_strong]).mean()) if is_strong.any() else 0.0
+
+
+def missed_by_sweeps(survey: RadioSurvey, is_high: bool) -> float:
+    """Of the strong signals of a band that a phone on the way heard in one sweep and again two sweeps later, the share
+    that the sweep in between did not hear."""
+    ages_s, high = survey.age_s, survey.is_high_band
+    if ages_s is None or high is None:
+        raise DataError(f"survey {survey.name} does not tell ages and bands of its readings; use one that does")
+    order = np.lexsort((survey.time_s, survey.walk))
+    walk, time_s = survey.walk[order], survey.time_s[order]
+    since_s = np.diff(time_s, prepend=np.nan)
+    newest = np.where(ages_s[order] < since_s[:, None], survey.rssi_dbm[order], np.nan)[:, high == is_high]
+    strong_dbm = hearing(newest)[0] + _STRONG_DB
+    goes_on = walk[1:] == walk[:-1]
+    between = np.flatnonzero(goes_on[:-2] & goes_on[1:-1] & goes_on[2:]) + 2
+    is_strong = (newest[between - 1] > strong_dbm) & (newest[between + 1] > strong_dbm)
+    return float(np.isnan(newest[between][is_strong]).mean()) if is_strong.any() else 0.0
 
 
 def device_hearing(survey: RadioSurvey) -> dict:

@@ -1,12 +1,13 @@
 """Likeness of fingerprints against distance: phones of walkers in two malls, and a robot's laptop on an office floor.
 
-What belongs to a place or a device is an input and never judged: how many transmitters there are, and what a receiver
-tells of faint ones. All else is the preset's.
+What belongs to a place or a device is an input and never judged: how many transmitters there are, what a receiver
+tells of faint ones, and what its sweeps miss of strong ones. All else is the preset's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,22 @@ from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.datasets.geojson import read_geojson
 from twc_env.datasets.indoor20 import FRESH_S, read_indoor20
 from twc_env.datasets.uw_floor import read_uw_floor
+from twc_env.metrics.radio import cosine_similarity
 from twc_env.reproduce import radio_places as places
-from twc_env.reproduce.radio_study import Figures, Spread, Study, extent, similarity_figures, spread_over, thinned
+from twc_env.reproduce.radio_hearing import missed_by_sweeps
+from twc_env.reproduce.radio_study import (
+    Figures,
+    Spread,
+    Study,
+    extent,
+    similarity_figures,
+    spread_over,
+    thinned,
+    with_settings,
+)
 
 _APART_S = 30.0
+_SAME_PLACE_M = 1.0
 _ADDRESSES_PER_BOX = 4.83
 _MALL_DRAWS = 40
 _MALL_CELL_M = 0.5
@@ -31,6 +44,7 @@ _MALLS = {"site1_B1": ("calibrated", 0.011, 0.5), "site2_F6": ("reported", 0.025
 """Role, access points per m2 of concourse and shops, and which share of their addresses is at 5 GHz. Fitted to
 site1_B1; on site2_F6 both are scaled until its walks hear as many addresses ten times or more, in proportion to the
 real ones, and as many of them at 5 GHz, as on site1_B1."""
+_FITTED = "site1_B1"
 
 
 def mall_studies() -> Iterator[Study]:
@@ -38,7 +52,7 @@ def mall_studies() -> Iterator[Study]:
     for floor, (role, boxes_per_m2, high_share) in _MALLS.items():
 
         def survey(folder: Path, quick: bool, floor: str = floor) -> RadioSurvey:
-            return read_indoor20(folder / "indoor20" / floor, np.inf, traces_max=12 if quick else None)
+            return _mall(folder, floor, quick)
 
         def real(folder: Path, quick: bool, survey=survey) -> Figures:
             return _mall_figures(survey(folder, quick))
@@ -52,6 +66,7 @@ def mall_studies() -> Iterator[Study]:
             boxes = round(density * float(shops.free.sum()) * _MALL_CELL_M**2)
             addresses = round(_ADDRESSES_PER_BOX * boxes)
             plan = places.with_spread_transmitters(plan, boxes, addresses, seed, floors=(0, 0, 1, -1), around=shops)
+            config = with_settings(config, _missed_beside_the_fit(folder, floor, config, quick))
             return _mall_figures(places.simulate(true, plan, config, seed))
 
         def spread(folder: Path, quick: bool, survey=survey) -> Spread:
@@ -70,12 +85,36 @@ def mall_studies() -> Iterator[Study]:
         yield Study(f"indoor20 {floor}", role, "radio-mall", changes, real, simulated, _MALL_REASONS, evidence, spread)
 
 
+@lru_cache(maxsize=2)
+def _mall(folder: Path, floor: str, quick: bool) -> RadioSurvey:
+    """All readings of one floor, old ones too."""
+    return read_indoor20(folder / "indoor20" / floor, np.inf, traces_max=12 if quick else None)
+
+
+@lru_cache(maxsize=2)
+def _missed(folder: Path, floor: str, quick: bool) -> tuple[float, float]:
+    """What sweeps miss of strong signals at 2.4 and 5 GHz."""
+    return missed_by_sweeps(_mall(folder, floor, quick), False), missed_by_sweeps(_mall(folder, floor, quick), True)
+
+
+def _missed_beside_the_fit(folder: Path, floor: str, config: RadioConfig, quick: bool) -> dict:
+    """Settings for a floor whose sweeps miss more of strong signals than where the preset was fitted: phones are of one
+    model, but channels may be crowded."""
+    low, high = np.subtract(_missed(folder, floor, quick), _missed(folder, _FITTED, quick)).tolist()
+    return {
+        "miss_probability": max(0.0, config.miss_probability + low),
+        "high_band": {"miss_probability_offset": config.high_band.miss_probability_offset + high - low},
+    }
+
+
 _CLUSTERS = (
     "radios stand in clusters, here evenly along the concourse: with phones of one model a quarter of its walks hear "
     "{few:.0f} networks or fewer, another quarter {many:.0f} or more"
 )
 _MALL_REASONS = {
     "distance at cosine": _CLUSTERS,
+    "distance at cosine 0.9": "what two walks hear at one place has a cosine of only {same_place:.2f} (median), so "
+    "that scans so much alike are chance more than nearness",
     "transmitters per scan": _CLUSTERS,
     "rows per scan": _CLUSTERS,
     "sd of transmitters per scan": _CLUSTERS,
@@ -87,11 +126,14 @@ _MALL_REASONS = {
 
 
 def _mall_evidence(survey: RadioSurvey) -> Figures:
-    """How unlike the walks are: those that hear most, a quarter, and the others."""
+    """How unlike the walks are: at one place, and those that hear most, a quarter, beside the others."""
     fresh = np.isfinite(survey.fresh(FRESH_S).rssi_dbm).sum(axis=1)
     walks = [survey.walk == walk for walk in np.unique(survey.walk)]
     few, many = np.quantile([fresh[walk].mean() for walk in walks], [0.25, 0.75]).tolist()
-    figures = {"few": few, "many": many}
+    apart_m = np.linalg.norm(survey.position_m[:, None] - survey.position_m[None], axis=2)
+    is_same_place = (apart_m < _SAME_PLACE_M) & (survey.walk[:, None] != survey.walk[None])
+    alike = cosine_similarity(survey.fresh(FRESH_S).rssi_dbm)[is_same_place]
+    figures = {"few": few, "many": many, "same_place": float(np.median(alike))}
     for name, is_crowded in (("crowded", True), ("other", False)):
         mine = [walk for walk in walks if (fresh[walk].mean() >= many) == is_crowded]
         heard = np.isfinite(survey.rssi_dbm[np.any(mine, axis=0)])
