@@ -1,4 +1,4 @@
-"""A robot's odometry as radio SLAM puts it right while the robot goes on: what stands for it without laser.
+"""A robot's odometry as radio SLAM puts it right while the robot goes on: where ties begin without laser.
 
 Whenever the way is a third longer than it was last, the whole of it is solved as a log is (`radio_slam`): so all
 solving costs a few times what the last does. What came since goes on by odometry, without the constant errors that the

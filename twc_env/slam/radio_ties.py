@@ -6,9 +6,8 @@ places is compared with the field that the places of other visits near by span, 
 graph does not fill with them, and one that contradicts the present estimate has little weight: radio corrects what
 drifts slowly and leaves alone what it cannot explain.
 
-Ties alone cannot undo what odometry has bent: its edges hold each motion as tightly as noise that strikes anew with
-every one allows, not scale and curl. Of a robot alone without laser radio SLAM puts the odometry right first
-(`radio_odometry`).
+Ties reach a few bandwidths, and find nothing to tie where odometry has bent a path further. The path of a robot alone
+without laser is therefore laid first where radio SLAM has it (`radio_odometry`); odometry is weighed as it was read.
 """
 
 from __future__ import annotations
@@ -78,7 +77,7 @@ class RadioTies:
             if is_last or self._odometry.is_due:
                 self._odometry.solve(is_last)
             if self._odometry.is_righted:
-                graph, poses = _righted(graph, poses, self._odometry.motions)
+                poses = compose(poses[0], poses_along(self._odometry.motions))
         nodes = np.array([local[place.robot, place.index] for place in places])
         for cue in BANDWIDTH_M:
             found = self._ties(cue, places, poses[nodes])
@@ -112,10 +111,3 @@ class RadioTies:
             feature, poses[:, :2], travel, bandwidth_m, self._config.apart_m, worth, MOVED_PER_BANDWIDTH * bandwidth_m
         )
         return (found.pairs, *found.relative(poses)) if len(found.pairs) else None
-
-
-def _righted(graph: Graph, poses: Array, motions: Array) -> tuple[Graph, Array]:
-    """The graph of one robot with other motions (n - 1, 3) as odometry, and poses (n, 3) by these from its first."""
-    measured = graph.measured.copy()
-    measured[~graph.is_closure] = motions
-    return Graph(graph.edges, measured, graph.information, graph.is_closure), compose(poses[0], poses_along(motions))
