@@ -22,6 +22,7 @@ from twc_env.slam.map_beliefs import HeldMaps, MapBeliefs
 from twc_env.slam.radio_structure import RadioStructure
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.robot_clocks import RobotClocks
+from twc_env.slam.shared_errors import std_with_shared
 from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
 from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
@@ -115,6 +116,7 @@ class CooperativeSlam(CopiedWhole):
         self._since_closure_m, self._std = np.zeros(robot_count), np.zeros((robot_count, 3))
         """Of each robot: path length since its last closure, and what the covariances on it add up to."""
         self._std_share = MATCHED_STD_SHARE if config.slam.cues.lidar else 1.0
+        self._scale_std = None if config.slam.cues.lidar else config.slam.odometry_filter.odometry_scale_std
         self._mates, self._mate_poses, self._contact_steps = nobody(robot_count)
         """As `TeamBeliefs` has them."""
         self._others = np.array([[r for r in range(robot_count) if r != k] for k in range(robot_count)], np.int64)
@@ -243,6 +245,8 @@ class CooperativeSlam(CopiedWhole):
         since_m, heard = self._since_closure_m.copy(), self._contact_steps.copy()
         robots = self._everyone if self._is_central else self._everyone[number : number + 1]
         mapper.locate(robots, self._others, (self._poses_map_odom, self._std, since_m, heard))
+        if self._scale_std is not None:
+            self._std[robots] = std_with_shared(self._std[robots], since_m[robots], self._scale_std)
         if counts[1] != before[1] or not self._is_central:
             self._find_mates(robots.tolist(), mapper)
         if counts[2:] != before[2:]:

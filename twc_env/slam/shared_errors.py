@@ -62,6 +62,12 @@ def shared_errors(owner: Array, measured: Array, length_m: Array, scale_std: flo
     return SharedErrors(owner, bends)
 
 
+def std_with_shared(std: Array, length_m: Array, scale_std: float) -> Array:
+    """Standard deviations (k, 3) of ways of this length (k,), with what robots' odometry has in common added."""
+    shared = length_m[:, None] * np.array([scale_std, scale_std, CURL_STD_RAD_M])
+    return np.hypot(std, shared)
+
+
 @kernel
 def _said(bend, information):
     """(3, 3) what an edge says of the errors: bend^T information."""
