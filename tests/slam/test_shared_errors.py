@@ -13,7 +13,7 @@ from twc_env.slam.closure_agreement import Pairs
 from twc_env.slam.map_prediction import MapPrediction
 from twc_env.slam.odometry_chains import Chains
 from twc_env.slam.pose_graph import Graph
-from twc_env.slam.shared_errors import CURL_STD_RAD_M, NOBODY, shared_errors
+from twc_env.slam.shared_errors import CURL_STD_RAD_M, UNOWNED, shared_errors
 from twc_env.slam.twists import logarithm
 
 SCALE_STD, STEP_M, NOISE = 0.03, 0.4, np.array([0.02, 0.02, 0.005])
@@ -40,10 +40,10 @@ def graph_of(paths, closures=(), truth=None):
     edges, measured = np.concatenate([chain, ties]), np.concatenate(paths)
     if len(ties):
         measured = np.concatenate([measured, between(truth[ties[:, 0]], truth[ties[:, 1]])])
-    owner = np.concatenate([np.repeat(np.arange(len(paths)), [len(m) for m in paths]), np.full(len(ties), NOBODY)])
+    owner = np.concatenate([np.repeat(np.arange(len(paths)), [len(m) for m in paths]), np.full(len(ties), UNOWNED)])
     information = np.tile(np.diag(1.0 / np.square(NOISE)), (len(edges), 1, 1))
     length_m = np.hypot(measured[:, 0], measured[:, 1])
-    return Graph(edges, measured, information, owner == NOBODY, shared_errors(owner, measured, length_m, SCALE_STD))
+    return Graph(edges, measured, information, owner == UNOWNED, shared_errors(owner, measured, length_m, SCALE_STD))
 
 
 def two_robots(turns, scale, curl_rad_m=0.0, noise=None):

@@ -22,9 +22,9 @@ from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.reproduce.routes import Walk
 from twc_env.slam import robust_backend
 from twc_env.slam.loop_verification import LoopVerifier
-from twc_env.slam.odometry_filter import invert_symmetric
 from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
 from twc_env.slam.scan_matching import scan_points
+from twc_env.slam.small_matrices import invert_symmetric
 
 BACKENDS = {
     "plain": PoseGraphConfig(robust="plain", iterations_max=100),

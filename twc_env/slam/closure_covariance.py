@@ -10,7 +10,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
-from twc_env.slam.odometry_filter import invert3
+from twc_env.slam.small_matrices import invert3
 
 STD_MIN = np.array((0.03, 0.03, 0.01))
 """No match is known better than this [m, m, rad]."""

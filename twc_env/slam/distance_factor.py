@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
 from twc_env.slam.pose_graph import NormalEquations
-
-Array = NDArray
 
 COINCIDENT_M = 1e-3
 """Positions nearer than this have no direction between them."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray as Array
 from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import ROOM, grown, only
-from twc_env.slam.odometry_filter import invert3
 from twc_env.slam.relative_equations import wrapped
+from twc_env.slam.small_matrices import invert3
 
 ODOMETRY = -1
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray as Array
 
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam.graph_arrays import ODOMETRY
-from twc_env.slam.odometry_filter import invert3
 from twc_env.slam.relative_equations import wrapped
+from twc_env.slam.small_matrices import invert3
 
 CLOSURES_MAX = 3
 """A node that has so many closures takes over no other."""

@@ -12,7 +12,7 @@ from twc_env.kernels import kernel
 from twc_env.slam import pose_graph
 from twc_env.slam.odometry_chains import Chains
 from twc_env.slam.pose_graph import GATE, Graph
-from twc_env.slam.shared_errors import NOBODY
+from twc_env.slam.shared_errors import UNOWNED
 from twc_env.slam.twists import adjoint, logarithm, squared_length, turned
 
 MEDIAN_SQUARED = 2.366
@@ -57,7 +57,7 @@ class MapPrediction:
         self._poses = poses
         self._grown, self._bent = self._chains.grown(poses), self._chains.bent(poses)
         keys, count = self._keys, len(self._keys)
-        size = count + int(self._chains.owner.max(initial=NOBODY)) + 1
+        size = count + int(self._chains.owner.max(initial=UNOWNED)) + 1
         hessian = np.zeros((size, 3, size, 3))
         chain, step = self._chains.chain, self._chains.step
         for k in range(count):

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import MergingConfig
 from twc_env.geometry import between, compose, inverse
@@ -19,8 +19,6 @@ from twc_env.slam.sign_table import MISSING_AFTER_S
 from twc_env.slam.signs_in_place import SignsRead, count_shared
 from twc_env.slam.team_graph import TeamGraph
 from twc_env.slam.twists import adjoint, turned
-
-Array = NDArray
 
 PLACED_M, PLACED_RAD = 0.25, math.radians(2.5)
 """Standard deviations to which a merge must be fixed where no scans fix it later: a quarter of what makes it wrong."""

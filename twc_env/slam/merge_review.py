@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import MergingConfig
 from twc_env.geometry import between, compose, inverse
@@ -22,8 +22,6 @@ from twc_env.slam.group_maps import GroupMaps
 from twc_env.slam.map_merging import MergeProposal, wall_contradiction
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.team_graph import TeamGraph
-
-Array = NDArray
 
 FIRST_STEPS = 50
 """A merge is looked at again after so many steps, then after twice as many, and so on."""

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import between, poses_along, wrap_angle
-
-Array = NDArray
 
 PIECE = 20
 """Motions summed before they are compared: single ones are mostly noise."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import compose
 from twc_env.slam.pose_graph import Graph
-from twc_env.slam.shared_errors import NOBODY
+from twc_env.slam.shared_errors import UNOWNED
 from twc_env.slam.twists import adjoint, turned
-
-Array = NDArray
 
 
 class Chains:
@@ -39,12 +37,12 @@ class Chains:
         self._covariance[self.edge_before < 0] = 0.0
         self._measured = graph.measured
         self._bends: Array | None = None
-        self.owner = np.full(count, NOBODY)
+        self.owner = np.full(count, UNOWNED)
         """(n,) whose odometry leads to each pose, as of `SharedErrors`."""
         if graph.shared is not None:
             self._bends = graph.shared.bends[np.maximum(self.edge_before, 0)]
             self._bends[self.edge_before < 0] = 0.0
-            self.owner = np.where(self.edge_before < 0, NOBODY, graph.shared.owner[np.maximum(self.edge_before, 0)])
+            self.owner = np.where(self.edge_before < 0, UNOWNED, graph.shared.owner[np.maximum(self.edge_before, 0)])
 
     def dead_reckoning(self, poses: Array) -> Array:
         """Poses that follow the odometry exactly from each chain's first pose."""

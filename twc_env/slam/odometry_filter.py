@@ -14,13 +14,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import OdometryFilterConfig
 from twc_env.geometry import wrap_angle
 from twc_env.kernels import borrowing_kernel, kernel
-
-Array = NDArray
+from twc_env.slam.small_matrices import invert3
 
 LATEST_SHARE = 0.2
 """Weight of the latest reading in the mean of the readings before a step."""
@@ -80,17 +79,6 @@ def predict_state(x, p, odometry, turn_rate, dt, config):
         p[i, 2] += gain * dt * bias_heading
         p[i, 3] += gain * dt * bias
         p[i, 4] += gain * dt * bias_scale
-
-
-@borrowing_kernel
-def invert3(m, out):
-    """Inverse of a symmetric 3 x 3 matrix by cofactors."""
-    a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
-    c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * c00 + b * c01 + c * c02
-    out[0, 0], out[0, 1], out[0, 2] = c00 / det, c01 / det, c02 / det
-    out[1, 1], out[1, 2], out[2, 2] = (a * f - c * c) / det, (b * c - a * e) / det, (a * d - b * b) / det
-    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
 
 
 @kernel
@@ -183,25 +171,6 @@ def motion_covariance(variance, heading, matched, std_min, out):
     invert3(information, out)
     for j in range(3):
         out[j, j] += std_min[j] ** 2
-
-
-def invert_symmetric(matrix: Array) -> Array:
-    """Inverse of a symmetric (3, 3) matrix, without the overhead of LAPACK."""
-    out = np.empty((3, 3))
-    invert3(matrix, out)
-    return out
-
-
-@kernel
-def squared_error(error, covariance):
-    """e^T C^-1 e of an error (3,) with its symmetric covariance (3, 3)."""
-    inverse = np.empty((3, 3))
-    invert3(covariance, inverse)
-    total = 0.0
-    for i in range(3):
-        for j in range(3):
-            total += error[i] * inverse[i, j] * error[j]
-    return total
 
 
 @borrowing_kernel

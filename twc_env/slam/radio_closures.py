@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.slam.distance_factor import Distances
 from twc_env.slam.similarity_model import SimilarityModel
-
-Array = NDArray
 
 SUPPORT_REACH_M = 10.0
 """Closures nearer than this at both ends speak of one revisit."""

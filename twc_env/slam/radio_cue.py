@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.sparse import csr_array
 
 from twc_env.config import RadioSlamConfig
@@ -18,8 +18,6 @@ from twc_env.slam.odometry_calibration import Motions
 from twc_env.slam.radio_evidence import FieldEvidence
 from twc_env.slam.radio_similarity import all_similarities, averaged, feature_rows, split_cues
 from twc_env.slam.similarity_model import SimilarityModel, train_on_path
-
-Array = NDArray
 
 CUES = ("wifi", "lte")
 PAPER_APART_M = 100.0

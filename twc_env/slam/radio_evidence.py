@@ -9,11 +9,9 @@ folded at one place from one that is right.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 from scipy.optimize import minimize
-
-Array = NDArray
 
 VARIANCES, LENGTHS_M, NOISE = (0.8, 0.3), (15.0, 5.0), 0.08
 """Where the search begins; variances are shares of the features' own."""

@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import wrap_angle
 from twc_env.kernels import kernel
-
-Array = NDArray
 
 REACH = 2.5
 """Neighbours lie within this many bandwidths."""

@@ -6,13 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.kernels import Lent, borrowing_kernel, kernel, parts_of
 from twc_env.messages import Fingerprint, WifiScan
 from twc_env.team_messages import WifiScans
-
-Array = NDArray
 
 STD_MODES = {"population": 0, "sample": 1, "paper": 2}
 EMPTY = Fingerprint(np.zeros(0, np.int64), np.zeros(0))

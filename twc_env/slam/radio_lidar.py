@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.geometry import between
@@ -21,8 +21,6 @@ from twc_env.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam import radio_cue, radio_slam, robust_backend, scan_alignment
 from twc_env.slam.loop_verification import LoopVerifier
 from twc_env.slam.occupancy_grid import OccupancyGrid
-
-Array = NDArray
 
 ROUNDS = ((5.0, "wifi"), (2.5, "proximity"))
 """How near two keyframes must be to be matched, and what the first guess is worth: by radio first, then by laser."""

@@ -8,15 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.linalg import cho_factor, cho_solve
 
 from twc_env.errors import DataError
 from twc_env.messages import Fingerprint
 from twc_env.slam.given_fingerprints import given_fingerprint, given_fingerprints
 from twc_env.slam.radio_similarity import FingerprintStore, features
-
-Array = NDArray
 
 CANDIDATE_M = 0.5
 """Spacing of the places tried around those of the map."""

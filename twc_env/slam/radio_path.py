@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioSlamConfig
 from twc_env.geometry import compose, poses_along
@@ -14,8 +14,6 @@ from twc_env.slam import radio_field
 from twc_env.slam.distance_factor import NO_DISTANCES, Distances, RadioEquations
 from twc_env.slam.odometry_calibration import Motions, calibrated
 from twc_env.slam.radio_cue import RadioCue
-
-Array = NDArray
 
 FIRST_STAGE_M, STAGE_GROWTH = 60.0, 1.3
 """The path is fitted up to here first, then up to this many times as far, and so on."""

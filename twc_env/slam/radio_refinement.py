@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.linalg import cho_factor, cho_solve, cholesky
 from scipy.optimize import minimize_scalar
 
@@ -26,8 +26,6 @@ from twc_env.geometry import between, poses_along, wrap_angle
 from twc_env.slam.building_axes import BuildingAxes
 from twc_env.slam.odometry_calibration import CURL_STD_RAD_M, TURN_STD, Motions, calibration
 from twc_env.slam.radio_evidence import FieldEvidence
-
-Array = NDArray
 
 EVIDENCE_WEIGHT = 6.0
 """What is heard weighs as so many independent transmitters: with more of them, paths stray from the truth further than

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import ConfigError
 from twc_env.kernels import kernel
@@ -19,7 +19,6 @@ from twc_env.messages import Fingerprint
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Array = NDArray
 
 CELL_ID_MIN = 1 << 48
 """LTE cells have numbers from here on, beyond all MAC addresses."""

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.stats import spearmanr
 
 from twc_env.config import RadioSlamConfig
@@ -33,8 +33,6 @@ from twc_env.slam.radio_cue import CUES, RadioCue
 from twc_env.slam.radio_path import PathFit
 from twc_env.slam.radio_refinement import Refined, refined
 from twc_env.slam.similarity_model import SimilarityModel
-
-Array = NDArray
 
 PAPER_ITERATIONS = 60
 NOISE_LEVELS = ((1.0, 1.0), (1.0, 3.0), (3.0, 3.0), (6.0, 6.0), (10.0, 10.0))

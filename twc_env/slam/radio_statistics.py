@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint
-
-Array = NDArray
 
 DIFFERENCE_MIN_DB = 0.5
 """Smaller differences prove no more."""

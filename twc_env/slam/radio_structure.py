@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import KVisibilityConfig
 from twc_env.geometry import compose, inverse, transform_points
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap, SensorFrame
-
-Array = NDArray
 
 LEVELS_PER_NAT = 16.0
 """Log-odds are kept in sixteenths, as whole numbers."""

@@ -13,7 +13,7 @@ without laser is therefore laid first where radio SLAM has it (`radio_odometry`)
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.config import PoseGraphConfig, RadioSlamConfig
 from twc_env.geometry import compose, poses_along
@@ -23,8 +23,6 @@ from twc_env.slam.pose_graph import optimise as graph_fit
 from twc_env.slam.radio_field import learn_worth, ties
 from twc_env.slam.radio_odometry import RadioOdometry
 from twc_env.slam.radio_similarity import feature_rows, split_cues
-
-Array = NDArray
 
 BANDWIDTH_M = {"wifi": 5.0, "lte": 30.0}
 MOVED_PER_BANDWIDTH = 1.5

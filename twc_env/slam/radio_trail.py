@@ -10,7 +10,7 @@ depends on the building, not on the way that lies behind.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 from scipy.sparse import csr_array
 
 from twc_env.config import RadioSlamConfig
@@ -22,8 +22,6 @@ from twc_env.slam.odometry_calibration import Calibration, Motions, calibration
 from twc_env.slam.radio_similarity import all_similarities, features, split_cues
 from twc_env.slam.radio_slam import motion_information
 from twc_env.slam.similarity_model import SimilarityModel, train_on_path
-
-Array = NDArray
 
 BANDWIDTHS_M = {"wifi": (8.0, 5.0), "lte": (40.0, 25.0)}
 """Of the fields, from coarse to fine, each time the graph is optimised."""

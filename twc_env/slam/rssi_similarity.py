@@ -10,11 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.messages import Fingerprint
-
-Array = NDArray
 
 SUM_TOLERANCE_DB, LINEAR_DB, EXPONENTIAL_DB, RANGE_DB = 20.0, 10.0, 10.0, 30.0
 COSINE_OFFSET_DB = 100.0

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
-from twc_env.slam.odometry_filter import invert3
 from twc_env.slam.relative_equations import relative_residuals, wrapped
+from twc_env.slam.small_matrices import invert3
 
 CURL_STD_RAD_M = 0.006
 """Wheels of unequal size, and what is not yet learned of the gyro's bias."""
-NOBODY = -1
+UNOWNED = -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,14 +27,14 @@ class SharedErrors:
     """How each edge of a graph depends on the errors of the robot whose odometry it is."""
 
     owner: Array
-    """(e,) whose odometry an edge is, robots counted from 0; `NOBODY`'s where it is none."""
+    """(e,) whose odometry an edge is, robots counted from 0; `UNOWNED` where it is none."""
     bends: Array
     """(e, 3, 3) what is added to an edge's residual by errors of one standard deviation; the third is not used."""
 
     @property
     def count(self) -> int:
         """How many robots there are."""
-        return int(self.owner.max(initial=NOBODY)) + 1
+        return int(self.owner.max(initial=UNOWNED)) + 1
 
     def of(self, kept: Array) -> SharedErrors:
         """Those of some edges: (e,) bool or indices."""
@@ -43,7 +43,7 @@ class SharedErrors:
     def and_none(self, count: int) -> SharedErrors:
         """With so many more edges that are nobody's odometry."""
         bends = np.concatenate([self.bends, np.zeros((count, 3, 3))])
-        return SharedErrors(np.concatenate([self.owner, np.full(count, NOBODY)]), bends)
+        return SharedErrors(np.concatenate([self.owner, np.full(count, UNOWNED)]), bends)
 
     def corrected(self, poses: Array, edges: Array, measured: Array, information: Array) -> tuple[Array, Array]:
         """Measurements (e, 3) without the errors that poses show best; (e,) each edge's share of what these cost."""
@@ -58,7 +58,7 @@ def shared_errors(owner: Array, measured: Array, length_m: Array, scale_std: flo
     bends = np.zeros((len(owner), 3, 3))
     bends[:, 0, 0], bends[:, 1, 0] = scale_std * ahead, scale_std * left
     bends[:, 0, 1], bends[:, 1, 1], bends[:, 2, 1] = -0.5 * curl * left, 0.5 * curl * ahead, curl
-    bends[owner == NOBODY] = 0.0
+    bends[owner == UNOWNED] = 0.0
     return SharedErrors(owner, bends)
 
 

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
-
-Array = NDArray
 
 BIN_STEP = 0.01
 """Between the centres of neighbouring bins; bins overlap."""

@@ -8,7 +8,7 @@ from collections.abc import MutableSequence, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import NDArray as Array
 
 from twc_env.geometry import between, compose, inverse
 from twc_env.kernels import borrowing_kernel, kernel
@@ -17,14 +17,12 @@ from twc_env.slam.forgotten_paths import ForgottenPaths
 from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays, part_of
 from twc_env.slam.graph_thinning import Edges, thinned
 from twc_env.slam.keyframe_paths import place_on
-from twc_env.slam.odometry_filter import invert_symmetric, squared_error
 from twc_env.slam.pose_graph import Graph
-from twc_env.slam.shared_errors import NOBODY, shared_errors
+from twc_env.slam.shared_errors import UNOWNED, shared_errors
 from twc_env.slam.sign_readings import SignReadings
+from twc_env.slam.small_matrices import invert_symmetric, squared_error
 from twc_env.slam.waiting_closures import WaitingClosures
 from twc_env.team_messages import KnownSigns
-
-Array = NDArray
 
 
 @borrowing_kernel
@@ -292,7 +290,7 @@ class TeamGraph(GraphArrays):
         )  # fmt: skip
         shared = None
         if self._scale_std is not None:
-            owner = np.where(is_closure, NOBODY, self.robot_of_node[nodes[local[:, 1]]])
+            owner = np.where(is_closure, UNOWNED, self.robot_of_node[nodes[local[:, 1]]])
             length_m = np.diff(self.travels_m[nodes[local]], axis=1)[:, 0]
             shared = shared_errors(owner, measured, length_m, self._scale_std)
         return nodes, edges, Graph(local, measured, information, is_closure, shared), is_used
