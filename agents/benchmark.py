@@ -61,11 +61,7 @@ def run_jobs(jobs: Iterable[Job], processes: int = 1) -> Iterator[tuple[Job, dic
             waiting.append(job)
         else:
             yield job, report, True
-    if processes <= 1 or len(waiting) <= 1:
-        for job in waiting:
-            yield job, run_job(job), False
-        return
-    for k, report in in_processes(run_job, waiting, processes):
+    for k, report in in_processes(run_job, waiting, min(processes, len(waiting))):
         yield waiting[k], report, False
 
 

@@ -69,8 +69,7 @@ def compare(
     if finished.remark:
         tell(finished.remark)
     run = partial(_once, config, finished)
-    done = enumerate(map(run, parts)) if processes <= 1 else in_processes(run, parts, processes)
-    for k, outcome in done:
+    for k, outcome in in_processes(run, parts, processes):
         found[parts[k]] = outcome
         tell(_line(len(found), len(parts), parts[k], outcome))
     outcomes = {agent: tuple(found[name, agent, seed] for seed, name in enumerate(maps)) for agent in agents}

@@ -7,7 +7,9 @@ import pytest
 
 from twc_env import bench_peers, bench_probes, bench_scaling
 from twc_env.__main__ import main
+from twc_env.bench import OurRuns
 from twc_env.bench_peers import Settings
+from twc_env.config import EnvConfig
 from twc_env.maps import load_map
 
 TINY = Settings(repetitions=2, world_steps=12, slam_steps=12, irsim_steps=3, mpe2_steps=5, probe_steps=8)
@@ -64,7 +66,7 @@ def test_mpe2_runs_three_agents():
 
 
 def test_an_episode_is_timed_step_by_step_and_judged():
-    runs = bench_peers.OurRuns(bench_peers.EnvConfig(robots=2, max_cycles=15), load_map("twin-01"))
+    runs = OurRuns(EnvConfig(robots=2, max_cycles=15), load_map("twin-01"))
     run = runs.once(1)
     assert run.steps == 15 and run.step_s.shape == (15,)
     assert run.step_s.sum() == pytest.approx(run.wall_s, rel=0.05)

@@ -1,7 +1,6 @@
 """Our speed beside that of peers, in one run on one core: rates, slowest steps, workers, memory and start-up.
 
-Ours are whole episodes through the PettingZoo parallel API. The drivers' actions are recorded beforehand, in an episode
-without an engine (the world is the same), so that only the environment is timed. Repetitions alternate between all
+Ours are whole episodes through the PettingZoo parallel API (`bench.OurRuns`). Repetitions alternate between all
 candidates, each figure is a median. Compare figures of one run only.
 """
 
@@ -25,9 +24,8 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env import bench_probes
-from twc_env.bench import Run, wander
+from twc_env.bench import OurRuns, Run
 from twc_env.config import EnvConfig, override
-from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.world.floorplan import Floorplan
 
@@ -106,40 +104,6 @@ def _candidates(settings: Settings, report: Report) -> dict[str, Callable[[int],
     if is_installed("mpe2", report):
         candidates["mpe2"] = Mpe2Runs(settings.mpe2_steps).once
     return candidates
-
-
-class OurRuns:
-    """Episodes of our environment, one per seed; the first is played once before, so that kernels are compiled."""
-
-    def __init__(self, config: EnvConfig, plan: Floorplan):
-        self._env = ExplorationEnv(config=config, floorplan=plan)
-        self._scout = ExplorationEnv(config=override(config, {"slam.mode": "off"}), floorplan=plan)
-        self.once(0)
-
-    def once(self, seed: int) -> Run:
-        """One whole episode."""
-        actions = record_actions(self._scout, seed)
-        self._env.reset(seed=seed)
-        step, step_s = self._env.step, np.empty(len(actions))
-        cpu, wall = time.process_time(), time.perf_counter()
-        before = wall
-        for k, action in enumerate(actions):
-            step(action)
-            now = time.perf_counter()
-            step_s[k] = now - before
-            before = now
-        wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
-        return Run(len(actions), wall_s, cpu_s, self._env.result().figures["team_ate_m"], step_s)
-
-
-def record_actions(env: ExplorationEnv, seed: int) -> list[dict[str, Array]]:
-    """What a wandering team does in one episode, float32 as a learner would send it."""
-    env.reset(seed=seed)
-    actions = []
-    for action in wander(env, seed):
-        actions.append({agent: value.astype(np.float32) for agent, value in action.items()})
-        env.step(actions[-1])
-    return actions
 
 
 class IrsimRuns:

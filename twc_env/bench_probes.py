@@ -141,7 +141,7 @@ def _played(map_name: str, steps: int) -> Any:
 
 
 def _worker(map_name: str, steps: int, core: int, seed: int, gate: Path, say: Callable[[str], object]) -> None:
-    from twc_env.bench_peers import record_actions
+    from twc_env.bench import record_actions
     from twc_env.config import EnvConfig, override
     from twc_env.exploration.environment import ExplorationEnv
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from twc_env.bench_peers import ROBOTS, record_actions, world_plan
+from twc_env.bench import record_actions
+from twc_env.bench_peers import ROBOTS, world_plan
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map

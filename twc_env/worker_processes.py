@@ -20,8 +20,11 @@ def in_processes(work: Callable[[Any], Any], parts: Sequence, count: int) -> Ite
     """(k, work(parts[k])) as each is done, by `count` processes that start afresh and compute with one thread each.
 
     `work` and the parts must be picklable. Who leaves the loop, by Ctrl-C or an error, ends the processes, and so does
-    who dies in it. Raises DataError where one of them died.
+    who dies in it. Raises DataError where one of them died. With a count of 1 or less this process does it all itself.
     """
+    if count <= 1:
+        yield from enumerate(map(work, parts))
+        return
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
     try:

@@ -3,13 +3,12 @@ import json
 import numpy as np
 import pytest
 
-from twc_env.config import override
 from twc_env.json_values import plain
 from twc_env.maps import load_map
 from twc_env.reproduce import twc_table1, twc_table2
 from twc_env.reproduce.runner import Runner
 from twc_env.reproduce.sighting_judge import judge_some
-from twc_env.reproduce.twc_scenes import scene_plan, walk_scene
+from twc_env.reproduce.twc_scenes import scene_config, scene_plan, walk_scene
 
 
 @pytest.fixture(scope="module")
@@ -70,10 +69,10 @@ def test_with_signs_of_departments_text_is_surer_and_the_hard_rule_less_sure_as_
     assert table["twc departments", 0.8, 0.8]["precision"] > table["twc departments", 0.5, 0.8]["precision"] + 5
 
 
-def test_with_signs_of_departments_the_hard_rule_is_near_the_print_on_walks_of_both_scenes(options):
+def test_with_signs_of_departments_the_hard_rule_is_near_the_print_on_walks_of_both_scenes():
     gaps = []
     for scene in twc_table1.SCENES:
-        config = twc_table1.scene_config(scene, options)
+        config = scene_config(scene)
         walks = [walk_scene(config, scene, "departments", seed) for seed in (52, 53, 54)]
         figures = [judge_some(config, walk, "departments", ("twc",)) for walk in walks]
         for cells, (precision, recall) in zip(zip(*figures, strict=True), twc_table1.PRINT[scene]["twc"], strict=True):
@@ -118,17 +117,13 @@ def test_curves_fall_and_reach_what_the_rows_say(table, options, runner, tmp_pat
     assert all(precision == 1.0 for level, precision in fused.items() if level <= share)
 
 
-def test_other_readings_of_the_equations_have_rows_of_their_own(options):
-    config = twc_table1.scene_config("#01", options)
-    walks = walk_scene(config, "#01", "as-drawn", 51)
-    changed = override(config, {"slam.place_recognition.rssi_mode": "inverse"})
-    figures = judge_some(changed, walks, "inverse")
-    assert {f["method"] for f in figures} == {"wifi inverse", "twc inverse"}
-    assert all(f["recall_absolute"] == 0.0 for f in figures if f["gamma"] == 1.0)  # it never reaches 1
-
-
-def test_the_printed_rules_can_be_chosen(parsed):
-    literal = twc_table1.judge_scene("#01", 51, parsed(twc_table1, "--std-mode=paper", "--rssi-mode=paper"))
-    rows = {(f["method"], f["gamma"]): f for f in literal["figures"] if f["method"] == "wifi"}
+def test_other_readings_of_the_equations_have_rows_of_their_own():
+    found = twc_table1.judge_scene("#01", 51, has_alternatives=True)["figures"]
+    rows = {(f["method"], f["gamma"]): f for f in found}
+    assert {f"{method} {mode}" for method in ("wifi", "twc") for mode in ("inverse", "eq7")} < {row[0] for row in rows}
+    assert all(
+        rows[f"{method} inverse", 1.0]["recall_absolute"] == 0.0 for method in ("wifi", "twc")
+    )  # never reaches 1
     # A distance of at least gamma dB is met by nearly all pairs: what is left is the ratio of shared transmitters.
-    assert rows["wifi", 0.5]["recall_absolute"] > 0.99 and rows["wifi", 0.5]["precision"] < 0.3
+    printed = rows["wifi as printed", 0.5]
+    assert printed["recall_absolute"] > 0.99 and printed["precision"] < 0.3

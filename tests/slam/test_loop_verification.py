@@ -17,6 +17,13 @@ RANGE_MAX_M = 10.0
 EDGE = np.array([[0, 1]])
 FIRST = [(-2.5, -1.0, 0.0), (-1.5, -1.0, 0.2), (-0.5, -0.6, 0.6), (0.0, 0.3, 1.2)]
 SECOND = [(2.5, 2.0, 3.0), (1.5, 1.8, -2.9), (0.5, 1.2, -2.5), (-0.3, 0.6, -2.2)]
+TRUE = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+
+
+@pytest.fixture(scope="module")
+def paths(office, path_of):
+    """Keyframes of two robots in one room, the last of which are `TRUE` apart."""
+    return path_of(0, office, FIRST), path_of(1, office, SECOND)
 
 
 def verify(target_path, source_path, guess, target=-1, source=-1, recogniser="twc", sign_m=None, **rule):
@@ -28,21 +35,19 @@ def verify(target_path, source_path, guess, target=-1, source=-1, recogniser="tw
 
 @settings(max_examples=25)
 @given(st.floats(-0.45, 0.45), st.floats(-0.45, 0.45), st.floats(-0.12, 0.12))
-def test_a_true_pair_is_accepted_and_measured_to_three_centimetres(office, path_of, x, y, turn):
-    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
-    closure = verify(path_of(0, office, FIRST), path_of(1, office, SECOND), compose(true, [x, y, turn]))
+def test_a_true_pair_is_accepted_and_measured_to_three_centimetres(paths, x, y, turn):
+    closure = verify(*paths, compose(TRUE, [x, y, turn]))
     assert (closure.status, closure.reason) == ("accepted", "")
-    error = between(true, closure.pose_target_source)
+    error = between(TRUE, closure.pose_target_source)
     assert math.hypot(error[0], error[1]) < 0.03
     assert abs(error[2]) < 0.01
     assert closure.overlap > 0.8
 
 
-def test_two_scans_alone_are_enough_when_they_overlap(office, path_of):
-    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
-    closure = verify(path_of(0, office, FIRST), path_of(1, office, SECOND), true, cloud_reach_m=0.0)
+def test_two_scans_alone_are_enough_when_they_overlap(paths):
+    closure = verify(*paths, TRUE, cloud_reach_m=0.0)
     assert closure.status == "accepted"
-    assert np.abs(between(true, closure.pose_target_source))[:2].max() < 0.03
+    assert np.abs(between(TRUE, closure.pose_target_source))[:2].max() < 0.03
 
 
 def test_another_room_is_refused_with_a_reason(office, hall, path_of):
@@ -53,18 +58,16 @@ def test_another_room_is_refused_with_a_reason(office, hall, path_of):
         assert "overlap" in closure.reason or "contradiction" in closure.reason
 
 
-def test_robots_that_only_sound_alike_are_matched_wherever_and_however_they_stand(office, path_of):
-    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
-    closure = verify(path_of(0, office, FIRST), path_of(1, office, SECOND), (0, 0, 0), recogniser="meeting")
+def test_robots_that_only_sound_alike_are_matched_wherever_and_however_they_stand(paths):
+    closure = verify(*paths, (0, 0, 0), recogniser="meeting")
     assert closure.status == "accepted" and closure.overlap >= MEETING_OVERLAP_MIN
-    assert np.abs(between(true, closure.pose_target_source))[:2].max() < 0.03
+    assert np.abs(between(TRUE, closure.pose_target_source))[:2].max() < 0.03
 
 
 def test_robots_that_only_sound_alike_must_see_more_of_the_same_walls(office, path_of):
     more = np.concatenate([office, polygon_walls((-0.9, -2.9), (1.1, -2.9), (1.1, -2.2), (-0.9, -2.2))])
     paths = path_of(0, office, FIRST), path_of(1, more, SECOND)
-    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
-    by_sign, by_sound = verify(*paths, true), verify(*paths, true, recogniser="meeting")
+    by_sign, by_sound = verify(*paths, TRUE), verify(*paths, TRUE, recogniser="meeting")
     assert by_sign.status == "accepted" and by_sign.overlap < MEETING_OVERLAP_MIN
     assert by_sound.reason == f"overlap {by_sound.overlap:.2f} < {MEETING_OVERLAP_MIN:g}"
 
@@ -78,18 +81,15 @@ def test_nothing_is_laid_on_each_other_where_no_place_fits(office, path_of):
     assert np.isfinite(closure.covariance).all()
 
 
-def test_a_true_pair_guessed_at_a_wrong_place_is_not_accepted_there(office, path_of):
-    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
+def test_a_true_pair_guessed_at_a_wrong_place_is_not_accepted_there(paths):
     for offset in [(2.5, 1.5, 0.0), (0.0, 0.0, math.pi), (-2.0, 0.5, 1.5)]:
-        closure = verify(path_of(0, office, FIRST), path_of(1, office, SECOND), compose(true, offset))
-        is_right = np.hypot(*between(true, closure.pose_target_source)[:2]) < 0.1
+        closure = verify(*paths, compose(TRUE, offset))
+        is_right = np.hypot(*between(TRUE, closure.pose_target_source)[:2]) < 0.1
         assert closure.status == "rejected" or is_right
 
 
-def test_the_reason_names_the_figure_and_its_limit(office, path_of):
-    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
-    paths = path_of(0, office, FIRST), path_of(1, office, SECOND)
-    closure = verify(*paths, true, overlap_min=1.0)
+def test_the_reason_names_the_figure_and_its_limit(paths):
+    closure = verify(*paths, TRUE, overlap_min=1.0)
     assert closure.status == "rejected"
     assert closure.reason.startswith("overlap ")
     assert closure.reason.endswith("< 1")
@@ -108,8 +108,7 @@ def test_alike_rooms_pass_geometry_so_text_and_radio_must_tell_them_apart(office
     """The known limit of this check: it cannot know that a copy of a room is another room."""
     elsewhere = office + np.array([30.0, 0.0])
     moved = [(x + 30.0, y, heading) for x, y, heading in SECOND]
-    guess = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
-    closure = verify(path_of(0, office, FIRST), path_of(1, elsewhere, moved), guess)
+    closure = verify(path_of(0, office, FIRST), path_of(1, elsewhere, moved), TRUE)
     assert closure.status == "accepted"
 
 
@@ -148,23 +147,20 @@ def test_a_shared_sign_says_more_about_the_axis_than_any_other_guess(walls, path
     assert without.is_loose and not by_sign.is_loose
 
 
-def test_the_covariance_of_a_closure_is_symmetric_and_positive(office, path_of):
-    true = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
-    closure = verify(path_of(0, office, FIRST), path_of(1, office, SECOND), true)
+def test_the_covariance_of_a_closure_is_symmetric_and_positive(paths):
+    closure = verify(*paths, TRUE)
     assert closure.covariance == pytest.approx(closure.covariance.T)
     assert np.linalg.eigvalsh(closure.covariance).min() > 0
     assert np.sqrt(np.diag(closure.covariance))[:2].max() < 0.1
 
 
-def test_verifying_twice_gives_the_same_bytes(office, hall, path_of):
+def test_verifying_twice_gives_the_same_bytes(paths, hall, path_of):
     verifier = LoopVerifier(VerificationConfig(), OdometryFilterConfig(), LidarConfig(range_max_m=RANGE_MAX_M))
-    first, second = path_of(0, office, FIRST), path_of(1, office, SECOND)
     other = path_of(1, hall, [(-3.0, 1.0, 0.0), (-2.0, 1.0, 0.0)])
-    guess = between(np.array(FIRST[-1]), np.array(SECOND[-1]))
-    candidate = LoopCandidate((0, 3), (1, 3), guess, "twc")
-    before = verifier.verify(candidate, first, second)
-    verifier.verify(LoopCandidate((0, 3), (1, 1), np.zeros(3), "twc"), first, other)
-    after = verifier.verify(candidate, first, second)
+    candidate = LoopCandidate((0, 3), (1, 3), TRUE, "twc")
+    before = verifier.verify(candidate, *paths)
+    verifier.verify(LoopCandidate((0, 3), (1, 1), np.zeros(3), "twc"), paths[0], other)
+    after = verifier.verify(candidate, *paths)
     assert before.pose_target_source.tobytes() == after.pose_target_source.tobytes()
     assert before.covariance.tobytes() == after.covariance.tobytes()
 

@@ -1,4 +1,4 @@
-import gzip
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,10 +8,13 @@ from scipy.optimize import least_squares
 
 from tests.real_data import DATA, needs_data
 from twc_env.config import PoseGraphConfig
+from twc_env.datasets.g2o import read_g2o
 from twc_env.errors import DataError
 from twc_env.geometry import between, compose, wrap_angle
 from twc_env.metrics import absolute_trajectory_error_m
+from twc_env.reproduce.robustness import dead_reckoning, read_graph
 from twc_env.slam import pose_graph
+from twc_env.slam.pose_graph import Graph
 
 PLAIN = PoseGraphConfig(robust="plain", iterations_max=100)
 
@@ -20,21 +23,12 @@ def information_of(count: int, std_m: float = 0.05, std_rad: float = 0.02) -> np
     return np.tile(np.diag([std_m**-2, std_m**-2, std_rad**-2]), (count, 1, 1))
 
 
-def dead_reckoning(edges, measured, count) -> np.ndarray:
-    """Poses along the edges i -> i + 1."""
-    poses = np.zeros((count, 3))
-    for (a, b), z in zip(edges, measured, strict=True):
-        if b == a + 1:
-            poses[b] = compose(poses[a], z)
-    return poses
+def chi2(poses: np.ndarray, graph: Graph) -> float:
+    return float(graph.squared_errors(poses).sum())
 
 
-def chi2(poses, edges, measured, information) -> float:
-    return float(pose_graph.squared_errors(poses, edges, measured, information).sum())
-
-
-def random_graph(seed: int, count: int = 12, closures: int = 6):
-    """A noisy walk with closures: true poses, edges, measured, information, is_closure."""
+def random_graph(seed: int, count: int = 12, closures: int = 6) -> tuple[np.ndarray, Graph]:
+    """True poses of a walk, and what is measured along it and by closures, with noise."""
     random = np.random.default_rng(seed)
     true = np.zeros((count, 3))
     for i in range(1, count):
@@ -45,7 +39,18 @@ def random_graph(seed: int, count: int = 12, closures: int = 6):
     noise = random.normal(0, 1, (len(edges), 3)) * (0.05, 0.05, 0.02)
     measured = compose(between(true[edges[:, 0]], true[edges[:, 1]]), noise)
     is_closure = np.arange(len(edges)) >= len(chain)
-    return true, edges, measured, information_of(len(edges)), is_closure
+    return true, Graph(edges, measured, information_of(len(edges)), is_closure)
+
+
+def with_closures(graph: Graph, ends, measured) -> Graph:
+    """With some more closures, each as sure as the others are on average."""
+    usual = graph.information[graph.is_closure].mean(axis=0)
+    return Graph(
+        np.concatenate([graph.edges, ends]),
+        np.concatenate([graph.measured, measured]),
+        np.concatenate([graph.information, np.tile(usual, (len(ends), 1, 1))]),
+        np.append(graph.is_closure, np.ones(len(ends), bool)),
+    )
 
 
 @pytest.fixture
@@ -60,94 +65,91 @@ def square():
     measured[:-1, 2] += 0.02
     information = information_of(len(edges))
     information[-1] *= 100
-    return true, edges, measured, information, np.arange(len(edges)) == count - 1
+    return true, Graph(edges, measured, information, np.arange(len(edges)) == count - 1)
 
 
 def test_a_residual_is_the_measured_pose_undone(square):
-    true, edges, measured, _, _ = square
-    expected = between(measured, between(true[edges[:, 0]], true[edges[:, 1]]))
-    assert pose_graph.residuals(true, edges, measured) == pytest.approx(expected, abs=1e-12)
+    true, graph = square
+    expected = between(graph.measured, between(*true[graph.edges.T]))
+    assert pose_graph.residuals(true, graph.edges, graph.measured) == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("robust", ["dcs", "cauchy", "plain"])
 def test_a_drifting_square_closes(square, robust):
-    true, edges, measured, information, is_closure = square
-    start = dead_reckoning(edges, measured, len(true))
+    true, graph = square
+    start = dead_reckoning(graph)
     assert np.hypot(*(start[-1] - true[-1])[:2]) > 0.5
     config = PoseGraphConfig(robust=robust, robust_scale=1000.0, iterations_max=50)
-    poses = pose_graph.optimise(start, edges, measured, information, is_closure, config)
+    poses = pose_graph.optimise(start, *graph.parts, config)
     assert np.hypot(*(poses[-1] - true[-1])[:2]) < 0.05
     assert np.hypot(*(poses - true)[:, :2].T).max() < np.hypot(*(start - true)[:, :2].T).max() / 3
 
 
 def test_perfect_measurements_change_nothing(square):
-    true, edges, _, information, is_closure = square
-    exact = between(true[edges[:, 0]], true[edges[:, 1]])
-    poses = pose_graph.optimise(true, edges, exact, information, is_closure, PoseGraphConfig())
+    true, graph = square
+    exact = replace(graph, measured=between(*true[graph.edges.T]))
+    poses = pose_graph.optimise(true, *exact.parts, PoseGraphConfig())
     assert np.abs(between(true, poses)).max() < 1e-9
 
 
 @settings(max_examples=15)
 @given(st.integers(0, 10_000))
 def test_small_graphs_agree_with_scipy(seed):
-    true, edges, measured, information, is_closure = random_graph(seed)
-    start = dead_reckoning(edges, measured, len(true))
-    root = np.linalg.cholesky(information)
+    _, graph = random_graph(seed)
+    start = dead_reckoning(graph)
+    root = np.linalg.cholesky(graph.information)
 
     def cost(free):
         poses = np.concatenate([start[:1], free.reshape(-1, 3)])
-        r = pose_graph.residuals(poses, edges, measured)
+        r = pose_graph.residuals(poses, graph.edges, graph.measured)
         return np.einsum("kji,kj->ki", root, r).ravel()
 
     best = least_squares(cost, start[1:].ravel(), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN)
-    assert chi2(poses, edges, measured, information) <= 2 * best.cost * (1 + 1e-4) + 1e-6
+    poses = pose_graph.optimise(start, *graph.parts, PLAIN)
+    assert chi2(poses, graph) <= 2 * best.cost * (1 + 1e-4) + 1e-6
     assert np.abs(between(poses[1:], best.x.reshape(-1, 3))).max() < 2e-3
 
 
 @settings(max_examples=15)
 @given(st.integers(0, 10_000))
 def test_no_iteration_raises_the_error_however_far_the_start(seed):
-    true, edges, measured, information, is_closure = random_graph(seed)
+    true, graph = random_graph(seed)
     start = compose(true, np.random.default_rng(seed).normal(0, 1, true.shape) * (3.0, 3.0, 1.5))
-    errors = [chi2(start, edges, measured, information)]
+    errors = [chi2(start, graph)]
     for count in range(1, 8):
         config = PoseGraphConfig(robust="plain", iterations_max=count)
-        poses = pose_graph.optimise(start, edges, measured, information, is_closure, config)
-        errors.append(chi2(poses, edges, measured, information))
+        poses = pose_graph.optimise(start, *graph.parts, config)
+        errors.append(chi2(poses, graph))
     assert np.all(np.diff(errors) <= 1e-9 * errors[0])
 
 
 def test_the_fixed_pose_stays_and_the_others_move_with_it():
-    true, edges, measured, information, is_closure = random_graph(3)
+    true, graph = random_graph(3)
     there = compose(np.array([50.0, -20.0, 2.0]), true)
     start = compose(there, np.random.default_rng(0).normal(0, 0.1, true.shape))
     for fixed in (0, 5, len(true) - 1):
-        poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN, fixed=fixed)
+        poses = pose_graph.optimise(start, *graph.parts, PLAIN, fixed=fixed)
         assert np.array_equal(poses[fixed], start[fixed])
-        reference = pose_graph.optimise(true, edges, measured, information, is_closure, PLAIN)
+        reference = pose_graph.optimise(true, *graph.parts, PLAIN)
         relative = between(between(reference[fixed], reference), between(poses[fixed], poses))
         assert np.abs(relative).max() < 5e-3
 
 
 @pytest.mark.parametrize("strange", [-1, 60])
 def test_edges_from_poses_that_are_not_there_are_refused(strange):
-    true, edges, measured, information, is_closure = random_graph(3)
-    edges[-1, 0] = strange
+    true, graph = random_graph(3)
+    graph.edges[-1, 0] = strange
     with pytest.raises(DataError, match=r"edges join poses 0 to \d+; got"):
-        pose_graph.optimise(true, edges, measured, information, is_closure, PLAIN)
+        pose_graph.optimise(true, *graph.parts, PLAIN)
 
 
 def false_closure_error(robust: str) -> float:
     """How far one false closure among forty moves the poses [m]."""
-    true, edges, measured, information, is_closure = random_graph(7, count=60, closures=40)
+    true, graph = random_graph(7, count=60, closures=40)
     config = PoseGraphConfig(robust=robust, iterations_max=100)
-    good = pose_graph.optimise(true, edges, measured, information, is_closure, config)
-    edges = np.concatenate([edges, [[5, 55]]])
-    measured = np.concatenate([measured, [compose(between(true[5], true[55]), [6.0, -4.0, 0.8])]])
-    information = np.concatenate([information, information[-1:]])
-    is_closure = np.append(is_closure, True)
-    bad = pose_graph.optimise(true, edges, measured, information, is_closure, config)
+    good = pose_graph.optimise(true, *graph.parts, config)
+    false = with_closures(graph, [[5, 55]], [compose(between(true[5], true[55]), [6.0, -4.0, 0.8])])
+    bad = pose_graph.optimise(true, *false.parts, config)
     return float(np.hypot(*(bad - good)[:, :2].T).max())
 
 
@@ -172,19 +174,16 @@ def test_robust_weights_fall_with_the_error(robust):
 
 
 def test_the_same_graph_gives_the_same_bytes():
-    true, edges, measured, information, is_closure = random_graph(11, count=40, closures=20)
-    start = dead_reckoning(edges, measured, len(true))
-    runs = [
-        pose_graph.optimise(start, edges, measured, information, is_closure, PoseGraphConfig()).tobytes()
-        for _ in range(3)
-    ]
+    _, graph = random_graph(11, count=40, closures=20)
+    start = dead_reckoning(graph)
+    runs = [pose_graph.optimise(start, *graph.parts, PoseGraphConfig()).tobytes() for _ in range(3)]
     assert runs[0] == runs[1] == runs[2]
 
 
 def test_optimising_leaves_its_arguments_alone():
-    true, edges, measured, information, is_closure = random_graph(5)
-    start = dead_reckoning(edges, measured, len(true))
-    arguments = [start, edges, measured, information, is_closure]
+    _, graph = random_graph(5)
+    start = dead_reckoning(graph)
+    arguments = [start, *graph.parts]
     copies = [a.copy() for a in arguments]
     pose_graph.optimise(*arguments, PoseGraphConfig())
     assert all(np.array_equal(a, b) for a, b in zip(arguments, copies, strict=True))
@@ -204,16 +203,8 @@ def test_headings_across_the_seam_are_taken_the_short_way():
     assert wrap_angle(poses[1, 2] - 3.2) == pytest.approx(0.0, abs=1e-6)
 
 
-def read_g2o(name: str):
-    """Vertices (by id), edges, measured poses, information and is_closure of a real pose graph."""
-    path = DATA / "posegraph" / f"{name}.g2o.gz"
-    with gzip.open(path, "rt") as file:
-        rows = [line.split() for line in file]
-    vertices = np.array([row[2:] for row in rows if row[0] == "VERTEX_SE2"], float)
-    values = np.array([row[1:] for row in rows if row[0] == "EDGE_SE2"], float)
-    edges, upper = values[:, :2].astype(int), values[:, 5:]
-    information = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    return vertices, edges, values[:, 2:5], information, edges[:, 1] != edges[:, 0] + 1
+def public_graph(name: str) -> Graph:
+    return read_graph(DATA / "posegraph" / f"{name}.g2o.gz")
 
 
 @needs_data
@@ -223,37 +214,37 @@ def read_g2o(name: str):
 )
 @pytest.mark.parametrize("robust", ["plain", "dcs"])
 def test_public_pose_graphs_reach_their_known_error_from_odometry(name, chi2_max, robust):
-    _, edges, measured, information, is_closure = read_g2o(name)
-    start = dead_reckoning(edges, measured, edges.max() + 1)
+    graph = public_graph(name)
+    start = dead_reckoning(graph)
     config = PoseGraphConfig(robust=robust, iterations_max=100)
-    poses = pose_graph.optimise(start, edges, measured, information, is_closure, config)
-    assert chi2(poses, edges, measured, information) <= chi2_max
+    poses = pose_graph.optimise(start, *graph.parts, config)
+    assert chi2(poses, graph) <= chi2_max
 
 
 @needs_data
 def test_manhattan_reaches_its_optimum_from_odometry():
-    _, edges, measured, information, is_closure = read_g2o("manhattan")
-    start = dead_reckoning(edges, measured, edges.max() + 1)
-    poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN)
-    assert chi2(poses, edges, measured, information) == pytest.approx(3549.037, abs=0.01)
+    graph = public_graph("manhattan")
+    start = dead_reckoning(graph)
+    poses = pose_graph.optimise(start, *graph.parts, PLAIN)
+    assert chi2(poses, graph) == pytest.approx(3549.037, abs=0.01)
 
 
 @needs_data
 def test_a_start_forty_metres_off_ends_in_a_bounded_error():
     """From raw odometry the MIT graph has bad minima; the error must still fall by six orders of magnitude."""
-    _, edges, measured, information, is_closure = read_g2o("MIT")
-    start = dead_reckoning(edges, measured, edges.max() + 1)
-    poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN)
-    assert chi2(poses, edges, measured, information) < 1e-6 * chi2(start, edges, measured, information)
+    graph = public_graph("MIT")
+    start = dead_reckoning(graph)
+    poses = pose_graph.optimise(start, *graph.parts, PLAIN)
+    assert chi2(poses, graph) < 1e-6 * chi2(start, graph)
 
 
 @needs_data
 @pytest.mark.parametrize(("name", "error_max_m"), [("ring", 1.6), ("ringCity", 1.6)])
 def test_simulated_public_graphs_come_out_where_their_truth_is(name, error_max_m):
-    _, edges, measured, information, is_closure = read_g2o(name)
-    truth = read_g2o(f"{name}_groundtruth")[0]
-    start = dead_reckoning(edges, measured, len(truth))
-    poses = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN)
+    graph = public_graph(name)
+    truth = read_g2o(DATA / "posegraph" / f"{name}_groundtruth.g2o.gz")["nodes"]
+    start = dead_reckoning(graph)
+    poses = pose_graph.optimise(start, *graph.parts, PLAIN)
     errors = [absolute_trajectory_error_m(estimate, truth) for estimate in (start, poses)]
     assert errors[1] < min(error_max_m, errors[0])
 
@@ -261,35 +252,30 @@ def test_simulated_public_graphs_come_out_where_their_truth_is(name, error_max_m
 @needs_data
 @pytest.mark.parametrize(("robust", "is_robust"), [("dcs", True), ("plain", False)])
 def test_twenty_random_closures_bend_the_real_map_only_without_a_robust_loss(robust, is_robust):
-    _, edges, measured, information, is_closure = read_g2o("intel")
-    start = dead_reckoning(edges, measured, edges.max() + 1)
-    best = pose_graph.optimise(start, edges, measured, information, is_closure, PLAIN)
+    graph = public_graph("intel")
+    start = dead_reckoning(graph)
+    best = pose_graph.optimise(start, *graph.parts, PLAIN)
     random = np.random.default_rng(0)
     wrong = np.sort(random.choice(len(best), (20, 2), replace=False), axis=1)
-    poses = pose_graph.optimise(
-        best,
-        np.concatenate([edges, wrong]),
-        np.concatenate([measured, random.uniform(-3, 3, (20, 3))]),
-        np.concatenate([information, np.tile(information[is_closure].mean(axis=0), (20, 1, 1))]),
-        np.append(is_closure, np.ones(20, bool)),
-        PoseGraphConfig(robust=robust, iterations_max=100),
-    )
+    false = with_closures(graph, wrong, random.uniform(-3, 3, (20, 3)))
+    poses = pose_graph.optimise(best, *false.parts, PoseGraphConfig(robust=robust, iterations_max=100))
     assert (np.hypot(*(poses - best)[:, :2].T).max() < 0.15) == is_robust
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_several_held_poses_keep_their_bits_and_the_others_fit_best(seed):
-    true, edges, measured, information, _ = random_graph(seed)
+    true, graph = random_graph(seed)
     random, held = np.random.default_rng(seed), np.array([0, 1, 2, 7])
     start = true + random.normal(0, 0.05, true.shape)
     moves = np.setdiff1d(np.arange(len(true)), held)
-    equations = pose_graph.NormalEquations(edges, measured, information, len(true), held)
+    equations = pose_graph.NormalEquations(*graph.parts[:3], len(true), held)
     fitted = equations.minimise(start, np.ones_like, 100, 1e-9, 1e-9)
 
     def errors(free):
         poses = start.copy()
         poses[moves] = free.reshape(-1, 3)
-        return (pose_graph.residuals(poses, edges, measured) @ np.linalg.cholesky(information[0])).ravel()
+        root = np.linalg.cholesky(graph.information[0])
+        return (pose_graph.residuals(poses, graph.edges, graph.measured) @ root).ravel()
 
     assert fitted[held].tobytes() == start[held].tobytes()
     assert fitted[moves] == pytest.approx(least_squares(errors, start[moves].ravel()).x.reshape(-1, 3), abs=1e-5)

@@ -7,7 +7,6 @@ from twc_env.slam.radio_similarity import (
     CELL_ID_MIN,
     FingerprintStore,
     all_similarities,
-    cosine,
     feature_rows,
     split_cues,
 )
@@ -16,6 +15,10 @@ from twc_env.slam.radio_similarity import (
 def heard(levels: dict[int, float]) -> Fingerprint:
     macs = np.array(sorted(levels), np.int64)
     return Fingerprint(macs, np.array([levels[m] for m in macs.tolist()], float))
+
+
+def cosine(a: Fingerprint, b: Fingerprint, mode: str = "shifted") -> float:
+    return float(all_similarities(feature_rows([a, b], mode))[0, 1])
 
 
 def crowd(count: int = 60, seed: int = 0) -> list[Fingerprint]:

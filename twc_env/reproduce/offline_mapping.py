@@ -92,9 +92,9 @@ def match(config: EnvConfig, walks: Sequence[Walk], found: Sequence[LoopCandidat
     return matched
 
 
-def build(walks: Sequence[Walk], matched: Sequence[Matched], backend: str, is_verified: bool) -> OfflineMap:
-    """The map by one back end; with `is_verified` from the candidates only that scan matching confirms."""
-    offered = np.array([m.closure.status == "accepted" or not is_verified for m in matched], bool)
+def build(walks: Sequence[Walk], matched: Sequence[Matched], backend: str) -> OfflineMap:
+    """The map by one back end: `ours` gets the candidates only that scan matching confirms, all others get all."""
+    offered = np.array([m.closure.status == "accepted" or backend != "ours" for m in matched], bool)
     closures = [m.closure for m, is_offered in zip(matched, offered, strict=True) if is_offered]
     odometry = [np.array([k.pose_odom for k in w.keyframes]) for w in walks]
     frames = common_frames(odometry, closures)

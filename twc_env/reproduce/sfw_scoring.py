@@ -89,12 +89,11 @@ def by_rules(walk: RadioWalk, cells: Cells, walls: Array) -> Mapped:
     )
 
 
-def by_ours(walk: RadioWalk, cells: Cells, seed: int, router_known: bool = True) -> Mapped:
+def by_ours(walk: RadioWalk, cells: Cells, seed: int) -> Mapped:
     """`map_structure` on the same readings."""
     structure = map_structure(
-        walk.position_m, walk.rssi_dbm, walk.router_m if router_known else None, cells.resolution_m, seed=seed,
-        origin_m=cells.origin_m,
-    )  # fmt: skip
+        walk.position_m, walk.rssi_dbm, walk.router_m, cells.resolution_m, seed=seed, origin_m=cells.origin_m
+    )
     rows, focus = focus_of(walk)
     accuracy = float(np.mean(structure.walls[rows, focus] == walk.walls[rows, focus]))
     classes = on_grid(structure.grid.classes(), structure.grid.origin_m, cells, UNKNOWN)

@@ -49,17 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--experiments", default="1,2,3,4,5,6", help="which of the six (default: %(default)s)")
     parser.add_argument(
-        "--routers",
-        choices=("known", "unknown"),
-        default="known",
-        help="whether `ours` is told where routers stand (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--flats",
-        type=natural,
-        default=0,
-        metavar="N",
-        help="measure N flats drawn by seed instead of the six experiments",
+        "--flats", type=natural, default=0, metavar="N", help="measure N flats drawn by seed instead of the six"
     )
     parser.add_argument("--out", type=Path, default=Path("runs/sfw-table1"), help="pictures (default: %(default)s)")
 
@@ -76,7 +66,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
     runs = runner.each(
         parts,
-        lambda part: measure(part[0], part[1], drawn_in(part), options.routers == "known"),
+        lambda part: measure(part[0], part[1], drawn_in(part)),
         lambda part: f"experiment {part[0]} seed {part[1]}" + (f", drawn in {options.out}" if drawn_in(part) else ""),
     )
     table = []
@@ -95,7 +85,7 @@ def _flat_rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     parts = [(number, routers) for routers in (1, 2) for number in range(options.flats)]
     runs = runner.each(
         parts,
-        lambda part: measure_flat(part[0], part[1], options.out, options.routers == "known"),
+        lambda part: measure_flat(part[0], part[1], options.out),
         lambda part: f"flat {part[0]}, {part[1]} router(s), drawn in {options.out}",
     )
     table = []
@@ -144,32 +134,32 @@ def remarks(table: list[dict]) -> list[str]:
     return missed + (why if any("k_accuracy" in text for text in missed) else []) + paper
 
 
-def measure(experiment: int, seed: int, out: Path | None, router_known: bool = True) -> dict:
+def measure(experiment: int, seed: int, out: Path | None) -> dict:
     """All methods on one walk of an experiment: {method: figures}."""
     picture = None if out is None else out / f"experiment-{experiment}.png"
-    return _measured(load_map(f"sfw-e{experiment}"), POINTS[experiment], seed, picture, router_known)
+    return _measured(load_map(f"sfw-e{experiment}"), POINTS[experiment], seed, picture)
 
 
-def measure_flat(number: int, routers: int, out: Path, router_known: bool = True) -> dict:
+def measure_flat(number: int, routers: int, out: Path) -> dict:
     """All methods on one flat drawn by seed: {method: figures}, and the number of readings under `points`."""
     plan = flat(number, routers)
     points = round(_READINGS_PER_M * path_length_m(wall_following_route(plan)))
     picture = out / f"{plan.name}-{routers}.png"
-    return {"points": points, **_measured(plan, points, _FLAT_NOISE_SEED + number, picture, router_known)}
+    return {"points": points, **_measured(plan, points, _FLAT_NOISE_SEED + number, picture)}
 
 
-def _measured(plan: Floorplan, points: int, seed: int, picture: Path | None, router_known: bool) -> dict:
+def _measured(plan: Floorplan, points: int, seed: int, picture: Path | None) -> dict:
     route = wall_following_route(plan)
     walk = read_walk(plan, radio_preset("sfw"), resampled(route, points), seed)
     cells = plan.cells(scoring.RESOLUTION_M)
     maps = {
         "paper": scoring.by_paper(walk, cells),
         scoring.COMPENSATED: scoring.by_paper(walk, cells, is_compensated=True),
-        "ours": scoring.by_ours(walk, cells, seed, router_known),
+        "ours": scoring.by_ours(walk, cells, seed),
     }
     true_m, believed_m = slam_walk(plan, route, points, seed)
     driven = dataclasses.replace(read_walk(plan, radio_preset("sfw"), true_m, seed), position_m=believed_m)
-    maps[WITH_SLAM] = scoring.by_ours(driven, cells, seed, router_known)
+    maps[WITH_SLAM] = scoring.by_ours(driven, cells, seed)
     if picture is not None:
         scoring.draw_maps(picture, picture.stem, walk, cells, maps)
     return {name: made.figures for name, made in maps.items()}

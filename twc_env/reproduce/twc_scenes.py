@@ -45,6 +45,12 @@ STOP_SPREAD_M = 0.25
 BEFORE_WALL_M = 0.2
 
 
+def scene_config(scene: str) -> EnvConfig:
+    """The default settings, on a scene's map with its robots."""
+    map_name, orders = SCENES[scene]
+    return EnvConfig(map=map_name, robots=len(orders))
+
+
 def scene_plan(scene: str, signs: str) -> Floorplan:
     """The floor plan of a scene with one of SIGNS on its walls."""
     plan = load_map(SCENES[scene][0])

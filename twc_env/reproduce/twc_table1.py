@@ -26,12 +26,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.command_line import number
 from twc_env.config import EnvConfig, override
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.runner import Runner, seeds_argument
 from twc_env.reproduce.sighting_judge import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, judge, judge_some
-from twc_env.reproduce.twc_scenes import AS_DRAWN, DEPARTMENTS, SCENES, walk_scene
+from twc_env.reproduce.twc_scenes import AS_DRAWN, DEPARTMENTS, SCENES, scene_config, walk_scene
 from twc_env.slam.rssi_similarity import BY_DISTANCE, COSINES
 
 RSSI_MODES = (*BY_DISTANCE, *COSINES, "paper")
@@ -53,18 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument("--seeds", type=seeds_argument, default=list(range(20)), help="walks (default: 0-19)")
     parser.add_argument("--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="default: both")
-    parser.add_argument(
-        "--std-mode", choices=("population", "sample", "paper"), default="population",
-        help="spread that clips scans, Eq. 7; paper: as printed, which rejects nothing (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--rssi-mode", choices=RSSI_MODES, default="saturating",
-        help="likeness of strengths, Eq. 10; paper: accept distances of at least gamma (default: %(default)s)",
-    )  # fmt: skip
     parser.add_argument("--alternatives", action="store_true", help="add rows for the other readings of Eq. 7 and 10")
-    parser.add_argument(
-        "--tolerance-db", type=number(0.1, 50.0), default=5.0, help="tau of papers.md T8 (default: %(default)s)"
-    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
@@ -77,30 +65,19 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def _judged(options: argparse.Namespace, runner: Runner) -> dict[str, list[dict]]:
-    return runner.grid(options.scenes, options.seeds, lambda scene, seed: judge_scene(scene, seed, options))
-
-
-def scene_config(scene: str, options: argparse.Namespace) -> EnvConfig:
-    """Settings of a scene with the readings that the options choose."""
-    map_name, orders = SCENES[scene]
-    return override(
-        EnvConfig(map=map_name, robots=len(orders)),
-        {
-            "slam.keyframe.std_mode": options.std_mode,
-            "slam.place_recognition.rssi_mode": options.rssi_mode,
-            "slam.place_recognition.rssi_tolerance_db": options.tolerance_db,
-        },
+    return runner.grid(
+        options.scenes, options.seeds, lambda scene, seed: judge_scene(scene, seed, options.alternatives)
     )
 
 
-def judge_scene(scene: str, seed: int, options: argparse.Namespace) -> dict:
+def judge_scene(scene: str, seed: int, has_alternatives: bool = False) -> dict:
     """Figures per method and thresholds for one walk of all robots, and each method's precision-recall curves."""
-    config = scene_config(scene, options)
+    config = scene_config(scene)
     walks = walk_scene(config, scene, AS_DRAWN, seed)
     judged = judge(config, walks)
     like_print = walk_scene(config, scene, DEPARTMENTS, seed)
     judged["figures"] += judge_some(config, like_print, DEPARTMENTS, ("text", "wifi", "twc", "fused"))
-    if options.alternatives:
+    if has_alternatives:
         judged["figures"] += _alternatives(scene, config, walks, seed)
     return judged
 
@@ -259,5 +236,5 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
     }
     path = folder / "twc-table1-curves.json"
     path.write_text(json.dumps({"recall": RECALL_LEVELS.tolist(), "precision": curves}, indent=2) + "\n")
-    figures = draw_figures(options.scenes, AS_DRAWN, options.seeds[0], False, runner, folder)
+    figures = draw_figures(options.scenes, AS_DRAWN, options.seeds[0], runner, folder)
     return [path, draw_curves(RECALL_LEVELS, curves, folder), *figures]

@@ -46,7 +46,7 @@ from twc_env.reproduce.offline_mapping import (
 )
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.runner import Runner, seeds_argument
-from twc_env.reproduce.twc_scenes import SCENES, SIGNS, walk_scene
+from twc_env.reproduce.twc_scenes import SCENES, SIGNS, scene_config, walk_scene
 from twc_env.reproduce.twc_table1 import PRINT as PRINT_TABLE1
 from twc_env.slam.team import TeamMapper
 
@@ -78,56 +78,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=seeds_argument, default=list(range(20)), help="walks (default: 0-19)")
     parser.add_argument("--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="default: both")
     parser.add_argument("--signs", choices=SIGNS, default=SIGNS[0], help="on the walls (default: %(default)s)")
-    parser.add_argument("--verified", action="store_true", help="every back end gets only what scan matching confirms")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per scene, method and back end, as means over the walks."""
-    mapped = runner.grid(
-        options.scenes, options.seeds, lambda scene, seed: map_scene(scene, options.signs, seed, options.verified)
-    )
+    mapped = runner.grid(options.scenes, options.seeds, lambda scene, seed: map_scene(scene, options.signs, seed))
     return [_summary(scene, runs) for scene, walks in mapped.items() for runs in zip(*walks, strict=True)]
 
 
-def scene_config(scene: str, method: str = "fused") -> EnvConfig:
-    """Settings of a scene with a method's place recognition."""
-    map_name, orders = SCENES[scene]
-    recognition = {"recogniser": method, **METHODS[method]} if method != "odometry" else {}
-    return override(
-        EnvConfig(map=map_name, robots=len(orders)),
-        {f"slam.place_recognition.{key}": value for key, value in recognition.items()},
-    )
-
-
-def map_scene(scene: str, signs: str, seed: int, is_verified: bool = False) -> list[dict]:
+def map_scene(scene: str, signs: str, seed: int) -> list[dict]:
     """All methods with all back ends on one walk: figures of each."""
     walks = walk_scene(scene_config(scene), scene, signs, seed)
     figures = []
-    for method, backend, matched, built in maps_of(scene, walks, is_verified):
+    for method, backend, matched, built in maps_of(scene, walks):
         figures.append({"method": method, "backend": backend, **_judge(scene, walks, matched, built)})
         if (method, backend) == ("text", LITERAL):
             for share, some in with_few_false(matched, seed):
-                few = build(walks, some, "plain", False)
+                few = build(walks, some, "plain")
                 figures.append({"method": method, "backend": f"{LITERAL} {share:g}", **_judge(scene, walks, some, few)})
     live = map_live(scene, walks)
     return [*figures, {"method": "fused", "backend": LIVE, **_judge(scene, walks, [], live)}]
 
 
-def maps_of(
-    scene: str, walks: Sequence[Walk], is_verified: bool = False
-) -> list[tuple[str, str, list[Matched], OfflineMap]]:
+def maps_of(scene: str, walks: Sequence[Walk]) -> list[tuple[str, str, list[Matched], OfflineMap]]:
     """(method, back end, what was matched, map) for all methods and back ends."""
     maps = []
-    for method in METHODS:
-        config = scene_config(scene, method)
+    for method, settings in METHODS.items():
+        recognition = {"recogniser": method, **settings} if method != "odometry" else {}
+        config = override(
+            scene_config(scene), {f"slam.place_recognition.{key}": value for key, value in recognition.items()}
+        )
         found = candidates(config, walks) if method != "odometry" else []
         matched = match(config, walks, found)
         for backend in BACKENDS:
-            maps.append((method, backend, matched, build(walks, matched, backend, is_verified or backend == "ours")))
+            maps.append((method, backend, matched, build(walks, matched, backend)))
         if method in PRINT[scene]:
             as_printed = override(config, {"slam.verification.method": "point-to-point"})
             matched = match(as_printed, walks, found)
-            maps.append((method, LITERAL, matched, build(walks, matched, "plain", is_verified)))
+            maps.append((method, LITERAL, matched, build(walks, matched, "plain")))
     return maps
 
 
@@ -144,7 +132,9 @@ def with_few_false(matched: list[Matched], seed: int) -> list[tuple[float, list[
 
 def map_live(scene: str, walks: Sequence[Walk]) -> OfflineMap:
     """The map of the engine's own mapper, which gets the keyframes one by one."""
-    config = override(scene_config(scene), {"slam.pose_graph.robust": "ours"})
+    config = override(
+        scene_config(scene), {"slam.place_recognition.recogniser": "fused", "slam.pose_graph.robust": "ours"}
+    )
     team = TeamMapper(config, len(walks))
     for keyframe in in_time([w.keyframes for w in walks]):
         team.update(keyframe.step, [keyframe])
@@ -267,12 +257,10 @@ def reductions(baseline: Sequence[float], improved: Sequence[float]) -> tuple[fl
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
     """The paper's figures 4 to 6 for the first walk of each scene."""
-    return draw_figures(options.scenes, options.signs, options.seeds[0], options.verified, runner, folder)
+    return draw_figures(options.scenes, options.signs, options.seeds[0], runner, folder)
 
 
-def draw_figures(
-    scenes: Sequence[str], signs: str, seed: int, is_verified: bool, runner: Runner, folder: Path
-) -> list[Path]:
+def draw_figures(scenes: Sequence[str], signs: str, seed: int, runner: Runner, folder: Path) -> list[Path]:
     """The paper's figures 4 to 6 for one walk of each scene."""
     from twc_env.reproduce.twc_pictures import draw_scene
 
@@ -280,5 +268,5 @@ def draw_figures(
     for scene in scenes:
         runner.say(f"drawing {scene} seed {seed}")
         walks = walk_scene(scene_config(scene), scene, signs, seed)
-        paths += draw_scene(scene, walks, maps_of(scene, walks, is_verified), folder)
+        paths += draw_scene(scene, walks, maps_of(scene, walks), folder)
     return paths

@@ -90,11 +90,6 @@ def all_similarities(rows: csr_array) -> Array:
     return _all_pairs(unit.indptr, unit.indices, unit.data, starts, members, weights)
 
 
-def cosine(a: Fingerprint, b: Fingerprint, mode: str = "shifted") -> float:
-    """Similarity of two fingerprints; 0 where one is empty."""
-    return float(all_similarities(feature_rows([a, b], mode))[0, 1])
-
-
 def _normalised(rows: csr_array) -> csr_array:
     lengths = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
     unit = rows.astype(np.float32)  # may put the columns of a row into another order

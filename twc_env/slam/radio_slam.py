@@ -107,8 +107,6 @@ class RadioResult:
     """(n, 3) of every scan, the first at (0, 0, 0)."""
     places: Array
     """(p,) scans that are places of the graph."""
-    place_poses: Array
-    """(p, 3)."""
     models: dict[str, SimilarityModel]
     closures: Distances
     """Between places."""
@@ -246,7 +244,7 @@ class _Solver:
     def _result(self, place_poses: Array, closures: Distances, fell_back: bool) -> RadioResult:
         poses = spread(self._log.odometry, self._log.travel_m, self._places, place_poses)
         models = {cue.name: cue.model for cue in self._cues}
-        return RadioResult(poses, self._places, place_poses, models, closures, fell_back)
+        return RadioResult(poses, self._places, models, closures, fell_back)
 
 
 def _rank_correlation(near: Array, likeness: Array) -> float:

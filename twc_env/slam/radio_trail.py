@@ -90,11 +90,6 @@ class RadioTrail:
         """(3,) where the robot is now."""
         return compose(self._poses[-1], self._step[:3]) if len(self) else np.zeros(3)
 
-    @property
-    def place_poses(self) -> Array:
-        """(places, 3) of the graph."""
-        return self._poses
-
     def add(self, motion: Array, turned_rad: float, fingerprint: Fingerprint) -> Array:
         """Take in the motion (3,) since the last scan and what is heard after it; gives the pose (3,)."""
         right = self._calibration.applied(Motions(np.array([motion], float), np.array([turned_rad])))
