@@ -7,7 +7,7 @@ import pytest
 
 from tests.real_data import DATA, needs_data
 from twc_env.datasets.ble_flat import read_ble_run, read_flat
-from twc_env.datasets.fingerprints import read_table
+from twc_env.datasets.fingerprints import read_numbers, read_table
 from twc_env.datasets.indoor20 import read_indoor20
 from twc_env.datasets.scan_log import read_carmen_log, read_relations, read_scan_log
 from twc_env.datasets.sod_indoor_loc import read_sod
@@ -140,6 +140,19 @@ def test_runs_of_the_flat_lie_inside_its_outline():
     for run in ("calibration", "calib3", "calib4"):
         inside = shapely.contains_xy(outline, read_ble_run(folder, run).position_m)
         assert inside.mean() > 0.95
+
+
+@needs_data
+def test_the_last_two_walks_of_the_calibration_are_the_other_runs_and_the_first_two_are_not():
+    folder = DATA / "wifi" / "ble_lidar"
+    calibration = read_ble_run(folder, "calibration")
+    assert np.unique(calibration.walk).tolist() == [0, 1, 2, 3]
+    begun_s = read_numbers(folder / "calibration_df.csv.gz", ("ts",))[0, 0] * 1e-9
+    for walk, run in ((2, "calib3"), (3, "calib4")):
+        own_s = read_numbers(folder / f"{run}_df.csv.gz", ("ts",))[:, 0] * 1e-9 - begun_s
+        apart_s = np.abs(calibration.time_s[:, None] - own_s[None]).min(axis=1)
+        assert apart_s[calibration.walk == walk].max() < 0.01
+        assert apart_s[calibration.walk < 2].min() > 60.0
 
 
 @needs_data

@@ -24,6 +24,8 @@ POSE_LAYOUT_RUN = {
 """Where each run's own frame lies in the frame of the wall plan."""
 ANCHORS = {"calibration": (1, 2, 3, 4, 5, 6), "calib3": (3, 4, 5, 8, 10, 11), "calib4": (3, 4, 5, 8, 10, 11)}
 """The numbers that each run gives the six fixed radios, in the order of the plan."""
+_PAUSE_NS = 60e9
+"""A longer pause parts the drives of a run."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +46,10 @@ def read_flat(folder: str | Path) -> Flat:
 
 
 def read_ble_run(folder: str | Path, run: str) -> RadioSurvey:
-    """One drive: "calibration", "calib3" or "calib4", in the frame of the wall plan."""
+    """The run "calibration", "calib3" or "calib4", in the frame of the wall plan.
+
+    The calibration holds four drives, each a walk of its own: walk 2 is calib3 and walk 3 is calib4.
+    """
     if run not in POSE_LAYOUT_RUN:
         raise DataError(f"the flat has no run {run!r}; known are {', '.join(POSE_LAYOUT_RUN)}")
     columns = tuple(f"rssi_{anchor}" for anchor in ANCHORS[run])
@@ -54,7 +59,7 @@ def read_ble_run(folder: str | Path, run: str) -> RadioSurvey:
         position_m=transform_points(POSE_LAYOUT_RUN[run], table[:, 1:3]),
         floor=np.zeros(len(table), int),
         time_s=(table[:, 0] - table[0, 0]) * 1e-9,
-        walk=np.zeros(len(table), int),
+        walk=np.cumsum(np.diff(table[:, 0], prepend=table[0, 0]) > _PAUSE_NS),
         addresses=tuple(f"anchor-{i + 1}" for i in range(len(columns))),
         rssi_dbm=table[:, 3:].astype(np.float32),
         transmitter_m=read_flat(folder).anchors_m,
