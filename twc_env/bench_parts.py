@@ -49,7 +49,8 @@ class PartTime:
 
 def _parts() -> list[tuple[str, bool, Any, str]]:
     """(part, whether it is of the engine, owner, function or method) of all that is timed."""
-    from twc_env.exploration import evaluation, map_view, verdicts
+    from twc_env.exploration import map_view, verdicts
+    from twc_env.exploration.episode import Episode
     from twc_env.exploration.observations import ObservationBuilder
     from twc_env.slam.closure_search import ClosureSearch
     from twc_env.slam.engine import CooperativeSlam
@@ -84,7 +85,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("observation: map crop", False, map_view.MapViews, "draw"),
         ("observation: the rest", False, ObservationBuilder, "build"),
         ("reward: map against the truth", False, verdicts, "standing"),
-        ("end of the episode: report", False, evaluation, "evaluate"),
+        ("end of the episode: report", False, Episode, "numbers"),
     ]
 
 

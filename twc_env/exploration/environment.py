@@ -210,9 +210,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             self._tell_choices(infos, episode.pilot, episode.steps - began)
         truncated = self._all_false
         if episode.is_over:
-            figures = {k: v for k, v in self.result().figures.items() if isinstance(v, (int, float))}
+            numbers: dict[str, Any] = episode.numbers()
             for info in infos.values():
-                info.update(figures)
+                info.update(numbers)
             self.agents, truncated = [], self._all_true
         if values is not self._weighed[0]:
             self._weighed = values, self._by_agent(rewards.weigh(values, self._weights))

@@ -144,6 +144,13 @@ class Episode:
             self._judged = believed, verdicts.verdicts_of(self.engine, self.record, self.floorplan.cells())
         return self._judged[1]
 
+    def numbers(self) -> dict[str, float]:
+        """The figures of `result` that are one number each."""
+        paths = evaluation.EpisodePaths.of(self.engine, self.record)
+        return evaluation.numbers(
+            self.config, self.seed, self.floorplan, self.engine, self.record, self.verdicts(), paths
+        )
+
     def result(self) -> evaluation.EpisodeResult:
         """Judge the episode so far against the truth."""
         return evaluation.evaluate(self.config, self.seed, self.floorplan, self.engine, self.record, self.verdicts())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -79,27 +80,40 @@ def progress(
     return alignment, closures, figures
 
 
-def evaluate(
+class EpisodePaths(NamedTuple):
+    """Where the robots were, and where they are believed to have been; poses (steps + 1, robots, 3)."""
+
+    true: Array
+    """In the building frame."""
+    estimated: Array
+    """Each in the map that its robot sees."""
+    alignment: Array
+    """(robots, 3) what lays these maps on the building."""
+    reckoned: Array
+    """By dead reckoning alone from the true start, in the building frame."""
+
+    @classmethod
+    def of(cls, engine: Engine, record: EpisodeRecord) -> EpisodePaths:
+        """As they are believed now."""
+        paths, true = TeamPaths(engine, record.odom_poses), record.true_poses
+        return cls(true, paths.as_seen(), paths.alignment(true), record.odometry_poses())
+
+
+def numbers(
     config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
-    verdicts: Sequence[GroupVerdict],
-) -> EpisodeResult:  # fmt: skip
-    """Every figure of the report and all that pictures and exports need; verdicts: of the maps as they are now."""
-    cells, bytes_sent = floorplan.cells(), engine.bytes_sent
+    verdicts: Sequence[GroupVerdict], paths: EpisodePaths,
+) -> dict[str, float]:  # fmt: skip
+    """Every figure of the report that is one number; verdicts and paths: of the maps as they are now."""
+    cells, best = floorplan.cells(), verdicts[0]
     for verdict in verdicts:
         record.wrong_pairs.update(verdict.wrong_pairs)
-    paths, true = TeamPaths(engine, record.odom_poses), record.true_poses
-    estimated, alignment = paths.as_seen(), paths.alignment(true)
-    best = verdicts[0]
+    true, estimated, alignment, reckoned = paths
     score = _score(best.grid, best.pose_building_map, cells)
-    closures = _closures(engine, best, record, alignment)
-    counted = metrics.score_closures([c["correct"] for c in closures], [c["status"] == "accepted" for c in closures])
-    reckoned = record.odometry_poses()
     robots = range(true.shape[1])
     taken = _taken(engine, len(robots))
     # The map that dead reckoning alone would give, its true relative starts given away, after one alignment.
     by_odometry = _score(_drawn_at(reckoned, *taken, config), metrics.lay_map(reckoned, true), cells)
-    figures = {
-        "map": config.map,
+    return {
         "robots": config.robots,
         "seed": seed,
         "steps": record.count - 1,
@@ -112,12 +126,35 @@ def evaluate(
         "merged_robots": len(best.robots),
         "wrong_merges": len(record.wrong_pairs),
         "team_ate_m": position_error_m(alignment, estimated, true),
-        "per_robot_ate_m": [metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in robots],
         "epe_m": float(np.mean([metrics.end_point_error_m(estimated[:, r], true[:, r]) for r in robots])),
         "odometry_ate_m": metrics.absolute_trajectory_error_m(reckoned, true),
         "odometry_coverage_correct": by_odometry.coverage_correct,
         "odometry_map_iou": by_odometry.map_iou,
         "odometry_wall_iou": by_odometry.wall_iou,
+        "bytes_sent": int(sum(engine.bytes_sent.values())),
+        "path_length_m": float(sum(metrics.path_length_m(true[:, r]) for r in robots)),
+        "collisions": record.contact_count,
+        "stuck_share": metrics.stuck_share(
+            true, max(int(STUCK_WINDOW_S / config.dynamics.time_step_s), 1), STUCK_RADIUS_M
+        ),
+    }
+
+
+def evaluate(
+    config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
+    verdicts: Sequence[GroupVerdict],
+) -> EpisodeResult:  # fmt: skip
+    """Every figure of the report and all that pictures and exports need; verdicts: of the maps as they are now."""
+    paths, best = EpisodePaths.of(engine, record), verdicts[0]
+    true, estimated = paths.true, paths.estimated
+    closures = _closures(engine, best, record, paths.alignment)
+    counted = metrics.score_closures([c["correct"] for c in closures], [c["status"] == "accepted" for c in closures])
+    figures = {
+        "map": config.map,
+        **numbers(config, seed, floorplan, engine, record, verdicts, paths),
+        "per_robot_ate_m": [
+            metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in range(true.shape[1])
+        ],
         "closures": {
             "proposed": counted.proposed,
             "accepted": counted.accepted,
@@ -126,13 +163,7 @@ def evaluate(
             "recall": _or_none(counted.recall),
         },
         "lacked": engine.lacked(),
-        "bytes_sent": int(sum(bytes_sent.values())),
-        "bytes_by_kind": {kind: int(count) for kind, count in sorted(bytes_sent.items())},
-        "path_length_m": float(sum(metrics.path_length_m(true[:, r]) for r in robots)),
-        "collisions": record.contact_count,
-        "stuck_share": metrics.stuck_share(
-            true, max(int(STUCK_WINDOW_S / config.dynamics.time_step_s), 1), STUCK_RADIUS_M
-        ),
+        "bytes_by_kind": {kind: int(count) for kind, count in sorted(engine.bytes_sent.items())},
         "config_digest": config_digest(config),
         "version": __version__,
     }
@@ -143,7 +174,7 @@ def evaluate(
         figures=figures,
         true_poses=true.copy(),
         estimated_poses=estimated,
-        odometry_poses=reckoned,
+        odometry_poses=paths.reckoned,
         groups=tuple(v.robots for v in verdicts),
         grids=tuple(GridMap(v.grid.log_odds.copy(), v.grid.origin_m.copy(), v.grid.resolution_m) for v in verdicts),
         pose_building_map=np.array([v.pose_building_map for v in verdicts]),
