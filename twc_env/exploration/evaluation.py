@@ -202,7 +202,7 @@ def map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
 def _taken(engine: Engine, robots: int) -> tuple[list[Array], Array]:
     """The steps (k,) of each robot's keyframes, and all their scans (keyframes, beams), robot by robot."""
     steps, scans = zip(*(engine.mapper_of(robot).scans_of(robot) for robot in range(robots)), strict=True)
-    return list(steps), np.concatenate(scans)
+    return list(steps), np.array([scan for own in scans for scan in own])
 
 
 def _drawn_at(poses: Array, steps: list[Array], scans: Array, config: EnvConfig) -> GridMap:

@@ -94,8 +94,8 @@ def score_map(
     believed_m2 = float(np.count_nonzero(log_odds < 0)) * resolution_m**2
     union_m2 = floor_m2 + max(believed_m2, correct_m2) - correct_m2
     map_wall = log_odds > 0
-    recall = _share(*_count_met(truth_wall, truth_free, *_sampling(*places), map_wall))
-    precision = _share(*_count_met(map_wall, map_wall, *_sampling_back(*places), truth_wall))
+    recall = _share(*_count_met(np.flatnonzero(truth_wall), truth_free, *_sampling(*places), map_wall))
+    precision = _share(*_count_met(np.flatnonzero(map_wall), map_wall, *_sampling_back(*places), truth_wall))
     return MapScore(
         correct_area_m2=correct_m2,
         believed_area_m2=believed_m2,
@@ -236,15 +236,18 @@ def _count_row(levels, mask):
 
 @kernel
 def _count_met(walls, beside, row0, column0, step, others):
-    """(met, all) of the wall cells that border cells of `beside`; met: another wall is at most one cell away."""
+    """(met, all) of the wall cells that border cells of `beside`; met: another wall is at most one cell away.
+
+    walls (k,): their numbers in a grid of the shape of `beside`.
+    """
     c, s = step[0], step[1]
     met, count = 0, 0
-    for i in range(walls.shape[0]):
-        for j in range(walls.shape[1]):
-            if walls[i, j] and _is_beside(beside, i, j):
-                count += 1
-                r, k = int(np.floor(row0 + c * i + s * j)), int(np.floor(column0 - s * i + c * j))
-                met += _is_beside(others, r, k)
+    for number in walls:
+        i, j = number // beside.shape[1], number % beside.shape[1]
+        if _is_beside(beside, i, j):
+            count += 1
+            r, k = int(np.floor(row0 + c * i + s * j)), int(np.floor(column0 - s * i + c * j))
+            met += _is_beside(others, r, k)
     return met, count
 
 

@@ -177,8 +177,8 @@ class TeamMapper:
         """(keyframes,) the step at which each was taken."""
         return self._graph.steps_of(robot)
 
-    def scans_of(self, robot: int) -> tuple[Array, Array]:
-        """Steps (k,) and scans (k, beams) [m] of the keyframes that are held."""
+    def scans_of(self, robot: int) -> tuple[Array, list[Array]]:
+        """Steps (k,) and scans (beams,) [m] of the keyframes that are held."""
         return self._graph.step_of_node[self._graph.path_of(robot)], self._graph.scans_of(robot)
 
     @property

@@ -108,9 +108,9 @@ class TeamGraph(GraphArrays):
         pose: Array = self.poses[self._nodes[robot][-1]]
         return pose
 
-    def scans_of(self, robot: int) -> Array:
-        """(k, beams) of one robot's keyframes that are held [m]."""
-        return self._scans_at(self.path_of(robot))
+    def scans_of(self, robot: int) -> list[Array]:
+        """(beams,) of each of one robot's keyframes that are held [m]."""
+        return [self._scans[node] for node in self.path_of(robot).tolist()]
 
     def nodes_of(self, robots: Sequence[int]) -> Array:
         """(k,) nodes of some robots, ascending."""
