@@ -173,6 +173,17 @@ def test_a_result_right_after_reset_is_already_a_report():
     assert all(isinstance(grid, GridMap) for grid in result.grids)
 
 
+def test_the_last_info_holds_every_figure_that_is_one_number():
+    env = twc_env.parallel_env(robots=2, max_cycles=5)
+    env.reset(seed=0)
+    for _ in range(5):
+        infos = env.step(dict.fromkeys(env.agents, np.array([1.0, 0.4])))[-1]
+    numbers = {name: value for name, value in env.result().figures.items() if isinstance(value, (int, float))}
+    assert len(numbers) > 20
+    for info in infos.values():
+        assert {name: value for name, value in info.items() if name != "reward_terms"} == numbers
+
+
 def test_a_moved_building_gets_the_same_report(explore, log, result):
     plan = log.env.floorplan.moved(np.array([12.0, -30.0, 0.8]))
     moved = explore(STEPS, max_cycles=STEPS, floorplan=plan).env.result()
