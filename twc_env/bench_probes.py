@@ -13,8 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import Any
 
 Report = Callable[[str], None]
@@ -22,7 +21,7 @@ Report = Callable[[str], None]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _WARM_STARTS = 3
 _MEMORY_MAP, _MEMORY_ENVS = "gen:office:1000:{}", 4
-_ROUNDS = 3
+_ROUNDS = 21
 
 
 def probe(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
@@ -51,32 +50,42 @@ def probe(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
 def workers2_speedup(map_name: str, steps: int, report: Report) -> float | None:
     """Steps per second of two worker processes at once over those of one; None on a single core.
 
-    Median over rounds of one worker, then two that each do the same work; every round has an episode of its own.
+    Median over many short rounds, in which the first plays an episode alone, then both, then the second alone.
     """
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
     if len(cores) < 2:
         report("one core only: two workers cannot be measured")
         return None
+    workers = [_start(["worker", map_name, str(steps), str(core)]) for core in cores[:2]]
+    _played_s(workers, 0)  # kernels are compiled or read from disk
     ratios = []
     for seed in range(_ROUNDS):
-        alone = _workers(map_name, steps, seed, cores[:1])
-        ratios.append(_workers(map_name, steps, seed, cores[:2]) / alone)
+        first_s, both_s, second_s = (_played_s(some, seed) for some in (workers[:1], workers, workers[1:]))
+        ratios.append((first_s + second_s) / both_s)
+    for worker in workers:
+        worker.communicate()
     speedup = statistics.median(ratios)
-    report(f"two workers against one: {speedup:.2f} x")
+    report(f"two workers against one: {speedup:.2f} x (rounds: {min(ratios):.2f} to {max(ratios):.2f})")
     return speedup
 
 
-def _workers(map_name: str, steps: int, seed: int, cores: list[int]) -> float:
-    """Steps per second of all workers together: each plays the same episode on its own core, all begin at once."""
-    with tempfile.TemporaryDirectory() as folder:
-        gate = Path(folder) / "go"
-        workers = [_start(["worker", map_name, str(steps), str(core), str(seed), str(gate)]) for core in cores]
-        for worker in workers:
-            assert worker.stdout is not None
-            worker.stdout.readline()  # "ready"
-        gate.touch()
-        spans = [json.loads(worker.communicate()[0]) for worker in workers]
-    return len(cores) * steps / (max(end for _, end in spans) - min(begin for begin, _ in spans))
+def _played_s(workers: list[subprocess.Popen], seed: int) -> float:
+    """How long these workers take to play the same episode, each on its own core; all begin at once."""
+    _answers(workers, str(seed))
+    begins, ends = zip(*_answers(workers, "go"), strict=True)
+    return max(ends) - min(begins)
+
+
+def _answers(workers: list[subprocess.Popen], word: str) -> list[Any]:
+    """What workers say to a word that all of them are told first."""
+    for worker in workers:
+        assert worker.stdin is not None
+        worker.stdin.write(f"{word}\n")
+        worker.stdin.flush()
+    lines = [worker.stdout.readline() for worker in workers if worker.stdout is not None]
+    if not all(lines):
+        raise RuntimeError("a worker of the probe came to an end: see its message above")
+    return [json.loads(line) for line in lines]
 
 
 def _start(arguments: list[str], environment: dict[str, str] | None = None) -> subprocess.Popen:
@@ -86,6 +95,7 @@ def _start(arguments: list[str], environment: dict[str, str] | None = None) -> s
     return subprocess.Popen(
         [sys.executable, "-m", __name__, *arguments],
         env={**inherited, **pinned, **(environment or {})},
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -140,7 +150,8 @@ def _played(map_name: str, steps: int) -> Any:
     return env
 
 
-def _worker(map_name: str, steps: int, core: int, seed: int, gate: Path, say: Callable[[str], object]) -> None:
+def _worker(map_name: str, steps: int, core: int, hear: Iterator[str], say: Callable[[str], object]) -> None:
+    """Play the episode of each seed that is heard, at the word after it; says when it is ready, then begin and end."""
     from twc_env.bench import record_actions
     from twc_env.config import EnvConfig, override
     from twc_env.exploration.environment import ExplorationEnv
@@ -148,19 +159,16 @@ def _worker(map_name: str, steps: int, core: int, seed: int, gate: Path, say: Ca
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
     config = override(EnvConfig(), {"map": map_name, "max_cycles": steps})
-    actions = record_actions(ExplorationEnv(config=override(config, {"slam.mode": "off"})), seed)
-    env = ExplorationEnv(config=config)
-    env.reset(seed=seed)
-    for action in actions[: steps // 10 + 1]:  # kernels are compiled or read from disk
-        env.step(action)
-    env.reset(seed=seed)
-    say("ready\n")
-    while not gate.exists():
-        time.sleep(0.001)
-    begin = time.monotonic()
-    for action in actions:
-        env.step(action)
-    say(json.dumps([begin, time.monotonic()]) + "\n")
+    env, scout = ExplorationEnv(config=config), ExplorationEnv(config=override(config, {"slam.mode": "off"}))
+    for seed in map(int, hear):
+        actions = record_actions(scout, seed)
+        env.reset(seed=seed)
+        say('"ready"\n')
+        next(hear)
+        begin = time.monotonic()
+        for action in actions:
+            env.step(action)
+        say(json.dumps([begin, time.monotonic()]) + "\n")
 
 
 def main(arguments: list[str]) -> None:
@@ -176,7 +184,7 @@ def main(arguments: list[str]) -> None:
     elif name == "memory":
         say(f"{_memory_mb(int(rest[0]))}\n")
     elif name == "worker":
-        _worker(rest[0], int(rest[1]), int(rest[2]), int(rest[3]), Path(rest[4]), say)
+        _worker(rest[0], int(rest[1]), int(rest[2]), iter(sys.stdin.readline, ""), say)
     else:
         raise ValueError(f"no probe named {name!r}")
 
