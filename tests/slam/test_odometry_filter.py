@@ -143,6 +143,21 @@ def test_the_scale_of_the_odometry_is_learned_in_rooms_and_carries_through_corri
     assert np.hypot(*(ekf.state[:2] - true[:2])) < 0.12, "10 m without a match"
 
 
+@BOTH
+def test_walls_first_seen_at_the_end_of_a_corridor_do_not_confirm_the_scale_that_led_there(kind):
+    ekf, random = kind(CONFIG), np.random.default_rng(3)
+    for step in range(401):
+        ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
+        askew = random.normal(0.0, 0.01)
+        across = np.array([-np.sin(askew), np.cos(askew)])
+        information = SHARP.copy()
+        if step < 400:  # walls whose direction is told a little wrongly: nothing is told of the way along them
+            information[:2, :2] = 1e4 * np.outer(across, across)
+        ekf.update(ekf.state[:3].copy(), information)
+    assert ekf.covariance[4, 4] ** 0.5 == pytest.approx(CONFIG.odometry_scale_std, rel=0.05)
+    assert np.linalg.eigvalsh(ekf.covariance)[0] > 0.0
+
+
 @pytest.mark.parametrize("worse", [1.0, 2.0])
 @pytest.mark.parametrize("too_long", [0.02, -0.02])
 def test_noise_of_the_odometry_does_not_pull_the_scale(too_long, worse):

@@ -25,6 +25,8 @@ LATEST_SHARE = 0.2
 """Weight of the latest reading in the mean of the readings before a step."""
 INFORMATION_MIN = 1e-6
 """Added to a match's information, so that a direction it does not fix has a variance at all."""
+UNTOLD_SHARE = 1e-6
+"""A direction that a match leaves open has no information, but for rounding."""
 
 
 @kernel
@@ -120,11 +122,39 @@ def update_state(x, p, pose, information, gate):
 
 
 @kernel
+def part_from_untold(p, information):
+    """Where a match leaves a direction open, as a corridor's axis, nothing else is told by how far the robot is along it.
+
+    Walls that fix it again further on stand where the robot believes that it is. They would seem to confirm all that it
+    went by to get there, odometry's scale above all. Changes p (5, 5) in place.
+    """
+    a, b, d = information[0, 0], information[0, 1], information[1, 1]
+    mean, half = 0.5 * (a + d), 0.5 * math.sqrt((a - d) ** 2 + 4.0 * b * b)
+    if mean - half > UNTOLD_SHARE * mean or mean <= 0.0:
+        return
+    angle = 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
+    along = math.cos(angle), math.sin(angle)
+    others = np.empty(5)
+    for j in range(5):
+        others[j] = along[0] * p[0, j] + along[1] * p[1, j]
+    variance = along[0] * others[0] + along[1] * others[1]
+    for axis in range(2):
+        others[axis] -= variance * along[axis]
+    for axis in range(2):
+        for j in range(5):
+            p[axis, j] -= along[axis] * others[j]
+    for j in range(5):
+        for axis in range(2):
+            p[j, axis] -= along[axis] * others[j]
+
+
+@kernel
 def believe_match(x, p, pose, information, gate, is_clear):
     """`update_state`; and a pose that contradicts the prediction is believed where it `is_clear`: the robot slipped.
 
     What was slipped is then as unknown as it is long. Gives whether the pose is believed.
     """
+    part_from_untold(p, information)
     if update_state(x, p, pose, information, gate):
         return True
     if not is_clear:
@@ -278,6 +308,7 @@ class FilterpyFilters:
             if not is_matched[k]:
                 continue
             ekf, noise = self._filters[k], np.linalg.inv(information[k] + INFORMATION_MIN * np.eye(3))
+            part_from_untold(ekf.P, information[k])
             away = _pose_difference(poses[k], ekf.x[:3])
             is_matched[k] = away @ np.linalg.inv(ekf.P[:3, :3] + noise) @ away <= self._config.match_gate
             if is_clear[k] and not is_matched[k]:
