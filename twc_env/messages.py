@@ -162,6 +162,11 @@ LOOSE_M = 0.5
 """A closure that may err by more (one sigma) leaves a direction open."""
 
 
+def is_loose(covariance: Array) -> bool:
+    """Whether a closure with this covariance (3, 3) leaves a direction open."""
+    return bool(covariance[0, 0] + covariance[1, 1] > LOOSE_M**2)
+
+
 @dataclass(slots=True, eq=False)
 class LoopClosure:
     """A candidate after scan matching, and what the back end thinks of it now."""
@@ -183,7 +188,7 @@ class LoopClosure:
     @property
     def is_loose(self) -> bool:
         """Whether it leaves a direction open: along a bare corridor scans fit everywhere."""
-        return bool(self.covariance[0, 0] + self.covariance[1, 1] > LOOSE_M**2)
+        return is_loose(self.covariance)
 
     def joins(self, a: Collection[int], b: Collection[int]) -> bool:
         """Whether one end is a keyframe of robots `a` and the other of robots `b`."""

@@ -29,10 +29,12 @@ def test_signs_are_compared_along_a_corridor_although_its_walls_were_met_again(
     assert [closure.candidate.recogniser for closure in mapper.closures] == ["twc"] * is_compared
 
 
-def looked_at(scan_m, keyframe, recogniser) -> LoopClosure:
-    """What becomes of a candidate between two robots that share no map and saw the same."""
+def looked_at(scan_m, keyframe, recogniser, is_one_map=False) -> LoopClosure:
+    """What becomes of a candidate between two robots that saw the same."""
     mapper = TeamMapper(EnvConfig(), 2)
     mapper.update(0, [keyframe(robot, 0, (0.0, 0.0, 0.0), 0.0, scan_m) for robot in (0, 1)])
+    if is_one_map:
+        mapper._maps.merge(0, 1, np.zeros(3))
     mapper._search._waiting[recogniser].append(LoopCandidate((0, 0), (1, 0), np.array([0.1, 0.0, 0.0]), recogniser))
     mapper._search.waiting_count = 1
     mapper.update(1, [keyframe(0, 1, (0.0, 0.0, 0.0), 0.0, scan_m)])
@@ -48,6 +50,13 @@ def test_robots_in_the_way_do_not_fix_a_place_along_a_corridor(keyframe, scan, w
     mate = np.concatenate([corridor, walls((-0.8, -0.15), (-0.5, -0.15), (-0.5, 0.15), (-0.8, 0.15))])
     closure = looked_at(scan(mate, (0.0, 0.0, 0.0)), keyframe, recogniser)
     assert closure.status == status and ("robots" in closure.reason) is not is_end_seen
+
+
+@pytest.mark.parametrize(("is_end_seen", "status"), [(False, "rejected"), (True, "accepted")])
+def test_nor_do_they_inside_one_map(keyframe, scan, walls, is_end_seen, status):
+    corridor = walls((-40.0, -0.6), (3.0 if is_end_seen else 40.0, -0.6), (3.0, 0.6), (-40.0, 0.6))
+    mate = np.concatenate([corridor, walls((-0.8, -0.15), (-0.5, -0.15), (-0.5, 0.15), (-0.8, 0.15))])
+    assert looked_at(scan(mate, (0.0, 0.0, 0.0)), keyframe, "proximity", is_one_map=True).status == status
 
 
 def test_robots_do_not_fix_a_place_where_nothing_else_is_seen(keyframe, scan, walls):

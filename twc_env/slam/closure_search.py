@@ -149,7 +149,7 @@ class ClosureSearch:
                 self._without_scans.append(candidate)
             else:
                 closure = self._verifier.verify(candidate, *paths)
-                if not is_one_map and candidate.sign_m is None:
+                if candidate.sign_m is None:
                     self._doubt(closure, *paths)
                 if self._meetings is not None and candidate.recogniser == MEETING:
                     self._meetings.note(closure)

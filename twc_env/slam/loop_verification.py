@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import LidarConfig, OdometryFilterConfig, VerificationConfig
-from twc_env.messages import Keyframe, LoopCandidate, LoopClosure
+from twc_env.messages import Keyframe, LoopCandidate, LoopClosure, is_loose
 from twc_env.slam.closure_covariance import closure_covariance
 from twc_env.slam.given_arrays import given_pose
 from twc_env.slam.global_matching import match_globally
@@ -25,15 +25,19 @@ STEP_M, STEP_RAD = 0.15, 0.05
 """Grid of the correlative search; the refinement reaches further than one step."""
 SPACING_M = 0.9
 """Of neighbouring keyframes, every one this far along the path joins the target's walls."""
-SIGN_STD, NEAR_STD = (0.2, 0.2, 0.1), (2.0, 2.0, 0.5)
-"""What the candidate's guess itself is worth [m, m, rad]: a shared sign fixes a corridor's axis, nearness does not."""
+SIGN_STD, NEAR_STD, OPEN_STD = (0.2, 0.2, 0.1), (2.0, 2.0, 0.5), (50.0, 50.0, 0.5)
+"""What the candidate's guess itself is worth [m, m, rad]: a shared sign fixes a corridor's axis, nearness does not.
+Where the axis stays open nearness is worth nothing: many guesses are off by the same metres, all that two robots heard
+amiss or where the estimate had them, and would agree on these."""
 ANYWHERE = ("wifi", "lidar")
 """Recognisers that know the turn at best: their matches are searched for at every heading, within WIDE_WINDOW_M."""
 WIDE_WINDOW_M = 3.0
 MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
 """Where nothing but WiFi says that two robots were at one place, their scans must fit by so much: of those that
 fit less, too many are of other places. A match that scores less does not get there."""
-SIGN_INFORMATION, NEAR_INFORMATION = np.diag(1.0 / np.square(SIGN_STD)), np.diag(1.0 / np.square(NEAR_STD))
+SIGN_INFORMATION, NEAR_INFORMATION, OPEN_INFORMATION = (
+    np.diag(1.0 / np.square(std)) for std in (SIGN_STD, NEAR_STD, OPEN_STD)
+)
 NO_MATCH = Match(np.zeros(3), np.zeros(9), 0.0, False)
 Path = Sequence[Keyframe]
 """All keyframes of a robot, in order, that are held."""
@@ -74,8 +78,11 @@ class LoopVerifier:
 
     def _covariance(self, candidate: LoopCandidate, match: Match | PointMatch) -> Array:
         information = match.information(self._noise.match_std_m, self._noise.match_correlation)
-        prior = NEAR_INFORMATION if candidate.sign_m is None else SIGN_INFORMATION
-        return closure_covariance(information, prior, match.pose[2])
+        heading = float(match.pose[2])
+        if candidate.sign_m is not None:
+            return closure_covariance(information, SIGN_INFORMATION, heading)
+        covariance = closure_covariance(information, NEAR_INFORMATION, heading)
+        return closure_covariance(information, OPEN_INFORMATION, heading) if is_loose(covariance) else covariance
 
     def rests_on_walls(self, closure: LoopClosure, target_path: Path, source_path: Path, width_m: float) -> bool:
         """Whether a closure would not be loose without all things narrower than so much: they may be robots."""
