@@ -1,4 +1,4 @@
-"""Walls along a narrow corridor do not hold a robot back that drives past them."""
+"""Along a corridor odometry alone tells how far a robot goes: walls do not hold it back, and its end tells it more."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from twc_env.config import EnvConfig, override
 from twc_env.geometry import compose
 from twc_env.messages import SensorFrame
 from twc_env.slam.robot import FrontEnds
+from twc_env.slam.team import TeamMapper
 
 STEP_M, STEPS, LENGTH_M = 0.05, 200, 60.0
 
@@ -41,3 +42,49 @@ def test_a_way_along_a_corridor_is_as_long_as_odometry_reads_it(scan, walls, wid
     shares = [_share(scan, corridor, beams, noise_m, seed) for seed in range(6)]
     assert shares == pytest.approx(np.ones(6), abs=0.03)
     assert np.mean(shares) == pytest.approx(1.0, abs=0.007)
+
+
+def _driven(length_m, too_long, scan, walls, beams=180):
+    """Keyframes of a robot that drives a corridor of 2 m up to its end and half of the end's view back."""
+    corridor = walls((-LENGTH_M, -1.0), (length_m, -1.0), (length_m, 1.0), (-LENGTH_M, 1.0))
+    random, ends, true = np.random.default_rng(5), FrontEnds(_config(beams, 0.01), 1), np.zeros(3)
+    keyframes, way, count = [], [], round((length_m - 1.0) / STEP_M)
+    for step in range(count + 1 + 160):
+        motion = np.array([STEP_M if step <= count else -STEP_M, 0.0, 0.0]) * (step > 0)
+        true = compose(true, motion)
+        read = motion * (1.0 + too_long) + random.normal(0, 1, 3) * (0.002, 0.001, 0.005) * (step > 0)
+        seen_m = scan(corridor, true, beams)
+        seen_m[seen_m < 10.0] += random.normal(0, 0.01, np.count_nonzero(seen_m < 10.0))
+        new = ends.update([SensorFrame(0, step, 0.1 * step, read, 0.0, seen_m, None, ())])
+        keyframes += new
+        way += [true.copy()] * len(new)
+    return keyframes, np.array(way)
+
+
+@pytest.mark.parametrize("too_long", [0.05, -0.04])
+def test_a_way_by_odometry_alone_is_put_right_once_a_corridors_end_tells_of_its_scale(scan, walls, too_long):
+    keyframes, way = _driven(40.0, too_long, scan, walls)
+    farthest = int(way[:, 0].argmax())
+    alone_m = sum(keyframe.by_odometry_m[0] for keyframe in keyframes[:farthest])
+    assert alone_m == pytest.approx(30.0 * (1.0 + too_long), rel=0.08), "the end is seen from 10 m away"
+    scale, std = keyframes[-1].odometry_scale
+    assert scale == pytest.approx(too_long / (1.0 + too_long), abs=3.0 * std)
+    mapper = TeamMapper(EnvConfig(), 1)
+    for keyframe in keyframes:
+        mapper.update(keyframe.step, [keyframe])
+    mapper.finish()
+    believed_m, true_m = mapper.poses_of(0)[farthest, 0], way[farthest, 0]
+    assert abs(keyframes[farthest].pose_odom[0] - true_m) > 0.7 * abs(30.0 * too_long), "as it was believed"
+    assert believed_m == pytest.approx(true_m, abs=0.35 * abs(30.0 * too_long))
+
+
+def test_in_rooms_no_way_is_by_odometry_alone(scan, office):
+    ends, motion, true = FrontEnds(_config(180, 0.01), 1), np.array([0.05, 0.0, 0.0]), np.zeros(3)
+    keyframes = []
+    for step in range(60):
+        true = compose(true, motion * (step > 0))
+        keyframes += ends.update(
+            [SensorFrame(0, step, 0.1 * step, motion * (step > 0), 0.0, scan(office, true), None, ())]
+        )
+    assert len(keyframes) > 2
+    assert all(k.by_odometry_m == k.odometry_scale == (0.0, 0.0) for k in keyframes)

@@ -19,6 +19,8 @@ BYTES_PER_FINGERPRINT_MAC = 7
 """Six bytes of address and one of strength."""
 BYTES_PER_POSE = 12
 BYTES_PER_COVARIANCE = 12
+BYTES_PER_SCALE = 8
+"""Of odometry, and what it alone told."""
 """Six half-precision numbers."""
 BYTES_PER_REQUEST = 4
 """Robot and number of the keyframe whose scan is wanted."""
@@ -161,6 +163,8 @@ class Exchange:
     def _count(self, keyframe: Keyframe) -> None:
         sent = self.bytes_sent
         sent["pose"] += BYTES_PER_POSE + BYTES_PER_COVARIANCE
+        if keyframe.odometry_scale != (0.0, 0.0):
+            sent["pose"] += BYTES_PER_SCALE
         for sign in keyframe.signs:
             sent["text"] += len(sign.text.encode()) + BYTES_PER_POSE
         sent["fingerprint"] += BYTES_PER_FINGERPRINT_MAC * len(keyframe.fingerprint.macs)

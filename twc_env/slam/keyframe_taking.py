@@ -89,6 +89,8 @@ class KeyframeTaker(BindsAnew):
         """Odometry's, of a step [m2], of a metre [m2] and of the turn in a step [rad2]."""
         self._window = np.array([rule.fingerprint_window_s, rule.fingerprint_age_max_s, rule.fingerprint_detection_min])
         self._std_mode = STD_MODES[rule.std_mode]
+        self._has_been_alone = [False] * count
+        """Whether each robot has ever gone by odometry alone."""
         self._run: Callable[..., tuple[int, float, bool]] | None = None
         """`_take` with all that it needs every time."""
 
@@ -103,8 +105,11 @@ class KeyframeTaker(BindsAnew):
             self._run = bound(_take, self._packed(), *now)
         heard, travel_m, is_drawn = self._run(*now)
         fingerprint = self._tracker.radio.latest(heard)
+        by_odometry_m, scale = self._tracker.by_odometry(robot, pose[0, 2])
+        self._has_been_alone[robot] |= by_odometry_m != (0.0, 0.0)
+        alone = (by_odometry_m, scale) if self._has_been_alone[robot] else ()
         keyframe = Keyframe(
-            robot, index, step, time_s, pose[0], motion, covariance, travel_m, scan[0], signs, fingerprint
+            robot, index, step, time_s, pose[0], motion, covariance, travel_m, scan[0], signs, fingerprint, *alone
         )
         return keyframe, is_drawn
 

@@ -122,18 +122,25 @@ def update_state(x, p, pose, information, gate):
 
 
 @kernel
+def open_direction(information):
+    """Whether a match leaves a direction of the place open, as a corridor its axis, and that direction, of length 1."""
+    a, b, d = information[0, 0], information[0, 1], information[1, 1]
+    mean, half = 0.5 * (a + d), 0.5 * math.sqrt((a - d) ** 2 + 4.0 * b * b)
+    angle = 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
+    return mean > 0.0 and mean - half <= UNTOLD_SHARE * mean, math.cos(angle), math.sin(angle)
+
+
+@kernel
 def part_from_untold(p, information):
-    """Where a match leaves a direction open, as a corridor's axis, nothing else is told by how far the robot is along it.
+    """Where a match leaves a direction open, nothing else is told by how far the robot has come along it.
 
     Walls that fix it again further on stand where the robot believes that it is. They would seem to confirm all that it
     went by to get there, odometry's scale above all. Changes p (5, 5) in place.
     """
-    a, b, d = information[0, 0], information[0, 1], information[1, 1]
-    mean, half = 0.5 * (a + d), 0.5 * math.sqrt((a - d) ** 2 + 4.0 * b * b)
-    if mean - half > UNTOLD_SHARE * mean or mean <= 0.0:
+    is_open, ahead, left = open_direction(information)
+    if not is_open:
         return
-    angle = 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
-    along = math.cos(angle), math.sin(angle)
+    along = ahead, left
     others = np.empty(5)
     for j in range(5):
         others[j] = along[0] * p[0, j] + along[1] * p[1, j]

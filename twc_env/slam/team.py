@@ -92,6 +92,8 @@ class TeamMapper:
             self._search.wake()
         for keyframe in keyframes:
             self._maps.add(keyframe, self._graph.add_keyframe(keyframe))
+            if self._graph.learn_scale(keyframe):
+                self.optimiser.soil(self.group_index(keyframe.robot), True)
             if self._seeks_closures:
                 self._search.propose(keyframe)
             if self._radio is not None and self._radio.add(keyframe):

@@ -17,6 +17,7 @@ from twc_env.slam.forgotten_paths import ForgottenPaths
 from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays, part_of
 from twc_env.slam.graph_thinning import Edges, thinned
 from twc_env.slam.keyframe_paths import place_on
+from twc_env.slam.lone_odometry import LoneOdometry
 from twc_env.slam.pose_graph import Graph
 from twc_env.slam.shared_errors import UNOWNED, shared_errors
 from twc_env.slam.sign_readings import SignReadings
@@ -75,6 +76,7 @@ class TeamGraph(GraphArrays):
         self._nodes: list[MutableSequence[int]] = [array("q") for _ in range(robot_count)]
         """Of each of these keyframes its node."""
         self._forgotten = ForgottenPaths()
+        self._lone_odometry = LoneOdometry(robot_count)
         self._readings = SignReadings(robot_count)
         self.sign_news: list[int] = self._readings.news
         """How often each robot read what may change the signs that its group knows."""
@@ -146,7 +148,20 @@ class TeamGraph(GraphArrays):
         self.keyframes[robot].append(keyframe)
         if keyframe.signs:
             self._readings.add(keyframe, node, self.poses)
+        self._lone_odometry.add(keyframe, self.edge_count - 1)
         return node
+
+    def learn_scale(self, keyframe: Keyframe) -> bool:
+        """Put right what odometry alone told by what a robot knows of it at this keyframe; whether anything was."""
+        learned = self._lone_odometry.learned(keyframe.robot, keyframe.odometry_scale[0])
+        if learned is None:
+            return False
+        edges, more_m = learned
+        c, s = np.cos(self.measured[edges, 2]), np.sin(self.measured[edges, 2])
+        self.measured[edges, 0] += c * more_m[:, 0] - s * more_m[:, 1]
+        self.measured[edges, 1] += s * more_m[:, 0] + c * more_m[:, 1]
+        self.changes += 1
+        return True
 
     def add_closure(self, closure: LoopClosure) -> None:
         """Note a verified closure."""
@@ -239,6 +254,7 @@ class TeamGraph(GraphArrays):
         self._nodes[:] = [array("q", self.path_of(robot).tolist()) for robot in range(len(self.keyframes))]
         self._forgotten.renumber(number_of)
         self._readings.forget(carrier_of, number_of, poses)
+        self._lone_odometry.clear()
         self.changes += 1
         return kept
 

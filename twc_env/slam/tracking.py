@@ -16,7 +16,14 @@ from twc_env.geometry import beam_directions
 from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, parts_of
 from twc_env.slam.lost_beams import bridge, mark_lost, opening_beams
 from twc_env.slam.mate_detection import DISCS_MAX, mark_mates
-from twc_env.slam.odometry_filter import CompiledFilters, anchor, believe_match, make_filters, predict_state
+from twc_env.slam.odometry_filter import (
+    CompiledFilters,
+    anchor,
+    believe_match,
+    make_filters,
+    open_direction,
+    predict_state,
+)
 from twc_env.slam.radio_fingerprint import NO_AGES, ScanWindows, ages_of, keep
 from twc_env.slam.scan_matching import LineFields, match_scan, matching_room
 from twc_env.team_messages import TeamFrames
@@ -68,18 +75,31 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
 
 
 @borrowing_kernel
+def _note_open(robots, before, states, information, by_odometry):
+    """Add to by_odometry (n, 2) what no scan told of robots' motions from before (n, 2) on, in their odom frames."""
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        is_open, ahead, left = open_direction(information[k])
+        if is_open:
+            along = ahead * (states[k, 0] - before[k, 0]) + left * (states[k, 1] - before[k, 1])
+            by_odometry[k, 0] += along * ahead
+            by_odometry[k, 1] += along * left
+
+
+@borrowing_kernel
 def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose, macs, levels, ages, heard):
     """A whole step with the compiled filters, and what was heard in it; whether a robot has come to a new place."""
     (
         states, covariances, noise, believes_scans, directions, opening, mate_radius, marked, discs, disc_counts, cells,
         lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps,
-        is_new, dts, matched, is_matched, is_clear, explained, kept_scans,
+        is_new, by_odometry, dts, matched, is_matched, is_clear, explained, before, kept_scans,
     ) = parts_of(apparatus)  # fmt: skip
     keep(kept_scans, now_s, robots, whose, macs, levels, ages, heard)
     for a in range(robots.shape[0]):
         k = robots[a]
         dts[a] = now_s - times[k]
         times[k] = now_s
+        before[k, 0], before[k, 1] = states[k, 0], states[k, 1]
         if dts[a] > 0.0:
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
     _see(
@@ -92,6 +112,8 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
             is_matched[k] = believe_match(states[k], covariances[k], matched[k], information[k], noise[5], is_clear[k])
             if not is_matched[k]:
                 information[k, :, :] = 0.0
+    if has_lidar:
+        _note_open(robots, before, states, information, by_odometry)
     has_arrived = _arrive(
         robots, odometry, dts, states, explained, keyframe_rule, keyframe_poses, poses, travels, steps, is_new
     )
@@ -127,6 +149,8 @@ class Tracker(BindsAnew):
         """(n,) of each robot: time of its latest frame, length of its path, steps since its last keyframe."""
         self.is_new, self.has_arrived = np.zeros(count, bool), False
         """(n,) whether it has come to a new place; and whether one of those in the latest frames has."""
+        self._by_odometry_m = np.zeros((count, 2))
+        """What no scan told of the robots' motions since the last time that they were asked, in their odom frames."""
         masks = rule.mask_mates and config.robots > 1
         mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
         opening = opening_beams(beams, config.lidar.dropout_probability)
@@ -160,15 +184,26 @@ class Tracker(BindsAnew):
             self._run = bound(_track, self._packed(self._filters), *now)
         self.has_arrived = self._run(*now)
 
+    def by_odometry(self, robot: int, heading_rad: float) -> tuple[tuple[float, float], tuple[float, float]]:
+        """What no scan told of a robot's motions since this was asked last, along the axes of this heading [m].
+
+        And by what share its odometry reads too long as far as it knows, with one sigma of that.
+        """
+        x, y = self._by_odometry_m[robot].tolist()
+        self._by_odometry_m[robot] = 0.0
+        c, s = math.cos(heading_rad), math.sin(heading_rad)
+        scale, variance = self._filters.states[robot, 4], self._filters.covariances[robot, 4, 4]
+        return (c * x + s * y, c * y - s * x), (float(scale), math.sqrt(variance))
+
     def _packed(self, filters: CompiledFilters) -> Lent:
         """What `_track` needs in every step."""
         count = len(self.poses_odom)
         is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
-        room = np.empty(count), np.empty((count, 3)), is_matched, is_clear, np.zeros(count)
+        room = np.empty(count), np.empty((count, 3)), is_matched, is_clear, np.zeros(count), np.empty((count, 2))
         parts = (
             filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
             *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
-            self.travels_m, self.steps, self.is_new, *room, self.radio.kept,
+            self.travels_m, self.steps, self.is_new, self._by_odometry_m, *room, self.radio.kept,
         )  # fmt: skip
         return Lent(parts)
 
@@ -179,6 +214,7 @@ class Tracker(BindsAnew):
         is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
         dts_s = frames.time_s - self.times_s[robots]
         self.times_s[robots] = frames.time_s
+        before = self._filters.states[:, :2].copy()
         self._filters.predict(robots, frames.odometry, frames.turn_rates_rad_s, dts_s)
         _see(
             robots, frames.ranges_m, self._filters.states, *self._marking, *self._matching, matched,
@@ -186,6 +222,8 @@ class Tracker(BindsAnew):
         )  # fmt: skip
         self._filters.update(robots, matched, self.information, is_matched, is_clear)
         self.information[robots[~is_matched[robots]]] = 0.0
+        if self._has_lidar:
+            _note_open(robots, before, self._filters.states, self.information, self._by_odometry_m)
         self.has_arrived = _arrive(
             robots, frames.odometry, dts_s, self._filters.states, explained, self._keyframe_rule,
             self.keyframe_poses, self.poses_odom, self.travels_m, self.steps, self.is_new,
