@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -28,6 +30,18 @@ def test_both_ways_find_new_places_and_the_gaussian_process_finds_them_better():
     nearest = np.mean([np.linalg.norm(radio_map.nearest(s) - p) for s, p in zip(scans, places, strict=True)])
     gaussian = np.mean([np.linalg.norm(process.locate(s)[0] - p) for s, p in zip(scans, places, strict=True)])
     assert gaussian < nearest < 3.0
+
+
+def test_no_more_is_held_at_a_time_than_some_places_beside_all():
+    places = np.random.default_rng(0).uniform(0, 30, (700, 2))
+    radio_map = RadioMap(places, [heard_at(p, k) for k, p in enumerate(places)])
+    tracemalloc.start()
+    try:
+        GaussianProcessMap(radio_map)
+        held_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert held_bytes < 9 * 700 * 700 * 8 / 2  # all candidates beside all places would be 9 x 700 x 700 numbers
 
 
 def test_silence_is_nowhere_in_particular():

@@ -60,6 +60,16 @@ def test_all_pairs_and_the_store_agree_with_a_dense_product():
     assert similarity == pytest.approx(np.sort(expected[7])[::-1][:5], abs=1e-5)
 
 
+def test_who_is_among_the_most_alike_does_not_hang_on_how_many_are_asked_for():
+    store = FingerprintStore()
+    for k in range(60):
+        store.add(heard({1: -50} if k % 3 else {1: -50, 2: -60}))
+    best, similarity = store.nearest(heard({1: -50}), 60)
+    for count in range(1, 60):
+        fewer, their_similarity = store.nearest(heard({1: -50}), count)
+        assert fewer.tolist() == best[:count].tolist() and their_similarity.tolist() == similarity[:count].tolist()
+
+
 def test_a_transmitter_that_the_store_never_heard_makes_a_print_less_alike():
     store = FingerprintStore()
     store.add(heard({1: -50}))

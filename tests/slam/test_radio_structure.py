@@ -105,3 +105,29 @@ def test_observations_hold_the_radio_map_only_when_asked_for():
         observations, *_ = env.step({"robot_0": np.array([0.5, 0.2], np.float32)})
     assert env.observation_space("robot_0").contains(observations["robot_0"])
     assert env.belief("robot_0").radio_map is not None
+
+
+def test_readings_that_a_scan_repeats_from_elsewhere_are_no_new_ones():
+    plain, repeating = RadioStructure(CONFIG, 0.1, 1), RadioStructure(CONFIG, 0.1, 1)
+    macs = np.array([7, 9])
+    for k, x in enumerate(np.linspace(0.4, 8.0, 20)):
+        place, time_s, is_heard = np.array([x, 0.0, 0.0]), 2.0 * k, np.array([True, k % 4 == 0])
+        rssi_dbm = np.array([level(x, 0), level(8.5 - (x if is_heard[1] else last_m), 0)])
+        last_m = x if is_heard[1] else last_m
+        age_s = np.array([0.5, 0.5 + 2.0 * (k % 4)])
+        for radio, scan in (
+            (plain, WifiScan(macs[is_heard], rssi_dbm[is_heard])),
+            (repeating, WifiScan(macs, rssi_dbm, age_s)),
+        ):
+            radio.add(SensorFrame(0, k, time_s, np.zeros(3), 0.0, np.zeros(4), scan), place)
+    one, other = (radio.picture_of((0,), np.zeros((1, 3)), 0) for radio in (plain, repeating))
+    assert np.array_equal(one.grid.log_odds, other.grid.log_odds)
+    assert np.array_equal(one.transmitter_m, other.transmitter_m)
+
+
+def test_a_robot_that_only_repeats_what_it_heard_adds_nothing():
+    radio = RadioStructure(CONFIG, 0.1, 1)
+    for k in range(5):
+        scan = WifiScan(np.array([7]), np.array([-50.0]), np.array([float(k)]))
+        radio.add(SensorFrame(0, k, float(k), np.zeros(3), 0.0, np.zeros(4), scan), np.array([0.5 * k, 0.0, 0.0]))
+    assert len(radio._readings[0].macs) == 1

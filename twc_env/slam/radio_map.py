@@ -19,6 +19,8 @@ from twc_env.slam.radio_similarity import FingerprintStore, features
 CANDIDATE_M = 0.5
 """Spacing of the places tried around those of the map."""
 CANDIDATES_PER_PLACE = 9
+_AT_ONCE = 256
+"""Candidates whose correlation with all places is held at one time."""
 
 
 class RadioMap:
@@ -78,10 +80,15 @@ class GaussianProcessMap:
         factor = cho_factor(covariance, lower=True)
         around = CANDIDATE_M * np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(CANDIDATES_PER_PLACE, 2)
         self._candidates = (places[:, None] + around[None]).reshape(-1, 2)
-        cross = signal_std_db**2 * _kernel(self._candidates, places, length_m)
-        solved = cho_solve(factor, cross.T)
-        self._expected = cross @ cho_solve(factor, heard - self._mean) + self._mean  # (candidates, transmitters)
-        self._variance = np.maximum(signal_std_db**2 - np.einsum("cp,pc->c", cross, solved), 0.0)
+        solved = cho_solve(factor, heard - self._mean)
+        self._expected = np.empty((len(self._candidates), len(known)))
+        self._variance = np.empty(len(self._candidates))
+        for first in range(0, len(self._candidates), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            cross = signal_std_db**2 * _kernel(self._candidates[part], places, length_m)
+            self._expected[part] = cross @ solved + self._mean
+            explained = np.einsum("cp,pc->c", cross, cho_solve(factor, cross.T))
+            self._variance[part] = np.maximum(signal_std_db**2 - explained, 0.0)
 
     def locate(self, fingerprint: Fingerprint) -> tuple[Array, Array]:
         """Place (2,) and its covariance (2, 2). Raises DataError for a fingerprint that is none."""
@@ -106,5 +113,5 @@ class GaussianProcessMap:
 
 def _kernel(a: Array, b: Array, length_m: float) -> Array:
     """(a, b) correlation of places, 1 at no distance."""
-    squared = ((a[:, None] - b[None]) ** 2).sum(axis=2)
+    squared = (a[:, :1] - b[:, 0]) ** 2 + (a[:, 1:] - b[:, 1]) ** 2
     return np.exp(-0.5 * squared / length_m**2)

@@ -142,11 +142,16 @@ class FingerprintStore:
         return out
 
     def nearest(self, fingerprint: Fingerprint, count: int) -> tuple[Array, Array]:
-        """Numbers and similarities of the most alike, best first; ties by number."""
+        """Numbers and similarities of the most alike, best first; ties by number, whatever the count."""
         similarity = self.similarities(fingerprint)
         count = min(count, self.count)
-        best = np.argpartition(-similarity, count - 1)[:count] if count < self.count else np.arange(self.count)
-        best = best[np.lexsort((best, -similarity[best]))]
+        if count < self.count:
+            least = -np.partition(-similarity, count - 1)[count - 1]
+            above = np.flatnonzero(similarity > least)
+            best = np.concatenate([above, np.flatnonzero(similarity == least)[: count - len(above)]])
+        else:
+            best = np.arange(self.count)
+        best = best[np.argsort(-similarity[best], kind="stable")]
         return best, similarity[best]
 
     def _vector(self, fingerprint: Fingerprint, grow: bool) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ as located once some robot has passed it nearly; how many walls a reading has cr
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +53,8 @@ class _Readings:
     pose_odom: list[Array]
     macs: list[Array]
     rssi_dbm: list[Array]
+    scanned_s: float = -math.inf
+    """When its last scan ended, by its own clock."""
 
 
 @dataclass(slots=True, eq=False)
@@ -88,13 +91,18 @@ class RadioStructure:
         self._given = np.asarray(macs)[order], np.asarray(position_m, float)[order], np.asarray(start_poses, float)
 
     def add(self, frame: SensorFrame, pose_odom: Array) -> None:
-        """Remember a frame's WiFi scan, if it holds one."""
-        if frame.wifi is None or len(frame.wifi.macs) == 0:
+        """Remember a frame's WiFi scan, if it holds one, but for what it repeats from the robot's scan before."""
+        if frame.wifi is None:
             return
-        own = self._readings[frame.robot]
-        own.pose_odom.append(np.asarray(pose_odom, float).copy())
-        own.macs.append(frame.wifi.macs)
-        own.rssi_dbm.append(frame.wifi.rssi_dbm)
+        own, macs, rssi_dbm = self._readings[frame.robot], frame.wifi.macs, frame.wifi.rssi_dbm
+        if frame.wifi.age_s is not None:
+            is_new = frame.wifi.age_s < frame.time_s - own.scanned_s
+            macs, rssi_dbm = macs[is_new], rssi_dbm[is_new]
+        own.scanned_s = frame.time_s
+        if len(macs):
+            own.pose_odom.append(np.asarray(pose_odom, float).copy())
+            own.macs.append(macs)
+            own.rssi_dbm.append(rssi_dbm)
 
     def picture_of(self, robots: tuple[int, ...], poses_map_odom: Array, version: int) -> RadioPicture | None:
         """What the readings of these robots say, in a map frame; poses (robots, 3) lay their odom frames in it.

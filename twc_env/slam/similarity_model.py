@@ -98,7 +98,7 @@ def train_on_path(
         if len(model.centre) and not model.is_truncated(similarity_min):
             return model
     assert model is not None
-    if warns:
+    if warns and model.is_truncated(similarity_min):
         warn_cut_off(similarity_min, model.window_m)
     return model
 
