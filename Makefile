@@ -14,14 +14,17 @@ help: ## list the commands
 	$(PYTHON) -m venv .venv
 
 .venv/installed-demo: $(PINS) | .venv/bin/python
+	@echo "installing into .venv (a minute or more)"
 	$(INSTALL) -e '.[viz]'
 	@touch $@
 
 .venv/installed-dev: $(PINS) | .venv/bin/python
+	@echo "installing into .venv (a minute or more)"
 	$(INSTALL) -e '.[viz,dev]'
 	@touch $@
 
 .venv/installed-test: $(PINS) | .venv/bin/python
+	@echo "installing torch and more into .venv (several minutes)"
 	$(INSTALL) torch -e '.[viz,dev,train,ocr]'
 	@$(INSTALL) -e '.[torchrl,rerun]' sb3-contrib || echo "TorchRL, Rerun or sb3-contrib is not to be had here: their tests are skipped"
 	@touch $@
@@ -46,6 +49,7 @@ test-bounds: .venv/installed-test ## the engine's tests with numba's bounds chec
 
 .venv-ray/installed: pyproject.toml
 	$(PYTHON) -m venv .venv-ray
+	@echo "installing ray into .venv-ray (several minutes)"
 	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray]' pytest hypothesis
 	@touch $@
 

@@ -98,7 +98,7 @@ def _explore(options: argparse.Namespace) -> int:
         print(table_of(run.report))
         if run.report["merged_robots"] < run.report["robots"] and run.report["lacked"]:
             print("\nwhy not all share one map:", *run.report["lacked"], sep="\n  ")
-        print(f"\nwritten to {folder}")
+        print(f"\nwritten: {folder}")
     if run.was_interrupted:
         print(f"interrupted after {run.report['steps']} steps; the figures are of those", file=sys.stderr)
     return 130 if run.was_interrupted else 0
@@ -224,6 +224,12 @@ def _config(options: argparse.Namespace, map_name: str | None, steps: int | None
     return override(config, assignments(options.set))
 
 
+def _paragraphs(text: str) -> dict[str, str]:
+    """What a command does goes before its arguments, examples behind them."""
+    description, _, examples = text.partition("\n\n")
+    return {"description": description, "epilog": examples}
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="python -m agents",
@@ -232,7 +238,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_version(parser)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    one = commands.add_parser("explore", help="run one episode and write a run folder", description=_EXPLORE_HELP)
+    one = commands.add_parser("explore", help="run one episode and write a run folder", **_paragraphs(_EXPLORE_HELP))
     one.add_argument(
         "--map",
         help=f"{', '.join(map_names())}; generated: gen:office:800:7, test/0003; or a file (default: twin-01)",
@@ -241,6 +247,7 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument(
         "--out",
         type=Path,
+        metavar="FOLDER",
         help="run folder (default: runs/MAP-AGENT-seedSEED, with the settings' digest where they are not the defaults)",
     )
     one.add_argument("--no-gif", action="store_true", help="do not film the episode")
@@ -248,17 +255,23 @@ def _parser() -> argparse.ArgumentParser:
     many = commands.add_parser(
         "benchmark",
         help="run one agent on many seeds and maps, and say how many episodes pass",
-        description=_BENCHMARK_HELP,
+        **_paragraphs(_BENCHMARK_HELP),
     )
-    many.add_argument("--maps", nargs="+", default=["twin-01", "twin-02"], help="names or files (default: both twins)")
+    many.add_argument(
+        "--maps", nargs="+", default=["twin-01", "twin-02"], metavar="MAP", help="names or files (default: both twins)"
+    )
     many.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9 (default: 0-9)")
     many.add_argument(
-        "--out", type=Path, default=Path("runs/benchmark"), help="folder of all runs (default: %(default)s)"
+        "--out",
+        type=Path,
+        default=Path("runs/benchmark"),
+        metavar="FOLDER",
+        help="folder of all runs (default: %(default)s)",
     )
     many.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     many.set_defaults(run=_benchmark)
     teams = commands.add_parser(
-        "compare", help="which of several agents explores the same buildings sooner", description=_COMPARE_HELP
+        "compare", help="which of several agents explores the same buildings sooner", **_paragraphs(_COMPARE_HELP)
     )
     teams.add_argument(
         "--agents",
@@ -269,25 +282,34 @@ def _parser() -> argparse.ArgumentParser:
         f"(default: {', '.join(_TEAMS)})",
     )
     teams.add_argument("--buildings", type=count, default=10, help="the first of the test split (default: %(default)s)")
-    teams.add_argument("--maps", nargs="+", help="names or files instead")
+    teams.add_argument("--maps", nargs="+", metavar="MAP", help="names or files instead")
     teams.add_argument(
-        "--out", type=Path, default=Path("runs/compare"), help="finished episodes (default: %(default)s)"
+        "--out",
+        type=Path,
+        default=Path("runs/compare"),
+        metavar="FOLDER",
+        help="finished episodes (default: %(default)s)",
     )
     teams.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     teams.set_defaults(run=_compare)
     walk = commands.add_parser(
-        "radio-survey", help="walls mapped from WiFi alone, by length of walk", description=_SURVEY_HELP
+        "radio-survey", help="walls mapped from WiFi alone, by length of walk", **_paragraphs(_SURVEY_HELP)
     )
     walk.add_argument(
         "--maps",
         nargs="+",
+        metavar="MAP",
         default=[f"sfw-e{n}" for n in range(1, 7)],
         help="names or files (default: sfw-e1 to sfw-e6)",
     )
     walk.add_argument("--seeds", default="0-2", help="numbers and ranges (default: %(default)s)")
     walk.add_argument("--steps", type=count, default=2500, help="steps at most (default: %(default)s)")
     walk.add_argument(
-        "--out", type=Path, default=Path("runs/radio-survey"), help="finished walks (default: %(default)s)"
+        "--out",
+        type=Path,
+        default=Path("runs/radio-survey"),
+        metavar="FOLDER",
+        help="finished walks (default: %(default)s)",
     )
     walk.set_defaults(run=_radio_survey)
     for command in (one, many):

@@ -2,6 +2,7 @@
 
 import argparse
 import shlex
+from pathlib import Path
 
 import pytest
 
@@ -36,6 +37,20 @@ def test_every_option_says_what_it_means_and_its_default(parser):
         assert option.help, f"{name} is not explained"
         has_default = option.option_strings and option.default not in (None, False, [], argparse.SUPPRESS)
         assert not has_default or "default" in option.help, f"{name} does not say its default"
+
+
+@pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
+def test_defaults_and_paths_are_written_alike_everywhere(parser):
+    for option in options(parser):
+        name = (option.option_strings or [option.dest])[0]
+        assert "(default " not in option.help, f"{name} writes (default X), others (default: X)"
+        assert option.type is not Path or option.metavar, f"{name} does not say whether it is a file or a folder"
+
+
+def test_who_names_no_command_is_told_where_they_stand(capsys):
+    with pytest.raises(SystemExit):
+        twc_env.__main__.main([])
+    assert "python -m twc_env --help says more" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)

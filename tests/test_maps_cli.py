@@ -43,14 +43,14 @@ def test_show_writes_a_picture_with_and_without_signal(tmp_path, capsys):
             assert min(picture.size) > 300
             assert len(picture.convert("RGB").getcolors(1 << 24)) > 50
     assert (tmp_path / "picture0.png").read_bytes() != (tmp_path / "picture1.png").read_bytes()
-    assert "drawn: " in capsys.readouterr().out
+    assert "written: " in capsys.readouterr().out
 
 
 def test_a_picture_without_a_suffix_is_a_png_and_its_name_is_said(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     assert run("show", "sfw-e5", "--no-signal", "--out", tmp_path / "plan") == 0
     assert [path.name for path in tmp_path.iterdir()] == ["plan.png"]
-    assert f"drawn: {tmp_path / 'plan.png'}" in capsys.readouterr().out
+    assert f"written: {tmp_path / 'plan.png'}" in capsys.readouterr().out
     assert run("show", "sfw-e5", "--out", tmp_path) == 2
     assert "it is a folder; name a file in it" in capsys.readouterr().err
 

@@ -1,7 +1,9 @@
 import json
+from types import SimpleNamespace
 
 import pytest
 
+from twc_env import command_line
 from twc_env import soak as soaking
 from twc_env.__main__ import main
 from twc_env.exploration.environment import ExplorationEnv
@@ -33,3 +35,13 @@ def test_an_exception_names_the_episode_it_came_from(monkeypatch):
     with pytest.raises(ZeroDivisionError) as caught:
         soaking.soak(6, seed=7)
     assert "seed 7" in caught.value.__notes__[0]
+
+
+def test_a_log_has_a_line_each_minute_of_how_far_a_soak_is(monkeypatch, capsys):
+    monkeypatch.setattr(soaking, "EPISODE_STEPS", 12)
+    clock = iter(range(0, 10_000, 25))
+    monkeypatch.setattr(command_line, "_logged_s", [0.0])
+    monkeypatch.setattr(command_line, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
+    assert main(["soak", "--steps", "120", "--set", "lidar.beam_count=36"]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "/120 steps" in line]
+    assert 2 <= len(lines) <= 5 and all("\r" not in line for line in lines)

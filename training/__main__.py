@@ -45,22 +45,24 @@ def _parser() -> argparse.ArgumentParser:
         "  python -m training ppo --steps 120000 --out runs/ppo --resume\n"
         "  python -m training ppo --map twin-01 --robots 3 --set odometry.drift=2 --out runs/twin",
     )
-    ppo.add_argument("--map", help="one bundled map or map file, instead of small generated buildings")
+    ppo.add_argument("--map", help="bundled name, generated name or file, instead of small generated buildings")
     ppo.add_argument(
-        "--area", type=float, default=250.0, help="floor of generated buildings [m2] (default %(default)s)"
+        "--area", type=float, default=250.0, help="floor of generated buildings [m2] (default: %(default)s)"
     )
-    ppo.add_argument("--robots", type=int, default=2, help="robots per team (default %(default)s)")
+    ppo.add_argument("--robots", type=int, default=2, help="robots per team (default: %(default)s)")
     ppo.add_argument(
         "--steps",
         type=int,
         default=181_000,
-        help="decisions of all robots together; while a robot is busy, each step counts as one (default %(default)s)",
+        help="decisions of all robots together; while a robot is busy, each step counts as one (default: %(default)s)",
     )
-    ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode (default %(default)s)")
-    ppo.add_argument("--workers", type=natural, default=2, help="processes (default %(default)s; 0: this one)")
-    ppo.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes (default %(default)s)")
+    ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode (default: %(default)s)")
+    ppo.add_argument("--workers", type=natural, default=2, help="processes (default: %(default)s; 0: this one)")
+    ppo.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes (default: %(default)s)")
     add_set(ppo)
-    ppo.add_argument("--out", type=Path, default=Path("runs/ppo"), help="run folder (default %(default)s)")
+    ppo.add_argument(
+        "--out", type=Path, default=Path("runs/ppo"), metavar="FOLDER", help="run folder (default: %(default)s)"
+    )
     ppo.add_argument("--resume", action="store_true", help="go on from the model in the run folder")
     ppo.set_defaults(
         run=_train_ppo, when_interrupted="interrupted; --resume goes on from the last model that was saved, if any"
@@ -75,13 +77,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     evaluate.add_argument(
         "--model",
+        metavar="MODEL",
         type=Path,
         default=Path("runs/ppo/model.zip"),
-        help="a run folder, or a model with config.json beside it (default %(default)s)",
+        help="a run folder, or a model with config.json beside it (default: %(default)s)",
     )
     evaluate.add_argument("--json", type=Path, metavar="FILE", help="write every episode and the means")
     evaluate.add_argument(
-        "--seeds", default="0-19", help="held-out buildings, as in 0-4 or 1,5,7 (default %(default)s)"
+        "--seeds", default="0-19", help="held-out buildings, as in 0-4 or 1,5,7 (default: %(default)s)"
     )
     evaluate.add_argument(
         "--films", type=Path, metavar="FOLDER", help="write a GIF of the trained team in each building"

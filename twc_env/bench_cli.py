@@ -26,7 +26,7 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
         "  python -m twc_env bench --parts\n"
         "  python -m twc_env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer",
     )
-    speed.add_argument("--map", default="twin-01", help="bundled name or file (default: %(default)s)")
+    speed.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
     speed.add_argument("--robots", type=count, default=3, help="how many (default: %(default)s)")
     speed.add_argument("--beams", type=count, default=180, help="beams per scan (default: %(default)s)")
     speed.add_argument("--steps", type=count, default=1500, help="steps per episode (default: %(default)s)")

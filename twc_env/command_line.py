@@ -9,10 +9,11 @@ import math
 import os
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from twc_env._version import __version__
 from twc_env.command_start import begin_work, end_when_interrupted, is_loading
@@ -25,6 +26,9 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 SEEDS_MAX = 100_000
 """Of a range on a command line."""
+LOG_INTERVAL_S = 60.0
+_logged_s = [time.monotonic()]
+"""When a log had its last line of how far a command is."""
 
 
 def exit_status(command: Callable[[], int | None], remark: str = "interrupted") -> int:
@@ -111,6 +115,10 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **settings: Any):
         super().__init__(**{"formatter_class": Paragraphs, **settings})
 
+    def error(self, message: str) -> NoReturn:
+        """Refuse arguments, and say where it stands what may be given."""
+        super().error(f"{message}; {self.prog} --help says more")
+
 
 def add_version(parser: argparse.ArgumentParser) -> None:
     """The option `--version`."""
@@ -169,10 +177,18 @@ def number(least: float, most: float) -> Callable[[str], float]:
 
 
 def show_count(done: int, total: int, what: str = "") -> None:
-    """How far a command is, on one line of a terminal; nothing in a pipe."""
+    """How far a command is; see `show_line`."""
+    show_line(f"{done}/{total}{what}", done == total)
+
+
+def show_line(text: str, is_last: bool = False) -> None:
+    """How far a command is: on one line of a terminal, which changes; in a log a line each minute."""
     if sys.stderr.isatty():
-        sys.stderr.write(f"\r{done}/{total}{what}" + ("\n" if done == total else ""))
+        sys.stderr.write(f"\r{text}" + ("\n" if is_last else ""))
         sys.stderr.flush()
+    elif time.monotonic() - _logged_s[-1] >= LOG_INTERVAL_S:
+        sys.stderr.write(f"{text}\n")
+        _logged_s[-1] = time.monotonic()
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:

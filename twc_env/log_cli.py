@@ -39,7 +39,7 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         "--seed", type=natural, default=0, help="of starts, noise and furnishing (default: %(default)s)"
     )
     add_set(record)
-    record.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    record.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder to write to")
     record.set_defaults(run=_record)
 
     replay = commands.add_parser(
@@ -56,7 +56,10 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         "  python -m twc_env replay runs/demo --html",
     )
     replay.add_argument(
-        "log", type=Path, help="a run folder, a frame log (frames.npz), or a laser log (.log, .json; .gz too)"
+        "log",
+        type=Path,
+        metavar="LOG",
+        help="a run folder, a frame log (frames.npz), or a laser log (.log, .json; .gz too)",
     )
     replay.add_argument(
         "--html", type=Path, nargs="?", const=Path(), metavar="FILE", help="write the page (default: RUN/replay.html)"
@@ -77,7 +80,10 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
     )
     add_set(replay)
     replay.add_argument(
-        "--out", type=Path, metavar="DIR", help="write map.pgm + .yaml (map_server), pose_graph.g2o, trajectories/*.tum"
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="write map.pgm + .yaml (map_server), pose_graph.g2o, trajectories/*.tum",
     )
     replay.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     replay.set_defaults(run=_replay)
@@ -118,11 +124,11 @@ def _replay(options: argparse.Namespace) -> None:
     if options.html is not None:
         from twc_env.replay_page import write_page
 
-        print(write_page(run, run / "replay.html" if options.html == Path() else options.html))
+        print(f"written: {write_page(run, run / 'replay.html' if options.html == Path() else options.html)}")
     if options.rerun is not None:
         from twc_env.rerun_export import write_rerun
 
-        print(write_rerun(run, run / "replay.rrd" if options.rerun == Path() else options.rerun))
+        print(f"written: {write_rerun(run, run / 'replay.rrd' if options.rerun == Path() else options.rerun)}")
     if options.html is not None or options.rerun is not None:
         return
     _replay_frames(options, options.log / "frames.npz" if options.log.is_dir() else options.log)
@@ -176,6 +182,7 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
     if options.out:
         _write_maps(options.out, team)
         _write_paths(options.out, engine, steps, np.array(odom_poses), begun_s)
+        print(f"\nwritten: {options.out}")
 
 
 def _read_log(log: Path) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], list[Contacts], float]:

@@ -141,7 +141,7 @@ def _show(options: argparse.Namespace) -> None:
     path = options.out or Path(f"{_file_stem(plan.name)}.png")
     check_writable(path)
     path = draw_plan(plan, path, with_signal=not options.no_signal)
-    print(f"{_HEAD}\n{_row(plan)}\ndrawn: {path}")
+    print(f"{_HEAD}\n{_row(plan)}\nwritten: {path}")
 
 
 def _generate(options: argparse.Namespace) -> None:

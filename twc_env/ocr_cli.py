@@ -28,7 +28,9 @@ def add_ocr_parser(commands) -> None:
     make.add_argument("--seed", type=natural, default=0, help="of signs and views (default: %(default)s)")
     make.add_argument("--signs", type=count, default=40, help="per grid point (default: %(default)s)")
     make.add_argument("--processes", type=count, default=2, help="at once (default: %(default)s)")
-    make.add_argument("--cache", type=Path, default=Path("runs/ocr"), help="finished parts (default: %(default)s)")
+    make.add_argument(
+        "--cache", type=Path, default=Path("runs/ocr"), metavar="FOLDER", help="finished parts (default: %(default)s)"
+    )
     make.set_defaults(run=_measure)
 
     show = actions.add_parser(
@@ -44,11 +46,13 @@ def _measure(options: argparse.Namespace) -> None:
     from twc_env.reproduce.ocr_measure import measure
 
     table = measure(options.out, options.seed, options.signs, options.cache, options.processes)
-    print(f"{table['made']['signs_read']} signs read; wrote {options.out}, {options.out.stat().st_size / 1000:.0f} kB")
+    print(
+        f"{table['made']['signs_read']} signs read; written: {options.out}, {options.out.stat().st_size / 1000:.0f} kB"
+    )
 
 
 def _show(options: argparse.Namespace) -> None:
     from twc_env.reproduce.ocr_picture import draw_table
 
     draw_table(options.out)
-    print(f"wrote {options.out}")
+    print(f"written: {options.out}")

@@ -20,7 +20,10 @@ EPISODE_STEPS = 500
 
 
 def soak(
-    steps: int, seed: int = 0, config: EnvConfig | None = None, report: Callable[[str], None] = lambda _: None
+    steps: int,
+    seed: int = 0,
+    config: EnvConfig | None = None,
+    report: Callable[[str, bool], None] = lambda line, is_last: None,
 ) -> dict:
     """Play `steps` time steps in buildings of the training split; gives memory before and after, and what was seen.
 
@@ -42,7 +45,7 @@ def soak(
         gc.collect()
         rows.append((done, resident_mb()))
         took_s = time.perf_counter() - began
-        report(f"{done}/{steps} steps, {len(buildings)} buildings, {rows[-1][1]:.0f} MB, {took_s:.0f} s")
+        report(f"{done}/{steps} steps, {len(buildings)} buildings, {rows[-1][1]:.0f} MB, {took_s:.0f} s", done >= steps)
     return _figures(rows, len(buildings), episode - seed, time.perf_counter() - began)
 
 

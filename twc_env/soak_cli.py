@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
-from twc_env.command_line import add_set, assignments, count, natural, show_count
+from twc_env.command_line import add_set, assignments, count, natural, show_count, show_line
 from twc_env.errors import TwcError
 from twc_env.json_values import write_json
 
@@ -51,8 +50,7 @@ def _soak(options: argparse.Namespace) -> None:
     from twc_env.soak import soak
 
     config = override(EnvConfig(), assignments(options.set))
-    figures = soak(options.steps, options.seed, config, lambda line: print(f"\r{line}", end="", file=sys.stderr))
-    print(file=sys.stderr)
+    figures = soak(options.steps, options.seed, config, show_line)
     for key, value in figures.items():
         print(f"{key:<28} {value:,.1f}" if isinstance(value, float) else f"{key:<28} {value}")
     write_json(options.json, figures)

@@ -7,14 +7,28 @@ from __future__ import annotations
 
 import io
 import pickle
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.errors import DataError
+
 
 class SharingPickler(pickle.Pickler):
     """Keeps arrays that share memory sharing it."""
+
+    def dump(self, value: Any) -> None:
+        """See `pickle.Pickler`. Raises DataError that names the part which cannot be copied."""
+        try:
+            super().dump(value)
+        except (TypeError, AttributeError, pickle.PicklingError) as error:
+            owner = _culprit(value, type(value).__name__, {}) or type(value).__name__
+            raise DataError(
+                f"{owner} cannot be copied ({error}): let {owner.partition('.')[0]}.__getstate__ leave it out, and "
+                "__setstate__ make it anew"
+            ) from error
 
     def reducer_override(self, value: Any) -> Any:
         """See `pickle.Pickler`."""
@@ -45,3 +59,45 @@ def _part_of(whole: Array, dtype: np.dtype, shape: tuple, strides: tuple, offset
     part: Array = np.ndarray(shape, dtype, whole.reshape(-1, order="A").view(np.uint8), offset, strides)
     part.flags.writeable = is_writeable and whole.flags.writeable
     return part
+
+
+def _culprit(value: Any, place: str, seen: dict[int, Any]) -> str | None:
+    """Which part of a value that cannot be copied is to blame, as Class.attribute; `place` is that of the value."""
+    is_whole = True
+    for name, part in _parts(value):
+        if _can_be_copied(part):
+            continue
+        is_whole = False
+        if id(part) not in seen:
+            seen[id(part)] = part
+            if (found := _culprit(part, f"{type(value).__name__}.{name}" if name else place, seen)) is not None:
+                return found
+    return place if is_whole else None
+
+
+def _can_be_copied(value: Any) -> bool:
+    try:
+        pickle.Pickler.dump(SharingPickler(io.BytesIO(), pickle.HIGHEST_PROTOCOL), value)
+    except Exception:
+        return False
+    return True
+
+
+def _parts(value: Any) -> Iterator[tuple[str, Any]]:
+    """What is copied with a value: its attributes by name, what it holds without one."""
+    if isinstance(value, (list, tuple, set, frozenset)):
+        yield from (("", part) for part in value)
+    elif isinstance(value, dict):
+        yield from (("", part) for item in value.items() for part in item)
+    else:
+        try:
+            protocol = pickle.HIGHEST_PROTOCOL
+            is_whole = isinstance(value, CopiedWhole)
+            how = object.__reduce_ex__(value, protocol) if is_whole else value.__reduce_ex__(protocol)
+            _, arguments, state, *items = (*how, None)[:5]
+        except Exception:  # it says itself that it cannot be copied
+            return
+        yield from (("", part) for part in arguments)
+        for attributes in state if isinstance(state, tuple) else (state,):
+            yield from attributes.items() if isinstance(attributes, dict) else (("", attributes),)
+        yield from (("", part) for held in items if held is not None for part in held)

@@ -1,3 +1,4 @@
+import copy
 import dataclasses
 import pickle
 import subprocess
@@ -134,3 +135,45 @@ def test_the_oracle_of_the_odometry_filter_can_be_saved_too():
             own.append(env.state().tolist())
         env.restore(pickle.loads(pickle.dumps(moment)))
     assert seen[0] == seen[1]
+
+
+OWN = """
+import threading
+
+class Own:
+    name = "lidar"
+    def __init__(self, rule, range_max_m):
+        self.kept = [self.propose, {"parts": PART}]
+    def propose(self, keyframe, skipped_robots=()):
+        return []
+    def forget(self, is_held):
+        pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("part", "named"),
+    [
+        (
+            "threading.Lock()",
+            r"^Own\.kept cannot be copied \(cannot pickle '_thread\.lock' object\): let Own\.__getstate__",
+        ),
+        ("lambda: 0", r"^Own\.kept cannot be copied \(.*lambda.*\): let Own\.__getstate__"),
+    ],
+)
+def test_a_recogniser_that_cannot_be_copied_is_named_with_the_part_to_blame(part, named, tmp_path):
+    (tmp_path / "own.py").write_text(OWN.replace("PART", part))
+    env = twc_env.parallel_env(config={"slam.place_recognition.recogniser": f"{tmp_path / 'own.py'}:Own"})
+    env.reset(seed=0)
+    for attempt in (env.snapshot, lambda: copy.deepcopy(env.engine), lambda: pickle.dumps(env.engine)):
+        with pytest.raises(TwcError, match=named):
+            attempt()
+
+
+def test_a_recogniser_that_leaves_its_lock_out_is_saved_with_the_episode(tmp_path):
+    code = OWN.replace("PART", "threading.Lock()") + "    def __getstate__(self):\n        return {}\n"
+    (tmp_path / "own.py").write_text(code)
+    env = twc_env.parallel_env(config={"slam.place_recognition.recogniser": f"{tmp_path / 'own.py'}:Own"})
+    env.reset(seed=0)
+    env.restore(env.snapshot())
+    env.step(dict.fromkeys(env.agents, np.zeros(2, np.float32)))

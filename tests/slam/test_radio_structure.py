@@ -109,11 +109,11 @@ def test_observations_hold_the_radio_map_only_when_asked_for():
 
 def test_readings_that_a_scan_repeats_from_elsewhere_are_no_new_ones():
     plain, repeating = RadioStructure(CONFIG, 0.1, 1), RadioStructure(CONFIG, 0.1, 1)
-    macs = np.array([7, 9])
+    macs, heard_m = np.array([7, 9]), 0.0
     for k, x in enumerate(np.linspace(0.4, 8.0, 20)):
         place, time_s, is_heard = np.array([x, 0.0, 0.0]), 2.0 * k, np.array([True, k % 4 == 0])
-        rssi_dbm = np.array([level(x, 0), level(8.5 - (x if is_heard[1] else last_m), 0)])
-        last_m = x if is_heard[1] else last_m
+        heard_m = x if is_heard[1] else heard_m
+        rssi_dbm = np.array([level(x, 0), level(8.5 - heard_m, 0)])
         age_s = np.array([0.5, 0.5 + 2.0 * (k % 4)])
         for radio, scan in (
             (plain, WifiScan(macs[is_heard], rssi_dbm[is_heard])),

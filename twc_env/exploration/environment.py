@@ -293,7 +293,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             spectator()
 
     def snapshot(self) -> Snapshot:
-        """This moment of the episode: world, engine, pose graph and random streams. Raises TwcError before `reset`."""
+        """This moment of the episode: world, engine, pose graph and random streams.
+
+        Raises TwcError before `reset`, DataError where a part of one's own, as a recogniser may have, cannot be copied.
+        """
         return take_snapshot(self.config, self.episode)
 
     def restore(self, snapshot: Snapshot) -> None:

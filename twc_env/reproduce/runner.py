@@ -184,7 +184,11 @@ def add_parser(commands) -> None:
         beside = ", and pictures beside them" if hasattr(module, "draw") else ""
         table.add_argument("--json", type=Path, metavar="FILE", help=f"write the rows{beside}; - for the terminal")
         table.add_argument(
-            "--cache", type=Path, default=Path("runs/reproduce"), help="finished parts (default: %(default)s)"
+            "--cache",
+            type=Path,
+            default=Path("runs/reproduce"),
+            metavar="FOLDER",
+            help="finished parts (default: %(default)s)",
         )
         table.set_defaults(run=lambda options, name=name, module=module: main(name, module, options))
 

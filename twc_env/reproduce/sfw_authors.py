@@ -41,7 +41,9 @@ _GAP_CELLS = 5.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-authors`."""
-    parser.add_argument("--out", type=Path, default=Path("runs/sfw-authors"), help="pictures (default: %(default)s)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/sfw-authors"), metavar="FOLDER", help="pictures (default: %(default)s)"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -37,7 +37,9 @@ _TRUE_SIGNAL = (-50.7, 0.77, 6.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-ble`."""
-    parser.add_argument("--out", type=Path, default=Path("runs/sfw-ble"), help="pictures (default: %(default)s)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/sfw-ble"), metavar="FOLDER", help="pictures (default: %(default)s)"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

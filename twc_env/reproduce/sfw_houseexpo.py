@@ -41,7 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plans", type=count, default=30, help="how many, the smallest files first (default: %(default)s)"
     )
-    parser.add_argument("--out", type=Path, default=Path("runs/sfw-houseexpo"), help="pictures (default: %(default)s)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/sfw-houseexpo"), metavar="FOLDER", help="pictures (default: %(default)s)"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

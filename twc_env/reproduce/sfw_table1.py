@@ -51,7 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--flats", type=natural, default=0, metavar="N", help="measure N flats drawn by seed instead of the six"
     )
-    parser.add_argument("--out", type=Path, default=Path("runs/sfw-table1"), help="pictures (default: %(default)s)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/sfw-table1"), metavar="FOLDER", help="pictures (default: %(default)s)"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
