@@ -224,7 +224,7 @@ def _config(options: argparse.Namespace, map_name: str | None, steps: int | None
     return override(config, assignments(options.set))
 
 
-def _paragraphs(text: str) -> dict[str, str]:
+def _paragraphs(text: str) -> dict[str, Any]:
     """What a command does goes before its arguments, examples behind them."""
     description, _, examples = text.partition("\n\n")
     return {"description": description, "epilog": examples}

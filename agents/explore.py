@@ -186,7 +186,7 @@ class Progress:
                 from tqdm import tqdm
             except ImportError:
                 return
-            self._bar = tqdm(total=total, desc=label, unit="step", leave=False)
+            self._bar = tqdm(total=total, desc=label, unit=" steps", leave=False)
 
     def __call__(self, done: int) -> None:
         """So many are done."""

@@ -84,7 +84,7 @@ def _half_width(values: Sequence[float]) -> float:
 
 
 def _interval(values: Sequence[float]) -> str:
-    return f"{np.mean(values):+.3f} +- {_half_width(values):.3f}"
+    return f"{np.mean(values):.3f} +- {_half_width(values):.3f}"
 
 
 def evaluate(
@@ -106,7 +106,7 @@ def evaluate(
     filmed = None
     if films is not None:
         filmed = RecordEpisodes(_team(task, "rgb_array"), films)
-    for seed in progress_bar(seeds, unit="building", disable=not show_progress):
+    for seed in progress_bar(seeds, unit=" buildings", disable=not show_progress):
         choosers = {"trained": _trained(model, task, seed), "random": _random(seed), "nearest": _nearest}
         for name, choose in choosers.items():
             env = (filmed if name == "trained" else None) or _team(task)

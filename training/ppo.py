@@ -259,7 +259,7 @@ class Progress(BaseCallback):
         super().__init__()
         self.folder = folder
         self.episodes = 0
-        self.bar = progress_bar(total=steps, initial=taken, unit="decision", disable=not show)
+        self.bar = progress_bar(total=steps, initial=taken, unit=" decisions", disable=not show)
 
     def _on_training_start(self) -> None:
         self.started, self.steps_before = time.perf_counter(), self.num_timesteps

@@ -1,9 +1,11 @@
 import argparse
+import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from twc_env import command_line
 from twc_env.__main__ import main as command
 from twc_env.errors import DataError
 from twc_env.reproduce.runner import TABLES, Runner, data_folder, main, print_rows, seeds_argument, table_module
@@ -137,13 +139,24 @@ def test_what_cannot_be_done_is_said_before_the_first_part(arguments, message, t
     assert file.read_text() == ""
 
 
-def test_an_error_in_a_part_stands_on_a_line_of_its_own(tmp_path, capsys):
+def test_an_error_in_a_part_stands_on_a_line_of_its_own(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+
     def rows(options, runner):
         return runner.each([1, 2], lambda part: 1 / (part - 2))
 
     with pytest.raises(ZeroDivisionError):
         main("toy", SimpleNamespace(rows=rows), argparse.Namespace(json=None, cache=tmp_path))
     assert capsys.readouterr().err.endswith("\n")
+
+
+def test_a_log_has_a_line_each_minute_of_how_far_a_table_is(tmp_path, capsys, monkeypatch):
+    clock = iter(range(0, 10_000, 10))
+    monkeypatch.setattr(command_line, "_logged_s", [0.0])
+    monkeypatch.setattr(command_line, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
+    Runner("toy", tmp_path, {}).each(range(30), lambda part: part)
+    lines = capsys.readouterr().err.splitlines()
+    assert 2 <= len(lines) <= 6 and all("/30 " in line and "\r" not in line for line in lines)
 
 
 @pytest.mark.parametrize("name", ["sfw-ble", "radio-table1"])

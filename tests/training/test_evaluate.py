@@ -19,7 +19,7 @@ def test_a_trained_model_is_evaluated_against_random_actions(run, tmp_path, caps
     table = capsys.readouterr().out.splitlines()
     written = json.loads(figures.read_text())
     assert set(written) == {"trained", "random", "nearest", "nearest-frontier"}
-    assert all(f"{of['means']['coverage']:+.3f}" in line for of, line in zip(written.values(), table[1:], strict=True))
+    assert all(f"{of['means']['coverage']:.3f}" in line for of, line in zip(written.values(), table[1:], strict=True))
     assert [line.split()[0] for line in table] == ["policy", "trained", "random", "nearest", "nearest-frontier"]
     assert all(math.isfinite(float(line.split()[1])) for line in table[1:])
 

@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from twc_env.command_line import Paragraphs
+from twc_env.command_line import Paragraphs, show_line
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
 from twc_env.json_values import TERMINAL, check_folder, plain, write_json
@@ -85,10 +85,13 @@ class Runner:
         return [results[k] for k in range(len(parts))]
 
     def say(self, text: str, end: str = "") -> None:
-        """How far the table is, in the line of the last such message."""
+        """How far the table is, in the line of the last such message; in a log a line each minute."""
+        text = f"[{time.monotonic() - self._started:5.0f} s] {text[:100]}"
+        if not sys.stderr.isatty():
+            show_line(text)
+            return
         self._is_in_line = not end
-        elapsed = time.monotonic() - self._started
-        print(f"\r[{elapsed:5.0f} s] {text[:100]:<100}", end=end, file=sys.stderr, flush=True)
+        print(f"\r{text:<110}", end=end, file=sys.stderr, flush=True)
 
     def end_line(self) -> None:
         """Let what is said next begin a line of its own."""
