@@ -36,7 +36,7 @@ _BENCHMARK_HELP = """\
 Run many seeds on several maps and print one table per map. Runs that are already in the output folder with the same
 settings, by the same code on the same plan, are not run again, so an interrupted benchmark goes on where it stopped.
 A seed passes when all robots end in one map, no merge was wrong, team ATE is at most 0.30 m and at least 90 % of the
-floor is mapped correctly.
+floor is mapped rightly.
 
 examples:
   python -m agents benchmark --maps twin-01 twin-02 --seeds 0-9 --out runs/benchmark
