@@ -53,6 +53,13 @@ def test_who_names_no_command_is_told_where_they_stand(capsys):
     assert "python -m twc_env --help says more" in capsys.readouterr().err
 
 
+def test_an_option_that_a_command_has_not_is_answered_with_those_it_has(capsys):
+    with pytest.raises(SystemExit):
+        twc_env.__main__.main(["reproduce", "solver", "--walks", "1"])
+    told = capsys.readouterr().err
+    assert "usage: python -m twc_env reproduce solver" in told and "unrecognized arguments: --walks 1" in told
+
+
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
 def test_every_command_gives_examples_that_are_taken(parser):
     examples = [line.split("   ")[0] for line in parser.format_help().splitlines() if line.startswith("  python -m ")]

@@ -1,3 +1,4 @@
+import os
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import pytest
 
 from agents.explore import explore
 from twc_env import EnvConfig
+from twc_env.reproduce.runner import TABLES, table_module
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -85,3 +87,18 @@ def test_the_docs_define_every_figure_of_a_report_and_no_other():
     rows = re.findall(r"^\| (.+?) \|", (ROOT / "docs/figures.md").read_text(), flags=re.MULTILINE)
     defined = [row.strip("`") for row in rows if row != "key"]
     assert sorted(defined) == sorted({*report, *report["closures"]} - {"closures"})
+
+
+def test_tables_from_real_data_say_what_they_read_and_that_is_there():
+    page = (ROOT / "docs" / "real_data.md").read_text()
+    needy = [name for name in TABLES if hasattr(table_module(name), "data_folder")]
+    assert [name for name in needy if f"`{name}`" not in page] == []
+    if "TWC_DATA" not in os.environ:
+        pytest.skip("TWC_DATA names the folder with real data; it is not set")
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    for folders, _, files in (row.partition(": ") for row in rows):
+        for folder in re.findall(r"`([^`]+)`", folders):
+            within = Path(os.environ["TWC_DATA"]) / folder
+            for name in re.findall(r"`([^`]+\.[a-z0-9]+)`", files):
+                assert name.startswith("_") or name[0] == "-" or list(within.glob(name)), f"{folder}{name}"
+            assert within.exists() or list(Path(os.environ["TWC_DATA"]).glob(folder)), folder

@@ -31,7 +31,7 @@ example:
   python -m twc_env reproduce {name} --json runs/{name}.json
 
 Interrupted, the same command goes on where it stopped; with more seeds, places or buildings it takes what is there.
-Tables from real data read the folder that the environment variable TWC_DATA names.
+Tables from real data read the folder that the environment variable TWC_DATA names (docs/real_data.md).
 """
 
 
@@ -132,7 +132,11 @@ def data_folder() -> Path:
     """The folder with real data that the environment variable TWC_DATA names; DataError when it is not set."""
     folder = os.environ.get("TWC_DATA")
     if not folder or not Path(folder).is_dir():
-        raise DataError(f"this table needs real data: set TWC_DATA to its folder (now {folder!r})")
+        now = f"{folder} is no folder" if folder else "it is not set"
+        raise DataError(
+            f"this table needs real data: set the environment variable TWC_DATA to its folder ({now}); "
+            "docs/real_data.md says what belongs there and where it is from"
+        )
     return Path(folder)
 
 
