@@ -188,6 +188,17 @@ def test_robots_start_where_the_options_put_them():
     assert np.allclose(env.episode.record.true_poses[0], starts)
 
 
+def test_the_building_of_one_episode_changes_no_setting_of_later_ones(same):
+    env = twc_env.parallel_env(robots=1)
+    settings, (first, _) = env.config, env.reset(seed=3)
+    for split in ("train", "validation", "test"):
+        env.reset(seed=3, options={"split": split})
+        assert env.floorplan.name.startswith(f"{split}/")
+        assert env.config == settings
+    again, _ = env.reset(seed=3)
+    assert env.floorplan.name == "twin-01" and same(first["robot_0"], again["robot_0"])
+
+
 @pytest.mark.parametrize("config", ["mine.toml", Path("mine.toml")])
 def test_a_config_by_file_name_is_answered_with_who_reads_it(config):
     with pytest.raises(twc_env.ConfigError, match=r"twc_env\.config\.load reads a file"):

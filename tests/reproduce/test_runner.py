@@ -58,7 +58,7 @@ def test_seeds_are_a_count_or_a_range():
 
 def test_a_missing_data_folder_is_named(monkeypatch):
     monkeypatch.delenv("TWC_DATA", raising=False)
-    with pytest.raises(DataError, match="set the environment variable TWC_DATA .*it is not set.*real_data.md"):
+    with pytest.raises(DataError, match=r"set the environment variable TWC_DATA .*it is not set.*real_data\.md"):
         data_folder()
 
 
