@@ -9,7 +9,8 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray as Array
 
-from twc_env.kernels import kernel
+from twc_env.kernels import borrowing_kernel
+from twc_env.messages import LOOSE_M
 from twc_env.slam.small_matrices import invert3
 
 STD_MIN = np.array((0.03, 0.03, 0.01))
@@ -26,11 +27,10 @@ def _fused(_context, a, b, c):
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-@kernel
-def _covariance(information, prior, heading, out):
-    """See `closure_covariance`."""
+@borrowing_kernel
+def _fill(information, prior, heading, room, out):
     c, s = math.cos(heading), math.sin(heading)
-    turned, own = np.empty((3, 3)), np.empty((3, 3))
+    turned, own = room[0], room[1]
     for j in range(3):  # turned = R^T (information + prior), own = turned @ R
         x, y = information[0, j] + prior[0, j], information[1, j] + prior[1, j]
         turned[0, j], turned[1, j] = _fused(s, y, c * x), _fused(c, y, -s * x)
@@ -43,8 +43,20 @@ def _covariance(information, prior, heading, out):
         out[j, j] += STD_MIN[j] ** 2
 
 
-def closure_covariance(information: Array, prior: Array, heading_rad: float) -> Array:
-    """(3, 3) of a pose with this heading, along its own axes; information and prior (3, 3) along those of its frame."""
+@borrowing_kernel
+def fill_closure_covariance(information, priors, heading, room, out):
+    """See `closure_covariance`; room (2, 3, 3) to work in."""
+    _fill(information, priors[0], heading, room, out)
+    if out[0, 0] + out[1, 1] > LOOSE_M**2:
+        _fill(information, priors[1], heading, room, out)
+
+
+def closure_covariance(information: Array, priors: Array, heading_rad: float) -> Array:
+    """(3, 3) of a pose with this heading, along its own axes; information (3, 3) along those of its frame.
+
+    priors (2, 3, 3): what is known of it besides, along these axes, too; the second where with the first a direction
+    stays open.
+    """
     out = np.empty((3, 3))
-    _covariance(information, prior, heading_rad, out)
+    fill_closure_covariance(information, priors, heading_rad, np.empty((2, 3, 3)), out)
     return out

@@ -12,7 +12,7 @@ from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, kernel, pa
 from twc_env.messages import Keyframe
 from twc_env.slam.growing import ROOM, grown, only
 from twc_env.slam.relative_equations import wrapped
-from twc_env.slam.small_matrices import invert3
+from twc_env.slam.small_matrices import invert3, squared_error
 
 ODOMETRY = -1
 
@@ -44,11 +44,36 @@ def _put_edge(edge, first, second, measurement, covariance, closure, is_used, en
 
 
 @borrowing_kernel
+def _join(graph, edge, first, second, measurement, covariance, closure, is_used):
+    """Write an edge between any two nodes."""
+    _, _, _, _, _, ends, measured, information, kinds, used, _, _, _, _, _ = parts_of(graph)
+    _put_edge(edge, first, second, measurement, covariance, closure, is_used, ends, measured, information, kinds, used)
+
+
+@borrowing_kernel
+def _between(a, b, out):
+    """The pose of b in a."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    out[0], out[1] = c * dx + s * dy, c * dy - s * dx
+    out[2] = wrapped(b[2] - a[2])
+
+
+@borrowing_kernel
+def _misfit(graph, target, source, measured, covariance):
+    """See `GraphArrays.misfit`."""
+    poses, _, _, _, _, _, _, _, _, _, _, _, _, _, (expected, error, inverse) = parts_of(graph)
+    _between(poses[target], poses[source], expected)
+    _between(expected, measured, error)
+    return math.hypot(error[0], error[1]), abs(error[2]), squared_error(error, covariance, inverse)
+
+
+@borrowing_kernel
 def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covariance):
     """Write a robot's next node, and the edge of odometry that leads to it; whether there is one."""
     (
         poses, robots, steps, travels, strains, ends, measured, information, kinds, used, rows, counts, tied,
-        latest_odom,
+        latest_odom, _,
     ) = parts_of(graph)  # fmt: skip
     count = counts[robot]
     previous = rows[robot, count - 1] if count > 0 else np.int64(-1)
@@ -66,7 +91,7 @@ def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covarianc
 @borrowing_kernel
 def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
     """See `GraphArrays.locate`."""
-    poses, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom = parts_of(graph)
+    poses, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom, _ = parts_of(graph)
     for k in robots:
         for a in range(others.shape[1]):
             other = others[k, a]
@@ -91,7 +116,7 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
 @borrowing_kernel
 def _nearest(graph, robot, pose, travel_max):
     """See `GraphArrays.nearest`."""
-    poses, _, _, travels, _, _, _, _, _, _, rows, counts, _, _ = parts_of(graph)
+    poses, _, _, travels, _, _, _, _, _, _, rows, counts, _, _, _ = parts_of(graph)
     best, best_squared = -1, np.inf
     for k in range(counts[robot]):
         node = rows[robot, k]
@@ -176,19 +201,24 @@ class GraphArrays(BindsAnew):
         """(robots,) the node of each robot's last keyframe with a closure that is used; its first without any."""
         self._latest_odom = np.zeros((robot_count, 3))
         """Where each robot's odometry has its last keyframe."""
+        self._pose_room = np.empty(3), np.empty(3), np.empty((3, 3))
         self._follow: Callable[..., bool] | None = None
+        self._join: Callable[..., None] | None = None
         self._locate: Callable[..., None] | None = None
         self._nearest: Callable[..., tuple[int, float]] | None = None
+        self._misfit: Callable[..., tuple[float, float, float]] | None = None
         """The kernels of these names with all of this."""
 
     def _hold_grown(self) -> None:
         """Some arrays are others now."""
         held = self._all()
         self._follow, self._locate = rebound(self._follow, held), rebound(self._locate, held)
-        self._nearest = rebound(self._nearest, held)
+        self._nearest, self._join = rebound(self._nearest, held), rebound(self._join, held)
+        self._misfit = rebound(self._misfit, held)
 
     def _all(self) -> Lent:
-        return Lent((*self._node_rows, *self._edge_rows, self._rows, self._counts, self.tied, self._latest_odom))
+        robots = self._rows, self._counts, self.tied, self._latest_odom
+        return Lent((*self._node_rows, *self._edge_rows, *robots, self._pose_room))
 
     def add_node(self, keyframe: Keyframe) -> int:
         """A keyframe, put where odometry leads from the robot's last one; gives its node."""
@@ -214,7 +244,10 @@ class GraphArrays(BindsAnew):
     def add_edge(self, ends: tuple[int, int], measured: Array, covariance: Array, closure: int, is_used: bool) -> None:
         """A measured pose (3,) of the second end in the frame of the first; `closure` is the closure's number."""
         self._make_room_for_edge()
-        _put_edge(self.edge_count, *ends, measured, covariance, closure, is_used, *self._edge_rows)
+        new = self.edge_count, *ends, measured, covariance, closure, is_used
+        if self._join is None:
+            self._join = bound(_join, self._all(), *new)
+        self._join(*new)
         self.edge_count += 1
 
     def _make_room_for_edge(self) -> None:
@@ -253,6 +286,14 @@ class GraphArrays(BindsAnew):
         if self._locate is None:
             self._locate = bound(_locate, self._all(), robots, others, *into)
         self._locate(robots, others, *into)
+
+    def misfit(self, target: int, source: int, measured: Array, covariance: Array) -> tuple[float, float, float]:
+        """How far a pose (3,) measured of one node in the frame of another lies from the estimate [m] and [rad], and
+        the squared error of that by its covariance (3, 3)."""
+        now = target, source, measured, covariance
+        if self._misfit is None:
+            self._misfit = bound(_misfit, self._all(), *now)
+        return self._misfit(*now)
 
     def nearest(self, robot: int, pose: Array, travel_max_m: float = math.inf) -> tuple[int, float]:
         """Which of the robot's nodes up to a path length is nearest to a pose, and how far away it is [m].

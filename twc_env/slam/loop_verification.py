@@ -17,9 +17,8 @@ from twc_env.slam.global_matching import match_globally
 from twc_env.slam.keyframe_paths import place_on
 from twc_env.slam.mate_detection import without_narrow
 from twc_env.slam.meeting_recogniser import MEETING
-from twc_env.slam.point_matching import PointMatch, match_points
-from twc_env.slam.scan_matching import Match
-from twc_env.slam.target_walls import TargetWalls
+from twc_env.slam.point_matching import match_points
+from twc_env.slam.target_walls import Laid, TargetWalls
 
 STEP_M, STEP_RAD = 0.15, 0.05
 """Grid of the correlative search; the refinement reaches further than one step."""
@@ -35,10 +34,10 @@ WIDE_WINDOW_M = 3.0
 MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
 """Where nothing but WiFi says that two robots were at one place, their scans must fit by so much: of those that
 fit less, too many are of other places. A match that scores less does not get there."""
-SIGN_INFORMATION, NEAR_INFORMATION, OPEN_INFORMATION = (
-    np.diag(1.0 / np.square(std)) for std in (SIGN_STD, NEAR_STD, OPEN_STD)
+SIGN_INFORMATION, NEAR_INFORMATION = (
+    np.stack([np.diag(1.0 / np.square(std)) for std in stds]) for stds in ((SIGN_STD, SIGN_STD), (NEAR_STD, OPEN_STD))
 )
-NO_MATCH = Match(np.zeros(3), np.zeros(9), 0.0, False)
+"""(2, 3, 3) of these, the second where the axis stays open."""
 Path = Sequence[Keyframe]
 """All keyframes of a robot, in order, that are held."""
 
@@ -49,8 +48,9 @@ class LoopVerifier:
     def __init__(self, config: VerificationConfig, noise: OdometryFilterConfig, lidar: LidarConfig):
         self._config = config
         self._noise = noise
+        variance_m2 = noise.match_std_m**2 * noise.match_correlation
         size_m = 2 * (lidar.range_max_m + config.cloud_reach_m + 1.0)
-        self._walls = TargetWalls(size_m, lidar)
+        self._walls = TargetWalls(size_m, lidar, variance_m2)
         self._drawn: tuple[int, int] | None = None
 
     def forget(self) -> None:
@@ -64,25 +64,17 @@ class LoopVerifier:
         """
         target, source = _ends(candidate, target_path, source_path)
         rule, points = self._config, self._points(source, source_path, SPACING_M)
-        match, overlap = self._match(candidate, target, target_path, points)
+        pose, covariance, overlap = self._match(candidate, target, target_path, points)
         is_meeting, reason = candidate.recogniser == MEETING, ""
         overlap_min = max(rule.overlap_min, MEETING_OVERLAP_MIN) if is_meeting else rule.overlap_min
         if overlap < overlap_min:
             reason = f"overlap {overlap:.2f} < {overlap_min:g}"
         else:
-            contradiction = self._walls.contradiction(target, source, match.pose)
+            contradiction = self._walls.contradiction(target, source, pose)
             if contradiction > rule.contradiction_max:
                 reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
         status = "rejected" if reason else "accepted"
-        return LoopClosure(candidate, match.pose, self._covariance(candidate, match), overlap, status, reason)
-
-    def _covariance(self, candidate: LoopCandidate, match: Match | PointMatch) -> Array:
-        information = match.information(self._noise.match_std_m, self._noise.match_correlation)
-        heading = float(match.pose[2])
-        if candidate.sign_m is not None:
-            return closure_covariance(information, SIGN_INFORMATION, heading)
-        covariance = closure_covariance(information, NEAR_INFORMATION, heading)
-        return closure_covariance(information, OPEN_INFORMATION, heading) if is_loose(covariance) else covariance
+        return LoopClosure(candidate, pose, covariance, overlap, status, reason)
 
     def rests_on_walls(self, closure: LoopClosure, target_path: Path, source_path: Path, width_m: float) -> bool:
         """Whether a closure would not be loose without all things narrower than so much: they may be robots."""
@@ -90,16 +82,18 @@ class LoopVerifier:
         self._draw_target(target, target_path)
         seen = _neighbours(source, source_path, min(self._config.cloud_reach_m, SPACING_M))
         points = self._walls.points([replace(k, ranges_m=without_narrow(k.ranges_m, width_m)) for k in seen])
-        rest, _ = self._walls.refine(points, closure.pose_target_source)
-        return not replace(closure, covariance=self._covariance(closure.candidate, rest)).is_loose
+        rest = self._walls.refine(points, closure.pose_target_source, _priors(closure.candidate))
+        return not is_loose(rest.covariance)
 
-    def _match(
-        self, candidate: LoopCandidate, target: Keyframe, target_path: Path, points: Array
-    ) -> tuple[Match | PointMatch, float]:
-        """Where the source's points (n, 2) fit the target, and the share of them that then lie on its walls."""
+    def _match(self, candidate: LoopCandidate, target: Keyframe, target_path: Path, points: Array) -> Laid:
+        """Where the source's points (n, 2) fit the target."""
+        priors = _priors(candidate)
         if self._config.method == "point-to-point":
             paired = match_points(self._points(target, target_path), points, candidate.guess)
-            return paired, paired.inlier_ratio
+            information = paired.information(self._noise.match_std_m, self._noise.match_correlation)
+            return Laid(
+                paired.pose, closure_covariance(information, priors, float(paired.pose[2])), paired.inlier_ratio
+            )
         guess = given_pose(candidate.guess, "guess")
         if candidate.recogniser == MEETING:
             met = match_globally(
@@ -107,18 +101,18 @@ class LoopVerifier:
                 MEETING_POINTS_MAX, lays_walls_along=True,
             )  # fmt: skip
             if met is None:
-                return NO_MATCH, 0.0
+                return Laid(np.zeros(3), closure_covariance(np.zeros((3, 3)), priors, 0.0), 0.0)
             guess = met.pose
         self._draw_target(target, target_path)
-        match, overlap = self._walls.refine(points, guess)
+        laid = self._walls.refine(points, guess, priors)
         if candidate.recogniser == MEETING:
-            return match, overlap
-        if overlap < self._config.overlap_min or candidate.recogniser in ANYWHERE:  # the guess may be too far off
+            return laid
+        if laid.overlap < self._config.overlap_min or candidate.recogniser in ANYWHERE:  # the guess may be too far off
             better = self._search(candidate, target, target_path, points)
-            searched, searched_overlap = self._walls.refine(points, better)
-            if searched_overlap >= overlap:
-                return searched, searched_overlap
-        return match, overlap
+            searched = self._walls.refine(points, better, priors)
+            if searched.overlap >= laid.overlap:
+                return searched
+        return laid
 
     def compared(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
         """(robot, keyframe index) of every scan that `verify` would look at."""
@@ -159,6 +153,11 @@ class SignVerifier:
     def compared(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
         """No scans."""
         return []
+
+
+def _priors(candidate: LoopCandidate) -> Array:
+    """(2, 3, 3) information that the candidate's own guess is worth, see `closure_covariance`."""
+    return NEAR_INFORMATION if candidate.sign_m is None else SIGN_INFORMATION
 
 
 def _ends(candidate: LoopCandidate, target_path: Path, source_path: Path) -> tuple[Keyframe, Keyframe]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels import borrowing_kernel
 
 
 @borrowing_kernel
@@ -26,10 +26,9 @@ def invert_symmetric(matrix: Array) -> Array:
     return out
 
 
-@kernel
-def squared_error(error, covariance):
-    """e^T C^-1 e of an error (3,) with its symmetric covariance (3, 3)."""
-    inverse = np.empty((3, 3))
+@borrowing_kernel
+def squared_error(error, covariance, inverse):
+    """e^T C^-1 e of an error (3,) with its symmetric covariance (3, 3), whose inverse is written to a third array."""
     invert3(covariance, inverse)
     total = 0.0
     for i in range(3):

@@ -14,9 +14,10 @@ from twc_env.errors import DataError
 from twc_env.geometry import beam_directions
 from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.messages import Keyframe
+from twc_env.slam.closure_covariance import fill_closure_covariance
 from twc_env.slam.given_arrays import plain
-from twc_env.slam.line_matching import refine_pose, share_near
-from twc_env.slam.scan_matching import STOP_M, STOP_RAD, LineField, Match
+from twc_env.slam.line_matching import fill_information, refine_pose, share_near
+from twc_env.slam.scan_matching import STOP_M, STOP_RAD, LineField
 from twc_env.slam.wall_drawing import draw_scan, drawing_room, forget_walls
 
 FIELD_CELL_M = 0.2
@@ -42,7 +43,7 @@ def _draw(walls, is_first, base, pose, ranges):
 
     False for a scan or a pose that is not sound.
     """
-    (cells, lines, origin, inverse_m, drawn, _), (directions, range_max, room, here, _) = parts_of(walls)
+    (cells, lines, origin, inverse_m, drawn, _), (directions, range_max, room, here, _), _ = parts_of(walls)
     if is_first:
         forget_walls(cells, drawn)
     _relative(base, pose, here)
@@ -52,7 +53,7 @@ def _draw(walls, is_first, base, pose, ranges):
 @borrowing_kernel
 def _join(walls, base, pose, ranges, points, count):
     """Write the end points of a scan taken at a pose, seen from another pose, behind so many; gives their number."""
-    _, (directions, range_max, _, here, _) = parts_of(walls)
+    _, (directions, range_max, _, here, _), _ = parts_of(walls)
     _relative(base, pose, here)
     c, s = math.cos(here[2]), math.sin(here[2])
     for i in range(ranges.shape[0]):
@@ -65,15 +66,17 @@ def _join(walls, base, pose, ranges, points, count):
 
 
 @borrowing_kernel
-def _lay(walls, points, guess, pose, sums):
-    """`refine_pose` of points near a guess, and the share of them that lie on walls then."""
-    (cells, lines, origin, inverse_m, _, scratch), _ = parts_of(walls)
+def _lay(walls, points, guess, priors, pose, covariance):
+    """See `TargetWalls.refine`; gives the overlap."""
+    (cells, lines, origin, inverse_m, _, scratch), _, (variance, sums, information, room) = parts_of(walls)
     count = points.shape[0]
-    weight, _, is_degenerate, _ = refine_pose(
+    _, _, is_degenerate, _ = refine_pose(
         cells, lines, origin, inverse_m, points, count, guess, REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE,
         STOP_M, STOP_RAD, scratch, pose, sums,
     )  # fmt: skip
-    return weight, is_degenerate, share_near(cells, origin, inverse_m, points, count, pose, NEAR_WALL_M)
+    fill_information(sums, is_degenerate, variance, information)
+    fill_closure_covariance(information, priors, pose[2], room, covariance)
+    return share_near(cells, origin, inverse_m, points, count, pose, NEAR_WALL_M)
 
 
 @borrowing_kernel
@@ -103,7 +106,7 @@ def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
 @borrowing_kernel
 def _contradict(walls, target, source, pose):
     """The larger share of one scan's points that the other scan saw through; pose is the source's in the target."""
-    _, (directions, range_max, _, back, origin) = parts_of(walls)
+    _, (directions, range_max, _, back, origin), _ = parts_of(walls)
     _relative(pose, origin, back)
     return max(
         _share_seen_through(source, directions, pose, target, range_max, SEEN_THROUGH_M),
@@ -116,8 +119,19 @@ class _Kernels(NamedTuple):
 
     draw: Callable[..., bool]
     join: Callable[..., int]
-    lay: Callable[..., tuple[float, bool, float]]
+    lay: Callable[..., float]
     contradict: Callable[..., float]
+
+
+class Laid(NamedTuple):
+    """Points laid on walls."""
+
+    pose: Array
+    """(3,) where they fit."""
+    covariance: Array
+    """(3, 3) of that, along its own axes, see `closure_covariance`."""
+    overlap: float
+    """Share of the points that then lie on walls."""
 
 
 class TargetWalls:
@@ -126,7 +140,9 @@ class TargetWalls:
     What is given is not looked at: points are those of `points`, guesses poses (3,) of float64.
     """
 
-    def __init__(self, size_m: float, lidar: LidarConfig):
+    def __init__(self, size_m: float, lidar: LidarConfig, variance_m2: float):
+        """variance_m2: the squared error of a point on a wall, times how many points count as one."""
+        self._variance_m2 = variance_m2
         self.field = LineField(size_m, FIELD_CELL_M, lidar.range_max_m)
         """To be searched far from a guess."""
         self._noise_m = lidar.range_noise_std_m
@@ -141,11 +157,13 @@ class TargetWalls:
         if self._bound is None or beams != self._beams:
             self._beams, pose, scan, points = beams, np.empty(3), np.empty(beams), np.empty((0, 2))
             room = drawing_room(beams, self._noise_m), np.empty(3), np.zeros(3)
-            held = Lent((self.field.parts, (beam_directions(beams), self.field.range_max_m, *room)))
+            scans = beam_directions(beams), self.field.range_max_m, *room
+            fit = self._variance_m2, np.zeros(9), np.empty((3, 3)), np.empty((2, 3, 3))
+            held = Lent((self.field.parts, scans, fit))
             self._bound = _Kernels(
                 bound(_draw, held, True, pose, pose, scan),
                 bound(_join, held, pose, pose, scan, points, 0),
-                bound(_lay, held, points, pose, pose, np.empty(9)),
+                bound(_lay, held, points, pose, fit[3], pose, fit[2]),
                 bound(_contradict, held, scan, scan, pose),
             )
         return self._bound
@@ -170,11 +188,10 @@ class TargetWalls:
             count = self._kernels(len(scan)).join(first.pose_odom, keyframe.pose_odom, scan, points, count)
         return points[:count]
 
-    def refine(self, points: Array, guess: Array) -> tuple[Match, float]:
-        """The match of points (n, 2) from a guess (3,), and the share of the points that then lie on walls."""
-        pose, sums = np.empty(3), np.zeros(9)
-        weight, is_degenerate, overlap = self._kernels(self._beams).lay(points, guess, pose, sums)
-        return Match(pose, sums, weight, is_degenerate), overlap
+    def refine(self, points: Array, guess: Array, priors: Array) -> Laid:
+        """Points (n, 2) laid on the walls from a guess (3,); priors: its own, see `closure_covariance`."""
+        pose, covariance = np.empty(3), np.empty((3, 3))
+        return Laid(pose, covariance, self._kernels(self._beams).lay(points, guess, priors, pose, covariance))
 
     def contradiction(self, target: Keyframe, source: Keyframe, pose: Array) -> float:
         """The larger share of what one saw that the other saw through; pose (3,) of the source in the target."""

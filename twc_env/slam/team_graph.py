@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import MutableSequence, Sequence
 from dataclasses import replace
@@ -11,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.geometry import between, compose, inverse
-from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import Keyframe, LoopClosure
 from twc_env.slam.forgotten_paths import ForgottenPaths
 from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays, part_of
@@ -21,27 +19,9 @@ from twc_env.slam.lone_odometry import LoneOdometry
 from twc_env.slam.pose_graph import Graph
 from twc_env.slam.shared_errors import UNOWNED, shared_errors
 from twc_env.slam.sign_readings import SignReadings
-from twc_env.slam.small_matrices import invert_symmetric, squared_error
+from twc_env.slam.small_matrices import invert_symmetric
 from twc_env.slam.waiting_closures import WaitingClosures
 from twc_env.team_messages import KnownSigns
-
-
-@borrowing_kernel
-def _between(a, b, out):
-    """The pose of b in a."""
-    c, s = math.cos(a[2]), math.sin(a[2])
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    out[0], out[1] = c * dx + s * dy, c * dy - s * dx
-    out[2] = (b[2] - a[2] + math.pi) % (2 * math.pi) - math.pi
-
-
-@kernel
-def _disagreement(poses, target, source, measured, covariance):
-    """See `TeamGraph.disagreement`."""
-    expected, error = np.empty(3), np.empty(3)
-    _between(poses[target], poses[source], expected)
-    _between(expected, measured, error)
-    return math.hypot(error[0], error[1]), abs(error[2]), squared_error(error, covariance)
 
 
 class TeamGraph(GraphArrays):
@@ -215,10 +195,7 @@ class TeamGraph(GraphArrays):
     def disagreement(self, closure: LoopClosure) -> tuple[float, float, float]:
         """How far a closure lies from the estimate [m] and [rad], and the squared error of that by its covariance."""
         target, source = self.node(closure.candidate.target), self.node(closure.candidate.source)
-        away_m, turned_rad, squared = _disagreement(
-            self.poses, target, source, closure.pose_target_source, closure.covariance
-        )
-        return away_m, turned_rad, squared
+        return self.misfit(target, source, closure.pose_target_source, closure.covariance)
 
     def closures_between(self, a: Sequence[int], b: Sequence[int], status: str) -> list[LoopClosure]:
         """Closures of one status with one end among robots a and the other among b; none that failed verification."""
