@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twc_env.slam.scan_matching import LineField
-from twc_env.slam.wall_cells import FAR_M, LINES_MAX, NO_WALL, distance_in, line_in, told_by, wall_cell
+from twc_env.slam.wall_cells import FAR_M, LINES_MAX, NO_WALL, distance_in, line_in, wall_cell
 from twc_env.slam.wall_drawing import REACH_M
 
 RANGE_MAX_M = 10.0
@@ -16,12 +16,11 @@ def test_a_cell_says_how_far_its_wall_is_and_which_line_that_is(distance_m, line
     cell = wall_cell(np.float32(distance_m), np.uint32(line))
     assert distance_in(np.uint32(cell)) == pytest.approx(distance_m, abs=1e-5)
     assert line_in(np.uint32(cell)) == line
-    assert told_by(int(cell)) == (pytest.approx(distance_m, abs=1e-5), line)
 
 
 def test_a_cell_without_wall_is_far_from_any_and_larger_than_all_others():
     assert distance_in(NO_WALL) == FAR_M
-    assert told_by(int(NO_WALL)) == (FAR_M, LINES_MAX)
+    assert line_in(NO_WALL) == LINES_MAX
     assert wall_cell(np.float32(REACH_M), np.uint32(LINES_MAX - 1)) < NO_WALL
     assert wall_cell(np.float32(0.1), np.uint32(LINES_MAX - 1)) < wall_cell(np.float32(0.2), np.uint32(0))
 

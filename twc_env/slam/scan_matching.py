@@ -7,7 +7,7 @@ costs one look-up per beam and residuals are exact distances, not distances to c
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray as Array
 from twc_env.config import LidarConfig, LocalMapConfig
 from twc_env.errors import ConfigError, DataError
 from twc_env.geometry import beam_directions
-from twc_env.kernels import borrowing_kernel
+from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, parts_of
 from twc_env.slam.given_arrays import given_points, given_pose, given_rows
 from twc_env.slam.line_equations import line_scratch
 from twc_env.slam.line_matching import (
@@ -28,7 +28,7 @@ from twc_env.slam.line_matching import (
     share_near,
     won_and_lost,
 )
-from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, told_by
+from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, distance_in, line_in
 from twc_env.slam.wall_drawing import BLOCK_CELLS, NOWHERE, draw_scans, drawing_room
 
 FIELD_SIDE_MAX = 10_000
@@ -108,6 +108,21 @@ def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, 
     return is_matched, is_clear, near / max(n, 1)
 
 
+@borrowing_kernel
+def _facing(field, x, y, from_x, from_y):
+    """See `LineField.facing_at`."""
+    cells, lines, origin, inverse_m = parts_of(field)
+    column, row = math.floor((x - origin[0]) * inverse_m), math.floor((y - origin[1]) * inverse_m)
+    if not (0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]):
+        return math.nan
+    cell = cells[row, column]
+    if distance_in(cell) > SIGN_TO_WALL_M:
+        return math.nan
+    line = lines[line_in(cell)]
+    nx, ny = np.float64(line[0]), np.float64(line[1])
+    return math.atan2(ny, nx) if nx * (from_x - x) + ny * (from_y - y) >= 0.0 else math.atan2(-ny, -nx)
+
+
 def matching_room(beams: int) -> tuple:
     """Room for `match_scan` to work in, for scans of so many beams."""
     return np.empty((beams, 2)), np.empty(9), np.empty(3), line_scratch()
@@ -135,7 +150,7 @@ class Match:
         return information
 
 
-class LineField:
+class LineField(BindsAnew):
     """The walls of a neighbourhood, ready for matching; a square of cells in some fixed frame."""
 
     def __init__(
@@ -161,6 +176,8 @@ class LineField:
         self._inverse_m = 1.0 / resolution_m
         self._cells, self._lines, self._origin_m, self._drawn = storage or field_storage(size_m, resolution_m)
         self._scratch = line_scratch()
+        self._facing: Callable[..., float] | None = None
+        """The kernel of this name with all of this."""
         self.reset(np.zeros(2))
 
     def reset(self, centre_m: Array) -> None:
@@ -219,17 +236,10 @@ class LineField:
 
     def facing_at(self, position: Sequence[float] | Array, seen_from: Sequence[float] | Array) -> float:
         """Outward normal [rad] of the wall at a position, on the side it is seen from; NaN where no wall is near."""
-        x, y = position
-        origin_x, origin_y = self._origin_m.tolist()
-        column, row = math.floor((x - origin_x) * self._inverse_m), math.floor((y - origin_y) * self._inverse_m)
-        if not (0 <= row < len(self._cells) and 0 <= column < len(self._cells)):
-            return math.nan
-        distance_m, line = told_by(int(self._cells[row, column]))
-        if distance_m > SIGN_TO_WALL_M:
-            return math.nan
-        nx, ny, _ = self._lines[line].tolist()
-        towards = nx * (seen_from[0] - x) + ny * (seen_from[1] - y)
-        return math.atan2(ny, nx) if towards >= 0 else math.atan2(-ny, -nx)
+        now = *map(float, position), *map(float, seen_from)
+        if self._facing is None:
+            self._facing = bound(_facing, Lent((self._cells, self._lines, self._origin_m, self._inverse_m)), *now)
+        return self._facing(*now)
 
     @property
     def parts(self) -> tuple[Array, Array, Array, float, Array, Array]:

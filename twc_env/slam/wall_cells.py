@@ -37,9 +37,3 @@ def distance_in(cell):
 def line_in(cell):
     """The line of that wall, or `LINES_MAX`; an index without sign."""
     return np.uint64(cell) & np.uint64(LINES_MAX)
-
-
-def told_by(cell: int) -> tuple[float, int]:
-    """The same in plain Python: distance and line."""
-    steps, line = divmod(cell, LINES_MAX + 1)
-    return (FAR_M if cell == NO_WALL else steps / float(_STEPS_PER_M)), line
