@@ -39,40 +39,40 @@ class MapOptimiser:
         """Robots of large maps that are to be thinned, and the first node there that must stay."""
         self._refused_heard: dict[tuple[int, ...], int] = {}
         """How many closures of a group were refused when all of them were last weighed anew."""
-        self._soiled: dict[int, bool] = {}
-        """Groups, by their first robot, with closures that came since the last optimisation; True: one is urgent."""
+        self._soiled: set[int] = set()
+        """Groups, by their first robot, with closures that came since the last optimisation."""
         self._last_step = 0
+        self.due_step = math.inf
+        """From when on the groups with new closures are optimised: the later, if none of these is urgent."""
 
     def soil(self, group: int, is_urgent: bool) -> None:
         """A closure came into a group's map; it is urgent where the estimate does not meet it."""
-        robot = self._maps.groups[group].robots[0]
-        self._soiled[robot] = self._soiled.get(robot, False) or is_urgent
+        self._soiled.add(self._maps.groups[group].robots[0])
+        periods = 1 if is_urgent else PATIENCE_PERIODS
+        self.due_step = min(self.due_step, self._last_step + periods * self._config.period_steps)
 
     @property
     def is_map_large(self) -> bool:
         """Whether so many keyframes came that what takes long is spread over steps."""
         return self.settled_maps.is_large(self._graph.arrived_count)
 
-    @property
-    def due_step(self) -> float:
-        """From when on the groups with new closures are optimised: the later, if none of these is urgent."""
-        if not self._soiled:
-            return math.inf
-        periods = 1 if any(self._soiled.values()) else PATIENCE_PERIODS
-        return self._last_step + periods * self._config.period_steps
-
     def optimise_soiled(self, step: int) -> None:
         """Optimise all groups with new closures."""
         self._last_step = step
         for group in sorted({self._maps.group_of[robot] for robot in self._soiled}):
             self.optimise(group)
-        self._soiled.clear()
+        self._settle()
 
     def finish(self) -> None:
         """Optimise all groups for good (end of an episode or log)."""
         for group in range(len(self._maps.groups)):
             self.optimise(group, is_thorough=True)
+        self._settle()
+
+    def _settle(self) -> None:
+        """All groups have been optimised."""
         self._soiled.clear()
+        self.due_step = math.inf
 
     def unsettle(self) -> None:
         """Robots came to share a map or no longer do: all of it may move."""

@@ -69,11 +69,10 @@ def _compare(macs, levels, first, end, other_macs, other_levels, offset, faintes
 
 @borrowing_kernel
 def _choose(
-    table, place_count, likeness, is_skipped, robot, latest, other_macs, other_levels, mac_min, rssi_min, tolerance,
-    spares_deaf,
-):  # fmt: skip
+    table, place_count, robot, latest, other_macs, other_levels, mac_min, rssi_min, tolerance, spares_deaf
+):
     """See `SignTable.like`; gives how many rows of the part of the table for it, (places, 6), were written."""
-    places, travels, ends, macs, levels, out, is_deaf, _, offsets, faintest = parts_of(table)
+    places, travels, ends, macs, levels, out, likeness, is_skipped, is_deaf, _, offsets, faintest = parts_of(table)
     count = 0
     for k in range(place_count):
         other, similarity = places[k, 0], likeness[places[k, 1]]
@@ -96,7 +95,7 @@ def _choose(
 @borrowing_kernel
 def _put(table, row, robot, text, travel, is_early, macs, levels):
     """Write a row behind the others."""
-    places, travels, ends, all_macs, all_levels, _, is_deaf, has_heard, _, _ = parts_of(table)
+    places, travels, ends, all_macs, all_levels, _, _, _, is_deaf, has_heard, _, _ = parts_of(table)
     first = ends[row - 1] if row > 0 else np.int64(0)
     for k in range(macs.shape[0]):
         all_macs[first + k], all_levels[first + k] = macs[k], levels[k]
@@ -115,7 +114,10 @@ class SignTable(BindsAnew):
         """Where the fingerprint of each row ends; it begins where the one before does. And room for what is found."""
         self._macs, self._rssi_dbm = np.zeros(_READINGS_ROOM, np.int64), np.zeros(_READINGS_ROOM)
         """Of all fingerprints, one after the other."""
-        self._count = self._end = self._robots = 0
+        self._likeness, self._is_skipped = np.full(ROOM, UNLIKE), np.zeros(0, bool)
+        """How alike each text is to the one that is asked for, and which robots are left out: between two questions
+        none."""
+        self._count = self._end = 0
         self._devices = DeviceOffsets()
         self._is_deaf, self._has_heard = np.zeros(0, bool), np.zeros(0, bool)
         self._first_m: dict[int, dict[int, float]] = {}
@@ -131,13 +133,12 @@ class SignTable(BindsAnew):
         """
         heard, row = keyframe.fingerprint, self._count
         self._count, self._end = row + 1, self._end + len(heard.macs)
-        self._make_room(keyframe.robot)
+        self._make_room(keyframe.robot, number)
         is_early = keyframe.time_s < MISSING_AFTER_S
         new = row, keyframe.robot, number, keyframe.travel_m, is_early, heard.macs, heard.rssi_dbm
         if self._put is None:
             self._put = bound(_put, self._all(), *new)
         self._put(*new)
-        self._robots = max(self._robots, keyframe.robot + 1)
         self._note_first(keyframe.robot, number, keyframe.travel_m)
         return self._devices.note(keyframe.robot, text, heard)
 
@@ -165,15 +166,18 @@ class SignTable(BindsAnew):
         first_m = self._first_m.setdefault(text, {})
         first_m[robot] = min(first_m.get(robot, math.inf), travel_m)
 
-    def _make_room(self, robot: int) -> None:
-        """Room for all rows and readings that there are, and for a robot of this number."""
-        robots = len(self._devices.offset_db)
-        if robot < robots and self._end <= len(self._macs) and self._count <= len(self._places):
+    def _make_room(self, robot: int, text: int = 0) -> None:
+        """Room for all rows and readings that there are, and for a robot and a text of these numbers."""
+        robots, texts = len(self._is_skipped), len(self._likeness)
+        if robot < robots and text < texts and self._end <= len(self._macs) and self._count <= len(self._places):
             return
+        if text >= texts:
+            self._likeness = np.full(2 * texts, UNLIKE)
         if robot >= robots:
             more = max(robot + 1, 2 * robots) - robots
             self._devices.make_room(robots + more)
             self._is_deaf, self._has_heard = np.pad(self._is_deaf, (0, more)), np.pad(self._has_heard, (0, more))
+            self._is_skipped = np.zeros(robots + more, bool)
         while self._end > len(self._macs):
             self._macs, self._rssi_dbm = grown(self._macs), grown(self._rssi_dbm)
         if self._count > len(self._places):
@@ -183,8 +187,8 @@ class SignTable(BindsAnew):
         self._choose, self._put = rebound(self._choose, held), rebound(self._put, held)
 
     def _all(self) -> Lent:
-        places = self._places, self._travels_m, self._ends, self._macs, self._rssi_dbm, self._found
-        robots = self._is_deaf, self._has_heard, self._devices.offset_db, self._devices.faintest_dbm
+        places = self._places, self._travels_m, self._ends, self._macs, self._rssi_dbm, self._found, self._likeness
+        robots = self._is_skipped, self._is_deaf, self._has_heard, self._devices.offset_db, self._devices.faintest_dbm
         return Lent((*places, *robots))
 
     def like(
@@ -201,17 +205,20 @@ class SignTable(BindsAnew):
         latest_m = keyframe.travel_m - apart_m
         if not self._has_any(alike, keyframe.robot, latest_m, skipped_robots):
             return []
-        is_skipped, likeness = np.zeros(self._robots, bool), np.full(len(self._first_m), UNLIKE)
+        likeness, is_skipped = self._likeness, self._is_skipped
         for robot in skipped_robots:
-            if robot < self._robots:
+            if robot < len(is_skipped):
                 is_skipped[robot] = True
         for text, similarity in alike:
             likeness[text] = similarity
         heard = keyframe.fingerprint
-        now = self._count, likeness, is_skipped, keyframe.robot, latest_m, heard.macs, heard.rssi_dbm, *radio
+        now = self._count, keyframe.robot, latest_m, heard.macs, heard.rssi_dbm, *radio
         if self._choose is None:
             self._choose = bound(_choose, self._all(), *now)
         rows: list[list[float]] = self._found[: self._choose(*now)].tolist()
+        is_skipped[:] = False
+        for text, _ in alike:
+            likeness[text] = UNLIKE
         return rows
 
     def _has_any(
