@@ -93,22 +93,22 @@ class ClosureSearch:
         if reach_m <= 0 or keyframe.travel_m - self._searched_m[keyframe.robot] < PROXIMITY_PERIOD_M:
             return None
         self._searched_m[keyframe.robot] = keyframe.travel_m
-        here = self._graph.poses[self._graph.node(keyframe.key)]
-        best, best_m = None, reach_m
+        node, best, best_m = self._graph.node(keyframe.key), None, reach_m
         for robot in self._maps.groups[self._maps.group_of[keyframe.robot]].robots:
             latest_m = keyframe.travel_m - self._rule.revisit_travel_m if robot == keyframe.robot else np.inf
-            nearest, away_m = self._graph.nearest(robot, here, latest_m)
+            nearest, away_m = self._graph.nearest(robot, node, latest_m)
             if away_m < best_m:
                 best, best_m = self._graph.keyframes[robot][nearest].key, away_m
         if best is None:
             return None
-        guess = between(self._graph.poses[self._graph.node(best)], here)
+        poses = self._graph.poses
+        guess = between(poses[self._graph.node(best)], poses[node])
         return LoopCandidate(best, keyframe.key, guess, "proximity")
 
     def note_tie(self, closure: LoopClosure) -> None:
         """A closure was accepted: its robots need no other for a while, or none of its kind where it is loose."""
         for key in (closure.candidate.target, closure.candidate.source):
-            travel_m = float(self._graph.travels_m[self._graph.node(key)])
+            travel_m = self._graph.keyframe(key).travel_m
             for tied_m in (self._loosely_tied_m,) if closure.is_loose else (self._loosely_tied_m, self._tied_m):
                 tied_m[key[0]] = max(tied_m[key[0]], travel_m)
 

@@ -92,24 +92,33 @@ class Exchange:
         """
         if self._is_central and self._made == self._heard and not wanted[0]:
             return _NOTHING
-        deliveries = [Delivery() for _ in self._held]
-        before = self._held
-        if not self._is_central:
-            for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
-                if self._held[robot][robot] < self._ends[robot]:
-                    self._hand_over(delivery, robot, robot, self._lacked(robot, robot, self._ends[robot]))
-            before = [held.copy() for held in self._held]
         if contacts is not self._pairs_of:
             self._pairs_of = contacts
             self._pairs = [(i, k, bool(contacts.heard[i, k])) for i, k in np.argwhere(contacts.tried).tolist()]
+        return [self._deliver_to_one(wanted[0])] if self._is_central else self._deliver_to_each(wanted)
+
+    def _deliver_to_one(self, wanted: Collection[tuple[int, int]]) -> Delivery:
+        """What arrives at the one mapper of all, straight from the robots."""
+        delivery, held, ends = Delivery(), self._held[0], self._ends
+        for _, sender, is_heard in self._pairs:
+            if held[sender] < ends[sender]:
+                self._tell_keyframes(delivery, 0, sender, ends[sender], is_heard)
+            if wanted:
+                self._tell_scans(delivery, 0, sender, wanted, is_heard)
+        return delivery
+
+    def _deliver_to_each(self, wanted: Sequence[Collection[tuple[int, int]]]) -> list[Delivery]:
+        """What arrives at the mappers that robots carry."""
+        deliveries = [Delivery() for _ in self._held]
+        for robot, delivery in enumerate(deliveries):  # a robot needs no radio to hear itself
+            if self._held[robot][robot] < self._ends[robot]:
+                self._hand_over(delivery, robot, robot, self._lacked(robot, robot, self._ends[robot]))
+        before = [held.copy() for held in self._held]
         for listener, sender, is_heard in self._pairs:
-            if self._is_central:
-                if self._held[0][sender] < self._ends[sender]:
-                    self._tell_keyframes(deliveries[0], 0, sender, self._ends[sender], is_heard)
-            else:
-                self._tell_holdings(listener, sender, is_heard)
-                for robot, count in enumerate(before[sender]):
-                    end = self._ends[robot] if robot == sender else count
+            self._tell_holdings(listener, sender, is_heard)
+            for robot, count in enumerate(before[sender]):
+                end = self._ends[robot] if robot == sender else count
+                if self._held[listener][robot] < end:
                     self._tell_keyframes(deliveries[listener], listener, robot, end, is_heard)
             if wanted[listener]:
                 self._tell_scans(deliveries[listener], listener, sender, wanted[listener], is_heard)
@@ -125,12 +134,11 @@ class Exchange:
 
     def _tell_keyframes(self, delivery: Delivery, listener: int, robot: int, end: int, is_heard: bool) -> None:
         """Send what the listener lacks of a robot's keyframes before the one of number `end`."""
-        if self._held[listener][robot] < end:
-            lacked = self._lacked(listener, robot, end)
-            for keyframe in lacked:
-                self._count(keyframe)
-            if is_heard:
-                self._hand_over(delivery, listener, robot, lacked)
+        lacked = self._lacked(listener, robot, end)
+        for keyframe in lacked:
+            self._count(keyframe)
+        if is_heard:
+            self._hand_over(delivery, listener, robot, lacked)
 
     def _hand_over(self, delivery: Delivery, listener: int, robot: int, lacked: list[Keyframe]) -> None:
         delivery.keyframes += lacked

@@ -114,10 +114,10 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
 
 
 @borrowing_kernel
-def _nearest(graph, robot, pose, travel_max):
+def _nearest(graph, robot, here, travel_max):
     """See `GraphArrays.nearest`."""
     poses, _, _, travels, _, _, _, _, _, _, rows, counts, _, _, _ = parts_of(graph)
-    best, best_squared = -1, np.inf
+    pose, best, best_squared = poses[here], -1, np.inf
     for k in range(counts[robot]):
         node = rows[robot, k]
         if travels[node] >= travel_max:
@@ -226,7 +226,8 @@ class GraphArrays(BindsAnew):
         if node == len(self._node_rows[0]):
             self._node_rows = [grown(rows) for rows in self._node_rows]
             self._hold_grown()
-        if self._counts[keyframe.robot] == self._rows.shape[1]:
+        width = self._rows.shape[1]
+        if node >= width and self._counts[keyframe.robot] == width:
             self._rows = grown(self._rows.T).T.copy()
             self._hold_grown()
         self._make_room_for_edge()
@@ -295,14 +296,14 @@ class GraphArrays(BindsAnew):
             self._misfit = bound(_misfit, self._all(), *now)
         return self._misfit(*now)
 
-    def nearest(self, robot: int, pose: Array, travel_max_m: float = math.inf) -> tuple[int, float]:
-        """Which of the robot's nodes up to a path length is nearest to a pose, and how far away it is [m].
+    def nearest(self, robot: int, node: int, travel_max_m: float = math.inf) -> tuple[int, float]:
+        """Which of the robot's nodes up to a path length is nearest to another node, and how far away it is [m].
 
         (-1, inf) where there is none.
         """
         if self._nearest is None:
-            self._nearest = bound(_nearest, self._all(), robot, pose, travel_max_m)
-        return self._nearest(robot, pose, travel_max_m)
+            self._nearest = bound(_nearest, self._all(), robot, node, travel_max_m)
+        return self._nearest(robot, node, travel_max_m)
 
     def rows_of(self, nodes: Array | slice) -> tuple[Array, Array]:
         """Poses (k, 3) and scans (k, beams) of some nodes."""

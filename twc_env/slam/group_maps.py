@@ -80,8 +80,7 @@ class GroupMaps:
         if node == len(self._drawn):
             self._drawn, self._scan_here = grown(self._drawn), grown(self._scan_here)
         self._scan_here[node] = not self._on_request or keyframe.robot == self._home
-        poses = self._graph.poses[node : node + 1]
-        self._drawn[node] = poses[0]
+        self._drawn[node] = poses = self._graph.poses[node : node + 1]
         group = self.group_of[keyframe.robot]
         if self._scan_here[node] or self._draws_all(group):
             self._draw(self.groups[group].grid, poses, keyframe.ranges_m[None])

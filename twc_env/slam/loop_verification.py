@@ -169,13 +169,13 @@ def _ends(candidate: LoopCandidate, target_path: Path, source_path: Path) -> tup
 def _neighbours(keyframe: Keyframe, path: Path, reach_m: float) -> list[Keyframe]:
     """The keyframe first, then others of its robot within reach_m of path, about SPACING_M apart."""
     chosen, here_m, place = [keyframe], keyframe.travel_m, place_on(path, keyframe.index)
-    for places in (range(place - 1, -1, -1), range(place + 1, len(path))):
-        last_m = here_m
+    for way, places in ((-1.0, range(place - 1, -1, -1)), (1.0, range(place + 1, len(path)))):
+        first_m = last_m = way * here_m
         for k in places:
-            other = path[k]
-            if abs(other.travel_m - here_m) > reach_m:
+            other_m = way * path[k].travel_m
+            if other_m - first_m > reach_m:
                 break
-            if abs(other.travel_m - last_m) >= SPACING_M:
-                chosen.append(other)
-                last_m = other.travel_m
+            if other_m - last_m >= SPACING_M:
+                chosen.append(path[k])
+                last_m = other_m
     return chosen

@@ -68,9 +68,7 @@ def _compare(macs, levels, first, end, other_macs, other_levels, offset, faintes
 
 
 @borrowing_kernel
-def _choose(
-    table, place_count, robot, latest, other_macs, other_levels, mac_min, rssi_min, tolerance, spares_deaf
-):
+def _choose(table, place_count, robot, latest, other_macs, other_levels, mac_min, rssi_min, tolerance, spares_deaf):
     """See `SignTable.like`; gives how many rows of the part of the table for it, (places, 6), were written."""
     places, travels, ends, macs, levels, out, likeness, is_skipped, is_deaf, _, offsets, faintest = parts_of(table)
     count = 0

@@ -253,8 +253,8 @@ class TeamMapper:
         """Path length over which drift could have gathered: between the keyframes, or since the robots' last tie."""
         (target, _), (source, _) = candidate.target, candidate.source
         if target == source:
-            first, last = [self._graph.travels_m[self._graph.node(key)] for key in (candidate.target, candidate.source)]
-            return min(abs(float(last) - float(first)), 40.0)
+            first, last = self._graph.keyframe(candidate.target), self._graph.keyframe(candidate.source)
+            return min(abs(last.travel_m - first.travel_m), 40.0)
         return 20.0
 
     # --- merging ---
