@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -15,7 +14,6 @@ from twc_env.slam.closure_covariance import closure_covariance
 from twc_env.slam.given_arrays import given_pose
 from twc_env.slam.global_matching import match_globally
 from twc_env.slam.keyframe_paths import place_on
-from twc_env.slam.mate_detection import without_narrow
 from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.point_matching import match_points
 from twc_env.slam.target_walls import Laid, TargetWalls
@@ -81,8 +79,9 @@ class LoopVerifier:
         target, source = _ends(closure.candidate, target_path, source_path)
         self._draw_target(target, target_path)
         seen = _neighbours(source, source_path, min(self._config.cloud_reach_m, SPACING_M))
-        points = self._walls.points([replace(k, ranges_m=without_narrow(k.ranges_m, width_m)) for k in seen])
-        rest = self._walls.refine(points, closure.pose_target_source, _priors(closure.candidate))
+        rest = self._walls.refine(
+            self._walls.points(seen, width_m), closure.pose_target_source, _priors(closure.candidate)
+        )
         return not is_loose(rest.covariance)
 
     def _match(self, candidate: LoopCandidate, target: Keyframe, target_path: Path, points: Array) -> Laid:

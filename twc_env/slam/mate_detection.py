@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray as Array
 
-from twc_env.kernels import borrowing_kernel
+from twc_env.kernels import borrowing_kernel, kernel
 
 STEP_MAX_M = 0.15
 """Neighbouring beams on one disc differ by less than this ..."""
@@ -116,19 +115,27 @@ def unmark(scan, discs, pose, seen, following, travel, time):
     return following
 
 
-def without_narrow(ranges_m: Array, width_m: float) -> Array:
+@kernel
+def without_narrow(ranges_m, width_m):
     """A scan (beams,) in which things narrower than so much, with more room on both sides, are marked as mates are.
 
     Whatever their shape, and if they stood still for long: one may be a robot that waits.
     """
-    ranges = np.minimum(np.abs(ranges_m), NO_RETURN_M)
-    starts = np.flatnonzero(np.abs(ranges - np.roll(ranges, 1)) > STEP_MAX_M)
-    marked, beams = np.array(ranges_m), len(ranges)
-    for first, end in zip(starts, np.roll(starts, -1), strict=True):
-        last = end - 1
-        angle = ((last - first) % beams) * 2 * math.pi / beams
-        a, b = ranges[first], ranges[last]
-        if a < ranges[first - 1] and b < ranges[end] and a * a + b * b - 2 * a * b * math.cos(angle) < width_m**2:
-            thing = np.arange(first, first + (last - first) % beams + 1) % beams
-            marked[thing] = -ranges[thing]
+    beams, marked, count = ranges_m.shape[0], ranges_m.copy(), 0
+    ranges, jumps = np.empty(beams), np.empty(beams + 1, np.int64)
+    for i in range(beams):
+        ranges[i] = min(abs(ranges_m[i]), NO_RETURN_M)
+    for i in range(beams):
+        if abs(ranges[i] - ranges[i - 1]) > STEP_MAX_M:
+            jumps[count] = i
+            count += 1
+    jumps[count] = jumps[0] + beams
+    for m in range(count):
+        first, end = jumps[m], jumps[m + 1]
+        angle = (end - 1 - first) * 2 * math.pi / beams
+        a, b = ranges[first], ranges[(end - 1) % beams]
+        is_in_front = a < ranges[first - 1] and b < ranges[end % beams]
+        if is_in_front and a * a + b * b - 2 * a * b * math.cos(angle) < width_m**2:
+            for k in range(first, end):
+                marked[k % beams] = -ranges[k % beams]
     return marked

@@ -17,6 +17,7 @@ from twc_env.messages import Keyframe
 from twc_env.slam.closure_covariance import fill_closure_covariance
 from twc_env.slam.given_arrays import plain
 from twc_env.slam.line_matching import fill_information, refine_pose, share_near
+from twc_env.slam.mate_detection import without_narrow
 from twc_env.slam.scan_matching import STOP_M, STOP_RAD, LineField
 from twc_env.slam.wall_drawing import draw_scan, drawing_room, forget_walls
 
@@ -179,12 +180,14 @@ class TargetWalls:
             if not self._kernels(len(scan)).draw(keyframe is first, first.pose_odom, keyframe.pose_odom, scan):
                 raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
 
-    def points(self, keyframes: Sequence[Keyframe]) -> Array:
-        """(n, 2) what these saw, in the frame of the first of them."""
+    def points(self, keyframes: Sequence[Keyframe], width_m: float = 0.0) -> Array:
+        """(n, 2) what these saw, without things narrower than so much, in the frame of the first of them."""
         first, count = keyframes[0], 0
         points = np.empty((sum([len(keyframe.ranges_m) for keyframe in keyframes]), 2))
         for keyframe in keyframes:
             scan = plain(keyframe.ranges_m)
+            if width_m > 0.0:
+                scan = without_narrow(scan, width_m)
             count = self._kernels(len(scan)).join(first.pose_odom, keyframe.pose_odom, scan, points, count)
         return points[:count]
 
