@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,9 +27,6 @@ from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
 from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
 from twc_env.whole_copy import CopiedWhole
-
-_STEPS_AT_ONCE = 16
-"""Steps whose arrays are made together, which takes half the time."""
 
 MATCHED_STD_SHARE = 0.25
 """Ways whose scans were matched stray by about so much of what the covariances of their pieces add up to, which are
@@ -122,6 +119,7 @@ class CooperativeSlam(CopiedWhole):
         self._others = np.array([[r for r in range(robot_count) if r != k] for k in range(robot_count)], np.int64)
         """(robots, robots - 1) all the others of each robot."""
         self._everyone = np.arange(robot_count)
+        self._shapes = self._poses.shape, self._mate_poses.shape
         self._heard_poses = np.zeros_like(self._mate_poses)
         """Where each robot has its own mapper: where its mates were when they were heard of last."""
         self._maps: HeldMaps | None = None
@@ -131,8 +129,6 @@ class CooperativeSlam(CopiedWhole):
         self._views: list[View] = []
         self._views_of: list[int] = []
         """Which maps robots believe in, as of these counts of regroupings."""
-        self._rooms: Iterator[tuple[Array, Array]] = iter(())
-        """New arrays for the poses of the next steps."""
         self._run: Callable[..., None] | None = None
         """`_believed_poses` of where the odom frames are."""
         self._beliefs: TeamBeliefs | None = None
@@ -144,7 +140,7 @@ class CooperativeSlam(CopiedWhole):
         self._radio = RadioStructure(radio, config.slam.resolution_m, robot_count) if radio.enabled else None
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None, "_rooms": iter(())}
+        return self.__dict__ | {"_run": None}
 
     def give_starts(self, poses: Array) -> None:
         """Tell all mappers where the robots started (robots, 3): an oracle, for comparison only (`slam.oracle`)."""
@@ -222,19 +218,13 @@ class CooperativeSlam(CopiedWhole):
 
     def _locate(self) -> None:
         """Where the robots are in the maps, by what their front ends say now."""
-        self._poses, self._mate_poses = next(self._rooms, None) or self._make_room()
+        self._poses, self._mate_poses = np.empty(self._shapes[0]), np.empty(self._shapes[1])
         self._beliefs = None
         now = self.poses_odom, self._mates, self._poses, self._mate_poses
         if self._run is None:
             held = self._poses_map_odom, self._std, self._std_share, self._is_central, self._heard_poses
             self._run = bound(_believed_poses, Lent(held), *now)
         self._run(*now)
-
-    def _make_room(self) -> tuple[Array, Array]:
-        """New arrays for the poses of some steps; the first step's."""
-        blocks = [np.empty((_STEPS_AT_ONCE, *poses.shape)) for poses in (self._poses, self._heard_poses)]
-        self._rooms = zip(*blocks, strict=True)
-        return next(self._rooms)
 
     def _relocate(self, number: int, mapper: TeamMapper) -> None:
         """Take over what a mapper says of robots, where that has changed; beliefs hold what it said before."""

@@ -16,7 +16,7 @@ from twc_env.slam.odometry_filter import motion_covariance
 from twc_env.slam.radio_fingerprint import STD_MODES, fingerprint_of
 from twc_env.slam.tracking import Tracker
 from twc_env.slam.wall_cells import LINES_MAX
-from twc_env.slam.wall_drawing import LINES, draw_scans, drawing_room
+from twc_env.slam.wall_drawing import LINES, draw_scan, drawing_room
 
 MOTION_STD_MIN = (0.013, 0.013, 0.004)
 """Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""
@@ -38,7 +38,7 @@ def _measure_motion(last, pose, steps, length, variances, matched, motion, covar
 
 @borrowing_kernel
 def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
-    """Fill the arrays of a keyframe of robot k, scan (1, beams) and pose (1, 3), and draw it into the local map.
+    """Fill the arrays of a keyframe of robot k, scan (beams,) and pose (3,), and draw it into the local map.
 
     Gives how many transmitters there are in the fingerprint, the length of the path, and whether the scan was drawn:
     not where the robot has left the middle of its map, where that is full or where the numbers are not sound.
@@ -49,10 +49,10 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
         directions, room,
     ) = parts_of(apparatus)  # fmt: skip
     here = poses[k]
-    for i in range(scan.shape[1]):
-        scan[0, i] = marked[k, i]
+    for i in range(scan.shape[0]):
+        scan[i] = marked[k, i]
     if disc_counts[k] > 0:
-        following[k] = unmark(scan[0], discs[k, : disc_counts[k]], here, seen[k], following[k], travels[k], time)
+        following[k] = unmark(scan, discs[k, : disc_counts[k]], here, seen[k], following[k], travels[k], time)
     if math.isnan(last_poses[k, 0]):
         motion[:] = 0.0
         covariance[:] = 0.0
@@ -60,15 +60,15 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
         length = travels[k] - last_travels[k]
         _measure_motion(last_poses[k], here, steps[k], length, variances, information[k], motion, covariance)
     for axis in range(3):
-        pose[0, axis] = last_poses[k, axis] = here[axis]
+        pose[axis] = last_poses[k, axis] = here[axis]
     last_travels[k], steps[k] = travels[k], 0
     heard = fingerprint_of(k, rings, time - window[0], window[1], window[2], std_mode)
     dx, dy = here[0] - centres[k, 0], here[1] - centres[k, 1]
-    has_room = drawn[k, LINES] + scan.shape[1] <= LINES_MAX
+    has_room = drawn[k, LINES] + scan.shape[0] <= LINES_MAX
     is_drawn = (
         math.hypot(dx, dy) <= reach
         and has_room
-        and draw_scans(cells[k], lines[k], origins[k], inverse_m, pose, directions, scan, range_max, room, drawn[k])
+        and draw_scan(cells[k], lines[k], origins[k], inverse_m, pose, directions, scan, range_max, room, drawn[k])
     )
     return heard, travels[k], is_drawn
 
@@ -77,7 +77,7 @@ class KeyframeTaker(BindsAnew):
     """Takes the keyframes of all robots, each from where the tracker has it and from the scans it heard last."""
 
     def __init__(self, config: EnvConfig, tracker: Tracker):
-        self._tracker = tracker
+        self._tracker, self._beams = tracker, config.lidar.beam_count
         count, noise, rule = len(tracker.poses_odom), config.slam.odometry_filter, config.slam.keyframe
         self._discs_seen, self._following = np.full((count, MEMORY, 4), np.inf), np.zeros(count, np.int64)
         """Of each robot, see `unmark`."""
@@ -89,8 +89,6 @@ class KeyframeTaker(BindsAnew):
         """Odometry's, of a step [m2], of a metre [m2] and of the turn in a step [rad2]."""
         self._window = np.array([rule.fingerprint_window_s, rule.fingerprint_age_max_s, rule.fingerprint_detection_min])
         self._std_mode = STD_MODES[rule.std_mode]
-        self._has_been_alone = [False] * count
-        """Whether each robot has ever gone by odometry alone."""
         self._run: Callable[..., tuple[int, float, bool]] | None = None
         """`_take` with all that it needs every time."""
 
@@ -98,18 +96,15 @@ class KeyframeTaker(BindsAnew):
         self, robot: int, index: int, step: int, time_s: float, signs: tuple[SignObservation, ...]
     ) -> tuple[Keyframe, bool]:
         """The robot's keyframe of this number, and whether it was drawn: not where its local map must move on first."""
-        scan, pose = np.empty((1, self._tracker.marked_m.shape[1])), np.empty((1, 3))
-        motion, covariance = np.empty(3), np.empty((3, 3))
-        now = robot, time_s, self._tracker.poses_odom, self._tracker.radio.rings, scan, pose, motion, covariance
+        tracker = self._tracker
+        scan, pose, motion, covariance = np.empty(self._beams), np.empty(3), np.empty(3), np.empty((3, 3))
+        now = robot, time_s, tracker.poses_odom, tracker.radio.rings, scan, pose, motion, covariance
         if self._run is None:
             self._run = bound(_take, self._packed(), *now)
         heard, travel_m, is_drawn = self._run(*now)
-        fingerprint = self._tracker.radio.latest(heard)
-        by_odometry_m, scale = self._tracker.by_odometry(robot, pose[0, 2])
-        self._has_been_alone[robot] |= by_odometry_m != (0.0, 0.0)
-        alone = (by_odometry_m, scale) if self._has_been_alone[robot] else ()
+        fingerprint, alone = tracker.radio.latest(heard), tracker.by_odometry(robot)
         keyframe = Keyframe(
-            robot, index, step, time_s, pose[0], motion, covariance, travel_m, scan[0], signs, fingerprint, *alone
+            robot, index, step, time_s, pose, motion, covariance, travel_m, scan, signs, fingerprint, *alone
         )
         return keyframe, is_drawn
 

@@ -126,8 +126,10 @@ def open_direction(information):
     """Whether a match leaves a direction of the place open, as a corridor its axis, and that direction, of length 1."""
     a, b, d = information[0, 0], information[0, 1], information[1, 1]
     mean, half = 0.5 * (a + d), 0.5 * math.sqrt((a - d) ** 2 + 4.0 * b * b)
+    if not (mean > 0.0 and mean - half <= UNTOLD_SHARE * mean):
+        return False, 0.0, 0.0
     angle = 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
-    return mean > 0.0 and mean - half <= UNTOLD_SHARE * mean, math.cos(angle), math.sin(angle)
+    return True, math.cos(angle), math.sin(angle)
 
 
 @kernel

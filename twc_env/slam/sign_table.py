@@ -199,7 +199,8 @@ class SignTable(BindsAnew):
         keyframe's own those less than apart_m before it along the path. Each comes as its number, the similarity of
         texts, `mac_similarity`, `rssi_similarity`, and distance [dB] and count of `rssi_distance_db`.
         """
-        self._make_room(keyframe.robot)
+        if keyframe.robot >= len(self._is_skipped):
+            self._make_room(keyframe.robot)
         latest_m = keyframe.travel_m - apart_m
         if not self._has_any(alike, keyframe.robot, latest_m, skipped_robots):
             return []

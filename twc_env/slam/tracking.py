@@ -151,6 +151,8 @@ class Tracker(BindsAnew):
         """(n,) whether it has come to a new place; and whether one of those in the latest frames has."""
         self._by_odometry_m = np.zeros((count, 2))
         """What no scan told of the robots' motions since the last time that they were asked, in their odom frames."""
+        self._has_been_alone = [False] * count
+        """Whether each robot has ever gone by odometry alone."""
         masks = rule.mask_mates and config.robots > 1
         mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
         opening = opening_beams(beams, config.lidar.dropout_probability)
@@ -184,13 +186,17 @@ class Tracker(BindsAnew):
             self._run = bound(_track, self._packed(self._filters), *now)
         self.has_arrived = self._run(*now)
 
-    def by_odometry(self, robot: int, heading_rad: float) -> tuple[tuple[float, float], tuple[float, float]]:
-        """What no scan told of a robot's motions since this was asked last, along the axes of this heading [m].
+    def by_odometry(self, robot: int) -> tuple[()] | tuple[tuple[float, float], tuple[float, float]]:
+        """What no scan told of a robot's motions since this was asked last, along its axes [m].
 
-        And by what share its odometry reads too long as far as it knows, with one sigma of that.
+        And by what share its odometry reads too long as far as it knows, with one sigma of that. Nothing while scans
+        told of all motions.
         """
         x, y = self._by_odometry_m[robot].tolist()
-        self._by_odometry_m[robot] = 0.0
+        if x == y == 0.0 and not self._has_been_alone[robot]:
+            return ()
+        self._by_odometry_m[robot], self._has_been_alone[robot] = 0.0, True
+        heading_rad = self.poses_odom[robot, 2]
         c, s = math.cos(heading_rad), math.sin(heading_rad)
         scale, variance = self._filters.states[robot, 4], self._filters.covariances[robot, 4, 4]
         return (c * x + s * y, c * y - s * x), (float(scale), math.sqrt(variance))
