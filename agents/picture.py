@@ -26,7 +26,7 @@ def require_libraries(gif: bool = True) -> None:
     missing = [name for name, module in (("matplotlib", "matplotlib"), ("pillow", "PIL")) if not find_spec(module)]
     if missing and (gif or "matplotlib" in missing):
         raise ConfigError(
-            f"pictures need {' and '.join(missing)}: run `pip install twc_env[viz]`, or add --no-pictures to do without"
+            f"pictures need {' and '.join(missing)}: run `pip install 'twc_env[viz]'`, or add --no-pictures"
         )
 
 

@@ -29,7 +29,7 @@ def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Pa
         from matplotlib.collections import LineCollection, PolyCollection
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MapError("drawing a map needs matplotlib; run `pip install twc_env[viz]`") from error
+        raise MapError("drawing a map needs matplotlib; run `pip install 'twc_env[viz]'`") from error
     path = Path(path) if Path(path).suffix else Path(f"{path}.png")
     x0, y0, x1, y1 = plan.bounds_m
     width = WIDTH_INCHES

@@ -230,7 +230,7 @@ def test_runs_of_other_settings_do_not_replace_each_other(tmp_path, monkeypatch)
 def test_missing_drawing_libraries_are_named_before_the_episode(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("agents.picture.find_spec", lambda name: None)
     assert main(["explore", "--steps", "5", "--out", str(tmp_path / "run")]) == 2
-    assert "pip install twc_env[viz]" in capsys.readouterr().err
+    assert "pip install 'twc_env[viz]'" in capsys.readouterr().err
     assert main(["explore", "--steps", "5", "--no-pictures", "--out", str(tmp_path / "run")]) == 0
     assert not (tmp_path / "run" / "map.png").exists()
 

@@ -9,7 +9,7 @@ from twc_env.reproduce import solver
 
 @needs_data
 def test_both_solvers_find_one_optimum_and_ours_takes_at_most_twice_as_long(rows_of):
-    pytest.importorskip("gtsam", reason="gtsam is an extra of its own: pip install twc_env[crosscheck]")
+    pytest.importorskip("gtsam", reason="gtsam is an extra of its own: pip install 'twc_env[crosscheck]'")
     ours, theirs = rows_of(solver, "--datasets", "intel", "--repeats", "3")
     assert (ours["solver"], theirs["solver"]) == ("ours", "gtsam")
     assert ours["from_best_m"] < 0.005 and theirs["from_best_m"] < 0.005

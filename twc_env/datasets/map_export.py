@@ -53,7 +53,7 @@ def _write_png(plan: Floorplan, path: Path, resolution_m: float) -> None:
     try:
         from PIL import Image
     except ImportError as error:
-        raise MapError("writing a .png needs Pillow; run `pip install twc_env[viz]`, or export a .yaml") from error
+        raise MapError("writing a .png needs Pillow; run `pip install 'twc_env[viz]'`, or export a .yaml") from error
     cells = plan.cells(resolution_m)
     shade = np.full(cells.free.shape, _UNKNOWN, np.uint8)
     shade[cells.free] = _FREE

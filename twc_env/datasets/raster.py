@@ -100,7 +100,7 @@ def _decode_with_pillow(raw: bytes, path: Path, behind: int) -> Array:
     try:
         from PIL import Image, UnidentifiedImageError
     except ImportError as error:
-        raise MapError(f"reading {path.name} needs Pillow; run `pip install twc_env[viz]`, or use .pgm") from error
+        raise MapError(f"reading {path.name} needs Pillow; run `pip install 'twc_env[viz]'`, or use .pgm") from error
     try:
         with warnings.catch_warnings(), Image.open(io.BytesIO(raw), formats=("PNG", "PPM")) as picture:
             warnings.simplefilter("error")

@@ -23,7 +23,7 @@ def can_draw() -> bool:
 def new_figure(width: float, height: float, dpi: int = 100) -> Figure:
     """A figure of that size [inches]. Raises DataError without matplotlib."""
     if not can_draw():
-        raise DataError("pictures need matplotlib; run `pip install twc_env[viz]`")
+        raise DataError("pictures need matplotlib; run `pip install 'twc_env[viz]'`")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -83,7 +83,11 @@ def measure(routers: int, folder: Path, out: Path | None) -> list[dict]:
     experiment, accuracy, iou = _PRINTED[routers]
     if out is not None:
         scoring.draw_maps(
-            out / f"experiment-{experiment}.png", f"authors' log, {routers} router(s)", placed, cells, maps
+            out / f"experiment-{experiment}.png",
+            f"authors' log, {('one router', 'two routers')[routers - 1]}",
+            placed,
+            cells,
+            maps,
         )
     return [
         {

@@ -143,8 +143,8 @@ def draw_maps(path: Path, title: str, walk: RadioWalk, cells: Cells, maps: dict[
     if not can_draw():
         return
     rows, columns = cells.free.shape
-    figure = new_figure(5.0 * (len(maps) + 1), 5.0 * rows / columns + 1.0)
-    figure.suptitle(title)
+    figure = new_figure(5.0 * (len(maps) + 1), 5.0 * rows / columns + 1.2)
+    figure.suptitle(f"{title} (walls black, floor white, unknown grey; green: the path, red: routers)")
     axes = figure.subplots(1, len(maps) + 1)
     x0, y0 = cells.origin_m
     extent = (x0, x0 + columns * cells.resolution_m, y0, y0 + rows * cells.resolution_m)
@@ -156,10 +156,12 @@ def draw_maps(path: Path, title: str, walk: RadioWalk, cells: Cells, maps: dict[
         if name in maps:
             score = maps[name].score
             name += (
-                f": k {maps[name].k_accuracy:.1%}, free IoU {score.iou_free:.3f}, wall IoU {score.iou_wall:.2f}, "
+                f"\nk {maps[name].k_accuracy:.1%}, free IoU {score.iou_free:.3f}, wall IoU {score.iou_wall:.2f}, "
                 f"coverage {score.coverage:.2f}"
             )
-        axis.set_title(name, fontsize=7)
+        axis.set_title(name, fontsize=9)
+        axis.set_xlabel("x [m]")
         axis.set_aspect("equal")
+    axes[0].set_ylabel("y [m]")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)

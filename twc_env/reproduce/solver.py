@@ -4,7 +4,7 @@ Both minimise the same squared errors from the same start; `squared_error` is th
 are CPU seconds, the best of several runs by turns; `time_s` is from arrays to poses, `optimise_s` leaves out putting
 gtsam's graph together (ours has nothing to leave out). Where poses are equal and squared errors are not, gtsam counts a
 rotated residual's translation along the arc. gtsam is an extra for development:
-`pip install twc_env[crosscheck]`.
+`pip install 'twc_env[crosscheck]'`.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def solve_gtsam(start: Array, graph: Graph) -> tuple[Array, float, float]:
     try:
         import gtsam
     except ImportError:
-        raise ConfigError("this table needs gtsam: pip install twc_env[crosscheck]") from None
+        raise ConfigError("this table needs gtsam: pip install 'twc_env[crosscheck]'") from None
     began = time.process_time()
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, 1e-6))
