@@ -4,9 +4,9 @@ The wall plan is used for scoring alone. k is cut at each `k_max` in truth and e
 always guessing the commonest k. `signal alone` is the signal model along the path, with power, exponent and wall loss
 shared by all tags, which are alike; `known signal` rounds each smoothed reading with the true power, exponent and
 loss, the best any rule without geometry can know. `ours` counts walls of the map that explains all rays at once
-(`k_visibility.map_structure`, at its defaults) where the robot has passed every tag nearly, as in the first drive. The
-two others stay in one room and the hall before it: there a wall that all rays of a tag cross is the same as a weaker
-tag, no map can tell, and `ours` is the signal alone.
+(`k_visibility.map_structure`, at its defaults) where the robot has passed every tag nearly, as in the first run: four
+drives, of which the last two are the two other runs. These stay in one room and the hall before it: there a wall that
+all rays of a tag cross is the same as a weaker tag, no map can tell, and `ours` is the signal alone.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from twc_env.slam.path_bins import bin_along_path
 SUMMARY = "walls crossed in a real flat with six BLE transmitters"
 _WINDOW = 7
 _RUNS = ("calibration", "calib3", "calib4")
-"""The first is reported; priors of the signal model were chosen on the two others."""
+"""The first is reported; priors of the signal model were chosen on the two others, a quarter of its readings."""
 PASSED_M = 1.0
 """Passed nearly: its power is told apart from walls."""
 _TRUE_SIGNAL = (-50.7, 0.77, 6.0)
-"""Power [dBm], exponent and wall loss [dB] fitted with the walls known (`reproduce radio-model`)."""
+"""Power [dBm], exponent and wall loss [dB] fitted to the first run with the walls known."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
