@@ -15,10 +15,10 @@ from twc_env._version import __version__
 from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
 from twc_env.exploration.episode_record import EpisodeRecord
+from twc_env.exploration.seen_floor import seen_share
 from twc_env.exploration.team_alignment import TeamPaths, position_error_m
 from twc_env.exploration.verdicts import GroupVerdict, floor_m2
 from twc_env.geometry import between, transform_points
-from twc_env.kernels import kernel
 from twc_env.messages import GridMap
 from twc_env.slam.modes import Engine
 from twc_env.slam.occupancy_grid import OccupancyGrid
@@ -110,16 +110,16 @@ def numbers(
     true, estimated, alignment, reckoned = paths
     score = _score(best.grid, best.pose_building_map, cells)
     robots = range(true.shape[1])
-    taken = _taken(engine, len(robots))
+    taken, scans = _taken(engine, len(robots))
     # The map that dead reckoning alone would give, its true relative starts given away, after one alignment.
-    by_odometry = _score(_drawn_at(reckoned, *taken, config), metrics.lay_map(reckoned, true), cells)
+    by_odometry = _score(_drawn_at(reckoned, taken, scans, config), metrics.lay_map(reckoned, true), cells)
     return {
         "robots": config.robots,
         "seed": seed,
         "steps": record.count - 1,
         "sim_time_s": round((record.count - 1) * config.dynamics.time_step_s, 6),
         "coverage_believed": score.believed_area_m2 / floor_m2(cells),
-        "coverage_true": _seen_share(_drawn_at(true, *taken, config), cells),
+        "coverage_true": seen_share(_poses_of(true, taken), scans, config, cells),
         "coverage_correct": score.coverage_correct,
         "map_iou": score.map_iou,
         "wall_iou": score.wall_iou,
@@ -208,34 +208,13 @@ def _taken(engine: Engine, robots: int) -> tuple[list[Array], Array]:
 def _drawn_at(poses: Array, steps: list[Array], scans: Array, config: EnvConfig) -> GridMap:
     """The map that scans (keyframes, beams) of these steps of each robot give at poses (steps + 1, robots, 3)."""
     grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
-    grid.integrate(np.concatenate([poses[taken, robot] for robot, taken in enumerate(steps)]), scans)
+    grid.integrate(_poses_of(poses, steps), scans)
     return grid.snapshot()
 
 
-def _seen_share(grid: GridMap, cells: Cells) -> float:
-    """Share of the explorable floor of which some scan said anything; grid drawn at the true poses."""
-    if grid.log_odds.size == 0:
-        return 0.0
-    seen = _count_seen(
-        grid.log_odds, grid.origin_m, grid.resolution_m, cells.free, np.asarray(cells.origin_m), cells.resolution_m
-    )
-    return float(seen / max(np.count_nonzero(cells.free), 1))
-
-
-@kernel
-def _count_seen(log_odds, origin, resolution_m, free, free_origin, free_resolution_m):
-    """Free cells of which the map says anything at their centres."""
-    rows, columns = log_odds.shape
-    count = 0
-    for i in range(free.shape[0]):
-        row = math.floor((free_origin[1] + (i + 0.5) * free_resolution_m - origin[1]) / resolution_m)
-        if not 0 <= row < rows:
-            continue
-        for j in range(free.shape[1]):
-            if free[i, j]:
-                column = math.floor((free_origin[0] + (j + 0.5) * free_resolution_m - origin[0]) / resolution_m)
-                count += 0 <= column < columns and log_odds[row, column] != 0
-    return count
+def _poses_of(poses: Array, steps: list[Array]) -> Array:
+    """(keyframes, 3) of these steps of each robot, from poses (steps + 1, robots, 3)."""
+    return np.concatenate([poses[taken, robot] for robot, taken in enumerate(steps)])
 
 
 def _closures(engine: Engine, best: GroupVerdict, record: EpisodeRecord, alignment: Array) -> list[dict]:

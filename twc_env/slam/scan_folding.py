@@ -160,6 +160,38 @@ def _find_news(levels, start, word, span):
 
 
 @borrowing_kernel
+def look_through(
+    shape, step, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, marks, is_inside, corners, edges,
+    rows, cells,
+):  # fmt: skip
+    """Find the cells of a grid of that shape that a scan sees through, a bit for each: is_inside (words, rows).
+
+    Gives the first row, the number of rows, the first column, which is a multiple of `step`, and the number of words.
+    cells: as `_lay_out` has them.
+    """
+    height, width = shape
+    c, s = math.cos(pose[2]) * inverse_m, math.sin(pose[2]) * inverse_m
+    gx, gy = (pose[0] - origin_x) * inverse_m - 0.5, (pose[1] - origin_y) * inverse_m - 0.5
+    margin = FREE_MARGIN_CELLS / inverse_m
+    reach = 0.0
+    for i in range(ranges.shape[0]):
+        reach = max(reach, min(abs(ranges[i]), range_max))
+    reach *= inverse_m
+    row_low = max(0, int(gy - reach) - 1)
+    row_high = min(height - 1, int(gy + reach) + 2)
+    end_column = min(width, int(gx + reach) + 3)
+    first_column = max(0, int(gx - reach) - 1) // step * step
+    words = (end_column - first_column) // WORD_CELLS + 1
+    first_column = max(0, min(first_column, width - words * WORD_CELLS))
+    row_count = row_high + 1 - row_low
+    _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corners, cells)
+    _cut(corners, float(row_high - row_low), edges, rows)
+    _mark_crossings(edges, rows, first_column, end_column, marks)
+    _fill_between(marks, words, row_count, is_inside)
+    return row_low, row_count, first_column, words
+
+
+@borrowing_kernel
 def _integrate_scan(
     log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, marks, is_inside, spans, corners,
     edges, rows, cells,
@@ -171,24 +203,11 @@ def _integrate_scan(
     """
     height, width = log_odds.shape
     beams, has_spans = ranges.shape[0], spans.shape[0] > 0
-    c, s = math.cos(pose[2]) * inverse_m, math.sin(pose[2]) * inverse_m
-    gx, gy = (pose[0] - origin_x) * inverse_m - 0.5, (pose[1] - origin_y) * inverse_m - 0.5
-    margin = FREE_MARGIN_CELLS / inverse_m
-    reach = 0.0
-    for i in range(beams):
-        reach = max(reach, min(abs(ranges[i]), range_max))
-    reach *= inverse_m
-    row_low = max(0, int(gy - reach) - 1)
-    row_high = min(height - 1, int(gy + reach) + 2)
-    end_column = min(width, int(gx + reach) + 3)
-    first_column = max(0, int(gx - reach) - 1)
-    words = (end_column - first_column) // WORD_CELLS + 1
-    first_column = max(0, min(first_column, width - words * WORD_CELLS))
-    row_count = row_high + 1 - row_low
-    _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corners, cells)
-    _cut(corners, float(row_high - row_low), edges, rows)
-    _mark_crossings(edges, rows, first_column, end_column, marks)
-    _fill_between(marks, words, row_count, is_inside)
+    row_low, row_count, first_column, words = look_through(
+        (height, width), 1, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, marks, is_inside,
+        corners, edges, rows, cells,
+    )  # fmt: skip
+    row_high = row_low + row_count - 1
     for row in range(row_count):
         if has_spans:
             spans[row, 0], spans[row, 1] = width, -1
@@ -286,7 +305,7 @@ def integrate_many(grid, poses, scans):
 def folding_room(beams: int, rows: int) -> tuple[Array, ...]:
     """Marks, what is inside, spans, corners, edges, their rows, and cells of `_integrate_scan`: kept, as new arrays of
     this size take long to get. Scans reach over as many columns as rows."""
-    words = rows // WORD_CELLS + 1
+    words = rows // WORD_CELLS + 2  # one more where the first of them begins at a whole one
     return (
         np.zeros((words + 1, rows), np.uint64),
         np.zeros((words, rows), np.uint64),
