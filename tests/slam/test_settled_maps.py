@@ -121,8 +121,10 @@ def test_every_so_manyth_keyframe_lays_a_map_as_all_do(stride):
     poses = compose([1.0, 2.0, 0.5], truth[steps, robots]) + random.normal(0, 0.01, (count, 3))
     poses[robots == 2] = compose([3.0, 0.0, 0.0], poses[robots == 2])
     laid, room = np.empty(3), map_judge._room_for(count, 3)
-    wrong = map_judge._lay_paths(np.arange(3), poses, robots, steps, truth, stride, room, laid)
-    every, pairs = map_judge.lay((0, 1, 2), (poses, robots, steps), truth)
+    paths, lengths = np.argsort(robots != np.arange(3)[:, None], axis=1, kind="stable"), np.bincount(robots)
+    nodes = poses, steps, paths, lengths
+    wrong = map_judge._lay_paths(np.arange(3), *nodes, truth, stride, room, laid)
+    every, pairs = map_judge.lay((0, 1, 2), nodes, truth)
     assert laid == pytest.approx(every, abs=0.3 if stride > 1 else 0.0)
     assert wrong == len(pairs) == 2
 

@@ -31,7 +31,7 @@ and so on, so that the time it takes does not grow with the way gone."""
 NOT_KNOWN = -1.0
 """In place of a number: of wrong pairs, where there are no keyframes; of cells, where a map lies elsewhere."""
 
-Nodes = tuple[Array, Array, Array]
+Nodes = tuple[Array, Array, Array, Array]
 """As `TeamMapper.nodes`."""
 Pairs = tuple[tuple[int, int], ...]
 
@@ -69,43 +69,40 @@ def _room_for(nodes: int, robots: int) -> tuple[Array, ...]:
 
 
 @borrowing_kernel
-def _collect(robots, poses, robot_of_node, step_of_node, truth, stride, estimated, true, turns, owner, latest):
+def _collect(robots, poses, step_of_node, paths, lengths, truth, stride, estimated, true, turns, owner, latest):
     """Estimated and true poses of some robots' keyframes, robot by robot, and whose they are; count and mean place.
 
     Of each robot the first, and every so manyth after it.
 
-    truth (steps, robots, 3); poses, estimated, true (nodes, 3); turns (nodes, 2) as `turns_between` gives them; owner
-    (nodes,): the robot's number among `robots`; latest (nodes, 3): a node's turn, cosine and sine, worked out anew only
-    for a node that has turned.
+    paths and lengths: which nodes are a robot's, and how many; truth (steps, robots, 3); poses, estimated, true (nodes,
+    3); turns (nodes, 2) as `turns_between` gives them; owner (nodes,): the robot's number among `robots`; latest
+    (nodes, 3): a node's turn, cosine and sine, worked out anew only for a node that has turned.
     """
     count, x, y = 0, 0.0, 0.0
     for a in range(robots.shape[0]):
-        left_out = stride - 1
-        for k in range(poses.shape[0]):
-            if robot_of_node[k] != robots[a]:
-                continue
-            left_out += 1
-            if left_out == stride and count < poses.shape[0]:
-                left_out, step = 0, step_of_node[k]
-                for axis in range(3):
-                    estimated[count, axis], true[count, axis] = poses[k, axis], truth[step, robots[a], axis]
-                turned = true[count, 2] - estimated[count, 2]
-                if latest[k, 0] != turned:
-                    latest[k, 0], latest[k, 1], latest[k, 2] = turned, math.cos(turned), math.sin(turned)
-                turns[count, 0], turns[count, 1] = latest[k, 1], latest[k, 2]
-                owner[count] = a
-                x += poses[k, 0]
-                y += poses[k, 1]
-                count += 1
+        robot = robots[a]
+        for number in range(0, lengths[robot], stride):
+            k = paths[robot, number]
+            step = step_of_node[k]
+            for axis in range(3):
+                estimated[count, axis], true[count, axis] = poses[k, axis], truth[step, robot, axis]
+            turned = true[count, 2] - estimated[count, 2]
+            if latest[k, 0] != turned:
+                latest[k, 0], latest[k, 1], latest[k, 2] = turned, math.cos(turned), math.sin(turned)
+            turns[count, 0], turns[count, 1] = latest[k, 1], latest[k, 2]
+            owner[count] = a
+            x += poses[k, 0]
+            y += poses[k, 1]
+            count += 1
     return count, x / max(count, 1), y / max(count, 1)
 
 
 @borrowing_kernel
-def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, stride, room, pose):
+def _lay_paths(robots, poses, step_of_node, paths, lengths, truth, stride, room, pose):
     """See `lay`, by every so manyth keyframe; marks wrong pairs in the last array of the room, gives their number."""
     estimated, true, turns, owner, frames, latest, is_wrong = room
     count, x, y = _collect(
-        robots, poses, robot_of_node, step_of_node, truth, stride, estimated, true, turns, owner, latest
+        robots, poses, step_of_node, paths, lengths, truth, stride, estimated, true, turns, owner, latest
     )  # fmt: skip
     if count == 0:
         return NOT_KNOWN
@@ -119,14 +116,14 @@ def _lay_paths(robots, poses, robot_of_node, step_of_node, truth, stride, room, 
 
 @borrowing_kernel
 def _judge(
-    room, place, mask, known, counts, result, robots, poses, robot_of_node, step_of_node, truth, log_odds, touched
+    room, place, mask, known, counts, result, robots, poses, step_of_node, paths, lengths, truth, log_odds, touched
 ):  # fmt: skip
     """Write to `result` (5,) how the map lies, how many pairs are wrong, and how many free cells lie on the floor.
 
     The last is `NOT_KNOWN` where the map does not lie at the place (3,) that the mask belongs to.
     """
     stride = 1 + poses.shape[0] // (JUDGED_MAX + 1)
-    result[3] = _lay_paths(robots, poses, robot_of_node, step_of_node, truth, stride, parts_of(room), result[:3])
+    result[3] = _lay_paths(robots, poses, step_of_node, paths, lengths, truth, stride, parts_of(room), result[:3])
     result[4] = NOT_KNOWN
     x, y, turn = np.rint(result[0] / PLACE_M), np.rint(result[1] / PLACE_M), np.rint(result[2] / TURN_RAD)
     if result[3] >= 0.0 and x == place[0] and y == place[1] and turn == place[2]:

@@ -321,6 +321,11 @@ class GraphArrays(BindsAnew):
         return self._rows[robot, : self._counts[robot]]
 
     @property
+    def paths(self) -> tuple[Array, Array]:
+        """The nodes of each robot, ascending (robots, k), of which that many (robots,) count."""
+        return self._rows, self._counts
+
+    @property
     def poses(self) -> Array:
         """(nodes, 3) of all keyframes, each in its group's map frame; may be written to."""
         return self._node_rows[0][: self.node_count]

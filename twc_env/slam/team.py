@@ -163,13 +163,14 @@ class TeamMapper:
         return self._graph.poses_of(robot)
 
     @property
-    def nodes(self) -> tuple[Array, Array, Array]:
-        """Of all keyframes as they arrived: poses (n, 3) in the maps of their groups, robots and steps (n,).
+    def nodes(self) -> tuple[Array, Array, Array, Array]:
+        """Of all keyframes as they arrived: poses (n, 3) in the maps of their groups, and steps (n,). Then, of each
+        robot, which of them are its own (robots, k), of which that many (robots,) count.
 
         Of a map that has become large without those that are forgotten.
         """
         graph = self._graph
-        return graph.poses, graph.robot_of_node, graph.step_of_node
+        return graph.poses, graph.step_of_node, *graph.paths
 
     def latest_pose_of(self, robot: int) -> Array:
         """(3,) of the robot's newest keyframe in its group's map frame."""
