@@ -6,6 +6,7 @@ from twc_env.__main__ import main
 from twc_env.bench_parts import REST, Stopwatch, bench_parts, table_of, time_matching
 from twc_env.config import EnvConfig, override
 from twc_env.errors import ConfigError
+from twc_env.exploration.environment import ExplorationEnv
 
 
 def test_time_spent_inside_another_part_counts_there():
@@ -59,3 +60,11 @@ def test_the_table_is_printed_with_unusual_settings(setting, tmp_path):
     arguments = ["--parts", "--steps", "40", "--episodes", "1", "--robots", "1", "--json", str(path)]
     assert main(["bench", *arguments, "--set", setting]) == 0
     assert ("match_600_points_ms" in json.loads(path.read_text())) == (setting != "slam.mode=off")
+
+
+def test_what_a_step_uses_has_few_attributes():
+    """CPython keeps up to 29 with an object itself; of more it makes a dict, through which each is looked up."""
+    env = ExplorationEnv(robots=2, max_cycles=2)
+    env.reset(seed=0)
+    used = env, env.episode, env.episode.world, env.engine, env.engine.team, env.engine.team._graph
+    assert {type(each).__name__: len(vars(each)) for each in used if len(vars(each)) > 29} == {}

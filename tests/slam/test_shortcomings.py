@@ -68,11 +68,11 @@ def test_refused_candidates_are_counted_by_their_reasons(mapper_of):
 
 
 def test_the_longest_silence_and_the_present_one_are_told():
-    listening = Listening(1, 2)
+    listening = Listening(1, 2, 0.1)
     for step in range(300):
         heard = np.array([[True, not 50 < step < 120 and not 150 < step < 160 and step < 200]])
         listening.note(step, heard)
-    assert listening.lines(0, (0, 1), 299, 0.1) == [
+    assert listening.lines(0, (0, 1)) == [
         "robot 1 not heard since 19.9 s", "robot 1 not heard from 5.0 s to 12.0 s",
     ]  # fmt: skip
-    assert listening.lines(0, (0,), 299, 0.1) == []
+    assert listening.lines(0, (0,)) == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from twc_env.slam.exchange import Exchange
 from twc_env.slam.frame_check import check_frames
 from twc_env.slam.map_beliefs import HeldMaps, MapBeliefs
 from twc_env.slam.radio_structure import RadioStructure
-from twc_env.slam.robot import FrontEnds
+from twc_env.slam.robot import FrontEnds, RobotFrontEnd
 from twc_env.slam.robot_clocks import RobotClocks
 from twc_env.slam.shared_errors import std_with_shared
 from twc_env.slam.shortcomings import Listening, shortcomings
@@ -56,6 +57,12 @@ def _believed_poses(held, poses_odom, mates, out, mate_poses):
                 mate_poses[k, a, j] = out[mate, 0, j] if are_heard_now else heard_poses[k, a, j]
 
 
+@lru_cache(maxsize=8)
+def _others_of(robots: int) -> Array:
+    """(robots, robots - 1) all the others of each robot."""
+    return np.array([[r for r in range(robots) if r != k] for k in range(robots)], np.int64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     """One map that robots believe in: a group of one mapper, and the robots that look at it."""
@@ -83,10 +90,10 @@ class CooperativeSlam(CopiedWhole):
                 f"config must be an EnvConfig; got {config!r}: twc_env.config.override makes one of a dict"
             )
         robot_count = whole_number("robot_count", robot_count, 1)
-        self._cues, self._has_all_cues = config.slam.cues, config.slam.cues == CuesConfig()
+        self._cues = None if config.slam.cues == CuesConfig() else config.slam.cues
+        """Those that it is to hear alone."""
         config = cues.needed(config)
         self._front_ends = FrontEnds(config, robot_count)
-        self.robots = self._front_ends.robots
         self.poses_odom = self._front_ends.poses_odom
         """(robots, 3) front-end estimates of all robots, each in its own odom frame."""
         self._beam_count = config.lidar.beam_count
@@ -97,28 +104,24 @@ class CooperativeSlam(CopiedWhole):
         self.bytes_sent: dict[str, int] = self._exchange.bytes_sent
         """Kind of message -> bytes put on the air so far."""
         self._wanted = [mapper.wanted for mapper in self.mappers]
-        self._listening = Listening(len(self.mappers), robot_count)
-        self._time_step_s = config.dynamics.time_step_s
+        self._listening = Listening(len(self.mappers), robot_count, config.dynamics.time_step_s)
         everyone = np.ones((len(self.mappers), robot_count), bool)
         if not self._is_central:
             np.fill_diagonal(everyone, False)
         self._all_in_touch = Contacts(everyone, everyone)
-        self._steps: Sequence[int] = [0] * robot_count
+        self._sensed: tuple[Sequence[int], Sequence[Array] | Array] = (
+            [0] * robot_count, [np.zeros(0)] * robot_count
+        )  # fmt: skip
+        """Step and scan of the latest frame of each robot."""
         self._clocks = RobotClocks(config, robot_count)
-        self._ranges_m: Sequence[Array] | Array = [np.zeros(0)] * robot_count
-        """Of the latest frame of each robot."""
         self._poses = np.zeros((robot_count, 3, 3))
         """As `TeamBeliefs.poses`."""
         self._poses_map_odom = np.zeros((robot_count, 3))
         self._since_closure_m, self._std = np.zeros(robot_count), np.zeros((robot_count, 3))
         """Of each robot: path length since its last closure, and what the covariances on it add up to."""
-        self._std_share = MATCHED_STD_SHARE if config.slam.cues.lidar else 1.0
         self._scale_std = None if config.slam.cues.lidar else config.slam.odometry_filter.odometry_scale_std
         self._mates, self._mate_poses, self._contact_steps = nobody(robot_count)
         """As `TeamBeliefs` has them."""
-        self._others = np.array([[r for r in range(robot_count) if r != k] for k in range(robot_count)], np.int64)
-        """(robots, robots - 1) all the others of each robot."""
-        self._everyone = np.arange(robot_count)
         self._shapes = self._poses.shape, self._mate_poses.shape
         self._heard_poses = np.zeros_like(self._mate_poses)
         """Where each robot has its own mapper: where its mates were when they were heard of last."""
@@ -126,16 +129,12 @@ class CooperativeSlam(CopiedWhole):
         """None: they are to be looked up anew."""
         self._counts = [(-1, -1, -1, -1)] * len(self.mappers)
         """The state of each mapper, see `TeamMapper.counts`, that these were taken from."""
-        self._views: list[View] = []
-        self._views_of: list[int] = []
+        self._views: tuple[list[int], list[View]] = [], []
         """Which maps robots believe in, as of these counts of regroupings."""
         self._run: Callable[..., None] | None = None
         """`_believed_poses` of where the odom frames are."""
         self._beliefs: TeamBeliefs | None = None
         """Once asked for, until something changes."""
-        self._last_step = 0
-        self._given = np.zeros(robot_count, np.int64)
-        """(robots,) how many frames each gave to `update`."""
         radio = config.slam.k_visibility
         self._radio = RadioStructure(radio, config.slam.resolution_m, robot_count) if radio.enabled else None
 
@@ -156,6 +155,11 @@ class CooperativeSlam(CopiedWhole):
             self._radio.give_transmitters(macs, position_m, start_poses)
 
     @property
+    def robots(self) -> list[RobotFrontEnd]:
+        """What each robot remembers for itself."""
+        return self._front_ends.robots
+
+    @property
     def team(self) -> TeamMapper:
         """The one mapper of all robots; where each has its own, that of robot 0."""
         return self.mappers[0]
@@ -167,13 +171,13 @@ class CooperativeSlam(CopiedWhole):
     def views(self) -> list[View]:
         """Every map that some robot believes in."""
         regroupings = [mapper.regroupings for mapper in self.mappers]
-        if self._views_of != regroupings:
-            self._views_of = regroupings
+        if self._views[0] != regroupings:
             if self._is_central:
-                self._views = [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
+                views = [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
             else:
-                self._views = [View(mapper, mapper.group_index(r), (r,)) for r, mapper in enumerate(self.mappers)]
-        return self._views
+                views = [View(mapper, mapper.group_index(r), (r,)) for r, mapper in enumerate(self.mappers)]
+            self._views = regroupings, views
+        return self._views[1]
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Run the front end of each frame's robot; the keyframes that came of it, in order, ready to be sent.
@@ -183,16 +187,16 @@ class CooperativeSlam(CopiedWhole):
         self._beliefs = None
         if not isinstance(frames, TeamFrames):
             check_frames(frames, self._clocks.times_s, self._beam_count)
-            frames = [self._clocks.told(frame, len(self._ranges_m[frame.robot]) == 0) for frame in frames]
-        if not self._has_all_cues:
+            frames = [self._clocks.told(frame, len(self._sensed[1][frame.robot]) == 0) for frame in frames]
+        if self._cues is not None:
             frames = [cues.heard(frame, self._cues) for frame in frames]
         if isinstance(frames, TeamFrames):
-            self._steps, self._ranges_m = [frames.step] * len(frames.signs), frames.ranges_m
+            self._sensed = [frames.step] * len(frames.signs), frames.ranges_m
         else:
-            steps, ranges_m = list(self._steps), list(self._ranges_m)  # beliefs hold the old ones
+            steps, ranges_m = map(list, self._sensed)  # beliefs hold the old ones
             for frame in frames:
                 steps[frame.robot], ranges_m[frame.robot] = frame.step, frame.ranges_m
-            self._steps, self._ranges_m = steps, ranges_m
+            self._sensed = steps, ranges_m
         keyframes = self._front_ends.update(frames)
         self.poses_odom = self._front_ends.poses_odom
         if self._radio is not None:
@@ -204,7 +208,6 @@ class CooperativeSlam(CopiedWhole):
 
     def absorb(self, step: int, contacts: Contacts | None = None) -> None:
         """Exchange what the contacts of this step allow (None: all are in touch), and let the mappers take it in."""
-        self._last_step = step
         contacts = contacts or self._all_in_touch
         self._listening.note(step, contacts.heard)
         deliveries = self._exchange.deliver(contacts, self._wanted)
@@ -222,7 +225,8 @@ class CooperativeSlam(CopiedWhole):
         self._beliefs = None
         now = self.poses_odom, self._mates, self._poses, self._mate_poses
         if self._run is None:
-            held = self._poses_map_odom, self._std, self._std_share, self._is_central, self._heard_poses
+            std_share = MATCHED_STD_SHARE if self._scale_std is None else 1.0
+            held = self._poses_map_odom, self._std, std_share, self._is_central, self._heard_poses
             self._run = bound(_believed_poses, Lent(held), *now)
         self._run(*now)
 
@@ -233,8 +237,9 @@ class CooperativeSlam(CopiedWhole):
             return
         self._counts[number] = counts
         since_m, heard = self._since_closure_m.copy(), self._contact_steps.copy()
-        robots = self._everyone if self._is_central else self._everyone[number : number + 1]
-        mapper.locate(robots, self._others, (self._poses_map_odom, self._std, since_m, heard))
+        everyone = self._front_ends.everyone
+        robots = everyone if self._is_central else everyone[number : number + 1]
+        mapper.locate(robots, _others_of(len(everyone)), (self._poses_map_odom, self._std, since_m, heard))
         if self._scale_std is not None:
             self._std[robots] = std_with_shared(self._std[robots], since_m[robots], self._scale_std)
         if counts[1] != before[1] or not self._is_central:
@@ -258,7 +263,7 @@ class CooperativeSlam(CopiedWhole):
         """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""
         for number, mapper in enumerate(self.mappers):
             mapper.finish()
-            mapper.update(self._last_step, [])
+            mapper.update(self._listening.last_step, [])
             self._relocate(number, mapper)
         self._locate()
 
@@ -268,9 +273,9 @@ class CooperativeSlam(CopiedWhole):
         A step of the team is over once a robot gives its next frame: each may number its own in its own way.
         """
         self.track(frames)
-        robots = self._everyone if isinstance(frames, TeamFrames) else [frame.robot for frame in frames]
-        self._given[robots] += 1
-        self.absorb(max(self._last_step, int(self._given.max()) - 1), contacts)
+        given = self._clocks.given
+        given[self._front_ends.everyone if isinstance(frames, TeamFrames) else [frame.robot for frame in frames]] += 1
+        self.absorb(max(self._listening.last_step, int(given.max()) - 1), contacts)
 
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) estimate of a robot in its group's map frame, as of the last `absorb`."""
@@ -281,7 +286,7 @@ class CooperativeSlam(CopiedWhole):
         lines = []
         for number, mapper in enumerate(self.mappers):
             others = [r for r in range(len(self.robots)) if self._is_central or r != number]
-            own = self._listening.lines(number, others, self._last_step, self._time_step_s) + shortcomings(mapper)
+            own = self._listening.lines(number, others) + shortcomings(mapper)
             lines += own if self._is_central else [f"mapper of robot {number}: {line}" for line in own]
         return lines
 
@@ -298,7 +303,7 @@ class CooperativeSlam(CopiedWhole):
                 self._maps = self._look_up_maps()
             self._beliefs = MapBeliefs(
                 self._poses, self._since_closure_m, self._maps, self._mates, self._mate_poses, self._contact_steps,
-                self._steps, self._ranges_m,
+                *self._sensed,
             )  # fmt: skip
         return self._beliefs
 

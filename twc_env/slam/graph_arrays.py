@@ -201,7 +201,6 @@ class GraphArrays(BindsAnew):
         """(robots,) the node of each robot's last keyframe with a closure that is used; its first without any."""
         self._latest_odom = np.zeros((robot_count, 3))
         """Where each robot's odometry has its last keyframe."""
-        self._pose_room = np.empty(3), np.empty(3), np.empty((3, 3))
         self._follow: Callable[..., bool] | None = None
         self._join: Callable[..., None] | None = None
         self._locate: Callable[..., None] | None = None
@@ -218,7 +217,8 @@ class GraphArrays(BindsAnew):
 
     def _all(self) -> Lent:
         robots = self._rows, self._counts, self.tied, self._latest_odom
-        return Lent((*self._node_rows, *self._edge_rows, *robots, self._pose_room))
+        room_for_poses = np.empty(3), np.empty(3), np.empty((3, 3))
+        return Lent((*self._node_rows, *self._edge_rows, *robots, room_for_poses))
 
     def add_node(self, keyframe: Keyframe) -> int:
         """A keyframe, put where odometry leads from the robot's last one; gives its node."""

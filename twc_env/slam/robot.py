@@ -36,7 +36,8 @@ class FrontEnds:
         self.poses_odom = self._tracker.poses_odom
         """(n, 3) the estimates after the latest frames; another array after every update."""
         self._taker = KeyframeTaker(config, self._tracker)
-        self._everyone = np.arange(count)
+        self.everyone = np.arange(count)
+        """(n,) the numbers of all robots."""
         self.robots = [RobotFrontEnd(config, field) for field in self._tracker.fields.each]
         """What each robot remembers for itself."""
 
@@ -54,7 +55,7 @@ class FrontEnds:
 
     def update_together(self, frames: TeamFrames, robots: Array | None = None) -> list[Keyframe]:
         """The same for frames of one time; robots (k,): whose they are, None for everyone's."""
-        tracker, robots = self._tracker, self._everyone if robots is None else robots
+        tracker, robots = self._tracker, self.everyone if robots is None else robots
         tracker.update(robots, frames)
         self.poses_odom = tracker.poses_odom
         if any(frames.signs):

@@ -24,6 +24,8 @@ class RobotClocks:
     def __init__(self, config: EnvConfig, count: int):
         self.times_s = np.full(count, -np.inf)
         """(robots,) of the last frame of each, by its own clock."""
+        self.given = np.zeros(count, np.int64)
+        """(robots,) how many frames each gave, which whoever takes them counts."""
         self._skipped_s = np.zeros(count)
         """(robots,) what its clock counted before its first frame and in gaps."""
         self._paces_s = np.full(count, config.dynamics.time_step_s)

@@ -24,21 +24,22 @@ REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.4, 4
 class Listening:
     """When each mapper last heard each robot, and for how long at most it did not."""
 
-    def __init__(self, listeners: int, robots: int):
+    def __init__(self, listeners: int, robots: int, time_step_s: float):
+        self._time_step_s = time_step_s
         self._last = np.zeros((listeners, robots), np.int64)
         self._silence = np.zeros((listeners, robots, 2), np.int64)
         """First and last step of the longest silence that ended."""
         self._same: Array | None = None
-        self._same_until = 0
-        """What was heard in the latest step, and the last of the steps in which it was the same, not yet noted."""
+        """What was heard in the latest step, and in those before it that are not yet noted."""
+        self.last_step = 0
 
     def note(self, step: int, heard: Array) -> None:
         """What reached whom in a step; heard (listeners, robots) bool, never written to afterwards."""
-        if heard is self._same and step == self._same_until + 1:
-            self._same_until = step
+        if heard is self._same and step == self.last_step + 1:
+            self.last_step = step
             return
         self._catch_up()
-        self._same, self._same_until = heard, step
+        self._same, self.last_step = heard, step
         ended = heard & (step - self._last > self._silence[..., 1] - self._silence[..., 0])
         if ended.any():
             self._silence[ended, 0] = self._last[ended]
@@ -47,11 +48,11 @@ class Listening:
 
     def _catch_up(self) -> None:
         if self._same is not None:
-            self._last[self._same] = self._same_until
+            self._last[self._same] = self.last_step
 
-    def lines(self, listener: int, robots: Collection[int], step: int, time_step_s: float) -> list[str]:
+    def lines(self, listener: int, robots: Collection[int]) -> list[str]:
         """Robots that this listener has not heard for long, or once did not."""
-        found = []
+        found, step, time_step_s = [], self.last_step, self._time_step_s
         self._catch_up()
         for robot in robots:
             last, (begin, end) = self._last[listener, robot], self._silence[listener, robot]

@@ -58,9 +58,12 @@ class TeamGraph(GraphArrays):
         self._forgotten = ForgottenPaths()
         self._lone_odometry = LoneOdometry(robot_count)
         self._readings = SignReadings(robot_count)
-        self.sign_news: list[int] = self._readings.news
-        """How often each robot read what may change the signs that its group knows."""
         self._edge_of_closure: dict[int, int] = {}
+
+    @property
+    def sign_news(self) -> list[int]:
+        """How often each robot read what may change the signs that its group knows."""
+        return self._readings.news
 
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) of one robot, with those that are forgotten."""
