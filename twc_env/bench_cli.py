@@ -21,7 +21,7 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
         help="steps per second of the world alone and of the whole step with SLAM",
         description="Robots wander by reflex through whole episodes; medians over the episodes are printed. "
         "Compare figures from one machine and one run only.",
-        epilog="examples:\n  python -m twc_env bench --json bench.json\n"
+        epilog="examples:\n  python -m twc_env bench --json runs/bench.json\n"
         "  python -m twc_env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
         "  python -m twc_env bench --parts\n"
         "  python -m twc_env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer",
