@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twc_env.command_line import add_set, assignments, count
+from twc_env.command_line import add_set, aligned, assignments, count
 from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
@@ -53,7 +53,6 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
 
 def _bench(options: argparse.Namespace) -> None:
     from twc_env.bench import bench
-    from twc_env.bench_scaling import scaling_table
     from twc_env.config import EnvConfig, override
 
     settings = {"map": options.map, "robots": options.robots, "lidar.beam_count": options.beams}
@@ -70,7 +69,7 @@ def _bench(options: argparse.Namespace) -> None:
         figures = bench(config, options.episodes, report=_report)
     for key, value in figures.items():
         if key == "scaling":
-            print(scaling_table(value))
+            print(aligned(value))
         else:
             print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
     write_json(options.json, figures)
@@ -89,21 +88,18 @@ def _report(line: str) -> None:
 
 
 def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
-    from twc_env.bench_parts import bench_parts, table_of, time_matching
+    from twc_env.bench_parts import bench_parts, table_of
 
     rows = bench_parts(config, options.episodes, report=_report)
     print(table_of(rows))
-    matching = {} if config.slam.mode == "off" else time_matching(config)
-    for key, value in matching.items():
-        print(f"{key:<32}{value:>18.3f}")
-    write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows} | matching)
+    write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows})
 
 
 def _bench_long(config: EnvConfig, options: argparse.Namespace) -> None:
     from dataclasses import asdict
 
-    from twc_env.bench_long import bench_long, long_table
+    from twc_env.bench_long import bench_long
 
-    stretches = bench_long(config, report=_report)
-    print(long_table(stretches))
-    write_json(options.json, {"stretches": [asdict(stretch) for stretch in stretches]})
+    stretches = [asdict(stretch) for stretch in bench_long(config, report=_report)]
+    print(aligned(stretches))
+    write_json(options.json, {"stretches": stretches})

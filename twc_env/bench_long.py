@@ -6,7 +6,7 @@ import gc
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -92,16 +92,3 @@ def _stretch(env: ExplorationEnv, steps: int, took_s: Sequence[float]) -> Stretc
         float(took_ms.mean()),
         *np.quantile(took_ms, (0.5, 0.99, 1.0)).tolist(),
     )
-
-
-def long_table(stretches: Sequence[Stretch]) -> str:
-    """A line for each stretch."""
-    heads = (
-        "steps", "path m", "keyframes", "held", "closures", "memory MB", "record MB", "mean ms", "median ms", "p99 ms",
-        "worst ms",
-    )  # fmt: skip
-    lines = ["".join(f"{head:>11}" for head in heads)]
-    for row in stretches:
-        values = asdict(row).values()
-        lines.append("".join(f"{v:>11.2f}" if isinstance(v, float) else f"{v:>11d}" for v in values))
-    return "\n".join(lines)

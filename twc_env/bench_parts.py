@@ -21,14 +21,12 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.bench import wander
-from twc_env.config import EnvConfig, override
-from twc_env.errors import ConfigError
+from twc_env.config import EnvConfig
 from twc_env.exploration.environment import ExplorationEnv
 
 _CALIBRATION_CALLS = 20_000
 REPEATS = 5
 """Runs of each episode, of each kind."""
-_KEYFRAMES, _MATCHED_POINTS, _MATCHED_STEPS = 24, 600, 2000
 REST = "the rest"
 
 
@@ -195,60 +193,6 @@ def _time_parts(config: EnvConfig, seed: int) -> tuple[dict[str, float], dict[st
                     spent.setdefault(part, np.zeros(config.max_cycles))[k] = time_s
         best = {part: np.minimum(row, best.get(part, np.inf)) for part, row in spent.items()}
     return {part: float(row.sum()) for part, row in best.items()}, watch.calls
-
-
-def time_matching(config: EnvConfig, repeats: int = 20) -> dict[str, float]:
-    """CPU time of one match of 600 points, and of one candidate verified with a guess and without [ms]; medians.
-
-    On pairs of neighbouring keyframes of a wandering robot. Raises ConfigError where it takes too few.
-    """
-    from twc_env.geometry import between
-    from twc_env.messages import LoopCandidate
-    from twc_env.slam.loop_verification import LoopVerifier
-    from twc_env.slam.scan_matching import LineField, scan_points
-
-    env = ExplorationEnv(config=override(config, {"max_cycles": _MATCHED_STEPS}))
-    env.reset(seed=0)
-    for actions in wander(env, 0):
-        env.step(actions)
-        if len(env.engine.team.keyframes[0]) >= _KEYFRAMES:
-            break
-    path = env.engine.team.keyframes[0]
-    if len(path) < _KEYFRAMES:
-        raise ConfigError(
-            f"bench --parts matches {_KEYFRAMES} keyframes, and a robot took {len(path)} in {_MATCHED_STEPS} steps; "
-            "leave out the settings that hold robots"
-        )
-    field = LineField(32.0, 0.1, config.lidar.range_max_m)
-    for keyframe in path[:10]:
-        field.add(keyframe.pose_odom[None], keyframe.ranges_m[None])
-    points = np.resize(scan_points(path[5].ranges_m, config.lidar.range_max_m), (_MATCHED_POINTS, 2))
-    guess = path[5].pose_odom + (0.1, -0.1, 0.05)
-    verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar)
-
-    def verify(k: int, recogniser: str) -> None:
-        source = path[5 + 5 * (k % 4)]
-        target = path[source.index - 3]
-        pose = between(target.pose_odom, source.pose_odom)
-        start = pose + (0.1, -0.1, 0.05) if recogniser == "twc" else np.zeros(3)
-        ends = (0, target.index), (0, source.index)
-        verifier.verify(LoopCandidate(*ends, start, recogniser), path, path)
-
-    return {
-        "match_600_points_ms": _median_ms(lambda _: field.refine(points, guess, 0.5, 20, 0.04), repeats),
-        "verify_with_guess_ms": _median_ms(lambda k: verify(k, "twc"), repeats),
-        "verify_without_guess_ms": _median_ms(lambda k: verify(k, "lidar"), repeats),
-    }
-
-
-def _median_ms(work: Callable[[int], object], repeats: int) -> float:
-    times = []
-    work(0)
-    for k in range(repeats):
-        start = time.process_time()
-        work(k)
-        times.append(time.process_time() - start)
-    return 1e3 * statistics.median(times)
 
 
 def table_of(rows: list[PartTime]) -> str:

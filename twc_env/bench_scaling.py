@@ -36,13 +36,11 @@ def bench_scaling(steps: int = 500, report: Callable[[str], None] = lambda _line
     ]
     cases += [("beams", beams, plan, {"lidar.beam_count": beams}) for beams in BEAMS]
     cases += [("robots", robots, plan, {"robots": robots}) for robots in ROBOT_COUNTS]
+    cases += [("area_m2", area, load_map(f"gen:office:{area}:1"), {}) for area in AREAS_M2]
     rows = []
     for what, value, building, settings in cases:
         rows.append(_row(what, value, building, settings, steps))
-        report(_line(rows[-1]))
-    for area in AREAS_M2:
-        rows.append(_row("area_m2", area, load_map(f"gen:office:{area}:1"), {}, steps))
-        report(_line(rows[-1]))
+        report(f"{what} {value}: {rows[-1]['us_per_env_step']:.1f} us per environment step")
     return rows
 
 
@@ -99,15 +97,3 @@ def _row(what: str, value: int, plan: Floorplan, settings: dict[str, Any], steps
         "access_points": len(plan.access_points),
         "us_per_env_step": 1e6 * float(quickest_s.mean()),
     }
-
-
-def scaling_table(rows: list[dict[str, Any]]) -> str:
-    """The rows as an aligned table."""
-    return "\n".join(
-        [f"{'what':<8} {'value':>6} {'walls':>6} {'access points':>13} {'us per env-step':>15}", *map(_line, rows)]
-    )
-
-
-def _line(row: dict[str, Any]) -> str:
-    building = f"{row['walls']:>6} {row['access_points']:>13}"
-    return f"{row['what']:<8} {row['value']:>6} {building} {row['us_per_env_step']:>15.1f}"

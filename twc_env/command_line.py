@@ -198,6 +198,24 @@ def show_line(text: str, is_last: bool = False) -> None:
         _logged_s[-1] = time.monotonic()
 
 
+def aligned(rows: Sequence[dict[str, Any]]) -> str:
+    """Rows as the lines of a table, whose columns are the keys of the first."""
+    if not rows:
+        return "no rows"
+    columns = list(rows[0])
+    lines = [columns, *([_cell(row.get(column)) for column in columns] for row in rows)]
+    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
+    return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+    return str(value)
+
+
 def parse_seeds(text: str) -> tuple[int, ...]:
     """Seeds of a list such as 0-3,7 -> (0, 1, 2, 3, 7). Raises ConfigError for others and for endless ranges."""
     seeds: list[int] = []

@@ -7,8 +7,9 @@ import pytest
 
 from twc_env import command_line
 from twc_env.__main__ import main as command
+from twc_env.command_line import aligned
 from twc_env.errors import DataError
-from twc_env.reproduce.runner import TABLES, Runner, data_folder, main, print_rows, seeds_argument, table_module
+from twc_env.reproduce.runner import TABLES, Runner, data_folder, main, seeds_argument, table_module
 
 
 def test_finished_parts_are_read_back_after_an_interruption(tmp_path):
@@ -46,9 +47,8 @@ def test_options_that_choose_parts_are_options_of_the_table(name):
     assert set(getattr(module, "CHOOSES", ())) <= set(vars(parser.parse_args([])))
 
 
-def test_rows_are_printed_in_aligned_columns(capsys):
-    print_rows([{"method": "twc", "recall": 0.987654}, {"method": "a longer name", "recall": None}])
-    lines = capsys.readouterr().out.splitlines()
+def test_rows_are_printed_in_aligned_columns():
+    lines = aligned([{"method": "twc", "recall": 0.987654}, {"method": "a longer name", "recall": None}]).splitlines()
     assert lines[0].index("recall") == lines[1].index("0.9877") == lines[2].index("-")
 
 

@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from twc_env.command_line import Paragraphs, show_line
+from twc_env.command_line import Paragraphs, aligned, show_line
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
 from twc_env.json_values import TERMINAL, check_folder, plain, write_json
@@ -108,26 +108,6 @@ def _unpacked(work: Callable[..., object], part: tuple) -> object:
     return work(*part)
 
 
-def print_rows(rows: Iterable[dict]) -> None:
-    """An aligned table; the columns are the keys of the first row."""
-    rows = list(rows)
-    if not rows:
-        print("no rows")
-        return
-    columns = list(rows[0])
-    cells = [[_cell(row.get(column)) for column in columns] for row in rows]
-    widths = [max(len(column), *(len(line[k]) for line in cells)) for k, column in enumerate(columns)]
-    print("  ".join(column.ljust(w) for column, w in zip(columns, widths, strict=True)).rstrip())
-    for line in cells:
-        print("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip())
-
-
-def _cell(value) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
 def data_folder() -> Path:
     """The folder with real data that the environment variable TWC_DATA names; DataError when it is not set."""
     folder = os.environ.get("TWC_DATA")
@@ -214,7 +194,7 @@ def main(name: str, module, options: argparse.Namespace) -> None:
         raise
     finally:
         runner.end_line()
-    print_rows(rows)
+    print(aligned(rows))
     print("".join(note + "\n" for note in runner.notes), end="")
     for remark in getattr(module, "remarks", lambda _: ())(rows):
         print(remark)
