@@ -3,16 +3,17 @@ import pytest
 
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
-from twc_env.geometry import between, compose, inverse
+from twc_env.geometry import between, compose, inverse, poses_along
 from twc_env.slam import pose_graph, robust_backend
 from twc_env.slam.block_cholesky import BlockCholesky
+from twc_env.slam.pose_graph import Graph
 
 MODES = ("plain", "dcs", "cauchy", "gnc", "pcm", "ours")
 STD = np.array([0.05, 0.05, 0.01])
 
 
 def loops(seed: int = 0, laps: int = 4, side: int = 8):
-    """A robot that drives around the same block again and again: true poses, start, and the parts of its graph."""
+    """A robot that drives around the same block again and again: true poses, start, and its graph."""
     random = np.random.default_rng(seed)
     count = 4 * side * laps
     true = np.zeros((count, 3))
@@ -22,17 +23,16 @@ def loops(seed: int = 0, laps: int = 4, side: int = 8):
     closures = [(k, k + 4 * side) for k in range(0, count - 4 * side, 5)]
     edges = np.array(chain + closures)
     measured = compose(between(true[edges[:, 0]], true[edges[:, 1]]), random.normal(0, STD, (len(edges), 3)))
-    start = np.zeros_like(true)
-    for k in range(1, count):
-        start[k] = compose(start[k - 1], measured[k - 1])
     information = np.tile(np.diag(STD**-2), (len(edges), 1, 1))
-    return true, start, [edges, measured, information, np.arange(len(edges)) >= len(chain)]
+    graph = Graph(edges, measured, information, np.arange(len(edges)) >= len(chain))
+    return true, poses_along(measured[: len(chain)]), graph
 
 
 def with_false(graph, edges, measured):
     """The graph with more closures."""
-    more = [np.array(edges), np.array(measured), np.tile(graph[2][-1], (len(edges), 1, 1)), np.ones(len(edges), bool)]
-    return [np.concatenate([a, b]) for a, b in zip(graph, more, strict=True)]
+    information, are_closures = np.tile(graph.information[-1], (len(edges), 1, 1)), np.ones(len(edges), bool)
+    more = np.array(edges), np.array(measured), information, are_closures
+    return Graph(*(np.concatenate(pair) for pair in zip(graph.parts, more, strict=True)))
 
 
 def false_room(true, graph, moved=(3.0, 4.0, 0.4), first=(2, 50), length=20):
@@ -45,7 +45,7 @@ def false_room(true, graph, moved=(3.0, 4.0, 0.4), first=(2, 50), length=20):
 
 
 def solve(mode, start, graph, **settings):
-    return robust_backend.solve(start, *graph, PoseGraphConfig(robust=mode, iterations_max=100, **settings))
+    return robust_backend.solve(start, *graph.parts, PoseGraphConfig(robust=mode, iterations_max=100, **settings))
 
 
 def worst_m(poses, true) -> float:
@@ -58,8 +58,8 @@ def test_every_mode_believes_true_closures_and_corrects_the_drift(mode):
     result = solve(mode, start, graph)
     assert worst_m(start, true) > 0.8
     assert worst_m(result.poses, true) < 0.5
-    assert result.accepted[graph[3]].mean() > 0.9
-    assert result.accepted[~graph[3]].all()
+    assert result.accepted[graph.is_closure].mean() > 0.9
+    assert result.accepted[~graph.is_closure].all()
 
 
 @pytest.mark.parametrize("mode", ["gnc", "pcm", "ours", "dcs"])
@@ -78,7 +78,7 @@ def test_a_false_room_that_agrees_with_itself_is_refused_as_a_group():
     corrupted = false_room(true, graph)
     result = solve("ours", start, corrupted)
     assert not result.accepted[-20:].any()
-    assert result.accepted[: len(graph[0])].all()
+    assert result.accepted[: len(graph.edges)].all()
     refused = result.rejections[-20:]
     assert all("group of 20 agrees with itself but contradicts the map" in r.reason for r in refused)
     assert worst_m(solve("plain", start, corrupted).poses, true) > 1.0, "believed, it would bend the map"
@@ -89,16 +89,16 @@ def test_more_false_rooms_than_true_closures_still_lose():
     corrupted = graph
     for k, first in enumerate([(2, 50), (8, 85), (25, 75), (31, 104)]):
         corrupted = false_room(true, corrupted, moved=(2.0 + k, 5.0 - 2 * k, 0.3 * k - 0.5), first=first)
-    assert 2 * graph[3].sum() < 80
+    assert 2 * graph.is_closure.sum() < 80
     result = solve("ours", start, corrupted)
-    assert not result.accepted[len(graph[0]) :].any()
+    assert not result.accepted[len(graph.edges) :].any()
     assert worst_m(result.poses, true) < 0.5
 
 
 def test_the_only_closures_of_a_short_path_are_believed():
     _, start, graph = loops(laps=2)
-    kept = np.flatnonzero(~graph[3] | (np.cumsum(graph[3]) <= 3))
-    result = solve("ours", start, [part[kept] for part in graph])
+    kept = np.flatnonzero(~graph.is_closure | (np.cumsum(graph.is_closure) <= 3))
+    result = solve("ours", start, graph.of(kept))
     assert result.rejections == ()
 
 
@@ -107,7 +107,7 @@ def test_every_refusal_names_its_edge_and_why():
     corrupted = with_false(graph, [(3, 47)], [[0.0, 0.0, 0.0]])
     result = solve("ours", start, corrupted)
     (refusal,) = result.rejections
-    assert refusal.edge == len(graph[0])
+    assert refusal.edge == len(graph.edges)
     assert refusal.reason.startswith("contradicts the map")
 
 
@@ -131,7 +131,7 @@ def test_the_same_graph_gives_the_same_bytes(mode):
 @pytest.mark.parametrize("mode", MODES)
 def test_the_held_pose_does_not_move(mode):
     _, start, graph = loops()
-    poses = robust_backend.solve(start, *graph, PoseGraphConfig(robust=mode), fixed=17).poses
+    poses = robust_backend.solve(start, *graph.parts, PoseGraphConfig(robust=mode), fixed=17).poses
     assert np.array_equal(poses[17], start[17])
     assert not np.array_equal(poses[90], start[90])
 
@@ -140,16 +140,15 @@ def test_the_held_pose_does_not_move(mode):
 def test_weighing_modes_are_those_of_the_pose_graph(mode):
     _, start, graph = loops()
     config = PoseGraphConfig(robust=mode)
-    expected = pose_graph.optimise(start, *graph, config)
-    assert np.array_equal(robust_backend.solve(start, *graph, config).poses, expected)
+    expected = pose_graph.optimise(start, *graph.parts, config)
+    assert np.array_equal(robust_backend.solve(start, *graph.parts, config).poses, expected)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_two_robots_joined_by_closures_become_one_map(mode):
     true, start, graph = loops()
     half = len(true) // 2
-    kept = ~np.all(graph[0] == (half - 1, half), axis=1)
-    graph = [part[kept] for part in graph]
+    graph = graph.of(~np.all(graph.edges == (half - 1, half), axis=1))
     start = start.copy()
     start[half:] = compose(true[half], between(start[half], start[half:]))
     assert worst_m(solve(mode, start, graph).poses, true) < 0.5
@@ -158,8 +157,7 @@ def test_two_robots_joined_by_closures_become_one_map(mode):
 @pytest.mark.parametrize("mode", MODES)
 def test_graphs_without_closures_keep_their_odometry(mode):
     _, start, graph = loops()
-    odometry = [part[~graph[3]] for part in graph]
-    result = solve(mode, start, odometry)
+    result = solve(mode, start, graph.of(~graph.is_closure))
     assert result.rejections == ()
     assert np.abs(between(start, result.poses)).max() < 1e-6
 
@@ -168,14 +166,14 @@ def test_graphs_without_closures_keep_their_odometry(mode):
 @pytest.mark.parametrize("count", [0, 1])
 def test_tiny_graphs_are_left_alone(mode, count):
     none = np.zeros((0, 2), int), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, bool)
-    result = solve(mode, np.ones((count, 3)), none)
+    result = solve(mode, np.ones((count, 3)), Graph(*none))
     assert result.poses.shape == (count, 3)
     assert result.rejections == ()
 
 
 def test_arguments_are_left_alone():
     true, start, graph = loops()
-    arguments = [start, *false_room(true, graph)]
+    arguments = [start, *false_room(true, graph).parts]
     copies = [a.copy() for a in arguments]
     robust_backend.solve(*arguments, PoseGraphConfig(robust="ours"))
     assert all(np.array_equal(a, b) for a, b in zip(arguments, copies, strict=True))
@@ -241,7 +239,7 @@ def test_parts_of_a_graph_that_cannot_be_meant_are_refused_in_one_line(mode, cha
     graph = three_poses()
     graph[changed] = np.array(value)
     with pytest.raises(DataError, match=message) as error:
-        solve(mode, np.zeros((3, 3)), graph)
+        solve(mode, np.zeros((3, 3)), Graph(*graph))
     assert "\n" not in str(error.value)
 
 
@@ -251,9 +249,9 @@ def test_information_that_leaves_a_direction_open_is_taken_or_refused_in_one_lin
     graph[2][1] = np.diag([1.0, 0.0, 0.0])
     if mode in ("pcm", "ours"):
         with pytest.raises(DataError, match="positive definite"):
-            solve(mode, np.zeros((3, 3)), graph)
+            solve(mode, np.zeros((3, 3)), Graph(*graph))
     else:
-        assert np.isfinite(solve(mode, np.zeros((3, 3)), graph).poses).all()
+        assert np.isfinite(solve(mode, np.zeros((3, 3)), Graph(*graph)).poses).all()
 
 
 @pytest.mark.parametrize("held", [-1, 3])
@@ -265,13 +263,13 @@ def test_a_pose_that_is_not_there_cannot_be_held(mode, held):
 
 def revise(start, graph, is_used, is_thorough):
     config = PoseGraphConfig(robust="ours")
-    return robust_backend.revise(start, pose_graph.Graph(*graph), is_used, config, 0, is_thorough)
+    return robust_backend.revise(start, graph, is_used, config, 0, is_thorough)
 
 
 def test_a_single_refused_closure_that_is_false_stays_refused_when_all_are_weighed_anew():
     true, start, graph = loops()
     corrupted = with_false(graph, [(21, 70)], [(1.0, -0.7, 0.4)])
-    is_used = np.append(np.ones(len(graph[0]), bool), False)
+    is_used = np.append(np.ones(len(graph.edges), bool), False)
     quick, thorough = (revise(start, corrupted, is_used, each) for each in (False, True))
     assert np.array_equal(quick.accepted, is_used)
     assert np.array_equal(thorough.accepted, is_used)
@@ -280,9 +278,9 @@ def test_a_single_refused_closure_that_is_false_stays_refused_when_all_are_weigh
 
 def test_refused_closures_that_are_true_come_back_when_all_are_weighed_anew():
     true, start, graph = loops(laps=2)
-    chain = ~graph[3]
-    few = [np.concatenate([part[chain], part[~chain][[2, 5]]]) for part in graph]
-    quick, thorough = (revise(start, few, np.arange(len(few[0])) < chain.sum(), each) for each in (False, True))
+    chain = ~graph.is_closure
+    few = graph.of(np.append(np.flatnonzero(chain), np.flatnonzero(~chain)[[2, 5]]))
+    quick, thorough = (revise(start, few, np.arange(len(few.edges)) < chain.sum(), each) for each in (False, True))
     assert quick.accepted[-2:].tolist() == [False, False]
     assert thorough.accepted.all()
     assert worst_m(thorough.poses, true) < 0.5 * worst_m(quick.poses, true)
@@ -290,17 +288,15 @@ def test_refused_closures_that_are_true_come_back_when_all_are_weighed_anew():
 
 def test_an_answer_that_believes_more_is_not_taken_against_a_veto():
     _, start, graph = loops(laps=2)
-    chain = ~graph[3]
-    few = [np.concatenate([part[chain], part[~chain][[2, 5]]]) for part in graph]
-    is_used, asked = np.arange(len(few[0])) < chain.sum(), []
+    chain = ~graph.is_closure
+    few = graph.of(np.append(np.flatnonzero(chain), np.flatnonzero(~chain)[[2, 5]]))
+    is_used, asked = np.arange(len(few.edges)) < chain.sum(), []
 
     def never(before, after):
         asked.append((before.sum(), after.sum()))
         return False
 
-    result = robust_backend.revise(
-        start, pose_graph.Graph(*few), is_used, PoseGraphConfig(robust="ours"), 0, True, never
-    )
+    result = robust_backend.revise(start, few, is_used, PoseGraphConfig(robust="ours"), 0, True, never)
     assert np.array_equal(result.accepted, is_used)
     assert asked == [(chain.sum(), chain.sum() + 2)]
 
@@ -308,8 +304,8 @@ def test_an_answer_that_believes_more_is_not_taken_against_a_veto():
 @pytest.mark.parametrize("is_thorough", [False, True])
 def test_a_revision_holds_the_pose_that_it_is_told_to(is_thorough):
     _, start, graph = loops(laps=2)
-    is_used = np.append(np.ones(len(graph[0]), bool), False)
-    corrupted = pose_graph.Graph(*with_false(graph, [(6, 40)], [(1.0, -0.7, 0.4)]))
+    is_used = np.append(np.ones(len(graph.edges), bool), False)
+    corrupted = with_false(graph, [(6, 40)], [(1.0, -0.7, 0.4)])
     poses = robust_backend.revise(start, corrupted, is_used, PoseGraphConfig(), 20, is_thorough).poses
     assert poses[20] == pytest.approx(start[20], abs=1e-12)
     assert np.abs(poses[0] - start[0]).max() > 1e-3

@@ -55,14 +55,15 @@ class Runner:
         What `work` gives must survive JSON; `label` names a part uniquely. With several processes, `work` and the parts
         must be picklable; each process computes with one thread.
         """
-        if processes > 1:
-            return self._each_aside(parts, work, label, processes)
-        results = []
-        for count, part in enumerate(parts):
-            self.say(f"{count}/{len(parts)} {label(part)}")
-            results.append(self._parts.once(label(part), partial(work, part)))
+        labelled = [(label(part), partial(work, part)) for part in parts]
+        under_way = iter([name for name, _ in labelled] if processes <= 1 else ())
+        results: dict[int, object] = {}
+        self.say(f"0/{len(parts)} {next(under_way, '')}")
+        for k, result in in_processes(partial(_once, self._parts), labelled, processes):
+            results[k] = result
+            self.say(f"{len(results)}/{len(parts)} {next(under_way, '')}")
         self.say(f"{len(parts)}/{len(parts)}", end="\n")
-        return results
+        return [results[k] for k in range(len(parts))]
 
     def grid(self, kinds: Iterable, seeds: Iterable, work: Callable[..., object], processes: int = 1) -> dict:
         """`work(kind, seed)` for each kind with each seed: by kind what came of its seeds. As `each`."""
@@ -72,17 +73,6 @@ class Runner:
         for (kind, _), result in zip(parts, found, strict=True):
             results[kind].append(result)
         return results
-
-    def _each_aside(self, parts: Sequence, work: Callable[..., object], label: Callable[..., str], count: int) -> list:
-        """`each` in several processes."""
-        results = {}
-        self.say(f"0/{len(parts)}")
-        labelled = [(label(part), partial(work, part)) for part in parts]
-        for k, result in in_processes(partial(_once, self._parts), labelled, count):
-            results[k] = result
-            self.say(f"{len(results)}/{len(parts)}")
-        self.say(f"{len(parts)}/{len(parts)}", end="\n")
-        return [results[k] for k in range(len(parts))]
 
     def say(self, text: str, end: str = "") -> None:
         """How far the table is, in the line of the last such message; in a log a line each minute."""

@@ -20,7 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -106,18 +106,19 @@ def _summary(scene: str, figures: Sequence[dict]) -> dict:
     """Means over the seeds [%] beside the print."""
     first = figures[0]
     shares = [key for key in first if key not in ("method", "alpha", "beta", "gamma")]
-    values = {key: np.array([figure[key] for figure in figures], float) for key in shares}
+    values = {key: 100 * np.array([figure[key] for figure in figures], float) for key in shares}
     row = {"scene": scene} | {key: first[key] for key in ("method", "alpha", "beta", "gamma")}
-    row |= {key: _percent(values[key], np.mean) for key in shares}
+    row |= {key: over_known(values[key], np.mean, 2) for key in shares}
     row["paper_precision"], row["paper_recall"] = _printed(scene, first)
-    row |= {"seeds": len(figures), "sd": _percent(values["precision"], np.std)}
-    row["sd_recall"] = _percent(values["recall_absolute"], np.std)
+    row |= {"seeds": len(figures), "sd": over_known(values["precision"], np.std, 2)}
+    row["sd_recall"] = over_known(values["recall_absolute"], np.std, 2)
     return row
 
 
-def _percent(values: Array, statistic) -> float:
+def over_known(values: Array, statistic: Callable[[Array], float], digits: int) -> float:
+    """A statistic of those values that are there, rounded; NaN where none is."""
     known = values[np.isfinite(values)]
-    return round(100 * float(statistic(known)), 2) if len(known) else math.nan
+    return round(float(statistic(known)), digits) if len(known) else math.nan
 
 
 def _printed(scene: str, figure: dict) -> tuple[float, float]:

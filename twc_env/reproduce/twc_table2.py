@@ -27,7 +27,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env.config import EnvConfig, override
@@ -48,6 +47,7 @@ from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.runner import Runner, seeds_argument
 from twc_env.reproduce.twc_scenes import SCENES, SIGNS, scene_config, walk_scene
 from twc_env.reproduce.twc_table1 import PRINT as PRINT_TABLE1
+from twc_env.reproduce.twc_table1 import over_known
 from twc_env.slam.team import TeamMapper
 
 SUMMARY = "TWC-SLAM Table II: errors of the maps by text, WiFi, both, laser and all cues fused, by back end"
@@ -170,7 +170,7 @@ def _judge(scene: str, walks: Sequence[Walk], matched: Sequence[Matched], built:
 def _summary(scene: str, runs: Sequence[dict]) -> dict:
     method, backend = runs[0]["method"], runs[0]["backend"]
     values = {key: np.array([run[key] for run in runs], float) for key in runs[0] if key not in ("method", "backend")}
-    means = {key: _rounded(value, np.mean) for key, value in values.items()}
+    means = {key: over_known(value, np.mean, 4) for key, value in values.items()}
     return {
         "scene": scene,
         "method": method,
@@ -178,16 +178,11 @@ def _summary(scene: str, runs: Sequence[dict]) -> dict:
         **{key: means[key] for key in ("epe_m", "ate_m", "wall_thickness_m", "travel_m")},
         "paper_epe_m": PRINT[scene].get(method, math.nan),
         "seeds": len(runs),
-        "sd": _rounded(values["epe_m"], np.std),
-        "epe_worst_m": _rounded(values["epe_m"], np.max),
-        "ate_worst_m": _rounded(values["ate_m"], np.max),
+        "sd": over_known(values["epe_m"], np.std, 4),
+        "epe_worst_m": over_known(values["epe_m"], np.max, 4),
+        "ate_worst_m": over_known(values["ate_m"], np.max, 4),
         **{key: means[key] for key in ("closures", "closure_precision", "merged")},
     }
-
-
-def _rounded(values: Array, statistic) -> float:
-    known = values[np.isfinite(values)]
-    return round(float(statistic(known)), 4) if len(known) else math.nan
 
 
 def remarks(table: list[dict]) -> list[str]:
