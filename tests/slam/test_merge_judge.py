@@ -8,7 +8,6 @@ import pytest
 from twc_env.config import MergingConfig
 from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate, LoopClosure
-from twc_env.slam.loop_verification import SIGN_STD
 from twc_env.slam.merge_judge import MergeJudge
 
 PLACES = 12
@@ -85,14 +84,3 @@ def test_closures_that_leave_a_direction_open_have_no_say(axis):
     assert judge(doubts_sounds=False).proposal(loose, (0,)) is None
     assert place_said(say(3, ELSEWHERE, "twc") + loose) == ELSEWHERE
     assert judge(doubts_sounds=False).weight(loose, (0,)) == (0, 0, 0)
-
-
-@pytest.mark.parametrize(("count", "is_placed"), [(3, False), (PLACES, True)])
-def test_few_signs_near_each_other_do_not_fix_where_long_ways_lie(count, is_placed):
-    graph = SimpleNamespace(**vars(GRAPH), path_of=lambda robot: PLACES * robot + np.arange(PLACES))
-    closures, one = say(count, TRUE, "twc"), MergeJudge(MergingConfig(), graph)
-    for closure in closures:
-        closure.covariance = np.diag(np.square(SIGN_STD))
-    proposal = one.proposal(closures, (0,))
-    assert proposal is not None and proposal.support.all()
-    assert one.is_placed(proposal, closures, (0,)) == is_placed

@@ -54,6 +54,8 @@ class ClosureSearch:
         """Candidates that may have their turn."""
         self._without_scans: list[LoopCandidate] = []
         self._searched_m = [0.0] * robot_count
+        self._tied_for_m = TIED_M if config.slam.cues.lidar else 0.0
+        """Path length after a closure on which none is needed; without laser each tells what odometry is off by."""
         self._tied_m = [-np.inf] * robot_count
         """Path length up to the last closure of each robot that was not loose ..."""
         self._loosely_tied_m = [-np.inf] * robot_count
@@ -85,7 +87,7 @@ class ClosureSearch:
     def _is_tied(self, keyframe: Keyframe, loosely: bool = False) -> bool:
         """Whether a closure already ties this part of its robot's path to the map; loosely: a loose one will do."""
         tied_m = self._loosely_tied_m if loosely else self._tied_m
-        return keyframe.travel_m - tied_m[keyframe.robot] < TIED_M
+        return keyframe.travel_m - tied_m[keyframe.robot] < self._tied_for_m
 
     def _near_keyframe(self, keyframe: Keyframe) -> LoopCandidate | None:
         """The nearest keyframe of the same map that the path alone does not tie to this one."""

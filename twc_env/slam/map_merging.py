@@ -17,7 +17,7 @@ from numpy.typing import NDArray as Array
 from twc_env.config import MergingConfig
 from twc_env.geometry import compose, inverse
 from twc_env.kernels import kernel
-from twc_env.messages import GridMap
+from twc_env.messages import GridMap, LoopClosure
 from twc_env.slam.growing import enlarged
 from twc_env.slam.heard_places import HeardPlaces
 
@@ -55,6 +55,8 @@ class MergeProposal:
     support: Array
     """(closures,) bool: which of the closures agree."""
     weight: Weight
+    agreeing: tuple[LoopClosure, ...] = ()
+    """These, where whoever asked has them."""
 
 
 def largest_agreement(

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import MergingConfig
-from twc_env.geometry import between, compose, inverse
+from twc_env.geometry import compose, inverse
 from twc_env.messages import GridMap, LoopClosure
 from twc_env.slam import map_merging
 from twc_env.slam.heard_places import HeardPlaces
@@ -18,10 +19,7 @@ from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.sign_table import MISSING_AFTER_S
 from twc_env.slam.signs_in_place import SignsRead, count_shared
 from twc_env.slam.team_graph import TeamGraph
-from twc_env.slam.twists import adjoint, turned
 
-PLACED_M, PLACED_RAD = 0.25, math.radians(2.5)
-"""Standard deviations to which a merge must be fixed where no scans fix it later: a quarter of what makes it wrong."""
 OTHERS_WEIGHT = 2
 """Where places count that only sound alike, more than `closures_min` closures must agree, and so many more for each
 that does not: along rows of shelves scans fit each other a shelf aside, too."""
@@ -57,7 +55,8 @@ class MergeJudge:
     def _agreement(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
         if len(closures) < self._rule.closures_min:
             return None
-        return map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
+        found = map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
+        return found and replace(found, agreeing=tuple(itertools.compress(closures, found.support)))
 
     def may_replace(self, robots: Sequence[int], before: Sequence[LoopClosure], after: Sequence[LoopClosure]) -> bool:
         """Whether `after` may be believed instead of `before` in the map of robots: what is won outweighs the loss.
@@ -150,28 +149,6 @@ class MergeJudge:
         if len(heard) < len(keyframes):
             heard.add([keyframe.fingerprint for keyframe in keyframes[len(heard) :]])
         return heard
-
-    def is_placed(self, proposal: MergeProposal, closures: Sequence[LoopClosure], a: Sequence[int]) -> bool:
-        """Whether closures that agree with a proposal fix where the robots lie that they join: the middle of the way of
-        each, and the heading."""
-        closures = [closure for closure in closures if not closure.is_loose]
-        in_a, in_b, measured, *_ = self._as_a_to_b(closures, a)
-        put = compose(in_a, measured)
-        away = np.abs(between(compose(proposal.pose_a_b, in_b), put))
-        agree = (np.hypot(away[:, 0], away[:, 1]) < self._rule.consistency_m) & (
-            away[:, 2] < self._rule.consistency_rad
-        )
-        noise = turned(adjoint(put[agree]), np.array([closure.covariance for closure in closures])[agree])
-        covariance = np.linalg.inv(np.linalg.inv(noise).sum(axis=0))
-        if math.sqrt(covariance[2, 2]) > PLACED_RAD:
-            return False
-        for robot in {key[0] for c in closures for key in (c.candidate.target, c.candidate.source)}:
-            way = self._graph.poses[self._graph.path_of(robot)]
-            x, y = (way if robot in a else compose(proposal.pose_a_b, way))[:, :2].mean(axis=0)
-            seen = turned(adjoint(np.array([-x, -y, 0.0])), covariance)
-            if math.sqrt(seen[0, 0] + seen[1, 1]) > PLACED_M:
-                return False
-        return True
 
     def overlap(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, reach_m: float) -> list[tuple[int, int]]:
         """(robot, keyframe index) of the keyframes of each side that the merge would put near one of the other."""

@@ -105,14 +105,15 @@ class MergeReview:
         return None
 
     def forget(self, merge: Merge, sides: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
-        """A merge is undone and its group falls into two sides: remember what it said.
-
-        Of every other merge of that group each side keeps what it holds together there.
-        """
+        """A merge is undone and its group falls into two sides, see `part`: remember what it said."""
         self.merges.remove(merge)
-        self.merges = [part for other in self.merges for part in _parts(other, sides)]
+        self.part(sides)
         i, j = merge.a[0], merge.b[0]
         self._undone.append((i, j, between(self._graph.pose_map_odom(i), self._graph.pose_map_odom(j))))
+
+    def part(self, sides: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+        """A group falls into two sides: of its merges each keeps what it holds together there."""
+        self.merges = [part for merge in self.merges for part in _parts(merge, sides)]
 
     def sides(self, merge: Merge) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """All robots of the merged group on the two sides of a merge; who came later stands where most ties lead.

@@ -30,6 +30,8 @@ STEP_M, STEP_RAD = 2e-3, 1e-3
 """A step below both ends the optimisation."""
 NEGLIGIBLE = 1e-6
 """Weight from which on down an edge is not heard in a step."""
+NEGLIGIBLE_DAMPING = 1e-9
+"""Damping with which poses that nothing ties to the one that is held are some ten metres unsure."""
 DECREASE, STALLED_M = 1e-6, 0.1
 """So does a step shorter than this that takes a smaller share off the error."""
 
@@ -216,6 +218,13 @@ class NormalEquations:
             poses, self.edges, self.measured, self.information, weight, self._blocks, self._held,
             *cholesky.pattern, cholesky.block_count, damping,
         )  # fmt: skip
+
+    def answers(self, poses: Array, right: Array) -> Array:
+        """H^-1 right (k, n, 3) for several right sides at these poses, every edge believed."""
+        diagonal, blocks, _ = self.linearise(poses, np.ones(len(self.edges)))
+        sides, diagonal = np.zeros((len(right), *diagonal.shape[:2])), damped(diagonal, NEGLIGIBLE_DAMPING)
+        sides[:, : len(poses)] = right
+        return np.array([self._cholesky.solve(diagonal, blocks, side) for side in sides])[:, : len(poses)]
 
     def _go_in_parts(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
         diagonal, blocks, gradient = self.linearise(poses, weight)

@@ -15,6 +15,7 @@ from twc_env.slam.group_maps import Group, GroupMaps
 from twc_env.slam.map_optimiser import MapOptimiser
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import MergeReview
+from twc_env.slam.merge_trial import MergeTrials
 from twc_env.slam.radio_ties import RadioTies
 from twc_env.slam.team_graph import TeamGraph
 from twc_env.team_messages import KnownSigns
@@ -65,12 +66,15 @@ class TeamMapper:
         forgetting = None
         if self._radio is None and not self._on_request:  # else something looks back at all keyframes
             forgetting = Forgetting(self._graph, (self._search, self._judge, self._maps))
+        self._trials = None if config.slam.cues.lidar else MergeTrials(config.slam.pose_graph, self._graph)
         self.optimiser = MapOptimiser(
             config.slam.pose_graph, self._graph, self._maps, self._judge, self._radio, forgetting
         )
         """When the maps of groups are optimised, and how much of them."""
         self._no_case: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
         """Two groups, by their robots, and how many closures between them were no case for a merge when last tried."""
+        self._unplaced: set[tuple[tuple[int, ...], tuple[int, ...]]] = set()
+        """Two groups whose closures agreed and did not fix where their robots lie: tried again from time to time."""
         self._seeks_closures = config.slam.oracle != "poses"
         self._given_starts: Array | None = None
         self._step = self._last_retried_step = 0
@@ -112,6 +116,8 @@ class TeamMapper:
         is_turn = is_turn or not self.optimiser.is_map_large
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
+            if self._trials is not None and self._given_starts is None:
+                self._part_strayed(self._trials)
             self._retry_merges()
         if is_turn and self.optimiser.may_forget:
             self.optimiser.forget()
@@ -272,14 +278,14 @@ class TeamMapper:
         tried = self._no_case.get((robots_a, robots_b), 0)
         if is_patient and tried < len(pending) < tried + tried // MORE_PART:
             return False
+        if is_patient and (robots_a, robots_b) in self._unplaced:
+            return False
         self._no_case[robots_a, robots_b] = len(pending)
         proposal = self._judge.proposal(pending, robots_a)
         if proposal is None:
             return False
         pose_a_b = proposal.pose_a_b
         if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, pose_a_b):
-            return False
-        if not self._config.cues.lidar and not self._judge.is_placed(proposal, pending, robots_a):
             return False
         if self._config.merging.wifi_check and not self._judge.radio_allows(robots_a, robots_b, pose_a_b):
             return False
@@ -290,6 +296,9 @@ class TeamMapper:
         grids = self._maps.known_grid(robots_a, a), self._maps.known_grid(robots_b, b)
         if self._judge.walls_disagree(*grids, pose_a_b):
             return False
+        if self._trials is not None and not self._trials.is_placed(robots_a, robots_b, proposal):
+            self._unplaced.add((robots_a, robots_b))
+            return False
         self._maps.merge(a, b, pose_a_b)
         self.optimiser.unsettle()
         self._review.note(robots_a, robots_b, self._step)
@@ -297,7 +306,7 @@ class TeamMapper:
         self.optimiser.soil(merged, True)
         for closure in pending:
             self._judge_inside_map(closure)
-        self.optimiser.optimise(merged)
+        self.optimiser.optimise(merged, is_thorough=self._trials is not None)
         return True
 
     def _merge_given(self, starts: Array) -> None:
@@ -326,9 +335,29 @@ class TeamMapper:
             self._graph.refuse(closure, f"the merge it spoke for was undone: {why}")
         self._graph.let_wait(rivals)
         self._review.forget(merge, (a, b))
+        self._take_apart(a, b)
+        self._retry_merges()
+
+    def _part_strayed(self, trials: MergeTrials) -> None:
+        """Take groups apart whose robots have gone so far since their closures that these fix them no more.
+
+        The closures wait for others, with which they do.
+        """
+        for robots in [group.robots for group in self.groups if len(group.robots) > 1]:
+            sides = trials.strayed(robots)
+            if sides is None:
+                continue
+            closures = self._graph.closures_between(*sides, "accepted")
+            for closure in closures:
+                self._graph.refuse(closure, "its robots have strayed")
+            self._graph.let_wait(closures)
+            self._review.part(sides)
+            self._take_apart(*sides)
+
+    def _take_apart(self, a: tuple[int, ...], b: tuple[int, ...]) -> None:
+        """Two sides of a group have maps of their own again."""
         self._maps.split(self.group_index(a[0]), (a, b))
         self.optimiser.unsettle()
         self._search.untie(a + b)
         for side in (a, b):
             self.optimiser.optimise(self.group_index(side[0]))
-        self._retry_merges()
