@@ -97,6 +97,28 @@ def test_two_workers_run_at_once_and_are_compared_with_one():
     assert lines and (speedup is None or 0.05 < speedup < 20.0)
 
 
+def test_a_worker_that_dies_is_an_error_and_leaves_no_other_behind(monkeypatch):
+    started = []
+
+    def start(*arguments):
+        started.append(bench_probes.subprocess.Popen(["cat"], stdin=-1, stdout=-1, text=True))
+        if len(started) == 1:
+            started[0].kill()
+            started[0].wait()
+        return started[-1]
+
+    monkeypatch.setattr(bench_probes, "_start", start)
+    monkeypatch.setattr(bench_probes.os, "sched_getaffinity", lambda _: {0, 1})
+    with pytest.raises(RuntimeError, match="a worker of the probe came to an end"):
+        bench_probes.workers2_speedup("twin-01", 4, print)
+    assert all(worker.wait(timeout=10) for worker in started)
+
+
+def test_bench_says_that_its_robots_are_driven_by_velocity(capsys):
+    assert main(["bench", "--set", "action.kind=waypoint"]) == 2
+    assert "drives robots by velocity, got action.kind = 'waypoint'" in capsys.readouterr().err
+
+
 def test_the_large_building_is_generated_and_reset():
     figures = bench_scaling.bench_large_reset("gen:office:300:1")
     assert set(figures) == {"large_generate_s", "large_first_reset_s", "large_reset_s"}

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, override
+from twc_env.errors import ConfigError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.world.floorplan import Floorplan
@@ -115,7 +116,12 @@ def record_actions(env: ExplorationEnv, seed: int) -> list[dict[str, Array]]:
 
 
 def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lambda _line: None) -> dict:
-    """Time `episodes` episodes of each kind; rates are medians. `report` gets a line after each."""
+    """Time `episodes` episodes of each kind; rates are medians. `report` gets a line after each.
+
+    Raises ConfigError where robots are not driven by velocity, as the wanderers here are.
+    """
+    if config.action.kind != "velocity":
+        raise ConfigError(f"bench drives robots by velocity, got action.kind = {config.action.kind!r}: leave it out")
     plan = load_map(config.map)
     of_world, of_slam = OurRuns(override(config, {"slam.mode": "off"}), plan), OurRuns(config, plan)
     world, slam = [], []

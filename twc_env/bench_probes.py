@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import json
 import os
@@ -57,13 +58,15 @@ def workers2_speedup(map_name: str, steps: int, report: Report) -> float | None:
         report("one core only: two workers cannot be measured")
         return None
     workers = [_start(["worker", map_name, str(steps), str(core)]) for core in cores[:2]]
-    _played_s(workers, 0)  # kernels are compiled or read from disk
     ratios = []
-    for seed in range(_ROUNDS):
-        first_s, both_s, second_s = (_played_s(some, seed) for some in (workers[:1], workers, workers[1:]))
-        ratios.append((first_s + second_s) / both_s)
-    for worker in workers:
-        worker.communicate()
+    try:
+        _played_s(workers, 0)  # kernels are compiled or read from disk
+        for seed in range(_ROUNDS):
+            first_s, both_s, second_s = (_played_s(some, seed) for some in (workers[:1], workers, workers[1:]))
+            ratios.append((first_s + second_s) / both_s)
+    finally:
+        for worker in workers:
+            _end(worker)
     speedup = statistics.median(ratios)
     report(f"two workers against one: {speedup:.2f} x (rounds: {min(ratios):.2f} to {max(ratios):.2f})")
     return speedup
@@ -78,14 +81,27 @@ def _played_s(workers: list[subprocess.Popen], seed: int) -> float:
 
 def _answers(workers: list[subprocess.Popen], word: str) -> list[Any]:
     """What workers say to a word that all of them are told first."""
-    for worker in workers:
-        assert worker.stdin is not None
-        worker.stdin.write(f"{word}\n")
-        worker.stdin.flush()
-    lines = [worker.stdout.readline() for worker in workers if worker.stdout is not None]
+    try:
+        for worker in workers:
+            assert worker.stdin is not None
+            worker.stdin.write(f"{word}\n")
+            worker.stdin.flush()
+        lines = [worker.stdout.readline() for worker in workers if worker.stdout is not None]
+    except BrokenPipeError:  # by that of our own output a command ends in peace
+        lines = [""]
     if not all(lines):
         raise RuntimeError("a worker of the probe came to an end: see its message above")
     return [json.loads(line) for line in lines]
+
+
+def _end(worker: subprocess.Popen) -> None:
+    """Stop a worker, whether it waits, works or is gone."""
+    worker.kill()
+    worker.wait()
+    for stream in (worker.stdin, worker.stdout):
+        assert stream is not None
+        with contextlib.suppress(BrokenPipeError):
+            stream.close()
 
 
 def _start(arguments: list[str], environment: dict[str, str] | None = None) -> subprocess.Popen:

@@ -108,7 +108,7 @@ def _record(options: argparse.Namespace) -> None:
     with alone_in(options.out):
         write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
         write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
-    print(f"recorded {len(steps) - 1} steps of {env.config.robots} robots: {options.out}/frames.npz and truth.npz")
+    print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
 
 
 def _progress(done: int, total: int) -> None:

@@ -116,9 +116,9 @@ class Keyframe:
     """Texts read since the last keyframe."""
     fingerprint: Fingerprint
     by_odometry_m: tuple[float, float] = (0.0, 0.0)
-    """What of `motion` no scan tells, as along a corridor, by the axes of this keyframe."""
+    """What of `motion` matched scans leave open, as along a corridor, by the axes of this keyframe."""
     odometry_scale: tuple[float, float] = (0.0, 0.0)
-    """By what share the robot takes its odometry to read too long, one sigma; zeros while scans told of all it did."""
+    """By what share the robot takes its odometry to read too long, one sigma; zeros while scans left nothing open."""
 
     @property
     def key(self) -> tuple[int, int]:

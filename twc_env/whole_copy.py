@@ -23,7 +23,7 @@ class SharingPickler(pickle.Pickler):
         """See `pickle.Pickler`. Raises DataError that names the part which cannot be copied."""
         try:
             super().dump(value)
-        except (TypeError, AttributeError, pickle.PicklingError) as error:
+        except (TypeError, AttributeError, ValueError, pickle.PicklingError) as error:
             owner = _culprit(value, type(value).__name__, {}) or type(value).__name__
             raise DataError(
                 f"{owner} cannot be copied ({error}): let {owner.partition('.')[0]}.__getstate__ leave it out, and "

@@ -158,6 +158,7 @@ class Own:
             "threading.Lock()",
             r"^Own\.kept cannot be copied \(cannot pickle '_thread\.lock' object\): let Own\.__getstate__",
         ),
+        ("__import__('ctypes').c_void_p(3)", r"^Own\.kept cannot be copied \(ctypes"),
         ("lambda: 0", r"^Own\.kept cannot be copied \(.*lambda.*\): let Own\.__getstate__"),
     ],
 )

@@ -1,5 +1,7 @@
 """Without laser robots share a map while it is known where they lie to each other, and no longer."""
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,6 @@ def test_what_they_knew_of_each_other_waits_and_is_no_mistake(strayed):
 
 
 def test_robots_that_meet_again_share_a_map_again(strayed, recorded):
-    engine, true_poses = strayed[0], recorded[2]
+    engine, true_poses = copy.deepcopy(strayed[0]), recorded[2]
     meet(engine.team, true_poses, 12)
     assert engine.team.groups[0].robots == (0, 1)

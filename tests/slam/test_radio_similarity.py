@@ -65,7 +65,7 @@ def test_who_is_among_the_most_alike_does_not_hang_on_how_many_are_asked_for():
     for k in range(60):
         store.add(heard({1: -50} if k % 3 else {1: -50, 2: -60}))
     best, similarity = store.nearest(heard({1: -50}), 60)
-    for count in range(1, 60):
+    for count in range(60):
         fewer, their_similarity = store.nearest(heard({1: -50}), count)
         assert fewer.tolist() == best[:count].tolist() and their_similarity.tolist() == similarity[:count].tolist()
 

@@ -192,4 +192,4 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     if options.json not in (None, TERMINAL):
         paths = getattr(module, "draw", lambda *_: ())(options, runner, options.json.parent)
         runner.end_line()
-        print("".join(f"{path}\n" for path in paths), end="")
+        print("".join(f"written: {path}\n" for path in paths), end="")

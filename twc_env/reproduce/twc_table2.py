@@ -12,7 +12,6 @@ over robots. It is blind to maps folded in the middle; `ate_m` (all keyframes, e
 (in an occupancy grid a folded map rubs out its own walls, and those left look thin). `closure_precision` is of the
 closures that the back end believed, `merged` the share of walks whose robots all end up in one map. Nothing here was
 fitted to scene #02. `--signs departments` hangs up signs like those that the print of Table I implies (`twc_scenes`).
-`--verified` lets only closures that scan matching confirms into the other back ends too.
 
 Rows of text with back ends like `literal 0.98` get all right closures of `literal`, and of the false ones as many as
 make that share of all right: the first of a random order, so those with less have them too.

@@ -115,7 +115,7 @@ class ClosureSearch:
                 tied_m[key[0]] = max(tied_m[key[0]], travel_m)
 
     def untie(self, robots: tuple[int, ...]) -> None:
-        """The ties of these robots were a mistake: look for others at once."""
+        """The ties of these robots hold no longer: look for others at once."""
         for robot in robots:
             self._tied_m[robot] = self._loosely_tied_m[robot] = -np.inf
 

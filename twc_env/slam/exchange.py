@@ -19,9 +19,9 @@ BYTES_PER_FINGERPRINT_MAC = 7
 """Six bytes of address and one of strength."""
 BYTES_PER_POSE = 12
 BYTES_PER_COVARIANCE = 12
-BYTES_PER_SCALE = 8
-"""Of odometry, and what it alone told."""
 """Six half-precision numbers."""
+BYTES_PER_SCALE = 8
+"""Four half-precision numbers: what odometry alone told, its scale and how sure that is."""
 BYTES_PER_REQUEST = 4
 """Robot and number of the keyframe whose scan is wanted."""
 BYTES_PER_COUNT = 2

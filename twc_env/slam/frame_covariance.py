@@ -15,7 +15,8 @@ from twc_env.slam.pose_graph import Graph, NormalEquations
 def frame_covariances(poses: Array, graph: Graph, robot_of: Array) -> Array:
     """(robots, robots, 3, 3) covariance of where frames of two robots lie to each other, at the middle of poses (n, 3).
 
-    robot_of (n,) says whose each pose is, counted from 0. All edges of the graph are believed, and join all poses.
+    robot_of (n,) says whose each pose is, counted from 0. All edges of the graph are believed; what they
+    do not join is unsure by `pose_graph.NEGLIGIBLE_DAMPING`.
     """
     count = int(robot_of.max()) + 1
     equations = NormalEquations(graph.edges, graph.measured, graph.information, len(poses), 0, graph.shared)

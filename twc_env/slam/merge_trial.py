@@ -78,7 +78,7 @@ class MergeTrials:
         whose, robot_of = np.unique(self._graph.robot_of_node[nodes], return_inverse=True)
         share = (frame_stds(self._graph.poses[nodes], graph.of(is_used), robot_of) / PLACED).max(axis=-1)
         i, j = np.unravel_index(np.argmax(share), share.shape)
-        if share[i, j] < STRAYED_SHARE:
+        if not share[i, j] >= STRAYED_SHARE:
             return None
         is_i = share[i] <= share[j]
         return tuple(whose[is_i].tolist()), tuple(whose[~is_i].tolist())

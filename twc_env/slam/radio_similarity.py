@@ -145,7 +145,9 @@ class FingerprintStore:
         """Numbers and similarities of the most alike, best first; ties by number, whatever the count."""
         similarity = self.similarities(fingerprint)
         count = min(count, self.count)
-        if count < self.count:
+        if count <= 0:
+            best = np.zeros(0, np.int64)
+        elif count < self.count:
             least = -np.partition(-similarity, count - 1)[count - 1]
             above = np.flatnonzero(similarity > least)
             best = np.concatenate([above, np.flatnonzero(similarity == least)[: count - len(above)]])

@@ -166,7 +166,8 @@ def look_through(
 ):  # fmt: skip
     """Find the cells of a grid of that shape that a scan sees through, a bit for each: is_inside (words, rows).
 
-    Gives the first row, the number of rows, the first column, which is a multiple of `step`, and the number of words.
+    Gives the first row, the number of rows, the first column, which is a multiple of `step` where the width
+    is, and the number of words.
     cells: as `_lay_out` has them.
     """
     height, width = shape

@@ -76,7 +76,10 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
 
 @borrowing_kernel
 def _note_open(robots, before, states, information, by_odometry):
-    """Add to by_odometry (n, 2) what no scan told of robots' motions from before (n, 2) on, in their odom frames."""
+    """Add to by_odometry (n, 2) what matched scans left open of robots' motions from before (n, 2), in odom frames.
+
+    Where no scan is matched nothing is added.
+    """
     for a in range(robots.shape[0]):
         k = robots[a]
         is_open, ahead, left = open_direction(information[k])
