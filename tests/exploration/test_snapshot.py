@@ -176,5 +176,9 @@ def test_a_recogniser_that_leaves_its_lock_out_is_saved_with_the_episode(tmp_pat
     (tmp_path / "own.py").write_text(code)
     env = twc_env.parallel_env(config={"slam.place_recognition.recogniser": f"{tmp_path / 'own.py'}:Own"})
     env.reset(seed=0)
-    env.restore(env.snapshot())
-    env.step(dict.fromkeys(env.agents, np.zeros(2, np.float32)))
+    moment, drive = env.snapshot(), dict.fromkeys(env.agents, np.full(2, 0.5, np.float32))
+    first = env.step(drive)[0]
+    env.restore(moment)
+    again = env.step(drive)[0]
+    assert all(np.array_equal(again[agent][name], first[agent][name]) for agent in first for name in first[agent])
+    assert not np.array_equal(env.step(drive)[0]["robot_0"]["lidar"], again["robot_0"]["lidar"])
