@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from twc_env.config import OdometryFilterConfig
 from twc_env.geometry import compose, wrap_angle
-from twc_env.slam.odometry_filter import CompiledFilters, FilterpyFilters, make_filters
+from twc_env.slam.filterpy_filter import FilterpyFilters
+from twc_env.slam.odometry_filter import CompiledFilters, make_filters
 
 DT_S = 0.1
 CONFIG = OdometryFilterConfig()

@@ -102,7 +102,7 @@ class KeyframeTaker(BindsAnew):
         if self._run is None:
             self._run = bound(_take, self._packed(), *now)
         heard, travel_m, is_drawn = self._run(*now)
-        fingerprint, alone = tracker.radio.latest(heard), tracker.by_odometry(robot)
+        fingerprint, alone = tracker.radio.latest(heard), tracker.take_by_odometry(robot)
         keyframe = Keyframe(
             robot, index, step, time_s, pose, motion, covariance, travel_m, scan, signs, fingerprint, *alone
         )

@@ -5,21 +5,23 @@ through corridors where they do not. How much a step says of it, and how far it 
 of the readings: one that is long by chance would otherwise weigh more, or less, than one that is short, and the scale
 be learned wrongly (errors in variables).
 
-The same equations stand here twice: `CompiledFilters`, used in the hot path, and `FilterpyFilters` on filterpy's
-ExtendedKalmanFilter, which is the oracle it is tested against and an option of the log tools.
+The same equations stand in `filterpy_filter`: the oracle that these are tested against, an option of the log tools.
 """
 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import OdometryFilterConfig
-from twc_env.geometry import wrap_angle
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam.small_matrices import invert3
+
+if TYPE_CHECKING:
+    from twc_env.slam.filterpy_filter import FilterpyFilters
 
 LATEST_SHARE = 0.2
 """Weight of the latest reading in the mean of the readings before a step."""
@@ -30,7 +32,7 @@ UNTOLD_SHARE = 1e-6
 
 
 @kernel
-def _motion_noise(dx, dy, config):
+def motion_noise(dx, dy, config):
     """Variances of one step's motion: along x and y alike, and of the heading."""
     length = math.sqrt(dx * dx + dy * dy)
     return config[1] ** 2 + config[0] ** 2 * length, config[2] ** 2
@@ -54,7 +56,7 @@ def predict_state(x, p, odometry, turn_rate, dt, config):
     x[0] += mx
     x[1] += my
     x[2] += turn
-    moved_variance, turn_variance = _motion_noise(x[5], x[6], config)
+    moved_variance, turn_variance = motion_noise(x[5], x[6], config)
     # P <- F P F^T with F = I + rows 0-2: d/d heading, d/d scale and d/d bias
     f02, f12, f23 = -my, mx, -dt
     for j in range(5):
@@ -176,7 +178,8 @@ def believe_match(x, p, pose, information, gate, is_clear):
     return update_state(x, p, pose, information, gate)
 
 
-def _process_values(config: OdometryFilterConfig) -> Array:
+def process_values(config: OdometryFilterConfig) -> Array:
+    """(6,) what `predict_state` and `update_state` take from the settings."""
     return np.array(
         [
             config.position_std_per_m,
@@ -242,7 +245,8 @@ def anchor(covariances, robots, is_new):
                     covariances[k, axis, j] = covariances[k, j, axis] = 0.0
 
 
-def _first_covariance(config: OdometryFilterConfig) -> Array:
+def first_covariance(config: OdometryFilterConfig) -> Array:
+    """(5, 5) before a robot has moved."""
     return np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2, config.odometry_scale_std**2])
 
 
@@ -252,11 +256,11 @@ class CompiledFilters:
     believes_scans = True
 
     def __init__(self, config: OdometryFilterConfig, count: int):
-        self.noise = _process_values(config)
+        self.noise = process_values(config)
         self.states = np.zeros((count, 7))
         """(n, 7) x [m], y [m], heading [rad], gyro bias [rad/s] in its odom frame, by what share odometry reads too
         long, and the running mean of how far it reads ahead and to the left [m]; the heading is not wrapped."""
-        self.covariances = np.tile(_first_covariance(config), (count, 1, 1))
+        self.covariances = np.tile(first_covariance(config), (count, 1, 1))
         """(n, 5, 5)."""
 
     def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
@@ -279,93 +283,6 @@ class CompiledFilters:
         anchor(self.covariances, robots, is_new)
 
 
-class FilterpyFilters:
-    """The same filters on filterpy."""
-
-    def __init__(self, config: OdometryFilterConfig, count: int):
-        from filterpy.kalman import ExtendedKalmanFilter
-
-        self._config = config
-        self._values = _process_values(config)
-        self._filters = [ExtendedKalmanFilter(dim_x=5, dim_z=3) for _ in range(count)]
-        self._readings = np.zeros((count, 2))
-        for ekf in self._filters:
-            ekf.x = np.zeros(5)
-            ekf.P = _first_covariance(config)
-
-    @property
-    def states(self) -> Array:
-        """See `CompiledFilters`."""
-        return np.column_stack([[ekf.x for ekf in self._filters], self._readings])
-
-    @property
-    def covariances(self) -> Array:
-        """(n, 5, 5)."""
-        return np.array([ekf.P for ekf in self._filters])
-
-    def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
-        """See `CompiledFilters`."""
-        for k, motion, turn_rate, dt_s in zip(robots, odometry, turn_rates_rad_s, dts_s, strict=True):
-            if dt_s > 0.0:
-                before = self._readings[k].copy()
-                self._readings[k] += LATEST_SHARE * (motion[:2] - before)
-                self._predict(self._filters[k], motion, float(turn_rate), float(dt_s), before, self._readings[k])
-
-    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
-        """See `CompiledFilters`."""
-        for k in robots:
-            if not is_matched[k]:
-                continue
-            ekf, noise = self._filters[k], np.linalg.inv(information[k] + INFORMATION_MIN * np.eye(3))
-            part_from_untold(ekf.P, information[k])
-            away = _pose_difference(poses[k], ekf.x[:3])
-            is_matched[k] = away @ np.linalg.inv(ekf.P[:3, :3] + noise) @ away <= self._config.match_gate
-            if is_clear[k] and not is_matched[k]:
-                ekf.P[:3, :3] += np.outer(away, away)
-                is_matched[k] = True
-            if is_matched[k]:
-                ekf.update(
-                    poses[k].copy(),
-                    HJacobian=lambda _x: np.eye(3, 5),
-                    Hx=lambda x: x[:3],
-                    R=noise,
-                    residual=_pose_difference,
-                )
-
-    def anchor(self, robots: Array, is_new: Array) -> None:
-        """See the kernel of this name."""
-        for k in robots[is_new[robots]]:
-            self._filters[k].P[:3] = self._filters[k].P[:, :3] = 0.0
-
-    def _predict(self, ekf, odometry: Array, turn_rate_rad_s: float, dt_s: float, before: Array, now: Array) -> None:
-        dx, dy, turn_odometry = odometry
-        turn = (turn_rate_rad_s - ekf.x[3]) * dt_s
-        c, s = math.cos(ekf.x[2]), math.sin(ekf.x[2])
-        read_x, read_y = c * dx - s * dy, s * dx + c * dy
-        mx, my = (1.0 - ekf.x[4]) * read_x, (1.0 - ekf.x[4]) * read_y
-        went_x, went_y = c * before[0] - s * before[1], s * before[0] + c * before[1]
-        moved_variance, turn_variance = _motion_noise(*now, self._values)
-        ekf.F = np.eye(5)
-        ekf.F[:3, 2:] += np.array([[-my, 0.0, -went_x], [mx, 0.0, -went_y], [0.0, -dt_s, 0.0]])
-        bias_variance = self._config.gyro_bias_walk_rad_s**2 * dt_s
-        ekf.Q = np.diag([moved_variance, moved_variance, turn_variance, bias_variance, 0.0])
-        moved = ekf.x + np.array([mx, my, turn, 0.0, 0.0])
-        ekf.predict()
-        ekf.x = moved  # filterpy's predict is linear; the motion is not
-        ekf.update(
-            np.array([turn_odometry - turn_rate_rad_s * dt_s]),
-            HJacobian=lambda _x: np.array([[0.0, 0.0, 0.0, -dt_s, 0.0]]),
-            Hx=lambda x: np.array([-x[3] * dt_s]),
-            R=np.array([[self._config.odometry_turn_std_rad**2 + self._config.turn_std_rad**2]]),
-        )
-
-
-def _pose_difference(a: Array, b: Array) -> Array:
-    d = a - b
-    d[2] = wrap_angle(d[2])
-    return d
-
-
 class OdometryAlone(CompiledFilters):
     """Believes odometry as it is; for perfect odometry (`slam.oracle`)."""
 
@@ -381,4 +298,8 @@ def make_filters(
     """One filter per robot, of the kind that `config.backend` names."""
     if not believes_scans:
         return OdometryAlone(config, count)
-    return FilterpyFilters(config, count) if config.backend == "filterpy" else CompiledFilters(config, count)
+    if config.backend == "filterpy":
+        from twc_env.slam.filterpy_filter import FilterpyFilters
+
+        return FilterpyFilters(config, count)
+    return CompiledFilters(config, count)

@@ -189,7 +189,7 @@ class Tracker(BindsAnew):
             self._run = bound(_track, self._packed(self._filters), *now)
         self.has_arrived = self._run(*now)
 
-    def by_odometry(self, robot: int) -> tuple[()] | tuple[tuple[float, float], tuple[float, float]]:
+    def take_by_odometry(self, robot: int) -> tuple[()] | tuple[tuple[float, float], tuple[float, float]]:
         """What no scan told of a robot's motions since this was asked last, along its axes [m].
 
         And by what share its odometry reads too long as far as it knows, with one sigma of that. Nothing while scans
