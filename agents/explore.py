@@ -213,7 +213,7 @@ FIGURES = (
     ("odometry alone: ATE", "odometry_ate_m", ".3f m"),
     ("end point error", "epe_m", ".3f m"),
     ("floor seen", "coverage_true", ".1% "),
-    ("floor mapped rightly", "coverage_correct", ".1% "),
+    ("floor mapped correctly", "coverage_correct", ".1% "),
     ("map IoU", "map_iou", ".3f"),
     ("odometry alone: map IoU", "odometry_map_iou", ".3f"),
     ("wall IoU", "wall_iou", ".3f"),

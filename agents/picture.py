@@ -87,7 +87,7 @@ def _title(result: EpisodeResult) -> str:
     return (
         f"{Path(str(f['map'])).name}, seed {f['seed']}: {f['merged_robots']} of {f['robots']} robots in one map, "
         f"{f['wrong_merges']} wrong merges\nteam ATE {f['team_ate_m']:.3f} m (odometry {f['odometry_ate_m']:.3f} m), "
-        f"{100 * f['coverage_correct']:.1f} % mapped rightly in {f['sim_time_s']:.0f} s"
+        f"{100 * f['coverage_correct']:.1f} % mapped correctly in {f['sim_time_s']:.0f} s"
     )
 
 

@@ -11,8 +11,8 @@ import twc_env
 from tests.forks import Forks
 
 ROOT = Path(__file__).parents[1]
-TEXT = (ROOT / "README.md").read_text()
-TEXT = TEXT[TEXT.index("## In other tools") : TEXT.index("## Where to go next")]
+README = (ROOT / "README.md").read_text()
+TEXT = README[README.index("## Integrations") : README.index("## Documentation")]
 LIBRARY = (ROOT / "docs" / "library.md").read_text()
 
 
@@ -24,7 +24,12 @@ def snippets(text: str) -> dict[str, str]:
 
 SNIPPETS = snippets(TEXT) | snippets(LIBRARY)
 LIBRARIES = "gymnasium", "pettingzoo", "numba", "torchrl.envs", "stable_baselines3"
-NEEDS = {"stable-baselines3": "stable_baselines3", "TorchRL": "torchrl", "RLlib": "ray", "Seeing it": "PIL"}
+NEEDS = {
+    "stable-baselines3": "stable_baselines3",
+    "TorchRL": "torchrl",
+    "RLlib": "ray",
+    "Rendering and recording": "PIL",
+}
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +52,6 @@ def test_a_snippet_runs(heading, forks, tmp_path):
 
 
 def test_the_page_names_every_tool_and_every_task():
-    assert {*NEEDS, "Gymnasium, vectorised", "Copies and moments"} == snippets(TEXT).keys()
+    assert {*NEEDS, "Gymnasium, vectorised", "Copying and snapshots"} == snippets(TEXT).keys()
     assert len(snippets(LIBRARY)) == LIBRARY.count("\n### ") == LIBRARY.count("```python")
-    assert set(re.findall(r"`(twc/[\w-]+)`", TEXT)) == set(twc_env.TASKS)
+    assert set(re.findall(r"`(twc/[\w-]+)`", README)) == set(twc_env.TASKS)

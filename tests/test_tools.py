@@ -232,7 +232,7 @@ def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeyp
     assert [caption.split("   ")[0] for caption in captions] == ["0.0 s", "0.4 s", "0.8 s"]
     assert captions[-1].split("   ")[1:] == [
         f"{figures['merged_robots']} of 2 robots in one map",
-        f"{100 * figures['coverage_correct']:.1f} % of the floor mapped rightly",
+        f"{100 * figures['coverage_correct']:.1f} % of the floor mapped correctly",
     ]
     assert all(height > round(picture) for picture, height in heights)
 

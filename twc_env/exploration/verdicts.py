@@ -58,7 +58,7 @@ def told(verdicts: Sequence[GroupVerdict], cells: Cells, robots: int, time_s: fl
     wrong = ", merged wrongly" if any(verdict.wrong_pairs for verdict in verdicts) else ""
     share = best.correct_area_m2 / floor_m2(cells)
     merged = f"{len(best.robots)} of {robots} robots in one map{wrong}"
-    return f"{time_s:.1f} s   {merged}   {100 * share:.1f} % of the floor mapped rightly"
+    return f"{time_s:.1f} s   {merged}   {100 * share:.1f} % of the floor mapped correctly"
 
 
 def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence[GroupVerdict] = ()) -> Standing:
