@@ -6,7 +6,6 @@ tells of faint ones, and what its sweeps miss of strong ones. All else is the pr
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
@@ -40,49 +39,40 @@ _MALL_CELL_M = 0.5
 _CONCOURSE_WIDTH_M, _SHOP_DEPTH_M = 4.0, 8.64
 """Access points stand along floor at least so wide, up to so far beside it, as shops open to concourses and service
 corridors lie behind. The depth is fitted."""
-_MALLS = {"site1_B1": ("calibrated", 0.011, 0.5), "site2_F6": ("reported", 0.025, 0.68)}
-"""Role, access points per m2 of concourse and shops, and which share of their addresses is at 5 GHz. Fitted to
-site1_B1; on site2_F6 both are scaled until its walks hear as many addresses ten times or more, in proportion to the
-real ones, and as many of them at 5 GHz, as on site1_B1."""
 _FITTED = "site1_B1"
 
 
-def mall_studies() -> Iterator[Study]:
+class _Mall(Study):
     """Phones of one model held by walkers, whose scans repeat old readings."""
-    for floor, (role, boxes_per_m2, high_share) in _MALLS.items():
 
-        def survey(folder: Path, quick: bool, floor: str = floor) -> RadioSurvey:
-            return _mall(folder, floor, quick)
-
-        def real(folder: Path, quick: bool, survey=survey) -> Figures:
-            return _mall_figures(survey(folder, quick))
-
-        def simulated(
-            folder: Path, config: RadioConfig, seed: int, quick: bool, survey=survey, floor=floor, density=boxes_per_m2
-        ) -> Figures:
-            true = survey(folder, quick)
-            plan = read_geojson(folder / "indoor20" / floor / "geojson_map.json.gz", seed)
-            shops = places.beside_wide_floor(plan.cells(_MALL_CELL_M), _CONCOURSE_WIDTH_M, _SHOP_DEPTH_M)
-            boxes = round(density * float(shops.free.sum()) * _MALL_CELL_M**2)
-            addresses = round(_ADDRESSES_PER_BOX * boxes)
-            plan = places.with_spread_transmitters(plan, boxes, addresses, seed, floors=(0, 0, 1, -1), around=shops)
-            config = with_settings(config, _missed_beside_the_fit(folder, floor, config, quick))
-            return _mall_figures(places.simulate(true, plan, config, seed))
-
-        def spread(folder: Path, quick: bool, survey=survey) -> Spread:
-            true = survey(folder, quick)
-            scans = [np.flatnonzero(true.walk == walk) for walk in np.unique(true.walk)]
-
-            def of_walks(drawn: Array) -> Figures:
-                return _mall_figures(true.at_scans(np.concatenate([scans[walk] for walk in drawn])))
-
-            return spread_over(len(scans), of_walks, _MALL_DRAWS)
-
-        def evidence(folder: Path, quick: bool, survey=survey) -> Figures:
-            return _mall_evidence(survey(folder, quick))
-
+    def __init__(self, floor: str, role: str, boxes_per_m2: float, high_share: float):
         changes = {"high_band": {"share": high_share}}
-        yield Study(f"indoor20 {floor}", role, "radio-mall", changes, real, simulated, _MALL_REASONS, evidence, spread)
+        super().__init__(f"indoor20 {floor}", role, "radio-mall", changes, _MALL_REASONS)
+        self._floor, self._boxes_per_m2 = floor, boxes_per_m2
+
+    def real(self, folder: Path, quick: bool) -> Figures:
+        return _mall_figures(_mall(folder, self._floor, quick))
+
+    def simulated(self, folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
+        plan = read_geojson(folder / "indoor20" / self._floor / "geojson_map.json.gz", seed)
+        shops = places.beside_wide_floor(plan.cells(_MALL_CELL_M), _CONCOURSE_WIDTH_M, _SHOP_DEPTH_M)
+        boxes = round(self._boxes_per_m2 * float(shops.free.sum()) * _MALL_CELL_M**2)
+        addresses = round(_ADDRESSES_PER_BOX * boxes)
+        plan = places.with_spread_transmitters(plan, boxes, addresses, seed, floors=(0, 0, 1, -1), around=shops)
+        config = with_settings(config, _missed_beside_the_fit(folder, self._floor, config, quick))
+        return _mall_figures(places.simulate(_mall(folder, self._floor, quick), plan, config, seed))
+
+    def spread(self, folder: Path, quick: bool) -> Spread:
+        true = _mall(folder, self._floor, quick)
+        scans = [np.flatnonzero(true.walk == walk) for walk in np.unique(true.walk)]
+
+        def of_walks(drawn: Array) -> Figures:
+            return _mall_figures(true.at_scans(np.concatenate([scans[walk] for walk in drawn])))
+
+        return spread_over(len(scans), of_walks, _MALL_DRAWS)
+
+    def evidence(self, folder: Path, quick: bool) -> Figures:
+        return _mall_evidence(_mall(folder, self._floor, quick))
 
 
 @lru_cache(maxsize=2)
@@ -160,6 +150,12 @@ def _mall_figures(survey: RadioSurvey) -> Figures:
     }
 
 
+MALLS = (_Mall("site1_B1", "calibrated", 0.011, 0.5), _Mall("site2_F6", "reported", 0.025, 0.68))
+"""With access points per m2 of concourse and shops, and which share of their addresses is at 5 GHz. Fitted to
+site1_B1; on site2_F6 both are scaled until its walks hear as many addresses ten times or more, in proportion to the
+real ones, and as many of them at 5 GHz, as on site1_B1."""
+
+
 _ROBOT_FAINTEST_DBM = -90.0
 """The log tells what is fainter as this: a third of its readings."""
 _ROBOT_ROOMS = (5.0, 5.0)
@@ -168,18 +164,15 @@ _ROBOT_RECEIVER = {"detection_floor_dbm": -93.8, "detection_slope_db": 2.0, "hig
 _ROBOT_REASONS = {"": "where the access points of the floor and its neighbours stand is not known"}
 
 
-def robot_floor_studies() -> Iterator[Study]:
+class _RobotFloor(Study):
     """A laptop on a robot: each scan is a whole sweep."""
 
-    def survey(folder: Path, quick: bool) -> RadioSurvey:
-        return thinned(read_uw_floor(folder / "wifi" / "uw_floor" / "uw-floor.txt"), quick)
-
-    def real(folder: Path, quick: bool) -> Figures:
-        true = survey(folder, quick)
+    def real(self, folder: Path, quick: bool) -> Figures:
+        true = self._survey(folder, quick)
         return similarity_figures(true, true.rssi_dbm, _apart_in_time(true))
 
-    def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
-        true = survey(folder, quick)
+    def simulated(self, folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
+        true = self._survey(folder, quick)
         plan = places.office(true.name, extent(true.position_m, 3.0), *_ROBOT_ROOMS)
         around = extent(true.position_m, 20.0)
         plan = places.with_spread_transmitters(
@@ -188,14 +181,16 @@ def robot_floor_studies() -> Iterator[Study]:
         rssi = places.simulate(true, plan, config, seed, phones=False).rssi_dbm
         return similarity_figures(true, np.maximum(rssi, _ROBOT_FAINTEST_DBM), _apart_in_time(true))
 
-    def spread(folder: Path, quick: bool) -> Spread:
-        true = survey(folder, quick)
+    def spread(self, folder: Path, quick: bool) -> Spread:
+        true = self._survey(folder, quick)
         is_pair = _apart_in_time(true)
         return spread_over(len(true.addresses), lambda k: similarity_figures(true, true.rssi_dbm[:, k], is_pair))
 
-    yield Study(
-        "wifi/uw_floor", "calibrated", "radio-indoor", _ROBOT_RECEIVER, real, simulated, _ROBOT_REASONS, spread=spread
-    )
+    def _survey(self, folder: Path, quick: bool) -> RadioSurvey:
+        return thinned(read_uw_floor(folder / "wifi" / "uw_floor" / "uw-floor.txt"), quick)
+
+
+ROBOT_FLOOR = _RobotFloor("wifi/uw_floor", "calibrated", "radio-indoor", _ROBOT_RECEIVER, _ROBOT_REASONS)
 
 
 def _apart_in_time(survey: RadioSurvey) -> Array:

@@ -23,12 +23,12 @@ import numpy as np
 from twc_env.command_line import count
 from twc_env.errors import ConfigError
 from twc_env.json_values import plain
-from twc_env.reproduce.radio_likeness import mall_studies, robot_floor_studies
-from twc_env.reproduce.radio_offices import office_studies
-from twc_env.reproduce.radio_papers import fingerprint_slam_studies, k_visibility_studies
+from twc_env.reproduce.radio_likeness import MALLS, ROBOT_FLOOR
+from twc_env.reproduce.radio_offices import OFFICES
+from twc_env.reproduce.radio_papers import FINGERPRINT_SLAM, K_VISIBILITY
 from twc_env.reproduce.radio_remarks import told
 from twc_env.reproduce.radio_study import Figures, Spread, Study
-from twc_env.reproduce.radio_surveys import flat_studies, library_studies
+from twc_env.reproduce.radio_surveys import FLATS, LIBRARIES
 from twc_env.reproduce.runner import Runner, data_folder
 
 SUMMARY = "path loss, walls, detection, noise and similarity of the radio model beside real surveys"
@@ -39,13 +39,8 @@ _NAMES = {_EVIDENCE: "evidence", _SPREAD: "spread", _REAL: "real"}
 """Numbers of the parts of a set that are no simulated run."""
 _DETECTED_MIN = 0.02
 """Detection rates below this are left out: a relative error of next to nothing says nothing."""
-STUDIES: tuple[Study, ...] = tuple(
-    study
-    for group in (
-        office_studies, library_studies, flat_studies, mall_studies, robot_floor_studies, fingerprint_slam_studies,
-        k_visibility_studies,
-    )
-    for study in group()
+STUDIES: tuple[Study, ...] = (
+    *OFFICES, *LIBRARIES, *FLATS, *MALLS, ROBOT_FLOOR, *FINGERPRINT_SLAM, *K_VISIBILITY,
 )  # fmt: skip
 """All sets, in the order of the rows."""
 
@@ -103,9 +98,9 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 def _measure(part: tuple[Study, int], folder: Path, quick: bool) -> Figures | Spread:
     study, seed = part
     if seed == _EVIDENCE:
-        return study.evidence(folder, quick) if study.evidence else {}
+        return study.evidence(folder, quick)
     if seed == _SPREAD:
-        return study.spread(folder, quick) if study.spread else {}
+        return study.spread(folder, quick)
     return study.real(folder, quick) if seed == _REAL else study.simulated(folder, study.config, seed, quick)
 
 

@@ -6,7 +6,6 @@ which surveyed points share a room, and how faint signals each phone still hears
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +18,7 @@ from twc_env.metrics.radio import detection_rates, fit_path_loss
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio_hearing import device_hearing, hearing, missed_share
 from twc_env.reproduce.radio_rooms import surveyed_rooms
-from twc_env.reproduce.radio_study import (
-    Figures,
-    Spread,
-    Study,
-    extent,
-    spread_over,
-    thinned,
-    with_settings,
-)
+from twc_env.reproduce.radio_study import Figures, Spread, Study, extent, spread_over, thinned, with_settings
 
 _DISTANCES_M = np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
 _NEAR_BY_M = 10.0
@@ -35,52 +26,49 @@ _FLOORS_AWAY = 2
 _FITTED = "CETC331"
 
 
-def office_studies() -> Iterator[Study]:
+class _Office(Study):
     """Places and storeys of the access points are known, and of each point the kind of room and the phone."""
-    for building, role, reasons in (
-        (_FITTED, "calibrated", _OFFICE_REASONS),
-        ("SYL", "reported", _SECOND_OFFICE_REASONS),
-    ):
 
-        def survey(folder: Path, quick: bool, building: str = building) -> RadioSurvey:
-            true = read_sod(folder / "wifi" / "sod", building)
-            return thinned(true.of_transmitters(_is_heard_near_by(true)), quick)
-
-        def real(folder: Path, quick: bool, survey=survey) -> Figures:
-            return _office_figures(survey(folder, quick), survey(folder, quick).rssi_dbm)
-
-        def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool, survey=survey) -> Figures:
-            true = survey(folder, quick)
-            rssi = np.full(true.rssi_dbm.shape, np.nan, np.float32)
-            for floor in np.unique(true.floor).tolist():
-                rooms = places.another(surveyed_rooms(true, floor, extent(true.position_m, 2.0)), seed)
-                equipped = places.with_known_transmitters(rooms, true, floor)
-                for phone in np.unique(true.walk).tolist():
-                    mine = true.walk == phone
-                    own = with_settings(config, device_hearing(true.at_scans(mine)))
-                    here = np.flatnonzero(mine & (true.floor == floor))
-                    rssi[here] = places.simulate(true.at_scans(here), equipped, own, seed).rssi_dbm
-            return _office_figures(true, rssi)
-
-        def spread(folder: Path, quick: bool, survey=survey) -> Spread:
-            true = survey(folder, quick)
-            _, box = np.unique(np.column_stack(true.transmitters[:2]), axis=0, return_inverse=True)
-            columns = [np.flatnonzero(box == number) for number in range(box.max() + 1)]
-
-            def of_boxes(drawn: Array) -> Figures:
-                some = true.of_transmitters(np.concatenate([columns[number] for number in drawn]))
-                return _office_figures(some, some.rssi_dbm)
-
-            return spread_over(len(columns), of_boxes)
-
-        def evidence(folder: Path, quick: bool, survey=survey) -> Figures:
-            fit = read_sod(folder / "wifi" / "sod", _FITTED)
-            return _office_evidence(survey(folder, False)) | {"fit_wall_db": _near_wall_db(fit)}
-
+    def __init__(self, building: str, role: str, reasons: dict[str, str]):
         changes = {"high_band": {"share": 0.5}}
-        yield Study(
-            f"wifi/sod {building}", role, "radio-indoor", changes, real, simulated, reasons, evidence, spread, runs=4
-        )
+        super().__init__(f"wifi/sod {building}", role, "radio-indoor", changes, reasons, runs=4)
+        self._building = building
+
+    def real(self, folder: Path, quick: bool) -> Figures:
+        true = self._survey(folder, quick)
+        return _office_figures(true, true.rssi_dbm)
+
+    def simulated(self, folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
+        true = self._survey(folder, quick)
+        rssi = np.full(true.rssi_dbm.shape, np.nan, np.float32)
+        for floor in np.unique(true.floor).tolist():
+            rooms = places.another(surveyed_rooms(true, floor, extent(true.position_m, 2.0)), seed)
+            equipped = places.with_known_transmitters(rooms, true, floor)
+            for phone in np.unique(true.walk).tolist():
+                mine = true.walk == phone
+                own = with_settings(config, device_hearing(true.at_scans(mine)))
+                here = np.flatnonzero(mine & (true.floor == floor))
+                rssi[here] = places.simulate(true.at_scans(here), equipped, own, seed).rssi_dbm
+        return _office_figures(true, rssi)
+
+    def spread(self, folder: Path, quick: bool) -> Spread:
+        true = self._survey(folder, quick)
+        _, box = np.unique(np.column_stack(true.transmitters[:2]), axis=0, return_inverse=True)
+        columns = [np.flatnonzero(box == number) for number in range(box.max() + 1)]
+
+        def of_boxes(drawn: Array) -> Figures:
+            some = true.of_transmitters(np.concatenate([columns[number] for number in drawn]))
+            return _office_figures(some, some.rssi_dbm)
+
+        return spread_over(len(columns), of_boxes)
+
+    def evidence(self, folder: Path, quick: bool) -> Figures:
+        fit = read_sod(folder / "wifi" / "sod", _FITTED)
+        return _office_evidence(self._survey(folder, False)) | {"fit_wall_db": _near_wall_db(fit)}
+
+    def _survey(self, folder: Path, quick: bool) -> RadioSurvey:
+        true = read_sod(folder / "wifi" / "sod", self._building)
+        return thinned(true.of_transmitters(_is_heard_near_by(true)), quick)
 
 
 _OFFICE_REASONS = {
@@ -92,6 +80,7 @@ _SECOND_OFFICE_REASONS = {
     "phones miss {low_missed:.0%} even of strong signals at 2.4 GHz, {high_missed:.0%} at 5 GHz, where what is heard "
     "{far_m:.0f} m off or more is {far_above_db:.0f} dB above the level where hearing ends",
 }
+OFFICES = (_Office(_FITTED, "calibrated", _OFFICE_REASONS), _Office("SYL", "reported", _SECOND_OFFICE_REASONS))
 _FAR_M = 40.0
 
 

@@ -7,8 +7,7 @@ strengths along the walks of its experiments E3 and E5, cut into classes by the 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -33,15 +32,16 @@ _WINDOW_M = {"wifi": 60.0, "lte": 150.0}
 """Pairs closer than this along the path teach the similarity model (papers.md R5)."""
 _OFFSET_DB = {"wifi": 100.0, "lte": 120.0}
 
+_QUANTITIES = "transmitters per scan", "distance at cosine 0.8: mean [m]", "distance at cosine 0.8: sd [m]"
 _PRINTED = {
     ("radio-ntu", "wifi"): (48.88, 3.79, 2.70),
     ("radio-ntu", "lte"): (16.59, 30.25, 22.13),
-    ("radio-sutd-indoor", "wifi"): (118.34, None, None),
-    ("radio-sutd-indoor", "lte"): (19.49, None, None),
-    ("radio-sutd-outdoor", "wifi"): (88.23, None, None),
-    ("radio-sutd-outdoor", "lte"): (18.74, None, None),
+    ("radio-sutd-indoor", "wifi"): (118.34,),
+    ("radio-sutd-indoor", "lte"): (19.49,),
+    ("radio-sutd-outdoor", "wifi"): (88.23,),
+    ("radio-sutd-outdoor", "lte"): (18.74,),
 }
-"""Transmitters per scan, and mean and deviation of the distance at cosine 0.8, where printed."""
+"""As far as they are printed."""
 _CELLS_HEARD = {"radio-ntu": 85, "radio-sutd-indoor": 193, "radio-sutd-outdoor": 170}
 """LTE cells heard in all, as printed: as many more stand around SUTD as more were heard."""
 _WIFI_PRESET = {
@@ -63,50 +63,47 @@ def _stroll(name: str, length_m: float, seed: int) -> RadioSurvey:
     return places.stroll(load_map(name), length_m, _STROLL_STEP_M, _STROLL_SPEED_M_S, seed)
 
 
-def fingerprint_slam_studies() -> Iterator[Study]:
+class _FingerprintSlam(Study):
     """Walks of a robot with five phones."""
-    for (name, kind), printed in _PRINTED.items():
 
-        def real(folder: Path, quick: bool, printed=printed) -> Figures:
-            figures = {"transmitters per scan": printed[0]}
-            if printed[1] is not None:
-                figures["distance at cosine 0.8: mean [m]"] = printed[1]
-                figures["distance at cosine 0.8: sd [m]"] = printed[2]
-            return figures
-
-        def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool, name=name, kind=kind) -> Figures:
-            plan = places.over_storeys(load_map(name), _STOREYS.get(name, (0,)))
-            walk = _stroll(name, 100.0 if quick else _STROLL_M, seed)
-            model = places.RememberingModel(config, plan)
-            phones = [places.simulate(walk, plan, config, _PHONES * seed + k, model=model) for k in range(_PHONES)]
-            travel_m = walk.time_s * _STROLL_SPEED_M_S
-            is_pair = np.abs(travel_m[:, None] - travel_m[None]) < _WINDOW_M[kind]
-            return similarity_figures(walk, places.merged(phones).rssi_dbm, is_pair, _OFFSET_DB[kind])
-
-        changes: dict = {"high_band": {"share": 0.5}} if kind == "wifi" else {"cells": {"count": _cells(name)}}
-        if (name, kind) == ("radio-sutd-indoor", "wifi"):
+    def __init__(self, place: str, kind: str):
+        is_fitted = place == "radio-ntu" or (place, kind) == ("radio-sutd-outdoor", "wifi")
+        is_lte = kind == "lte"
+        changes: dict = {"cells": {"count": _cells(place)}} if is_lte else {"high_band": {"share": 0.5}}
+        if (place, kind) == ("radio-sutd-indoor", "wifi"):
             changes |= _PHONE
-        is_fitted = name == "radio-ntu" or (name, kind) == ("radio-sutd-outdoor", "wifi")
-        yield Study(
-            f"paper {name} {kind}",
+        super().__init__(
+            f"paper {place} {kind}",
             "calibrated" if is_fitted else "reported",
-            "lte" if kind == "lte" else _WIFI_PRESET[name],
+            "lte" if is_lte else _WIFI_PRESET[place],
             changes,
-            real,
-            simulated,
-            _SLAM_REASONS | (_CELL_REASONS if kind == "lte" else {}),
-            partial(_window_evidence, name, kind),
+            _SLAM_REASONS | (_CELL_REASONS if is_lte else {}),
         )
+        self._place, self._kind = place, kind
 
+    def real(self, folder: Path, quick: bool) -> Figures:
+        return dict(zip(_QUANTITIES, _PRINTED[self._place, self._kind], strict=False))
 
-def _window_evidence(name: str, kind: str, folder: Path, quick: bool) -> Figures:
-    """How far apart all pairs of places within the window are, on one walk through the twin."""
-    walk = _stroll(name, 100.0 if quick else _STROLL_M, 0)
-    travel_m = walk.time_s * _STROLL_SPEED_M_S
-    first, second = np.nonzero(np.triu(np.abs(travel_m[:, None] - travel_m[None]) < _WINDOW_M[kind], 1))
-    apart_m = np.linalg.norm(walk.position_m[first] - walk.position_m[second], axis=1)
-    width_m, height_m = np.ptp(load_map(name).bounds_m.reshape(2, 2), axis=0)
-    return {"pairs_sd_m": float(apart_m.std()), "width_m": float(width_m), "height_m": float(height_m)}
+    def simulated(self, folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
+        plan = places.over_storeys(load_map(self._place), _STOREYS.get(self._place, (0,)))
+        walk, is_pair = self._walk(seed, quick)
+        model = places.RememberingModel(config, plan)
+        phones = [places.simulate(walk, plan, config, _PHONES * seed + k, model=model) for k in range(_PHONES)]
+        return similarity_figures(walk, places.merged(phones).rssi_dbm, is_pair, _OFFSET_DB[self._kind])
+
+    def evidence(self, folder: Path, quick: bool) -> Figures:
+        """How far apart all pairs of places within the window are, on one walk through the twin."""
+        walk, is_pair = self._walk(0, quick)
+        first, second = np.nonzero(np.triu(is_pair, 1))
+        apart_m = np.linalg.norm(walk.position_m[first] - walk.position_m[second], axis=1)
+        width_m, height_m = np.ptp(load_map(self._place).bounds_m.reshape(2, 2), axis=0)
+        return {"pairs_sd_m": float(apart_m.std()), "width_m": float(width_m), "height_m": float(height_m)}
+
+    def _walk(self, seed: int, quick: bool) -> tuple[RadioSurvey, Array]:
+        """A walk (n) without readings, and which pairs (n, n) of its places lie within the window."""
+        walk = _stroll(self._place, 100.0 if quick else _STROLL_M, seed)
+        travel_m = walk.time_s * _STROLL_SPEED_M_S
+        return walk, np.abs(travel_m[:, None] - travel_m[None]) < _WINDOW_M[self._kind]
 
 
 _SLAM_REASONS = {
@@ -124,6 +121,8 @@ def _cells(name: str) -> int:
     fitted = RADIO_PRESETS["lte"]["cells"]["count"]
     return round(fitted * _CELLS_HEARD[name] / _CELLS_HEARD["radio-ntu"])
 
+
+FINGERPRINT_SLAM = tuple(_FingerprintSlam(place, kind) for place, kind in _PRINTED)
 
 _ROUTERS, _SMOOTHED = {"E3": 1, "E5": 2}, {"E3": 25, "E5": 1}
 """Of each experiment; E3 was smoothed by the authors over about so many samples (papers.md K6)."""
@@ -148,41 +147,46 @@ _MAP_CELL_M = 0.1
 _NEAR_M = 3.0
 
 
-def k_visibility_studies() -> Iterator[Study]:
-    """The authors' own walks, routers and LiDAR map. One router calibrated the settings; two are only reported."""
-    for experiment, role in (("E3", "calibrated"), ("E5", "reported")):
+class _KVisibility(Study):
+    """The authors' own walks, routers and LiDAR map."""
 
-        def real(folder: Path, quick: bool, experiment=experiment) -> Figures:
-            return _class_figures(_low_band(_laid(folder, _ROUTERS[experiment]).walk))
+    def __init__(self, experiment: str, role: str):
+        super().__init__(f"sfw_authors {experiment}", role, "sfw", _AUTHORS_FLAT, _K_VISIBILITY_REASONS, runs=4)
+        self._experiment, self._routers = experiment, _ROUTERS[experiment]
 
-        def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool, experiment=experiment) -> Figures:
-            heard = _heard_in_flat(folder, experiment, config, seed).rssi_dbm
-            window = _SMOOTHED[experiment]
-            return _class_figures([_smoothed(level[np.isfinite(level)], window) for level in heard.T])
+    def real(self, folder: Path, quick: bool) -> Figures:
+        return _class_figures(_low_band(_laid(folder, self._routers).walk))
 
-        def spread(folder: Path, quick: bool, experiment=experiment) -> Spread:
-            mine, others = (
-                [_class_figures([level]) for level in _low_band(_laid(folder, routers).walk)]
-                for routers in sorted(_ROUTERS.values(), key=lambda routers: routers != _ROUTERS[experiment])
-            )
-            real = _class_figures(_low_band(_laid(folder, _ROUTERS[experiment]).walk))
-            return {
-                name: _range(value, [router[name] for router in mine], [router[name] for router in others])
-                for name, value in real.items()
-            }
+    def simulated(self, folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
+        heard = _heard_in_flat(folder, self._experiment, config, seed).rssi_dbm
+        window = _SMOOTHED[self._experiment]
+        return _class_figures([_smoothed(level[np.isfinite(level)], window) for level in heard.T])
 
-        yield Study(
-            f"sfw_authors {experiment}",
-            role,
-            "sfw",
-            _AUTHORS_FLAT,
-            real,
-            simulated,
-            _K_VISIBILITY_REASONS,
-            _first_wall_evidence,
-            spread,
-            runs=4,
+    def spread(self, folder: Path, quick: bool) -> Spread:
+        mine, others = (
+            [_class_figures([level]) for level in _low_band(_laid(folder, routers).walk)]
+            for routers in sorted(_ROUTERS.values(), key=lambda routers: routers != self._routers)
         )
+        return {
+            name: _range(value, [router[name] for router in mine], [router[name] for router in others])
+            for name, value in self.real(folder, quick).items()
+        }
+
+    def evidence(self, folder: Path, quick: bool) -> Figures:
+        """What the first and the further walls take [dB] from the router that both experiments know, and its spread."""
+        figures: Figures = {}
+        for experiment, routers in _ROUTERS.items():
+            laid = _laid(folder, routers)
+            walk, plan = _walk_and_plan(laid)
+            faces = plan.wall_index.crossing(plan.access_points[0].position_m, walk.position_m)[0]
+            walls, level = places.walls_of(faces), _low_band(laid.walk)[0]
+            in_sight, first, further = (
+                float(level[mine].mean()) for mine in (walls == 0, walls == 1, walls >= _MANY_WALLS)
+            )
+            figures |= {f"{experiment}_first_db": in_sight - first, f"{experiment}_further_db": first - further}
+            apart_m = np.linalg.norm(walk.position_m - plan.access_points[0].position_m, axis=1)
+            figures[f"{experiment}_sight_db"] = fit_path_loss(apart_m[walls == 0], level[walls == 0]).residual_std_db
+        return figures
 
 
 def _heard_in_flat(folder: Path, experiment: str, config: RadioConfig, seed: int) -> RadioSurvey:
@@ -237,21 +241,8 @@ _K_VISIBILITY_REASONS = {
 }
 
 
-def _first_wall_evidence(folder: Path, quick: bool) -> Figures:
-    """What the first and the further walls take [dB] from the router that both experiments know, and its spread."""
-    figures: Figures = {}
-    for experiment, routers in _ROUTERS.items():
-        laid = _laid(folder, routers)
-        walk, plan = _walk_and_plan(laid)
-        faces = plan.wall_index.crossing(plan.access_points[0].position_m, walk.position_m)[0]
-        walls, level = places.walls_of(faces), _low_band(laid.walk)[0]
-        in_sight, first, further = (
-            float(level[mine].mean()) for mine in (walls == 0, walls == 1, walls >= _MANY_WALLS)
-        )
-        figures |= {f"{experiment}_first_db": in_sight - first, f"{experiment}_further_db": first - further}
-        apart_m = np.linalg.norm(walk.position_m - plan.access_points[0].position_m, axis=1)
-        figures[f"{experiment}_sight_db"] = fit_path_loss(apart_m[walls == 0], level[walls == 0]).residual_std_db
-    return figures
+K_VISIBILITY = (_KVisibility("E3", "calibrated"), _KVisibility("E5", "reported"))
+"""One router calibrated the settings; two are only reported."""
 
 
 @lru_cache(maxsize=2)

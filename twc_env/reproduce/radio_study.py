@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,31 +27,45 @@ SIMILARITIES = (0.7, 0.8, 0.9)
 _INTERVAL = 0.95
 
 
-@dataclass(frozen=True, slots=True)
-class Study:
-    """One set: what it measured, and what the model gives in its place."""
+class Study(ABC):
+    """One set: what it measured, and what the model gives in its place.
 
-    name: str
-    role: str
-    """calibrated or reported."""
-    preset: str
-    changes: dict
-    """Settings of the place that differ from the preset."""
-    real: Callable[[Path, bool], Figures]
-    simulated: Callable[[Path, RadioConfig, int, bool], Figures]
-    reasons: dict[str, str] = dataclasses.field(default_factory=dict)
-    """Why figures whose name begins with the key are missed; names in braces stand for figures of the evidence."""
-    evidence: Callable[[Path, bool], Figures] | None = None
-    """What the data tells for the reasons."""
-    spread: Callable[[Path, bool], Spread] | None = None
-    """How far apart the real figures are of other access points, walks or routers of the same kind of place."""
-    runs: int = 1
-    """Simulated buildings per seed: small sets take more, as one building's shadowing and powers are much of chance."""
+    Figures are worked out from the folder of real data; `quick` asks for a small part of them.
+    """
+
+    def __init__(
+        self, name: str, role: str, preset: str, changes: dict, reasons: dict[str, str] | None = None, runs: int = 1
+    ):
+        self.name = name
+        self.role = role
+        """calibrated or reported."""
+        self.reasons = reasons or {}
+        """Why figures whose name begins with the key are missed; names in braces stand for figures of the evidence."""
+        self.runs = runs
+        """Simulated buildings per seed: small sets take more, as one building's shadowing and powers are much of
+        chance."""
+        self._preset, self._changes = preset, changes  # settings of the place that differ from the preset
 
     @property
     def config(self) -> RadioConfig:
         """The radio settings of the simulation."""
-        return from_dict({"preset": self.preset, **self.changes}, RadioConfig, "radio")
+        return from_dict({"preset": self._preset, **self._changes}, RadioConfig, "radio")
+
+    @abstractmethod
+    def real(self, folder: Path, quick: bool) -> Figures:
+        """What was measured."""
+
+    @abstractmethod
+    def simulated(self, folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
+        """What the model gives in its place."""
+
+    def evidence(self, folder: Path, quick: bool) -> Figures:
+        """What the data tells for the reasons."""
+        return {}
+
+    def spread(self, folder: Path, quick: bool) -> Spread:
+        """How far apart the real figures are of other access points, walks or routers of the same kind of place."""
+        return {}
 
 
 def similarity_figures(survey: RadioSurvey, rssi_dbm: Array, is_pair: Array, offset_db: float = 100.0) -> Figures:

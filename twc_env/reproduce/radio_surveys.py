@@ -6,7 +6,6 @@ many access points there are. All else is the preset's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +17,7 @@ from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.datasets.uji_library import read_uji_library
 from twc_env.metrics.radio import fit_path_loss, mean_rssi_by_walls, spread_at_points
 from twc_env.reproduce import radio_places as places
-from twc_env.reproduce.radio_study import (
-    Figures,
-    Spread,
-    Study,
-    extent,
-    spread_over,
-    thinned,
-)
+from twc_env.reproduce.radio_study import Figures, Spread, Study, extent, spread_over, thinned
 from twc_env.world.floorplan import Floorplan
 
 _WALLS_MAX = 2
@@ -34,50 +26,43 @@ _HEARD_MIN = 8
 # --- samples at fixed points (UJI library) ----------------------------------------------------------------------------
 
 
-def library_studies() -> Iterator[Study]:
+class _Library(Study):
     """Twelve samples at each of 48 points."""
-    for month, role in ((_LIBRARY_MONTHS["first"], "calibrated"), (_LIBRARY_MONTHS["later"], "reported")):
 
-        def survey(folder: Path, month: str = month) -> RadioSurvey:
-            return read_uji_library(folder / "wifi" / "uji_lib", month)
-
-        def real(folder: Path, quick: bool, survey=survey) -> Figures:
-            return _library_figures(survey(folder), survey(folder).rssi_dbm)
-
-        def simulated(folder: Path, config: RadioConfig, seed: int, quick: bool, survey=survey) -> Figures:
-            true = survey(folder)
-            around = extent(true.position_m, 15.0)
-            plan = places.office(true.name, around)
-            plan = places.with_spread_transmitters(plan, 40, len(true.addresses), seed, floors=(0, 0, 1, -1))
-            return _library_figures(true, places.simulate(true, plan, config, seed, phones=False).rssi_dbm)
-
-        def spread(folder: Path, quick: bool, survey=survey) -> Spread:
-            true = survey(folder)
-            return spread_over(len(true.addresses), lambda drawn: _library_figures(true, true.rssi_dbm[:, drawn]))
-
+    def __init__(self, month: str, role: str):
         changes = {"bssids_per_access_point": 0, "high_band": {"share": 0.5}}
-        yield Study(
-            f"wifi/uji_lib {month}",
-            role,
-            "radio-indoor",
-            changes,
-            real,
-            simulated,
-            _LIBRARY_REASONS,
-            _library_evidence,
-            spread,
-            runs=4,
-        )
+        super().__init__(f"wifi/uji_lib {month}", role, "radio-indoor", changes, _LIBRARY_REASONS, runs=4)
+        self._month = month
+
+    def real(self, folder: Path, quick: bool) -> Figures:
+        true = _library(folder, self._month)
+        return _library_figures(true, true.rssi_dbm)
+
+    def simulated(self, folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
+        true = _library(folder, self._month)
+        plan = places.office(true.name, extent(true.position_m, 15.0))
+        plan = places.with_spread_transmitters(plan, 40, len(true.addresses), seed, floors=(0, 0, 1, -1))
+        return _library_figures(true, places.simulate(true, plan, config, seed, phones=False).rssi_dbm)
+
+    def spread(self, folder: Path, quick: bool) -> Spread:
+        true = _library(folder, self._month)
+        return spread_over(len(true.addresses), lambda drawn: _library_figures(true, true.rssi_dbm[:, drawn]))
+
+    def evidence(self, folder: Path, quick: bool) -> Figures:
+        """The figure of both months."""
+        surveys = {name: _library(folder, month) for name, month in _LIBRARY_MONTHS.items()}
+        return {f"{name}_db": spread_at_points(s.walk, s.rssi_dbm, _HEARD_MIN) for name, s in surveys.items()}
 
 
 _LIBRARY_MONTHS = {"first": "01", "later": "13"}
 _LIBRARY_REASONS = {"": "at the same points it is {first_db:.1f} dB, and {later_db:.1f} dB a year later"}
 
 
-def _library_evidence(folder: Path, quick: bool) -> Figures:
-    """The figure of both months."""
-    surveys = {name: read_uji_library(folder / "wifi" / "uji_lib", month) for name, month in _LIBRARY_MONTHS.items()}
-    return {f"{name}_db": spread_at_points(s.walk, s.rssi_dbm, _HEARD_MIN) for name, s in surveys.items()}
+LIBRARIES = (_Library(_LIBRARY_MONTHS["first"], "calibrated"), _Library(_LIBRARY_MONTHS["later"], "reported"))
+
+
+def _library(folder: Path, month: str) -> RadioSurvey:
+    return read_uji_library(folder / "wifi" / "uji_lib", month)
 
 
 def _library_figures(survey: RadioSurvey, rssi_dbm: Array) -> Figures:
@@ -105,42 +90,48 @@ _OWN_WALKS = (0, 1)
 """Of the calibration run; its other two are the runs that are only reported."""
 
 
-def flat_studies() -> Iterator[Study]:
+class _Flat(Study):
     """Six anchors and a wall plan."""
-    for runs, role in ((("calibration",), "calibrated"), (("calib3", "calib4"), "reported")):
 
-        def surveys(folder: Path, quick: bool, runs=runs) -> list[RadioSurvey]:
-            read = [read_ble_run(folder / "wifi" / "ble_lidar", run) for run in runs]
-            return [thinned(survey.at_scans(np.isin(survey.walk, _OWN_WALKS)), quick) for survey in read]
-
-        def place(folder: Path) -> Floorplan:
-            return places.flat(read_flat(folder / "wifi" / "ble_lidar"), _FLAT_WALL_DB)
-
-        def real(folder: Path, quick: bool, surveys=surveys, place=place) -> Figures:
-            own = surveys(folder, quick)
-            return _flat_figures(*_flat_ways(own, place(folder)), _together(own))
-
-        def simulated(
-            folder: Path, config: RadioConfig, seed: int, quick: bool, surveys=surveys, place=place
-        ) -> Figures:
-            own, plan = surveys(folder, quick), places.another(place(folder), seed)
-            heard = [places.simulate(survey, plan, config, seed, phones=False) for survey in own]
-            return _flat_figures(*_flat_ways(own, plan), _together(heard))
-
-        def spread(folder: Path, quick: bool, surveys=surveys, place=place) -> Spread:
-            own = surveys(folder, quick)
-            distance_m, walls = _flat_ways(own, place(folder))
-            rssi = _together(own)
-
-            def of_anchors(drawn: Array) -> Figures:
-                return _flat_figures(distance_m[:, drawn], walls[:, drawn], rssi[:, drawn])
-
-            return spread_over(rssi.shape[1], of_anchors)
-
+    def __init__(self, role: str, *runs: str):
         name = f"wifi/ble_lidar {'+'.join(runs)}"
-        yield Study(
-            name, role, "radio-indoor", _BLE_TAG, real, simulated, _FLAT_REASONS, _flat_evidence, spread, runs=4
-        )
+        super().__init__(name, role, "radio-indoor", _BLE_TAG, _FLAT_REASONS, runs=4)
+        self._drives = runs
+
+    def real(self, folder: Path, quick: bool) -> Figures:
+        own = self._surveys(folder, quick)
+        return _flat_figures(*_flat_ways(own, _flat_plan(folder)), _together(own))
+
+    def simulated(self, folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
+        own, plan = self._surveys(folder, quick), places.another(_flat_plan(folder), seed)
+        heard = [places.simulate(survey, plan, config, seed, phones=False) for survey in own]
+        return _flat_figures(*_flat_ways(own, plan), _together(heard))
+
+    def spread(self, folder: Path, quick: bool) -> Spread:
+        own = self._surveys(folder, quick)
+        distance_m, walls = _flat_ways(own, _flat_plan(folder))
+        rssi = _together(own)
+
+        def of_anchors(drawn: Array) -> Figures:
+            return _flat_figures(distance_m[:, drawn], walls[:, drawn], rssi[:, drawn])
+
+        return spread_over(rssi.shape[1], of_anchors)
+
+    def evidence(self, folder: Path, quick: bool) -> Figures:
+        """The lowest and highest exponents of the four drives."""
+        plan = _flat_plan(folder)
+        every = read_ble_run(folder / "wifi" / "ble_lidar", "calibration")
+        drives = [every.at_scans(every.walk == walk) for walk in np.unique(every.walk)]
+        found = [_flat_figures(*_flat_ways([drive], plan), drive.rssi_dbm) for drive in drives]
+        figures: Figures = {}
+        for name, kind in (("bare", "without walls"), ("walled", "with walls")):
+            exponents = [drive[f"path-loss exponent {kind}"] for drive in found]
+            figures |= {f"{name}_low": min(exponents), f"{name}_high": max(exponents)}
+        return figures
+
+    def _surveys(self, folder: Path, quick: bool) -> list[RadioSurvey]:
+        read = [read_ble_run(folder / "wifi" / "ble_lidar", run) for run in self._drives]
+        return [thinned(survey.at_scans(np.isin(survey.walk, _OWN_WALKS)), quick) for survey in read]
 
 
 _FLAT_REASONS = {
@@ -151,19 +142,11 @@ _FLAT_REASONS = {
 }
 
 
-def _flat_evidence(folder: Path, quick: bool) -> Figures:
-    """The lowest and highest exponents of the four drives."""
-    plan = places.flat(read_flat(folder / "wifi" / "ble_lidar"), _FLAT_WALL_DB)
-    every = read_ble_run(folder / "wifi" / "ble_lidar", "calibration")
-    drives = [every.at_scans(every.walk == walk) for walk in np.unique(every.walk)]
-    found = [_flat_figures(*_flat_ways([drive], plan), drive.rssi_dbm) for drive in drives]
-    exponents = {
-        name: [figures[f"path-loss exponent {kind}"] for figures in found]
-        for name, kind in (("bare", "without walls"), ("walled", "with walls"))
-    }
-    return {
-        f"{name}_{end}": of(values) for name, values in exponents.items() for end, of in (("low", min), ("high", max))
-    }
+FLATS = (_Flat("calibrated", "calibration"), _Flat("reported", "calib3", "calib4"))
+
+
+def _flat_plan(folder: Path) -> Floorplan:
+    return places.flat(read_flat(folder / "wifi" / "ble_lidar"), _FLAT_WALL_DB)
 
 
 def _together(surveys: list[RadioSurvey]) -> Array:
