@@ -14,7 +14,17 @@ from agents import benchmark, compare, picture, radio_survey
 from agents.explore import Progress, explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from twc_env import EnvConfig, load_map, map_names, task_config
-from twc_env.command_line import Parser, add_set, add_version, assignments, count, natural, parse_seeds, run_command
+from twc_env.command_line import (
+    Parser,
+    add_folder,
+    add_set,
+    add_version,
+    assignments,
+    count,
+    natural,
+    parse_seeds,
+    run_command,
+)
 from twc_env.config import digest, load, override
 from twc_env.json_values import TERMINAL, check_folder, write_json
 
@@ -261,13 +271,7 @@ def _parser() -> argparse.ArgumentParser:
         "--maps", nargs="+", default=["twin-01", "twin-02"], metavar="MAP", help="names or files (default: both twins)"
     )
     many.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9 (default: 0-9)")
-    many.add_argument(
-        "--out",
-        type=Path,
-        default=Path("runs/benchmark"),
-        metavar="FOLDER",
-        help="folder of all runs (default: %(default)s)",
-    )
+    add_folder(many, "--out", "runs/benchmark", "folder of all runs")
     many.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     many.set_defaults(run=_benchmark)
     teams = commands.add_parser(
@@ -283,13 +287,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     teams.add_argument("--buildings", type=count, default=10, help="the first of the test split (default: %(default)s)")
     teams.add_argument("--maps", nargs="+", metavar="MAP", help="names or files instead")
-    teams.add_argument(
-        "--out",
-        type=Path,
-        default=Path("runs/compare"),
-        metavar="FOLDER",
-        help="finished episodes (default: %(default)s)",
-    )
+    add_folder(teams, "--out", "runs/compare", "finished episodes")
     teams.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
     teams.set_defaults(run=_compare)
     walk = commands.add_parser(
@@ -304,13 +302,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     walk.add_argument("--seeds", default="0-2", help="numbers and ranges (default: %(default)s)")
     walk.add_argument("--steps", type=count, default=2500, help="steps at most (default: %(default)s)")
-    walk.add_argument(
-        "--out",
-        type=Path,
-        default=Path("runs/radio-survey"),
-        metavar="FOLDER",
-        help="finished walks (default: %(default)s)",
-    )
+    add_folder(walk, "--out", "runs/radio-survey", "finished walks")
     walk.set_defaults(run=_radio_survey)
     for command in (one, many):
         command.add_argument(

@@ -6,7 +6,16 @@ import argparse
 import sys
 from pathlib import Path
 
-from twc_env.command_line import Parser, add_set, add_version, assignments, natural, parse_seeds, run_command
+from twc_env.command_line import (
+    Parser,
+    add_folder,
+    add_set,
+    add_version,
+    assignments,
+    natural,
+    parse_seeds,
+    run_command,
+)
 from twc_env.errors import DataError
 from twc_env.json_values import check_folder, write_json
 
@@ -60,9 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     ppo.add_argument("--workers", type=natural, default=2, help="processes (default: %(default)s; 0: this one)")
     ppo.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes (default: %(default)s)")
     add_set(ppo)
-    ppo.add_argument(
-        "--out", type=Path, default=Path("runs/ppo"), metavar="FOLDER", help="run folder (default: %(default)s)"
-    )
+    add_folder(ppo, "--out", "runs/ppo", "run folder")
     ppo.add_argument("--resume", action="store_true", help="go on from the model in the run folder")
     ppo.set_defaults(
         run=_train_ppo, when_interrupted="interrupted; --resume goes on from the last model that was saved, if any"

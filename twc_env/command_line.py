@@ -152,6 +152,12 @@ def assignments(texts: Sequence[str]) -> dict[str, object]:
     return {key: value for key, _, value in pairs}
 
 
+def add_folder(parser: argparse.ArgumentParser, option: str, default: str, what: str) -> None:
+    """An option that names a folder."""
+    help = f"{what} (default: %(default)s)"
+    parser.add_argument(option, type=Path, default=Path(default), metavar="FOLDER", help=help)
+
+
 def count(text: str) -> int:
     """A number of things, from 1 on, as an argument's type."""
     return _whole_number(text, 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.command_line import count, natural
+from twc_env.command_line import add_folder, count, natural
 
 
 def add_ocr_parser(commands) -> None:
@@ -28,9 +28,7 @@ def add_ocr_parser(commands) -> None:
     make.add_argument("--seed", type=natural, default=0, help="of signs and views (default: %(default)s)")
     make.add_argument("--signs", type=count, default=40, help="per grid point (default: %(default)s)")
     make.add_argument("--processes", type=count, default=2, help="at once (default: %(default)s)")
-    make.add_argument(
-        "--cache", type=Path, default=Path("runs/ocr"), metavar="FOLDER", help="finished parts (default: %(default)s)"
-    )
+    add_folder(make, "--cache", "runs/ocr", "finished parts")
     make.set_defaults(run=_measure)
 
     show = actions.add_parser(

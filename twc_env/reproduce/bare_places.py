@@ -22,7 +22,7 @@ import numpy as np
 
 from twc_env.command_line import count
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.reproduce.runner import Runner, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.world.floorplan import AccessPoint, Floorplan, Sign
 
 SUMMARY = "merges where scans fix little: bare corridors and a hall beyond laser range"
@@ -86,7 +86,7 @@ SCENES: dict[str, Corridor | Hall] = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument("--seeds", type=seeds_argument, default=seeds_argument("10"), help="default: 10 (0 to 9)")
+    add_seeds(parser, "10", "episodes of a scene")
     parser.add_argument(
         "--scenes", nargs="+", choices=SCENES, default=list(SCENES), metavar="SCENE", help="default: all"
     )

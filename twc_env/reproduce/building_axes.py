@@ -15,7 +15,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.datasets.scan_log import read_carmen_log
 from twc_env.reproduce.radio_twins import PLACES, true_path
-from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 from twc_env.slam.building_axes import LENGTH_M, BuildingAxes
 
 SUMMARY = "how near robots keep to the directions of walls: five laser logs beside the walks of radio-table1"
@@ -29,7 +29,7 @@ LEAST_RAD = np.radians(1.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--seeds", type=seeds_argument, default=[0, 1], help="walks of each place (default: 0-1)")
+    add_seeds(parser, "2", "walks of each place")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

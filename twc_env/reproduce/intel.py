@@ -39,7 +39,7 @@ from twc_env.errors import ConfigError
 from twc_env.geometry import between, compose
 from twc_env.messages import SensorFrame
 from twc_env.reproduce.drawing import draw_grid, new_figure
-from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.particle_filter import ParticleFilterSettings, map_frames
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument("--robots", type=count, nargs="+", default=[1, 3], help="pieces of the log (default: 1 3)")
     parser.add_argument("--particles", type=count, default=20, help="of the particle filter (default: 20)")
-    parser.add_argument("--seeds", type=seeds_argument, default=[0, 1, 2], help="of the particle filter (default: 0-2)")
+    add_seeds(parser, "3", "of the particle filter")
     parser.add_argument("--scans", type=count, default=910, help="only the first scans of the log (default: all)")
 
 

@@ -17,7 +17,7 @@ from twc_env.command_line import number
 from twc_env.config import OdometryConfig
 from twc_env.datasets.scan_log import Relations, read_relations, read_scan_log
 from twc_env.geometry import compose, poses_along, travelled_m
-from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 from twc_env.world.odometry import PRESETS, Odometry
 
 SUMMARY = "raw odometry of the Intel Lab log beside the simulated platform at the same relations"
@@ -37,9 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drift", type=number(0.0, 10.0), default=1.0, help="how many times the preset's errors (default: %(default)s)"
     )
-    parser.add_argument(
-        "--seeds", type=seeds_argument, default=list(range(100)), help="simulated drives (default: 0-99)"
-    )
+    add_seeds(parser, "100", "simulated drives")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

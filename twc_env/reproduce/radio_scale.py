@@ -22,7 +22,7 @@ from twc_env.maps import load_map
 from twc_env.messages import Fingerprint
 from twc_env.reproduce import radio_walks
 from twc_env.reproduce.radio_twins import PLACES, radio_config
-from twc_env.reproduce.runner import Runner, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.slam.radio_similarity import FingerprintStore, all_similarities, feature_rows
 from twc_env.slam.radio_trail import RadioTrail
 
@@ -37,9 +37,7 @@ BULK, REPEATS = 4000, 5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce radio-scale`."""
-    parser.add_argument(
-        "--seeds", type=seeds_argument, default="2", help="drives: a count or a range like 0-9 (default: %(default)s)"
-    )
+    add_seeds(parser, "2", "drives")
     parser.add_argument(
         "--length", type=number(100.0, 1e6), default=10_000.0, help="metres to drive (default: %(default)s)"
     )

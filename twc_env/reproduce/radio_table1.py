@@ -24,7 +24,7 @@ from twc_env.reproduce import radio_figures, radio_sweep
 from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.radio_methods import METHODS, means, outcomes
 from twc_env.reproduce.radio_twins import PLACES
-from twc_env.reproduce.runner import Runner, chosen, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds, chosen
 
 SUMMARY = "radio SLAM in twins of its three environments: WiFi, LTE, WiFi with laser"
 CHOOSES = ("seeds", "places")
@@ -34,7 +34,7 @@ SURVEY_PRINTED_S = 8619.2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce radio-table1`."""
-    parser.add_argument("--seeds", type=seeds_argument, default="4-9", help="0-3 chose settings (default: %(default)s)")
+    add_seeds(parser, "4-9", "walks, of which 0-3 chose settings")
     parser.add_argument("--places", default=",".join(PLACES), help="default: %(default)s")
     parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
     parser.add_argument("--processes", type=count, default=2, help="walks measured at once (default: %(default)s)")

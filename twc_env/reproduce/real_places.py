@@ -17,7 +17,7 @@ from scipy.special import expit
 
 from twc_env.reproduce.place_cues import Cues
 from twc_env.reproduce.place_pairs import average_precision, precision_recall_curve, recall_at_full_precision
-from twc_env.reproduce.runner import Runner, data_folder, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 from twc_env.reproduce.surveyed_places import Floor, draw_places, read_floor
 
 SUMMARY = "same place within 5 m on two real floors: text, WiFi, both, and all cues fused"
@@ -31,7 +31,7 @@ TOLERANCES_DB = (3.0, 4.0, 5.0, 7.0, 10.0, 14.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--seeds", type=seeds_argument, default=list(range(10)), help="draws (default: 0-9)")
+    add_seeds(parser, "10", "draws")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -28,7 +28,7 @@ from twc_env.datasets.g2o import read_g2o
 from twc_env.errors import ConfigError, DataError
 from twc_env.geometry import between, compose, inverse, poses_along
 from twc_env.metrics import absolute_trajectory_error_m
-from twc_env.reproduce.runner import Runner, chosen, data_folder, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds, chosen, data_folder, seeds_argument
 from twc_env.slam import robust_backend
 from twc_env.slam.pose_graph import Graph
 
@@ -64,7 +64,7 @@ class Case:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce robustness`."""
-    parser.add_argument("--seeds", type=seeds_argument, default="6", help="of `ours` (default: %(default)s)")
+    add_seeds(parser, "6", "of `ours`")
     parser.add_argument(
         "--other-seeds", type=seeds_argument, default="1", help="of the other methods (default: %(default)s)"
     )

@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from twc_env.command_line import Paragraphs, aligned, show_line
+from twc_env.command_line import Paragraphs, add_folder, aligned, count, parse_seeds, show_line
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
 from twc_env.json_values import TERMINAL, check_folder, plain, write_json
@@ -113,13 +113,15 @@ def data_folder() -> Path:
 def seeds_argument(text: str) -> list[int]:
     """Seeds as an argument's type: a count ("20": 0 to 19) or a range ("0-9")."""
     try:
-        first, dash, last = text.partition("-")
-        seeds = list(range(int(first), int(last) + 1)) if dash else list(range(int(first)))
-    except ValueError:
-        seeds = []
-    if not seeds:
-        raise argparse.ArgumentTypeError(f"takes a count like 20 or a range like 0-9; got {text!r}")
-    return seeds
+        return list(parse_seeds(text) if "-" in text else range(count(text)))
+    except (ConfigError, argparse.ArgumentTypeError):
+        raise argparse.ArgumentTypeError(f"takes a count like 20 or a range like 0-9; got {text!r}") from None
+
+
+def add_seeds(parser: argparse.ArgumentParser, default: str, what: str) -> None:
+    """The option `--seeds` of a table."""
+    help = f"{what}: a count, or a range like 0-9 (default: %(default)s)"
+    parser.add_argument("--seeds", type=seeds_argument, default=default, help=help)
 
 
 def chosen(text: str, known: Iterable[str]) -> list[str]:
@@ -160,13 +162,7 @@ def add_parser(commands) -> None:
         module.add_arguments(table)
         beside = ", and pictures beside them" if hasattr(module, "draw") else ""
         table.add_argument("--json", type=Path, metavar="FILE", help=f"write the rows{beside}; - for the terminal")
-        table.add_argument(
-            "--cache",
-            type=Path,
-            default=Path("runs/reproduce"),
-            metavar="FOLDER",
-            help="finished parts (default: %(default)s)",
-        )
+        add_folder(table, "--cache", "runs/reproduce", "finished parts")
         table.set_defaults(run=lambda options, name=name, module=module: main(name, module, options))
 
 

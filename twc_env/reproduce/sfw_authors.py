@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 from scipy.ndimage import binary_closing, binary_dilation
 
+from twc_env.command_line import add_folder
 from twc_env.datasets.raster import largest_part
 from twc_env.datasets.sfw_authors import (
     FLOOR_M2,
@@ -41,9 +42,7 @@ _GAP_CELLS = 5.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-authors`."""
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs/sfw-authors"), metavar="FOLDER", help="pictures (default: %(default)s)"
-    )
+    add_folder(parser, "--out", "runs/sfw-authors", "pictures")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

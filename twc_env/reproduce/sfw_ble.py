@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twc_env.command_line import add_folder
 from twc_env.datasets.ble_flat import read_ble_run, read_flat
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce import sfw_scoring as scoring
@@ -37,9 +38,7 @@ _TRUE_SIGNAL = (-50.7, 0.77, 6.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-ble`."""
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs/sfw-ble"), metavar="FOLDER", help="pictures (default: %(default)s)"
-    )
+    add_folder(parser, "--out", "runs/sfw-ble", "pictures")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

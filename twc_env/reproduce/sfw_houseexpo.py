@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twc_env.command_line import count
+from twc_env.command_line import add_folder, count
 from twc_env.config import radio_preset
 from twc_env.datasets.house_expo import read_house_expo
 from twc_env.errors import DataError, MapError
@@ -38,12 +38,8 @@ _ALONG_SHARE = 0.85
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-houseexpo`."""
-    parser.add_argument(
-        "--plans", type=count, default=30, help="how many, the smallest files first (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs/sfw-houseexpo"), metavar="FOLDER", help="pictures (default: %(default)s)"
-    )
+    parser.add_argument("--plans", type=count, default=30, help="the smallest files first (default: %(default)s)")
+    add_folder(parser, "--out", "runs/sfw-houseexpo", "pictures")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from twc_env.config import radio_preset
 from twc_env.maps import load_map
-from twc_env.reproduce.runner import Runner, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.reproduce.sfw_table1 import POINTS
 from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_route
 from twc_env.slam.k_visibility_signal import locate_router
@@ -23,9 +23,7 @@ CHOOSES = ("seeds",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-routers`."""
-    parser.add_argument(
-        "--seeds", type=seeds_argument, default="10", help="noise: a count, or a range like 0-9 (default: %(default)s)"
-    )
+    add_seeds(parser, "10", "noise")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from twc_env.command_line import natural
+from twc_env.command_line import add_folder, natural
 from twc_env.config import radio_preset
 from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
 from twc_env.reproduce import sfw_scoring as scoring
-from twc_env.reproduce.runner import Runner, chosen, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds, chosen
 from twc_env.reproduce.sfw_flats import flat
 from twc_env.reproduce.sfw_slam import slam_walk
 from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_route
@@ -44,16 +44,12 @@ _FLAT_NOISE_SEED = 100
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-table1`."""
-    parser.add_argument(
-        "--seeds", type=seeds_argument, default="10", help="noise: a count, or a range like 0-9 (default: %(default)s)"
-    )
+    add_seeds(parser, "10", "noise")
     parser.add_argument("--experiments", default="1,2,3,4,5,6", help="which of the six (default: %(default)s)")
     parser.add_argument(
         "--flats", type=natural, default=0, metavar="N", help="measure N flats drawn by seed instead of the six"
     )
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs/sfw-table1"), metavar="FOLDER", help="pictures (default: %(default)s)"
-    )
+    add_folder(parser, "--out", "runs/sfw-table1", "pictures")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

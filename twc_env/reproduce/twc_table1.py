@@ -28,7 +28,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, override
 from twc_env.reproduce.routes import Walk
-from twc_env.reproduce.runner import Runner, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.reproduce.sighting_judge import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, judge, judge_some
 from twc_env.reproduce.twc_scenes import AS_DRAWN, DEPARTMENTS, SCENES, scene_config, walk_scene
 from twc_env.slam.rssi_similarity import BY_DISTANCE, COSINES
@@ -50,7 +50,7 @@ EQ7_AS_PRINTED, AS_PRINTED = "eq7", "as printed"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--seeds", type=seeds_argument, default=list(range(20)), help="walks (default: 0-19)")
+    add_seeds(parser, "20", "walks")
     parser.add_argument("--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="default: both")
     parser.add_argument("--alternatives", action="store_true", help="add rows for the other readings of Eq. 7 and 10")
 

@@ -43,7 +43,7 @@ from twc_env.reproduce.offline_mapping import (
     wall_thickness_m,
 )
 from twc_env.reproduce.routes import Walk
-from twc_env.reproduce.runner import Runner, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.reproduce.twc_scenes import SCENES, SIGNS, scene_config, walk_scene
 from twc_env.reproduce.twc_table1 import PRINT as PRINT_TABLE1
 from twc_env.reproduce.twc_table1 import over_known
@@ -74,7 +74,7 @@ PRINT = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--seeds", type=seeds_argument, default=list(range(20)), help="walks (default: 0-19)")
+    add_seeds(parser, "20", "walks")
     parser.add_argument("--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="default: both")
     parser.add_argument("--signs", choices=SIGNS, default=SIGNS[0], help="on the walls (default: %(default)s)")
 
