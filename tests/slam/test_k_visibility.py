@@ -8,7 +8,7 @@ from twc_env.metrics.k_visibility import walls_crossed_in_raster, walls_crossed_
 from twc_env.slam import k_visibility_rules as rules
 from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, silhouette_k, sliding_window
 from twc_env.slam.k_visibility import map_structure
-from twc_env.slam.k_visibility_signal import fit_signal, locate_router
+from twc_env.slam.k_visibility_signal import fit_alike, fit_signal, locate_router
 from twc_env.slam.path_bins import bin_along_path
 from twc_env.slam.wall_candidates import wall_candidates
 
@@ -110,6 +110,36 @@ def test_the_signal_model_finds_power_loss_and_walls_together():
     assert fit.probability.sum(axis=1) == pytest.approx(1.0)
 
 
+def past_a_wall(routers_m, noise_db=1.5):
+    """A straight way of 10 m past a wall at x = 5, between routers (r, 2): places, readings, walls."""
+    path = np.column_stack([np.linspace(0.0, 10.0, 101), np.zeros(101)])
+    walls = ((path[:, :1] > 5.0) != (routers_m[:, 0] > 5.0)).astype(int)
+    distance = np.linalg.norm(path[:, None] - routers_m, axis=2)
+    noise = np.random.default_rng(1).normal(0.0, noise_db, distance.shape)
+    return path, -40.0 - 8.0 * np.log10(distance) - 9.0 * walls + noise, walls
+
+
+def test_transmitters_that_are_alike_share_a_signal_and_nothing_that_one_tells_carries_over_to_the_next():
+    routers_m = np.array([[-1.0, 0.0], [11.0, 0.0]])
+    path, rssi, walls = past_a_wall(routers_m)
+    bins = bin_along_path(path, rssi)
+    fits = fit_alike(bins, routers_m, 1)
+    assert np.mean([fit.walls[bins.bin_of] == k for fit, k in zip(fits, walls.T, strict=True)]) > 0.98
+    assert fits[0].wall_loss_db == fits[1].wall_loss_db == pytest.approx(9.0, abs=1.0)
+    assert fits[0].probability[-1, 1] > 0.99 and fits[1].probability[0, 1] > 0.99
+
+
+def test_after_a_long_way_without_readings_as_many_walls_may_lie_between_as_before():
+    router_m = np.array([[-1.0, 0.0]])
+    path, rssi, _ = past_a_wall(router_m)
+    aside = np.column_stack([np.full(100, 8.0), 10.0 - np.abs(np.linspace(-10.0, 10.0, 100))])
+    path, rssi = np.insert(path, [80], aside, axis=0), np.insert(rssi, [80], np.full((100, 1), np.nan), axis=0)
+    bins = bin_along_path(path, rssi)
+    fit, after = fit_signal(bins, 0, router_m[0]), bins.bin_of[180]
+    assert fit.probability.shape[1] == 2 and bins.travel_m[after] > 25.0
+    assert fit.probability[after, 1] > 0.99
+
+
 def test_an_unknown_router_is_found_within_a_metre():
     path, rssi, _ = two_rooms()
     place, _ = locate_router(bin_along_path(path, rssi), 0)
@@ -152,6 +182,17 @@ def test_readings_off_the_grid_cast_rays_and_mark_no_other_cell(outside):
     levels = rules.map_by_algorithm_1(cells, walls, np.zeros((len(cells), 1)), router, (10, 12))
     assert np.argwhere(classes == rules.FREE).tolist() == [[5, 9]]
     assert np.argwhere(levels > rules.UNKNOWN).tolist() == [[5, 9]]
+
+
+def test_rays_from_a_router_far_off_the_grid_reach_their_readings():
+    cells, router, nothing = np.array([(5, 3)]), np.array([[5.5, 400.5]]), np.zeros(1, int)
+    classes, _ = rules.map_by_rules(cells, nothing, nothing, router, (10, 12))
+    levels = rules.map_by_algorithm_1(cells, nothing, np.zeros((1, 1)), router, (10, 12))
+    assert (classes[5, 3:] == rules.FREE).all()
+    assert (levels[5, 3:] > rules.UNKNOWN).all()
+    k_map = np.where(np.arange(12) > 5, 0, 1) * np.ones((10, 1), int)
+    k_map[:, 5] = -1
+    assert rules.walls_from_k_map(k_map, router[0])[5].nonzero()[0].tolist() == [5]
 
 
 def test_no_readings_leave_everything_unknown():

@@ -7,6 +7,7 @@ from twc_env.slam.radio_similarity import (
     CELL_ID_MIN,
     FingerprintStore,
     all_similarities,
+    averaged,
     feature_rows,
     split_cues,
 )
@@ -42,6 +43,16 @@ def test_equation_two_by_hand():
     a, b = heard({1: -50, 2: -70}), heard({1: -40, 3: -60})
     assert cosine(a, b) == pytest.approx(50 * 60 / np.hypot(50, 30) / np.hypot(60, 40), rel=1e-6)
     assert cosine(a, b, "raw") == pytest.approx(50 * 40 / np.hypot(50, 70) / np.hypot(40, 60), rel=1e-6)
+    assert cosine(a, b, "linear") == pytest.approx(1 / np.hypot(1, 0.1) / np.hypot(1, 0.1), rel=1e-6)
+
+
+def test_features_are_averaged_along_the_path_with_weights_that_fall_to_nothing_at_the_reach():
+    rows = csr_array(np.array([[8.0, 0.0], [4.0, 2.0], [0.0, 6.0], [0.0, 9.0]]))
+    travel_m = np.array([0.0, 1.0, 3.0, 7.0])
+    near = averaged(rows, travel_m, 4.0, np.array([1, 3])).toarray()
+    assert near[0] == pytest.approx((0.75 * rows[[0]] + rows[[1]] + 0.5 * rows[[2]]).toarray()[0] / 2.25)
+    assert near[1] == pytest.approx([0.0, 9.0])
+    assert np.array_equal(averaged(rows, travel_m, 0.0, np.array([2])).toarray(), [[0.0, 6.0]])
 
 
 def test_all_pairs_and_the_store_agree_with_a_dense_product():

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import itertools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from twc_env.errors import DataError
 from twc_env.geometry import between, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.metrics.trajectory import absolute_trajectory_error_m
-from twc_env.slam import radio_closures, radio_field
+from twc_env.slam import radio_closures, radio_cue, radio_field
 from twc_env.slam.distance_factor import Distances
 from twc_env.slam.odometry_calibration import Motions, calibrated
 from twc_env.slam.radio_similarity import CELL_ID_MIN
@@ -190,6 +191,23 @@ def test_support_needs_no_more_memory_on_a_longer_way():
     i, j = np.array([10, 11, 12, 40]), np.array([80, 81, 82, 70])
     assert radio_closures.with_support(i, j, travel).tolist() == [True, True, True, False]
     assert radio_closures.with_support(i[:0], j[:0], travel).tolist() == []
+
+
+def test_a_robot_that_stands_for_an_hour_needs_no_memory_for_pairs_of_its_scans():
+    log, _ = made_log()
+    standing = 2000
+    still = RadioLog(
+        np.concatenate([np.zeros((standing, 3)), log.motions]), np.concatenate([np.zeros(standing), log.turned_rad]),
+        [*[log.fingerprints[0]] * standing, *log.fingerprints],
+    )  # fmt: skip
+    places, heard, config = np.arange(0, len(still.fingerprints), 40), still.fingerprints, RadioSlamConfig()
+    tracemalloc.start()
+    try:
+        assert radio_cue.prepared("wifi", heard, still.travel_m, places, still.odometry[places], config)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 40e6
 
 
 def test_of_each_pair_of_stretches_the_strongest_closure_stays():

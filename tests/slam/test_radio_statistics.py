@@ -23,6 +23,13 @@ def test_a_transmitter_heard_on_one_side_only_counts_as_far_away():
     assert math.isnan(radio_difference_db(a, Fingerprint(np.zeros(0, int), np.zeros(0))))
 
 
+def test_one_transmitter_alone_tells_nothing_as_devices_may_differ_by_any_offset():
+    near, far = (Fingerprint(np.array([1]), np.array([level])) for level in (-40.0, -80.0))
+    assert math.isnan(radio_difference_db(near, far)) and math.isnan(radio_difference_db(near, near))
+    other = Fingerprint(np.array([2]), np.array([-80.0]))
+    assert radio_difference_db(near, other) == pytest.approx(30.0)  # differences 50 and -10
+
+
 def test_the_radio_ratio_falls_with_the_difference_and_changes_sign_between_what_was_learned():
     statistics = RadioStatistics()
     random = np.random.default_rng(0)

@@ -7,7 +7,9 @@ import pytest
 
 from tests.slam.test_radio_slam import made_log
 from twc_env.config import RadioSlamConfig
+from twc_env.errors import DataError
 from twc_env.geometry import between, compose
+from twc_env.messages import Fingerprint
 from twc_env.slam.odometry_calibration import Calibration, Motions
 from twc_env.slam.radio_trail import RadioTrail
 
@@ -49,3 +51,19 @@ def test_two_calibrations_in_a_row_are_one():
     whole, parts = first.then(second).applied(motions), second.applied(first.applied(motions))
     assert whole.motion == pytest.approx(parts.motion)
     assert compose(np.zeros(3), whole.motion[0])[2] == pytest.approx(float(parts.turned_rad[0]))
+
+
+@pytest.mark.parametrize(
+    ("motion", "turned_rad", "level", "message"),
+    [
+        ([np.nan, 0.0, 0.0], 0.0, -50.0, "motion"),
+        ([1.0, 0.0, 0.0], np.inf, -50.0, "turn"),
+        ([1.0, 0.0, 0.0], 0.0, np.nan, "not finite"),
+    ],
+)
+def test_what_is_not_finite_is_refused_and_leaves_no_trace(motion, turned_rad, level, message):
+    trail = RadioTrail(CONFIG)
+    trail.add(np.zeros(3), 0.0, Fingerprint(np.array([1]), np.array([-50.0])))
+    with pytest.raises(DataError, match=message):
+        trail.add(np.array(motion), turned_rad, Fingerprint(np.array([1]), np.array([level])))
+    assert trail.pose == pytest.approx(np.zeros(3)) and len(trail) == 1

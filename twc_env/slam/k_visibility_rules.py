@@ -9,6 +9,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels import kernel
@@ -39,7 +40,7 @@ def walls_from_k_map(k_map: Array, router_cell: Array) -> Array:
     or is itself untold between them; both sides of a change count.
     """
     walls = np.zeros(k_map.shape, np.bool_)
-    _mark_changes(np.ascontiguousarray(k_map), np.asarray(router_cell, float), walls)
+    _mark_changes(np.ascontiguousarray(k_map), np.asarray(router_cell, float), walls, _room(router_cell, k_map.shape))
     return walls
 
 
@@ -61,7 +62,7 @@ def map_by_rules(
     places = np.asarray(cells, np.int64)
     _apply_rules(
         places, np.asarray(walls, np.int64), np.asarray(router_of, np.int64), np.asarray(router_cells, float), known_k,
-        _EQUATIONS[settings.equation_4], free, mu, variance,
+        _EQUATIONS[settings.equation_4], free, mu, variance, _room(router_cells, places),
     )  # fmt: skip
     seen = np.isfinite(mu)
     limit = -np.inf if settings.wall_from is None else settings.wall_from
@@ -87,8 +88,15 @@ def map_by_algorithm_1(
     known_k = np.full((len(router_cells), *shape), -1, np.int64)
     for router in range(len(router_cells)):
         _put_medians(known_k[router], cells[focus == router], walls[focus == router])
-    _algorithm_1(np.asarray(cells, np.int64), focus, np.asarray(router_cells, float), known_k, settings.step, levels)
+    places = np.asarray(cells, np.int64)
+    room = _room(router_cells, places)
+    _algorithm_1(places, focus, np.asarray(router_cells, float), known_k, settings.step, levels, room)
     return levels.astype(np.uint8)
+
+
+def _room(*ends: ArrayLike) -> int:
+    """At least as many cells as a ray from one of these places to another passes."""
+    return 2 * int(sum(np.abs(end).max(initial=0) for end in ends)) + 8
 
 
 def _put_medians(known_k: Array, cells: Array, walls: Array) -> None:
@@ -123,7 +131,7 @@ def _ray(start_row, start_column, row, column, path):
     count = 0
     for s in range(steps + 1):
         r, c = int(np.floor(start_row + dr * s / steps)), int(np.floor(start_column + dc * s / steps))
-        if (count == 0 or r != path[count - 1, 0] or c != path[count - 1, 1]) and count < path.shape[0]:
+        if count == 0 or r != path[count - 1, 0] or c != path[count - 1, 1]:
             path[count, 0], path[count, 1] = r, c
             count += 1
     return count
@@ -135,10 +143,9 @@ def _inside(path, j, rows, columns):
 
 
 @kernel
-def _apply_rules(cells, walls, router_of, routers, known_k, equation, free, mu, variance):
+def _apply_rules(cells, walls, router_of, routers, known_k, equation, free, mu, variance, room):
     rows, columns = free.shape
-    path = np.empty((4 * (rows + columns), 2), np.int64)
-    cuts, ks = np.empty(4 * (rows + columns), np.int64), np.empty(4 * (rows + columns), np.int64)
+    path, cuts, ks = np.empty((room, 2), np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
     for i in range(cells.shape[0]):
         if 0 <= cells[i, 0] < rows and 0 <= cells[i, 1] < columns:
             free[cells[i, 0], cells[i, 1]] = True  # rule 1
@@ -198,9 +205,9 @@ def _add_walls(path, low, high, more, equation, mu, variance):
 
 
 @kernel
-def _algorithm_1(cells, focus, routers, known_k, step, levels):
+def _algorithm_1(cells, focus, routers, known_k, step, levels, room):
     rows, columns = levels.shape
-    path = np.empty((4 * (rows + columns), 2), np.int64)
+    path = np.empty((room, 2), np.int64)
     for i in range(cells.shape[0]):
         if 0 <= cells[i, 0] < rows and 0 <= cells[i, 1] < columns:
             levels[cells[i, 0], cells[i, 1]] = FREE
@@ -225,9 +232,9 @@ def _algorithm_1(cells, focus, routers, known_k, step, levels):
 
 
 @kernel
-def _mark_changes(k_map, router, walls):
+def _mark_changes(k_map, router, walls, room):
     rows, columns = k_map.shape
-    path = np.empty((4 * (rows + columns), 2), np.int64)
+    path = np.empty((room, 2), np.int64)
     for r in range(rows):
         for c in range(columns):
             if r != 0 and c != 0 and r != rows - 1 and c != columns - 1:

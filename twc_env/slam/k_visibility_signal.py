@@ -28,10 +28,12 @@ _WALL_LOSS_MIN_DB = 7.0
 _WALL_LOSS_STARTS_DB = (5.0, 8.0, 12.0, 18.0)
 _STAY_M = 1.5
 """Mean path length over which k stays what it is, for a walker along walls."""
-_ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M = (0.8, 0.3), 5.0
+_ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M = (0.6, 0.1), 10.0
 """Of transmitters of one make in a furnished flat, where echoes fill the rooms and a robot crosses them freely."""
 _JUMP_DECAY = 0.15
 """How much rarer each further wall in one jump of k is."""
+_STEP_SHARE_MAX = 0.25
+"""Over steps up to this share of the mean path length k jumps once at most; longer ones are several of these."""
 _CORRELATION_M = 0.3
 """Binned readings within this length count as one, for their shadowing is the same."""
 _TYPICAL_EXPONENT, _TYPICAL_LOSS_DB, _TYPICAL_CLEAR = 1.6, 8.0, 0.9
@@ -84,7 +86,7 @@ def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
     parts = []
     for router, place in enumerate(np.asarray(router_m, float)):
         rows, decades, level = _heard(bins, router, place)
-        steps = np.diff(bins.travel_m[rows], prepend=bins.travel_m[rows[0]] - 1e3)  # nothing carries over
+        steps = np.diff(bins.travel_m[rows], prepend=-np.inf)  # nothing carries over
         parts.append((rows, decades, level, steps))
     decades, level, steps = (np.concatenate([part[i] for part in parts]) for i in (1, 2, 3))
     tries = []
@@ -92,7 +94,8 @@ def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
         score, parameters, probability = _fitted(
             decades, level, steps, bins.step_m, k_max, start, _ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M, 40
         )
-        tries.append((score + _log_prior(parameters[2], _WALL_LOSS_PRIOR_DB), parameters, probability))
+        score += _log_prior(parameters[1], _ALIKE_EXPONENT_PRIOR) + _log_prior(parameters[2], _WALL_LOSS_PRIOR_DB)
+        tries.append((score, parameters, probability))
     score, parameters, probability = max(tries, key=lambda tried: tried[0])
     shares = np.split(probability, np.cumsum([len(part[0]) for part in parts])[:-1])
     return [
@@ -279,9 +282,14 @@ def _forward_backward(log_emit, steps, stay, forward, probability):
 
 @kernel
 def _transitions(step, stay, transition):
-    """How k changes over one step of the path: rarely, and by one wall more often than by two."""
+    """How k changes over one step of the path: rarely, and by one wall more often than by two; anyhow over an endless
+    one."""
     states = transition.shape[0]
-    leave = 1.0 - np.exp(-max(step, 1e-6) / stay)
+    if np.isinf(step):
+        transition[:] = 1.0 / states
+        return
+    halvings = max(int(np.ceil(np.log2(max(step, 1e-6) / (_STEP_SHARE_MAX * stay)))), 0)
+    leave = 1.0 - np.exp(-max(step, 1e-6) / 2.0**halvings / stay)
     for j in range(states):
         total = 0.0
         for k in range(states):
@@ -292,3 +300,5 @@ def _transitions(step, stay, transition):
                 transition[j, k] = 1.0 - leave if states > 1 else 1.0
             else:
                 transition[j, k] = leave * _JUMP_DECAY ** (abs(k - j) - 1) / total
+    for _ in range(halvings):
+        transition[:] = transition @ transition

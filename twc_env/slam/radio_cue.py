@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray as Array
-from scipy.sparse import csr_array
 
 from twc_env.config import RadioSlamConfig
 from twc_env.geometry import poses_along
@@ -93,15 +92,15 @@ def prepared(
     is_ours = config.weighting == "ours"
     smoothing_m = config.smoothing_wifi_m if name == "wifi" else config.smoothing_lte_m
     window_m = config.window_wifi_m if name == "wifi" else config.window_lte_m
-    similarity = all_similarities(csr_array(averaged(rows, travel_m, smoothing_m if is_ours else 0.0)[places]))
+    similarity = all_similarities(averaged(rows, travel_m, smoothing_m if is_ours else 0.0, places))
     model = train_on_path(
         similarity, travel_m[places], odometry[:, :2], config.similarity_min, window_m, config.bin_width,
         "repaired" if is_ours else "paper",
     )  # fmt: skip
     if not len(model.centre):
         return None
-    feature = averaged(rows, travel_m, FIELD_SMOOTHING * smoothing_m)[places].toarray().astype(np.float32)
-    sharp = averaged(rows, travel_m, EVIDENCE_SMOOTHING_M)[places].toarray()
+    feature = averaged(rows, travel_m, FIELD_SMOOTHING * smoothing_m, places).toarray().astype(np.float32)
+    sharp = averaged(rows, travel_m, EVIDENCE_SMOOTHING_M, places).toarray()
     own_m = ALONG_SMOOTHING[name] * float(travel_m[places[-1]]) / max(len(places) - 1, 1)
-    along = FieldEvidence(averaged(rows, travel_m, own_m)[places].toarray(), travel_m[places], len(places))
+    along = FieldEvidence(averaged(rows, travel_m, own_m, places).toarray(), travel_m[places], len(places))
     return RadioCue(name, travel_m[places], similarity, model, feature, FieldEvidence(sharp), along)

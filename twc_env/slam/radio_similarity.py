@@ -66,21 +66,23 @@ def feature_rows(fingerprints: Sequence[Fingerprint], mode: str = "shifted") -> 
     return rows
 
 
-def averaged(rows: csr_array, travel_m: Array, reach_m: float) -> csr_array:
-    """Feature rows averaged along the path, nearer ones weighing more; what was not heard counts as 0."""
-    from scipy.sparse import coo_array, csr_array  # slow to import, and used by studies of radio alone
+def averaged(rows: csr_array, travel_m: Array, reach_m: float, places: Array) -> csr_array:
+    """(places, transmitters) rows averaged along the path, nearer ones weighing more; silence counts as 0.
+
+    travel_m (rows,) ascends; places are numbers of rows. Reach 0: each row alone.
+    """
+    from scipy.sparse import csr_array  # slow to import, and used by studies of radio alone
 
     if reach_m <= 0.0:
-        return rows
-    first = np.searchsorted(travel_m, travel_m - reach_m, side="right")
-    last = np.maximum(np.searchsorted(travel_m, travel_m + reach_m, side="left"), first + 1)
-    size = last - first
-    i = np.repeat(np.arange(len(travel_m)), size)
-    j = np.arange(len(i)) - np.repeat(np.cumsum(size) - size, size) + np.repeat(first, size)
-    weight = np.maximum(1.0 - np.abs(travel_m[i] - travel_m[j]) / reach_m, 1e-3)
-    weight /= np.bincount(i, weight, len(travel_m))[i]
-    mixing = coo_array((weight, (i, j)), shape=(len(travel_m), len(travel_m))).tocsr()
-    return csr_array(mixing @ rows)
+        return csr_array(rows[places])
+    at_m = travel_m[places]
+    first = np.searchsorted(travel_m, at_m - reach_m, side="right")
+    ends = np.concatenate([[0], np.cumsum(np.searchsorted(travel_m, at_m + reach_m, side="left") - first)])
+    own = np.repeat(np.arange(len(places)), np.diff(ends))
+    near = np.arange(ends[-1]) - ends[own] + first[own]
+    weight = np.maximum(1.0 - np.abs(at_m[own] - travel_m[near]) / reach_m, 1e-3)
+    weight /= np.bincount(own, weight)[own]
+    return csr_array(csr_array((weight, near, ends), shape=(len(places), len(travel_m))) @ rows)
 
 
 def all_similarities(rows: csr_array) -> Array:

@@ -16,7 +16,8 @@ FLOOR_DBM = -90.0
 
 
 def radio_difference_db(a: Fingerprint, b: Fingerprint) -> float:
-    """RMS difference over all transmitters that either heard, without the devices' common offset; NaN with none.
+    """RMS difference over all transmitters that either heard, without the devices' common offset; NaN where a side
+    hears nothing, or both the same one alone, whose difference may be that offset.
 
     A transmitter that only one side hears stands at the detection floor on the other.
     """
@@ -41,7 +42,7 @@ def _radio_difference(macs_a, levels_a, macs_b, levels_b, floor):
         total += difference
         squares += difference * difference
         count += 1
-    if len(macs_a) == 0 or len(macs_b) == 0:
+    if len(macs_a) == 0 or len(macs_b) == 0 or count == 1:
         return np.nan
     return math.sqrt(max(squares / count - (total / count) ** 2, 0.0))
 

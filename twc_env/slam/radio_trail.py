@@ -9,15 +9,19 @@ depends on the building, not on the way that lies behind.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray as Array
 from scipy.sparse import csr_array
 
 from twc_env.config import RadioSlamConfig
+from twc_env.errors import DataError
 from twc_env.geometry import between, compose, poses_along
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_field
 from twc_env.slam.distance_factor import NO_DISTANCES, Distances, RadioEquations, together
+from twc_env.slam.given_fingerprints import given_fingerprint
 from twc_env.slam.odometry_calibration import Calibration, Motions, calibration
 from twc_env.slam.radio_similarity import all_similarities, features, split_cues
 from twc_env.slam.radio_slam import motion_information
@@ -91,7 +95,13 @@ class RadioTrail:
         return compose(self._poses[-1], self._step[:3]) if len(self) else np.zeros(3)
 
     def add(self, motion: Array, turned_rad: float, fingerprint: Fingerprint) -> Array:
-        """Take in the motion (3,) since the last scan and what is heard after it; gives the pose (3,)."""
+        """Take in the motion (3,) since the last scan and what is heard after it; gives the pose (3,).
+
+        Raises DataError for a motion that is not finite, and for what is no fingerprint.
+        """
+        if not (np.isfinite(motion).all() and math.isfinite(turned_rad)):
+            raise DataError(f"a motion and its turn must be finite; got {motion} and {turned_rad!r}")
+        fingerprint = given_fingerprint(fingerprint)
         right = self._calibration.applied(Motions(np.array([motion], float), np.array([turned_rad])))
         turned_rad, length_m = float(right.turned_rad[0]), float(right.length_m[0])
         self._step = _joined(self._step, np.array([*right.motion[0], turned_rad, abs(turned_rad), length_m]))
