@@ -2,8 +2,8 @@
 
 The wall plan is used for scoring alone. k is cut at each `k_max` in truth and estimates; `majority` is the accuracy of
 always guessing the commonest k. `signal alone` is the signal model along the path, with power, exponent and wall loss
-shared by all tags, which are alike; `known signal` rounds each smoothed reading with the true power, exponent and
-loss, the best any rule without geometry can know. `ours` counts walls of the map that explains all rays at once
+shared by all tags, which are alike; `known signal` rounds each smoothed reading, by itself, with the true power,
+exponent and loss. `ours` counts walls of the map that explains all rays at once
 (`k_visibility.map_structure`, at its defaults) where the robot has passed every tag nearly, as in the first run: four
 drives, of which the last two are the two other runs. These stay in one room and the hall before it: there a wall that
 all rays of a tag cross is the same as a weaker tag, no map can tell, and `ours` is the signal alone.
