@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from twc_env.config import MergingConfig
 from twc_env.geometry import between, compose, inverse
 from twc_env.messages import Fingerprint
+from twc_env.slam.growing import READINGS_ROOM
 from twc_env.slam.heard_places import HeardPlaces
 from twc_env.slam.map_merging import count_places, largest_agreement, wall_contradiction, weight_of, wifi_agrees
 from twc_env.slam.occupancy_grid import OccupancyGrid
@@ -226,7 +227,7 @@ def wifi_verdict(claimed_shift, noise_db=1.0, offset_db=0.0, count=40):
     prints = radio_survey(random, path, noise_db) + radio_survey(random, true_b, noise_db, offset_db)
     positions = np.concatenate([path, path + 0.1])
     robots = np.repeat([0, 1], count)
-    return wifi_agrees(positions, robots, np.tile(travel, 2), heard_at(prints), robots == 1)
+    return wifi_agrees(positions, robots, np.tile(travel, 2), heard_at(prints), np.arange(2 * count), robots == 1)
 
 
 def test_radio_agrees_where_two_robots_walked_the_same_path():
@@ -247,24 +248,26 @@ def test_radio_says_nothing_when_the_paths_never_meet():
     positions = np.concatenate([path, path + [0.0, 30.0]])
     robots = np.repeat([0, 1], 40)
     heard = heard_at(radio_survey(random, positions))
-    assert wifi_agrees(positions, robots, np.tile(np.linspace(0, 16, 40), 2), heard, robots == 1) is None
+    travels_m = np.tile(np.linspace(0, 16, 40), 2)
+    assert wifi_agrees(positions, robots, travels_m, heard, np.arange(80), robots == 1) is None
 
 
 def test_radio_says_nothing_where_nothing_is_heard():
     empty = heard_at([Fingerprint(np.zeros(0, np.int64), np.zeros(0))] * 20)
     positions = np.tile(np.stack([np.arange(10.0), np.zeros(10)], axis=1), (2, 1))
     robots = np.repeat([0, 1], 10)
-    assert wifi_agrees(positions, robots, np.tile(np.arange(10.0), 2), empty, robots == 1) is None
+    assert wifi_agrees(positions, robots, np.tile(np.arange(10.0), 2), empty, np.arange(20), robots == 1) is None
 
 
-def test_places_heard_bit_by_bit_or_joined_are_those_heard_at_once():
-    prints = [Fingerprint(np.arange(k), -50.0 - np.arange(k)) for k in (3, 0, 2, 5)]
+def test_places_heard_bit_by_bit_are_those_heard_at_once():
+    prints = [Fingerprint(np.arange(k), -50.0 - np.arange(k)) for k in (3, 0, 2, READINGS_ROOM)]
     at_once, grown = heard_at(prints), HeardPlaces()
     for part in (prints[:1], [], prints[1:]):
         grown.add(part)
-    joined = HeardPlaces.joined([heard_at(prints[:2]), HeardPlaces(), heard_at(prints[2:])])
-    assert len(at_once) == 4 and at_once.starts.tolist() == [0, 3, 3, 5, 10]
-    for other in (grown, joined):
-        assert other.starts.tolist() == at_once.starts.tolist()
-        np.testing.assert_array_equal(other.macs, at_once.macs)
-        np.testing.assert_array_equal(other.rssi_dbm, at_once.rssi_dbm)
+    assert len(at_once) == 4 and at_once.starts.tolist() == [0, 3, 3, 5, 5 + READINGS_ROOM]
+    assert grown.starts.tolist() == at_once.starts.tolist()
+    for heard in (at_once, grown):
+        for k, one in enumerate(prints):
+            place = slice(heard.starts[k], heard.starts[k + 1])
+            np.testing.assert_array_equal(heard.macs[place], one.macs)
+            np.testing.assert_array_equal(heard.rssi_dbm[place], one.rssi_dbm)

@@ -212,3 +212,12 @@ def test_signs_alone_speak_for_a_robot_that_has_long_heard_nothing(place, time_s
     assert len(recogniser.propose(replace(place(1), time_s=time_s))) == count
     recogniser.propose(replace(place(0, 1, travel_m=9.0), time_s=time_s + 1.0))  # it hears after all
     assert [c.target for c in recogniser.propose(replace(place(2), time_s=time_s + 2.0))] == [(1, 0), (0, 1)]
+
+
+def test_a_pair_that_is_not_wanted_becomes_no_candidate_and_is_remembered_all_the_same(place):
+    recogniser, asked = TextWifiRecogniser(PlaceRecognitionConfig()), []
+    recogniser.is_wanted = lambda target, source: bool(asked.append((target.key, source.key)))
+    recogniser.propose(place(0, 0))
+    assert recogniser.propose(place(1, 0)) == [] and asked == [((0, 0), (1, 0))]
+    recogniser.is_wanted = None
+    assert {c.target for c in recogniser.propose(place(2, 0))} == {(0, 0), (1, 0)}

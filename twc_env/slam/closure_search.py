@@ -16,6 +16,7 @@ from twc_env.slam.loop_verification import LoopVerifier, SignVerifier
 from twc_env.slam.meeting_recogniser import MEETING, MeetingRecogniser
 from twc_env.slam.place_recognition import ProposalFilter, make_recogniser
 from twc_env.slam.team_graph import TeamGraph
+from twc_env.slam.text_wifi_recogniser import TextWifiRecogniser
 from twc_env.slam.wayside_recognisers import SignlessRecogniser
 
 REPEAT_REACH_M = 2.0
@@ -37,6 +38,10 @@ class ClosureSearch:
         self._rule, self._on_request = config.slam.place_recognition, config.link.scan_on_request
         self._graph, self._maps = graph, maps
         self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
+        self._asks_first = isinstance(self._recogniser, TextWifiRecogniser)
+        """Whether it makes no candidate of what is not new."""
+        if isinstance(self._recogniser, TextWifiRecogniser):
+            self._recogniser.is_wanted = self._is_new
         self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "wifi", MEETING, "proximity")}
         self._signless: SignlessRecogniser | None = None
         self._meetings: MeetingRecogniser | None = None
@@ -66,6 +71,7 @@ class ClosureSearch:
         is_tied, is_loosely_tied = self._is_tied(keyframe), self._is_tied(keyframe, loosely=True)
         mates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots
         candidates = self._recogniser.propose(keyframe, mates if is_tied else ())
+        new, candidates = (candidates, []) if self._asks_first else ([], candidates)
         if self._signless is not None:
             candidates += self._signless.propose(keyframe, mates if is_loosely_tied else ())
         if self._meetings is not None:
@@ -74,15 +80,18 @@ class ClosureSearch:
         if near is not None:
             candidates.append(near)
         for candidate in candidates:
-            target, source = self._graph.keyframe(candidate.target), self._graph.keyframe(candidate.source)
-            if self._filters[candidate.recogniser].is_new(target, source, self._reach_m(target, source)):
-                self._waiting[candidate.recogniser].append(candidate)
-                self.waiting_count += 1
+            ends = self._graph.keyframe(candidate.target), self._graph.keyframe(candidate.source)
+            if self._is_new(*ends, candidate.recogniser):
+                new.append(candidate)
+        for candidate in new:
+            self._waiting[candidate.recogniser].append(candidate)
+            self.waiting_count += 1
 
-    def _reach_m(self, target: Keyframe, source: Keyframe) -> float:
-        """How near to an earlier proposal another one is a repetition of it."""
+    def _is_new(self, target: Keyframe, source: Keyframe, by: str = "") -> bool:
+        """Whether no earlier proposal by this recogniser, the usual one if none is named, is repeated; notes this."""
         is_one_map = self._maps.group_of[target.robot] == self._maps.group_of[source.robot]
-        return REPEAT_REACH_M if is_one_map else REPEAT_REACH_APART_M
+        reach_m = REPEAT_REACH_M if is_one_map else REPEAT_REACH_APART_M
+        return self._filters[by or self._recogniser.name].is_new(target, source, reach_m)
 
     def _is_tied(self, keyframe: Keyframe, loosely: bool = False) -> bool:
         """Whether a closure already ties this part of its robot's path to the map; loosely: a loose one will do."""

@@ -9,6 +9,8 @@ from twc_env.kernels import kernel
 
 ROOM, SPARE = 1024, 64
 """Rows to begin with, enough for a usual episode; and empty ones, at least, where only some are left."""
+READINGS_ROOM = 32 * ROOM
+"""Transmitters heard at all of these, to begin with."""
 MANY = 4096
 """From so many rows on arrays grow by a quarter at a time."""
 

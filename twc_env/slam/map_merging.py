@@ -260,12 +260,12 @@ def _fingerprint_distance_db(macs, levels, starts, a, b, differences):
 
 
 @kernel
-def _compare_places(macs, levels, starts, positions, robots, travels, is_b):
+def _compare_places(macs, levels, starts, places, positions, robots, travels, is_b):
     """The distances of places brought together and of the yardstick's pairs."""
     together, reference = np.empty(256), np.empty(256)
     found = learned = longest = 0
     for i in range(positions.shape[0]):
-        longest = max(longest, starts[i + 1] - starts[i])
+        longest = max(longest, starts[places[i] + 1] - starts[places[i]])
     differences = np.empty(longest)
     reach = max(SAME_PLACE_M, REFERENCE_M[1])
     for i in range(0, positions.shape[0], max(positions.shape[0] // PLACES_MAX, 1)):
@@ -279,7 +279,7 @@ def _compare_places(macs, levels, starts, positions, robots, travels, is_b):
             is_yardstick = is_own and REFERENCE_M[0] <= apart <= REFERENCE_M[1]
             if not is_together and not is_yardstick:
                 continue
-            distance = _fingerprint_distance_db(macs, levels, starts, i, j, differences)
+            distance = _fingerprint_distance_db(macs, levels, starts, places[i], places[j], differences)
             if math.isnan(distance):
                 continue
             if is_together:
@@ -295,16 +295,19 @@ def _compare_places(macs, levels, starts, positions, robots, travels, is_b):
     return together[:found], reference[:learned]
 
 
-def wifi_agrees(positions: Array, robots: Array, travels_m: Array, heard: HeardPlaces, is_b: Array) -> bool | None:
+def wifi_agrees(
+    positions: Array, robots: Array, travels_m: Array, heard: HeardPlaces, places: Array, is_b: Array
+) -> bool | None:  # fmt: skip
     """Whether places that a merge would bring together sound alike; None while too few places can be compared.
 
     positions (k, 2) of all keyframes of both groups in the proposed common frame, robots (k,), travels_m (k,) path
-    length of each, what was heard at each, is_b (k,) bool. The yardstick is learned here and now: the median distance
-    between fingerprints of one robot taken REFERENCE_M apart.
+    length of each, what was heard at many, places (k,) which of these each is, is_b (k,) bool. The yardstick is learned
+    here and now: the median distance between fingerprints of one robot taken REFERENCE_M apart.
     """
     together, reference = _compare_places(
-        heard.macs, heard.rssi_dbm, heard.starts, np.ascontiguousarray(positions, float), robots, travels_m, is_b
-    )
+        heard.macs, heard.rssi_dbm, heard.starts, places, np.ascontiguousarray(positions, float), robots, travels_m,
+        is_b,
+    )  # fmt: skip
     if len(together) < PAIRS_MIN or len(reference) < PAIRS_MIN:
         return None
     return bool(np.median(together) <= REFERENCE_SLACK * np.median(reference))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -31,8 +32,8 @@ class MergeJudge:
     def __init__(self, config: MergingConfig, graph: TeamGraph, spares_deaf: bool = False, doubts_sounds: bool = False):
         """doubts_sounds: robots are also compared where places only sound alike, which takes more of such to agree."""
         self._rule, self._graph, self._spares_deaf, self._doubts_sounds = config, graph, spares_deaf, doubts_sounds
-        self._heard: dict[int, HeardPlaces] = {}
-        """What each robot heard at its keyframes, as far as anybody asked."""
+        self._heard = HeardPlaces()
+        """What was heard at each node, as far as anybody asked."""
         self._read = SignsRead()
 
     def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int], others: int = 0) -> MergeProposal | None:
@@ -121,13 +122,14 @@ class MergeJudge:
             poses[:, :2],
             graph.robot_of_node[nodes],
             graph.travels_m[nodes],
-            HeardPlaces.joined([self._heard_by(robot) for robot in members]),
+            self._heard_everywhere(),
+            nodes,
             np.arange(len(nodes)) >= count_a,
         )
 
     def forget(self, _: Array) -> None:
         """Keyframes have been forgotten."""
-        self._heard.clear()
+        self._heard = HeardPlaces()
         self._read.clear()
 
     def signs_disagree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
@@ -143,11 +145,12 @@ class MergeJudge:
         )
         return bool(other > same)
 
-    def _heard_by(self, robot: int) -> HeardPlaces:
-        """What a robot heard at each of its keyframes."""
-        heard, keyframes = self._heard.setdefault(robot, HeardPlaces()), self._graph.keyframes[robot]
-        if len(heard) < len(keyframes):
-            heard.add([keyframe.fingerprint for keyframe in keyframes[len(heard) :]])
+    def _heard_everywhere(self) -> HeardPlaces:
+        """What was heard at each node."""
+        graph, heard = self._graph, self._heard
+        known = len(heard)
+        new = [iter(path[bisect_left(graph.path_of(r), known) :]) for r, path in enumerate(graph.keyframes)]
+        heard.add([next(new[robot]).fingerprint for robot in graph.robot_of_node[known:].tolist()])
         return heard
 
     def overlap(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, reach_m: float) -> list[tuple[int, int]]:

@@ -13,11 +13,9 @@ from twc_env.config import PlaceRecognitionConfig
 from twc_env.kernels import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of, rebound
 from twc_env.messages import Keyframe
 from twc_env.slam.device_offsets import DeviceOffsets
-from twc_env.slam.growing import ROOM, grown, only
+from twc_env.slam.growing import READINGS_ROOM, ROOM, grown, only
 from twc_env.slam.radio_fingerprint import rssi_similarity
 
-_READINGS_ROOM = 32 * ROOM
-"""Transmitters heard at all rows, to begin with; more when they are full."""
 MISSING_AFTER_S = 20.0
 """A robot that has read, or heard, nothing for so long since the episode began has no use of that cue."""
 UNLIKE = -1.0
@@ -110,7 +108,7 @@ class SignTable(BindsAnew):
         """Robot and text; path length."""
         self._ends, self._found = np.zeros(ROOM, np.int64), np.zeros((ROOM, 6))
         """Where the fingerprint of each row ends; it begins where the one before does. And room for what is found."""
-        self._macs, self._rssi_dbm = np.zeros(_READINGS_ROOM, np.int64), np.zeros(_READINGS_ROOM)
+        self._macs, self._rssi_dbm = np.zeros(READINGS_ROOM, np.int64), np.zeros(READINGS_ROOM)
         """Of all fingerprints, one after the other."""
         self._likeness, self._is_skipped = np.full(ROOM, UNLIKE), np.zeros(0, bool)
         """How alike each text is to the one that is asked for, and which robots are left out: between two questions

@@ -39,6 +39,8 @@ class TextWifiRecogniser:
         self._places: list[tuple[Keyframe, SignObservation]] = []
         self._table = SignTable()
         """The same places."""
+        self.is_wanted: Callable[[Keyframe, Keyframe], bool] | None = None
+        """Asked of target and source before a candidate is made of them; None: all are."""
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """See `Recogniser`; the better of two texts speaks for a pair."""
@@ -66,7 +68,12 @@ class TextWifiRecogniser:
                 target = self._places[k][0].key
                 if target not in best or similarity > best[target][0]:
                     best[target] = similarity, k, sign, macs, rssi
-        return [self._candidate(keyframe, *entry) for entry in best.values()]
+        is_wanted, places = self.is_wanted, self._places
+        return [
+            self._candidate(keyframe, *entry)
+            for entry in best.values()
+            if is_wanted is None or is_wanted(places[entry[1]][0], keyframe)
+        ]
 
     def _compare_anew(self, robot: int, other: int) -> list[LoopCandidate]:
         """Candidates between all places of one robot and those of another, once their receivers are told apart."""
