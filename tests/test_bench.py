@@ -8,11 +8,10 @@ import pytest
 from twc_env import bench_peers, bench_probes, bench_scaling
 from twc_env.__main__ import main
 from twc_env.bench import OurRuns
-from twc_env.bench_peers import Settings
 from twc_env.config import EnvConfig
 from twc_env.maps import load_map
 
-TINY = Settings(repetitions=2, world_steps=12, slam_steps=12, irsim_steps=3, mpe2_steps=5, probe_steps=8)
+TINY = {"REPETITIONS": 2, "WORLD_STEPS": 12, "SLAM_STEPS": 12}
 NUMBERS = {
     "world_env_steps_per_s", "slam_env_steps_per_s", "world_env_steps_per_cpu_s", "slam_env_steps_per_cpu_s",
     "slam_step_p99_ms",
@@ -24,8 +23,8 @@ OF_PEERS = {"irsim_env_steps_per_s", "mpe2_env_steps_per_s", "world_over_irsim",
 
 def test_the_comparison_has_its_keys_whether_peers_are_installed_or_not(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(bench_peers, "is_installed", lambda peer, report: report(f"{peer} is missing"))
-    monkeypatch.setattr(bench_peers, "SLAM_MAP", "twin-01")
-    monkeypatch.setattr(bench_peers, "Settings", lambda: TINY)
+    for name, value in {**TINY, "SLAM_MAP": "twin-01"}.items():
+        monkeypatch.setattr(bench_peers, name, value)
     monkeypatch.setattr(bench_probes, "probe", lambda *_: dict.fromkeys(PROBED, 1.0))
     monkeypatch.setattr(bench_scaling, "bench_scaling", lambda **_: [ROW])
     monkeypatch.setattr(bench_scaling, "bench_large_reset", lambda: {"large_reset_s": 0.1})

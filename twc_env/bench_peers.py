@@ -16,7 +16,6 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,36 +36,26 @@ SLAM_MAP = "twin-02"
 ROBOTS, BEAMS = 3, 180
 PEERS = {"irsim": ("irsim", "IR-SIM", "ir-sim"), "mpe2": ("mpe2", "MPE2", "mpe2")}
 """Key -> module, name, package."""
+REPETITIONS = 5
+WORLD_STEPS, SLAM_STEPS, IRSIM_STEPS, MPE2_STEPS, PROBE_STEPS = 2000, 2000, 400, 3000, 1000
+"""How long each repetition is."""
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """How long each repetition is."""
-
-    repetitions: int = 5
-    world_steps: int = 2000
-    slam_steps: int = 2000
-    irsim_steps: int = 400
-    mpe2_steps: int = 3000
-    probe_steps: int = 1000
-
-
-def bench_peers(settings: Settings | None = None, report: Report = lambda _line: None) -> dict[str, Any]:
+def bench_peers(report: Report = lambda _line: None) -> dict[str, Any]:
     """All figures of the comparison as one flat object; a peer that is not installed has None."""
-    settings = settings or Settings()
     with pinned_to_one_core():
-        figures = _rates(settings, report)
-    figures |= bench_probes.probe(SLAM_MAP, settings.probe_steps, report)
+        figures = _rates(report)
+    figures |= bench_probes.probe(SLAM_MAP, PROBE_STEPS, report)
     return figures
 
 
-def _rates(settings: Settings, report: Report) -> dict[str, Any]:
-    candidates = _candidates(settings, report)
+def _rates(report: Report) -> dict[str, Any]:
+    candidates = _candidates(report)
     runs: dict[str, list[Run]] = {name: [] for name in candidates}
-    for repetition in range(settings.repetitions):
+    for repetition in range(REPETITIONS):
         for name, once in candidates.items():
             runs[name].append(once(repetition))
-            report(f"{repetition + 1}/{settings.repetitions} {name:<6} {runs[name][-1].rate:>9,.0f} env-steps/s")
+            report(f"{repetition + 1}/{REPETITIONS} {name:<6} {runs[name][-1].rate:>9,.0f} env-steps/s")
     figures: dict[str, Any] = {}
     for name in ("world", "slam", *PEERS):
         for suffix, rate in (("s", "rate"), ("cpu_s", "cpu_rate")):
@@ -81,7 +70,7 @@ def _rates(settings: Settings, report: Report) -> dict[str, Any]:
     return figures | {
         "slam_step_p99_ms": 1e3 * statistics.median(slowest),
         "slam_team_ate_m": statistics.median(run.team_ate_m for run in runs["slam"]),
-        "repetitions": settings.repetitions,
+        "repetitions": REPETITIONS,
         "robots": ROBOTS,
         "beams": BEAMS,
         "world_map": WORLD_MAP,
@@ -91,18 +80,18 @@ def _rates(settings: Settings, report: Report) -> dict[str, Any]:
     }
 
 
-def _candidates(settings: Settings, report: Report) -> dict[str, Callable[[int], Run]]:
+def _candidates(report: Report) -> dict[str, Callable[[int], Run]]:
     base = {"robots": ROBOTS, "lidar.beam_count": BEAMS}
-    world = override(EnvConfig(), {**base, "slam.mode": "off", "max_cycles": settings.world_steps})
-    slam = override(EnvConfig(), {**base, "map": SLAM_MAP, "max_cycles": settings.slam_steps})
+    world = override(EnvConfig(), {**base, "slam.mode": "off", "max_cycles": WORLD_STEPS})
+    slam = override(EnvConfig(), {**base, "map": SLAM_MAP, "max_cycles": SLAM_STEPS})
     candidates: dict[str, Callable[[int], Run]] = {
         "world": OurRuns(world, world_plan()).once,
         "slam": OurRuns(slam, load_map(SLAM_MAP)).once,
     }
     if is_installed("irsim", report):
-        candidates["irsim"] = IrsimRuns(settings.irsim_steps).once
+        candidates["irsim"] = IrsimRuns(IRSIM_STEPS).once
     if is_installed("mpe2", report):
-        candidates["mpe2"] = Mpe2Runs(settings.mpe2_steps).once
+        candidates["mpe2"] = Mpe2Runs(MPE2_STEPS).once
     return candidates
 
 
