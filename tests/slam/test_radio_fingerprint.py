@@ -39,11 +39,6 @@ def test_each_spread_gives_the_clipped_mean_of_equation_eight(values):
         assert found.rssi_dbm[0] == pytest.approx(clipped_mean(values, divisor), abs=1e-9)
 
 
-@given(levels)
-def test_the_spread_as_printed_never_rejects_a_reading(values):
-    assert fingerprint(one_mac(values), 0.0, "paper").rssi_dbm[0] == pytest.approx(np.mean(values), abs=1e-9)
-
-
 def test_the_repaired_spread_rejects_an_outlier():
     values = [-60, -60, -61, -59, -60, -90]
     assert fingerprint(one_mac(values), 0.0, "population").rssi_dbm[0] == pytest.approx(-60.0)

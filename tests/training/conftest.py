@@ -1,6 +1,7 @@
 """A short training that several tests look at, and what it was of."""
 
 import os
+from functools import partial
 
 import pytest
 
@@ -33,10 +34,15 @@ def settings(torch):
 
 
 @pytest.fixture(scope="session")
-def run(task, settings, tmp_path_factory):
-    """A folder with 128 decisions of training in it."""
-    from training.ppo import train
+def train(torch):
+    from training import ppo
 
+    return partial(ppo.train, show_progress=False)
+
+
+@pytest.fixture(scope="session")
+def run(train, task, settings, tmp_path_factory):
+    """A folder with 128 decisions of training in it."""
     folder = tmp_path_factory.mktemp("ppo")
-    train(task, settings, 128, folder, show_progress=False)
+    train(task, settings, 128, folder)
     return folder

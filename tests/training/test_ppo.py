@@ -52,52 +52,42 @@ def test_the_step_size_falls_to_nothing_and_no_further():
     assert [falling(1e-3, left) for left in (1.0, 0.25, 0.0, -0.01)] == [1e-3, 2.5e-4, 0.0, 0.0]
 
 
-def test_going_on_with_another_number_of_processes_is_going_on(task, settings, tmp_path):
-    from training.ppo import train
-
-    train(task, settings, 32, tmp_path, show_progress=False)
-    train(task, replace(settings, workers=1), 64, tmp_path, resume=True, show_progress=False)
+def test_going_on_with_another_number_of_processes_is_going_on(train, task, settings, tmp_path):
+    train(task, settings, 32, tmp_path)
+    train(task, replace(settings, workers=1), 64, tmp_path, resume=True)
     assert int(metrics_of(tmp_path)[-1]["steps"]) == 64
 
 
-def test_the_same_seed_learns_the_same_weights(task, settings, run, tmp_path, torch):
+def test_the_same_seed_learns_the_same_weights(train, task, settings, run, tmp_path, torch):
     from stable_baselines3 import PPO
 
-    from training.ppo import train
-
-    again = train(task, settings, 128, tmp_path, show_progress=False)
+    again = train(task, settings, 128, tmp_path)
     first, second = (PPO.load(path, device="cpu").policy.state_dict() for path in (run / "model.zip", again))
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
-def test_training_resumes_where_it_stopped_and_keeps_the_learning_curve(task, settings, tmp_path):
-    from training.ppo import train
-
-    train(task, settings, 64, tmp_path, show_progress=False)
-    train(task, settings, 128, tmp_path, resume=True, show_progress=False)
+def test_training_resumes_where_it_stopped_and_keeps_the_learning_curve(train, task, settings, tmp_path):
+    train(task, settings, 64, tmp_path)
+    train(task, settings, 128, tmp_path, resume=True)
     assert [int(row["steps"]) for row in metrics_of(tmp_path)] == [64, 128]
     episodes = [int(row["episodes"]) for row in metrics_of(tmp_path)]
     assert 0 < episodes[0] < episodes[1]
 
 
-def test_a_run_folder_that_was_moved_keeps_its_curves_together_when_it_resumes(task, settings, tmp_path):
-    from training.ppo import train
-
-    train(task, settings, 64, tmp_path / "first", show_progress=False)
+def test_a_run_folder_that_was_moved_keeps_its_curves_together_when_it_resumes(train, task, settings, tmp_path):
+    train(task, settings, 64, tmp_path / "first")
     (tmp_path / "first").rename(tmp_path / "moved")
     before = list((tmp_path / "moved").rglob("events.*"))
-    train(task, settings, 128, tmp_path / "moved", resume=True, show_progress=False)
+    train(task, settings, 128, tmp_path / "moved", resume=True)
     assert not (tmp_path / "first").exists()
     assert len(list((tmp_path / "moved").rglob("events.*"))) == len(before) + 1
 
 
-def test_a_line_ahead_of_its_model_is_dropped_when_a_killed_training_resumes(task, settings, tmp_path):
-    from training.ppo import train
-
-    train(task, settings, 64, tmp_path, show_progress=False)
+def test_a_line_ahead_of_its_model_is_dropped_when_a_killed_training_resumes(train, task, settings, tmp_path):
+    train(task, settings, 64, tmp_path)
     with (tmp_path / "metrics.csv").open("a") as file:
         file.write("128,9,0.5,3.0,100.0\n160,1")  # killed before the model was saved, and within a line
-    train(task, settings, 128, tmp_path, resume=True, show_progress=False)
+    train(task, settings, 128, tmp_path, resume=True)
     rows = metrics_of(tmp_path)
     assert [int(row["steps"]) for row in rows] == [64, 128]
     assert rows[1]["steps_per_s"] != "100.0"
@@ -115,8 +105,7 @@ def test_settings_of_a_run_that_are_no_settings_are_named(change, tmp_path):
         read_settings(tmp_path)
 
 
-def test_a_wrong_map_leaves_no_run_folder(settings, tmp_path):
-    from training.ppo import train
+def test_a_wrong_map_leaves_no_run_folder(train, settings, tmp_path):
     from training.run_folder import Task
 
     with pytest.raises(MapError, match="no map named 'twin-3'"):
@@ -124,17 +113,14 @@ def test_a_wrong_map_leaves_no_run_folder(settings, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_resuming_with_another_task_is_refused(settings, run):
-    from training.ppo import train
+def test_resuming_with_another_task_is_refused(train, settings, run):
     from training.run_folder import Task
 
     with pytest.raises(DataError, match=r"was trained with map=.* instead of 'twin-02'.*; ask for the same"):
         train(Task("twin-02"), settings, 512, run, resume=True)
 
 
-def test_two_trainings_do_not_share_a_folder(task, settings, tmp_path):
-    from training.ppo import train
-
+def test_two_trainings_do_not_share_a_folder(train, task, settings, tmp_path):
     (tmp_path / "run").mkdir()
     with (
         alone_in(tmp_path / "run"),
@@ -144,8 +130,6 @@ def test_two_trainings_do_not_share_a_folder(task, settings, tmp_path):
     assert not list((tmp_path / "run").iterdir())
 
 
-def test_a_finished_run_is_not_overwritten(task, settings, run):
-    from training.ppo import train
-
+def test_a_finished_run_is_not_overwritten(train, task, settings, run):
     with pytest.raises(DataError, match="already holds a model; go on with --resume"):
         train(task, settings, 128, run)

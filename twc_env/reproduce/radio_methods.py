@@ -17,7 +17,7 @@ from twc_env.messages import GridMap, SensorFrame, WifiScan
 from twc_env.metrics.trajectory import absolute_trajectory_error_m
 from twc_env.reproduce import radio_walks
 from twc_env.reproduce.radio_twins import Place, record, true_path
-from twc_env.reproduce.radio_walks import RadioWalk
+from twc_env.reproduce.radio_walks import RecordedWalk
 from twc_env.slam import radio_lidar, radio_slam
 from twc_env.slam.distance_factor import Distances
 from twc_env.slam.particle_filter import ParticleFilterSettings, map_frames
@@ -66,15 +66,15 @@ def means(errors: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {name: float(np.mean([error[key] for error in errors])) for name, key in names.items()}
 
 
-def odometry(_place: Place, walk: RadioWalk, _seed: int) -> Outcome:
+def odometry(_place: Place, walk: RecordedWalk, _seed: int) -> Outcome:
     """Dead reckoning."""
     return Outcome(walk.true_poses, walk.odometry)
 
 
-def radio(weighting: str, false_share: float = 0.0) -> Callable[[Place, RadioWalk, int], Outcome]:
+def radio(weighting: str, false_share: float = 0.0) -> Callable[[Place, RecordedWalk, int], Outcome]:
     """Radio SLAM by this weighting, with that share of false closures among the true ones."""
 
-    def run(_place: Place, walk: RadioWalk, seed: int) -> Outcome:
+    def run(_place: Place, walk: RecordedWalk, seed: int) -> Outcome:
         clean = _clean(walk, weighting)
         if not false_share:
             return clean
@@ -85,18 +85,18 @@ def radio(weighting: str, false_share: float = 0.0) -> Callable[[Place, RadioWal
 
 
 @functools.lru_cache(maxsize=2)
-def _clean(walk: RadioWalk, weighting: str) -> Outcome:
+def _clean(walk: RecordedWalk, weighting: str) -> Outcome:
     return _solved(walk, weighting)
 
 
-def _solved(walk: RadioWalk, weighting: str, false_closures: Distances | None = None) -> Outcome:
+def _solved(walk: RecordedWalk, weighting: str, false_closures: Distances | None = None) -> Outcome:
     log = radio_slam.RadioLog(walk.motions, walk.turned_rad, walk.fingerprints)
     result = radio_slam.solve(log, RadioSlamConfig(weighting=weighting), false_closures=false_closures)
     model = next(iter(result.models.values()), None)
     return Outcome(walk.true_poses, compose(walk.true_poses[0], result.poses), model, len(result.closures))
 
 
-def _false_closures(walk: RadioWalk, count: int, seed: int) -> Distances:
+def _false_closures(walk: RecordedWalk, count: int, seed: int) -> Distances:
     random = np.random.default_rng([seed, count])
     pairs: list[tuple[int, int]] = []
     while len(pairs) < count:
@@ -107,14 +107,14 @@ def _false_closures(walk: RadioWalk, count: int, seed: int) -> Distances:
     return Distances(np.array(pairs, np.int64).reshape(-1, 2), *claimed)
 
 
-def with_lidar(place: Place, walk: RadioWalk, seed: int) -> Outcome:
+def with_lidar(place: Place, walk: RecordedWalk, seed: int) -> Outcome:
     """Radio SLAM, then scan matching where its path comes near itself."""
     keyframes, truth = keyframes_of(place, walk, seed)
     result = radio_lidar.solve(keyframes, CONFIG)
     return Outcome(truth, compose(truth[0], result.poses), grid=result.grid)
 
 
-def gmapping(place: Place, walk: RadioWalk, seed: int) -> Outcome:
+def gmapping(place: Place, walk: RecordedWalk, seed: int) -> Outcome:
     """The particle filter on the walk's odometry and a laser scan wherever the radio was heard too."""
     plan = load_map(place.twin)
     ranges = radio_walks.scan_lidar(plan, LIDAR, walk.true_poses, seed)[:, ::PARTICLE_STRIDE]
@@ -129,7 +129,7 @@ def gmapping(place: Place, walk: RadioWalk, seed: int) -> Outcome:
     return Outcome(walk.true_poses, compose(walk.true_poses[0], path))
 
 
-def keyframes_of(place: Place, walk: RadioWalk, seed: int):
+def keyframes_of(place: Place, walk: RecordedWalk, seed: int):
     """What the engine's front end remembers of a walk with its laser, and the true poses (keyframes, 3)."""
     true_poses = true_path(place, seed)
     ranges = radio_walks.scan_lidar(load_map(place.twin), LIDAR, true_poses, seed)
@@ -150,7 +150,7 @@ def keyframes_of(place: Place, walk: RadioWalk, seed: int):
     return keyframes, np.array(truth)
 
 
-METHODS: dict[str, tuple[str, Callable[[Place, RadioWalk, int], Outcome]]] = {
+METHODS: dict[str, tuple[str, Callable[[Place, RecordedWalk, int], Outcome]]] = {
     "odometry": ("", odometry),
     "wifi": ("wifi", radio("ours")),
     "wifi paper": ("wifi", radio("paper")),

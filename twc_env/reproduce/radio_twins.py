@@ -9,7 +9,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig, from_dict
 from twc_env.reproduce import radio_walks
-from twc_env.reproduce.radio_walks import RadioWalk
+from twc_env.reproduce.radio_walks import RecordedWalk
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ PLACES = {
 }  # fmt: skip
 
 
-def record(place: Place, kind: str, seed: int) -> RadioWalk:
+def record(place: Place, kind: str, seed: int) -> RecordedWalk:
     """The walk of a seed with its WiFi or LTE scans."""
     true_poses = true_path(place, seed)
     radio = radio_config(place, kind)

@@ -45,7 +45,7 @@ MATCHED_SHARE = 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RadioWalk:
+class RecordedWalk:
     """What one robot sensed at its radio scans (n), beside the truth."""
 
     true_poses: Array
@@ -107,14 +107,14 @@ def record(
     odometry_error_m: float,
     nominal_drift: float,
     storeys: tuple[int, ...] = (0,),
-) -> RadioWalk:
+) -> RecordedWalk:
     """What the robot senses on a `drive`, with odometry whose mean error is `odometry_error_m`."""
     at = np.arange(0, len(true_poses), STEPS_PER_SCAN)
     drift, stream = matched_odometry(true_poses, at, odometry_error_m, nominal_drift, seed)
     motions, turned_rad = measured_odometry(true_poses, at, drift, stream)
     plan = radio_places.over_storeys(load_map(name), storeys)
     prints = scan_radio(plan, radio, true_poses[at], seed)
-    return RadioWalk(true_poses[at], motions, turned_rad, prints, drift, stream)
+    return RecordedWalk(true_poses[at], motions, turned_rad, prints, drift, stream)
 
 
 def scan_radio(plan: Floorplan, radio: RadioConfig, poses: Array, seed: int) -> tuple[Fingerprint, ...]:

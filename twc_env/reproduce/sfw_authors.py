@@ -30,7 +30,7 @@ from twc_env.metrics.k_visibility import walls_crossed_in_raster
 from twc_env.reproduce import sfw_scoring as scoring
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.sfw_registration import Registration, register
-from twc_env.reproduce.sfw_walks import RadioWalk
+from twc_env.reproduce.sfw_walks import WalkReadings
 from twc_env.world.floor_cells import Cells
 
 AS_COVERED = "ours, as covered"
@@ -115,7 +115,7 @@ class LaidWalk:
     walk: AuthorsWalk
     fit: Registration
     cells: Cells
-    placed: RadioWalk
+    placed: WalkReadings
     """In metres of the cells, with one column for each column of the log."""
     pixels_per_m: float
 
@@ -146,7 +146,7 @@ def _cells(free: Array, wall: Array, pixels_per_m: float) -> Cells:
     return Cells(is_free, is_wall, np.full(2, -_MARGIN_CELLS * scoring.RESOLUTION_M), scoring.RESOLUTION_M)
 
 
-def _placed(walk: AuthorsWalk, fit: Registration, cells: Cells, height_px: int, pixels_per_m: float) -> RadioWalk:
+def _placed(walk: AuthorsWalk, fit: Registration, cells: Cells, height_px: int, pixels_per_m: float) -> WalkReadings:
     rows = np.ceil(height_px / (scoring.RESOLUTION_M * pixels_per_m)) * scoring.RESOLUTION_M
 
     def in_metres(points_px: Array) -> Array:
@@ -155,7 +155,7 @@ def _placed(walk: AuthorsWalk, fit: Registration, cells: Cells, height_px: int, 
 
     position, routers = in_metres(walk.position_px), in_metres(ROUTERS_PX)[walk.router_of]
     crossed = np.column_stack([_walls_between(cells, router, position) for router in routers])
-    return RadioWalk(position, walk.rssi_dbm, routers, crossed)
+    return WalkReadings(position, walk.rssi_dbm, routers, crossed)
 
 
 def _walls_between(cells: Cells, router_m: Array, position_m: Array) -> Array:
@@ -171,9 +171,9 @@ def _walls_between(cells: Cells, router_m: Array, position_m: Array) -> Array:
     )
 
 
-def _strongest_column_each(walk: RadioWalk, router_of: Array) -> RadioWalk:
+def _strongest_column_each(walk: WalkReadings, router_of: Array) -> WalkReadings:
     """One column per router: the strongest of its bands, as the authors' own last column."""
     numbers = np.unique(router_of)
     first = [int(np.flatnonzero(router_of == n)[0]) for n in numbers]
     rssi = np.column_stack([walk.rssi_dbm[:, router_of == n].max(axis=1) for n in numbers])
-    return RadioWalk(walk.position_m, rssi, walk.router_m[first], walk.walls[:, first])
+    return WalkReadings(walk.position_m, rssi, walk.router_m[first], walk.walls[:, first])

@@ -21,7 +21,7 @@ from twc_env.datasets.ble_flat import read_ble_run, read_flat
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce import sfw_scoring as scoring
 from twc_env.reproduce.runner import Runner, data_folder
-from twc_env.reproduce.sfw_walks import RadioWalk
+from twc_env.reproduce.sfw_walks import WalkReadings
 from twc_env.slam.k_clusters import k_means, predict_walls, sliding_window
 from twc_env.slam.k_visibility_signal import fit_alike
 from twc_env.slam.path_bins import bin_along_path
@@ -74,7 +74,7 @@ def measure(run: str, folder: Path, out: Path | None) -> dict:
     plan = places.flat(read_flat(folder), 6.0)
     routers = survey.transmitters[0]
     crossed = np.column_stack([plan.wall_index.crossing(router, survey.position_m)[0] for router in routers])
-    walk = RadioWalk(survey.position_m, survey.rssi_dbm.astype(float), routers, places.walls_of(crossed))
+    walk = WalkReadings(survey.position_m, survey.rssi_dbm.astype(float), routers, places.walls_of(crossed))
     heard = np.isfinite(walk.rssi_dbm)
     bins = bin_along_path(walk.position_m, walk.rssi_dbm)
     figures = {"true": walk.walls[heard]}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.metrics.k_visibility import StructureScore, calibration_error, score_structure, truth_map
 from twc_env.reproduce.drawing import can_draw, new_figure
-from twc_env.reproduce.sfw_walks import RadioWalk
+from twc_env.reproduce.sfw_walks import WalkReadings
 from twc_env.slam import k_visibility_rules as published
 from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, sliding_window
 from twc_env.slam.k_visibility import Structure, map_structure
@@ -47,13 +47,13 @@ class Mapped:
         return dict(zip(FIGURES, columns, strict=True))
 
 
-def focus_of(walk: RadioWalk) -> tuple[Array, Array]:
+def focus_of(walk: WalkReadings) -> tuple[Array, Array]:
     """Rows of the readings that heard any router, and the strongest router of each."""
     rows = np.flatnonzero(np.isfinite(walk.rssi_dbm).any(axis=1))
     return rows, np.argmax(np.nan_to_num(walk.rssi_dbm[rows], nan=-200.0), axis=1)
 
 
-def by_paper(walk: RadioWalk, cells: Cells, is_compensated: bool = False) -> Mapped:
+def by_paper(walk: WalkReadings, cells: Cells, is_compensated: bool = False) -> Mapped:
     """Sorted k-means on the strongest router's readings, sliding window, rules 1-5 with Eq. 4 and 5 as printed.
 
     The paper does not print its number of clusters: the one that serves it best, in hindsight, is taken. Compensated:
@@ -76,7 +76,7 @@ def by_paper(walk: RadioWalk, cells: Cells, is_compensated: bool = False) -> Map
     return by_rules(walk, cells, k)
 
 
-def by_rules(walk: RadioWalk, cells: Cells, walls: Array) -> Mapped:
+def by_rules(walk: WalkReadings, cells: Cells, walls: Array) -> Mapped:
     """The published map from the walls (heard readings,) between each reading and its strongest router."""
     rows, focus = focus_of(walk)
     at = np.floor((walk.position_m[rows] - cells.origin_m) / cells.resolution_m).astype(np.int64)[:, ::-1]
@@ -89,7 +89,7 @@ def by_rules(walk: RadioWalk, cells: Cells, walls: Array) -> Mapped:
     )
 
 
-def by_ours(walk: RadioWalk, cells: Cells, seed: int) -> Mapped:
+def by_ours(walk: WalkReadings, cells: Cells, seed: int) -> Mapped:
     """`map_structure` on the same readings."""
     structure = map_structure(
         walk.position_m, walk.rssi_dbm, walk.router_m, cells.resolution_m, seed=seed, origin_m=cells.origin_m
@@ -138,7 +138,7 @@ def _judged(
     return Mapped(accuracy, score, error, classes, truth, probability, structure)
 
 
-def draw_maps(path: Path, title: str, walk: RadioWalk, cells: Cells, maps: dict[str, Mapped]) -> None:
+def draw_maps(path: Path, title: str, walk: WalkReadings, cells: Cells, maps: dict[str, Mapped]) -> None:
     """Truth, and each method's map beside it. Says nothing where matplotlib is missing."""
     if not can_draw():
         return

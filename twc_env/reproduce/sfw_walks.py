@@ -26,7 +26,7 @@ _AROUND = np.array([(0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0),
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RadioWalk:
+class WalkReadings:
     """Readings of one walk, with the truth that tables are scored by."""
 
     position_m: Array
@@ -102,7 +102,9 @@ def resampled(way_m: Array, count: int) -> Array:
     return points_along(way_m, np.linspace(0.0, travelled_m(way_m)[-1], count))
 
 
-def read_walk(plan: Floorplan, config: RadioConfig, position_m: Array, seed: int, faces_per_wall: int = 1) -> RadioWalk:
+def read_walk(
+    plan: Floorplan, config: RadioConfig, position_m: Array, seed: int, faces_per_wall: int = 1
+) -> WalkReadings:
     """What one receiver reads of each router (the first address of each access point) at every position."""
     points = tuple(dataclasses.replace(p, macs=p.macs[:1]) for p in plan.access_points)
     plan = dataclasses.replace(plan, access_points=points)
@@ -116,4 +118,4 @@ def read_walk(plan: Floorplan, config: RadioConfig, position_m: Array, seed: int
         rssi[k, column_of[np.searchsorted(model.macs, scan.macs)]] = scan.rssi_dbm
     router_m = np.array([p.position_m for p in points])
     crossed = np.column_stack([plan.wall_index.crossing(router, position_m)[0] for router in router_m])
-    return RadioWalk(position_m, rssi, router_m, (crossed + faces_per_wall - 1) // faces_per_wall)
+    return WalkReadings(position_m, rssi, router_m, (crossed + faces_per_wall - 1) // faces_per_wall)
