@@ -180,13 +180,7 @@ def test_calibration_finds_scale_curl_and_turn_factor():
     assert left < 0.5 * before
 
 
-def test_closures_that_stand_alone_are_not_believed():
-    travel = np.arange(0.0, 200.0, 2.0)
-    i, j = np.array([10, 11, 12, 40]), np.array([80, 81, 82, 70])
-    assert radio_closures.with_support(i, j, travel).tolist() == [True, True, True, False]
-
-
-def test_support_needs_no_more_memory_on_a_longer_way():
+def test_closures_that_stand_alone_are_not_believed_however_long_the_way():
     travel = 1e8 + np.arange(0.0, 200.0, 2.0)
     i, j = np.array([10, 11, 12, 40]), np.array([80, 81, 82, 70])
     assert radio_closures.with_support(i, j, travel).tolist() == [True, True, True, False]
@@ -227,7 +221,7 @@ def test_fields_of_strength_find_a_displacement_and_its_direction():
     shifted = grid.copy()
     shifted[27] += (1.0, -0.5)  # believed to be there
     travel = 100.0 * np.arange(len(grid))
-    found = radio_field.ties(feature, shifted, travel, 4.0, 30.0, 0.1, 6.0)
+    found = radio_field.ties(feature, shifted, travel, 4.0, 30.0, 0.1)
     mine = found.pairs[:, 1] == 27
     target = shifted[found.pairs[mine, 0]] + found.offset_m[mine]
     assert target == pytest.approx(np.tile(grid[27], (mine.sum(), 1)), abs=0.35)

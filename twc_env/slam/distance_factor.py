@@ -63,11 +63,8 @@ def together(parts: Sequence[Distances]) -> Distances:
 class RadioEquations(NormalEquations):
     """Normal equations of relative poses and distances together; errors come in this order."""
 
-    def __init__(
-        self, edges: Array, measured: Array, information: Array, distances: Distances, count: int, fixed: int = 0
-    ):
-        self._relative_count = len(edges)
-        self._distances, self._fixed = distances, fixed
+    def __init__(self, edges: Array, measured: Array, information: Array, distances: Distances, count: int):
+        self._relative_count, self._distances = len(edges), distances
         nothing = np.zeros((len(distances), 3))
         # As edges without information the pairs take their places in the sparse pattern.
         super().__init__(
@@ -75,8 +72,19 @@ class RadioEquations(NormalEquations):
             np.concatenate([np.reshape(measured, (-1, 3)), nothing]),
             np.concatenate([np.reshape(information, (-1, 3, 3)), np.zeros((len(distances), 3, 3))]),
             count,
-            fixed,
+            fixed=0,
         )
+
+    def fit(self, poses: Array, scale: float, iterations: int) -> Array:
+        """Poses of a path after so many steps; its odometry, which comes first, counts in full, all else by a Cauchy
+        loss of this scale."""
+
+        def weigh(squared: Array) -> Array:
+            weight = 1.0 / (1.0 + squared / scale**2)
+            weight[: len(poses) - 1] = 1.0
+            return weight
+
+        return self.minimise(poses, weigh, iterations)
 
     def squared_errors(self, poses: Array) -> Array:
         """(relative + distances,) squared length of each residual."""
@@ -90,7 +98,7 @@ class RadioEquations(NormalEquations):
         distances, first = self._distances, self._relative_count
         _add_distances(
             distances.pairs, distances.residuals(poses), distances.jacobian(poses), weight[first:],
-            self._blocks[first:], self._fixed, diagonal, blocks, gradient,
+            self._blocks[first:], diagonal, blocks, gradient,
         )  # fmt: skip
         return diagonal, blocks, gradient
 
@@ -102,7 +110,7 @@ class RadioEquations(NormalEquations):
 
 
 @kernel
-def _add_distances(pairs, residuals, jacobian, weight, block_of_edge, fixed, diagonal, blocks, gradient):
+def _add_distances(pairs, residuals, jacobian, weight, block_of_edge, diagonal, blocks, gradient):
     for e in range(len(pairs)):
         w, r = weight[e], residuals[e]
         if w == 0.0:
@@ -112,7 +120,7 @@ def _add_distances(pairs, residuals, jacobian, weight, block_of_edge, fixed, dia
             g = w * jacobian[e, row] * r
             for end in range(2):
                 pose = pairs[e, end]
-                if pose == fixed:
+                if pose == 0:  # held where it is
                     continue
                 gradient[pose, row] -= g if end == 0 else -g
                 for col in range(2):

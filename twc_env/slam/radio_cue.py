@@ -30,7 +30,6 @@ scans, and look far more alike than the floor makes them."""
 ALONG_SMOOTHING = {"wifi": 0.67, "lte": 1.0}
 """The last fit takes evidence of fingerprints averaged over this share of the path between two places: so most scans
 count, at hardly any place but their own."""
-MOVED_PER_BANDWIDTH = 1.5
 
 
 @dataclass(slots=True, eq=False)
@@ -74,10 +73,8 @@ class RadioCue:
         if bandwidth_m not in self.worth:
             reckoned = poses_along(motions.motion)
             self.worth[bandwidth_m] = radio_field.learn_worth(self.feature, reckoned[:, :2], self.travel_m, bandwidth_m)
-        return radio_field.ties(
-            self.feature, poses[:, :2], self.travel_m, bandwidth_m, apart_m, self.worth[bandwidth_m],
-            MOVED_PER_BANDWIDTH * bandwidth_m,
-        )  # fmt: skip
+        worth = self.worth[bandwidth_m]
+        return radio_field.ties(self.feature, poses[:, :2], self.travel_m, bandwidth_m, apart_m, worth)
 
 
 def prepared(

@@ -25,6 +25,8 @@ VISITS = 3
 """A displacement ties a place to the nearest places of at most this many other visits ..."""
 VISIT_APART_M = 15.0
 """... which lie further apart than this along the path."""
+MOVED_PER_BANDWIDTH = 1.5
+"""Longer displacements are outside of what a plane can tell."""
 PRIOR_STD_M = 5.0
 """Displacements are expected to be within this."""
 BEST_STD_M = 2.0
@@ -58,20 +60,16 @@ class Ties:
         return relative, information
 
 
-def ties(
-    feature: Array, positions_m: Array, travel_m: Array, bandwidth_m: float, apart_m: float, worth: float,
-    moved_max_m: float,
-) -> Ties:  # fmt: skip
+def ties(feature: Array, positions_m: Array, travel_m: Array, bandwidth_m: float, apart_m: float, worth: float) -> Ties:
     """What features (n, transmitters) at estimated positions (n, 2) say about each other's places.
 
-    Only places further apart along the path than apart_m speak to each other; displacements longer than moved_max_m
-    are outside of what a plane can tell and left out.
+    Only places further apart along the path than apart_m speak to each other.
     """
     curvature, pull, near = _fit_all(feature, positions_m, travel_m, bandwidth_m, apart_m, np.inf)
     known = np.flatnonzero(near[:, 0] >= 0)
     curvature, pull, near = worth * curvature[known], worth * pull[known], near[known]
     moved = np.linalg.solve(curvature + np.eye(2) / PRIOR_STD_M**2, pull[..., None])[..., 0]
-    kept = np.hypot(moved[:, 0], moved[:, 1]) <= moved_max_m
+    kept = np.hypot(moved[:, 0], moved[:, 1]) <= MOVED_PER_BANDWIDTH * bandwidth_m
     known, curvature, moved, near = known[kept], curvature[kept], moved[kept], near[kept]
     ceiling = np.eye(2) / BEST_STD_M**2
     information = curvature @ np.linalg.inv(curvature + ceiling) @ ceiling

@@ -3,6 +3,7 @@ similarity tells, then tied to itself by fields of strength, its odometry calibr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -57,33 +58,19 @@ class PathFit:
         """Places tied by the fields of strength, from coarse to fine."""
         for k in range(max(cue.rounds for cue in self._cues)):
             ties = [cue.ties(poses, motions, k, self._config.apart_m, self._cell_m) for cue in self._cues]
-            poses = self.fit(poses, motions, None, [t for t in ties if len(t.pairs)], iterations=TIE_ITERATIONS)
+            poses = self.fit(poses, motions, NO_DISTANCES, [t for t in ties if len(t.pairs)], iterations=TIE_ITERATIONS)
             motions = calibrated(motions, poses)
         return poses
 
     def fit(
-        self, poses: Array, motions: Motions, closures: Distances | None, ties: Sequence[radio_field.Ties] = (),
+        self, poses: Array, motions: Motions, closures: Distances, ties: Sequence[radio_field.Ties] = (),
         robust: bool = True, iterations: int = FINAL_ITERATIONS,
     ) -> Array:  # fmt: skip
         """Poses after least squares over the odometry of their part of the path, closures and ties."""
         count = len(poses)
         chain = np.arange(count - 1)
-        edges, measured = [np.column_stack([chain, chain + 1])], [motions.motion[: count - 1]]
-        information = [self._information[: count - 1]]
-        for tie in ties:
-            edges.append(tie.pairs)
-            relative, its_information = tie.relative(poses)
-            measured.append(relative)
-            information.append(its_information)
-        equations = RadioEquations(
-            np.concatenate(edges), np.concatenate(measured), np.concatenate(information),
-            closures if closures is not None else NO_DISTANCES, count,
-        )  # fmt: skip
-        scale2 = self._config.robust_scale**2
-
-        def weigh(squared: Array) -> Array:
-            weight = 1.0 / (1.0 + squared / scale2) if robust else np.ones(len(squared))
-            weight[: count - 1] = 1.0
-            return weight
-
-        return equations.minimise(poses, weigh, iterations)
+        odometry = np.column_stack([chain, chain + 1]), motions.motion[: count - 1], self._information[: count - 1]
+        parts = zip(odometry, *((tie.pairs, *tie.relative(poses)) for tie in ties), strict=True)
+        edges, measured, information = (np.concatenate(part) for part in parts)
+        scale = self._config.robust_scale if robust else math.inf
+        return RadioEquations(edges, measured, information, closures, count).fit(poses, scale, iterations)

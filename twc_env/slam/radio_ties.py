@@ -25,7 +25,6 @@ from twc_env.slam.radio_odometry import RadioOdometry
 from twc_env.slam.radio_similarity import feature_rows, split_cues
 
 BANDWIDTH_M = {"wifi": 5.0, "lte": 30.0}
-MOVED_PER_BANDWIDTH = 1.5
 FIT = PoseGraphConfig(robust="dcs")
 PLACES_PER_TURN = 5
 """So many new places make a map worth optimising."""
@@ -105,7 +104,5 @@ class RadioTies:
         travel = np.array([place.travel_m for place in places]) + FAR_M * robot
         reckoned = np.array([place.pose_odom[:2] for place in places]) + FAR_M * robot[:, None]
         worth = learn_worth(feature, reckoned, travel, bandwidth_m)
-        found = ties(
-            feature, poses[:, :2], travel, bandwidth_m, self._config.apart_m, worth, MOVED_PER_BANDWIDTH * bandwidth_m
-        )
+        found = ties(feature, poses[:, :2], travel, bandwidth_m, self._config.apart_m, worth)
         return (found.pairs, *found.relative(poses)) if len(found.pairs) else None

@@ -30,7 +30,6 @@ from twc_env.slam.similarity_model import SimilarityModel, train_on_path
 BANDWIDTHS_M = {"wifi": (8.0, 5.0), "lte": (40.0, 25.0)}
 """Of the fields, from coarse to fine, each time the graph is optimised."""
 ROUNDS = 2
-MOVED_PER_BANDWIDTH = 1.5
 ITERATIONS = 8
 RECENT_M = 60.0
 """Places of the latest stretch this long are never forgotten."""
@@ -185,10 +184,8 @@ class RadioTrail:
         feature, bandwidth_m = heard.of(self._rows), BANDWIDTHS_M[heard.cue][round_]
         if not self._is_full or bandwidth_m not in heard.worth:
             heard.worth[bandwidth_m] = radio_field.learn_worth(feature, poses[:, :2], travel, bandwidth_m)
-        ties = radio_field.ties(
-            feature, poses[:, :2], travel, bandwidth_m, self._config.apart_m, heard.worth[bandwidth_m],
-            MOVED_PER_BANDWIDTH * bandwidth_m,
-        )  # fmt: skip
+        worth = heard.worth[bandwidth_m]
+        ties = radio_field.ties(feature, poses[:, :2], travel, bandwidth_m, self._config.apart_m, worth)
         return ties.pairs, *ties.relative(poses)
 
     def _held(self) -> tuple[Array, Array, Array]:
@@ -205,13 +202,7 @@ class RadioTrail:
         parts = zip((chain, self._steps[1:, :3], odometry), self._held(), *ties, strict=True)
         edges, measured, information = (np.concatenate(part) for part in parts)
         equations = RadioEquations(edges, measured, information, closures, count)
-
-        def weigh(squared: Array) -> Array:
-            weight = 1.0 / (1.0 + squared / config.robust_scale**2)
-            weight[: count - 1] = 1.0
-            return weight
-
-        return equations.minimise(poses, weigh, ITERATIONS)
+        return equations.fit(poses, config.robust_scale, ITERATIONS)
 
 
 def _joined(first: Array, second: Array) -> Array:

@@ -252,7 +252,7 @@ class _Joiner:
         worth = radio_field.learn_worth(feature, self._local[:, :2] + apart_m, self._travel_m, BANDWIDTH_M)
         for _ in range(FIELD_ROUNDS):
             placed = compose(poses[self._walk], self._local)[:, :2]
-            ties = radio_field.ties(feature, placed, self._travel_m, BANDWIDTH_M, APART_M / 2, worth, 1.5 * BANDWIDTH_M)
+            ties = radio_field.ties(feature, placed, self._travel_m, BANDWIDTH_M, APART_M / 2, worth)
             both = radio_field.Ties(
                 np.concatenate([ties.pairs, matches]),
                 np.concatenate([ties.offset_m, np.zeros(matches.shape)]),
