@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from twc_env.config import LidarConfig
 from twc_env.maps import load_map
 from twc_env.world.lidar import Lidar, glass_walls
-from twc_env.world.starts import start_places
 from twc_env.world.wall_index import index_walls
 
 SQUARE = np.array([[[0, 0], [4, 0]], [[4, 0], [4, 4]], [[4, 4], [0, 4]], [[0, 4], [0, 0]]], float)
@@ -38,11 +37,6 @@ def test_ranges_in_a_square_room_have_their_closed_form(pose):
     ranges = scanner(beam_count=beams).scan(np.array([pose]))[0]
     expected = [square_range(pose[0], pose[1], pose[2] + 2 * np.pi * b / beams) for b in range(beams)]
     assert ranges == pytest.approx(np.array(expected), abs=1e-9)
-
-
-def test_beam_zero_points_ahead_and_beams_run_counter_clockwise():
-    ranges = scanner(beam_count=8).scan(np.array([[1.0, 1.5, 0.0]]))[0]
-    assert ranges[[0, 2, 4, 6]] == pytest.approx([3.0, 2.5, 1.0, 1.5])
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 120))
@@ -75,18 +69,6 @@ def nearest_hit(walls_m, pose, angle_rad: float, far_m: float) -> float:
         distance = (away[:, 0] * extents[:, 1] - away[:, 1] * extents[:, 0]) / closing
     hits = distance[(along >= -1e-9) & (along <= 1 + 1e-9) & (distance >= 0)]
     return min(far_m, hits.min(initial=far_m))
-
-
-@pytest.mark.parametrize("name", ["twin-02", "gen:ward:800:3"])
-def test_every_beam_ends_where_a_plain_loop_over_all_walls_says(name):
-    plan, config = load_map(name), LidarConfig(beam_count=90, **EXACT)
-    places = start_places(plan)[:: len(start_places(plan)) // 12]
-    for k, place in enumerate(places):
-        pose = np.array([*place, 0.7 * k])
-        found = Lidar(config, plan.wall_index, 0.2, 1, 0).scan(pose[None])[0]
-        angles = pose[2] + 2 * np.pi * np.arange(90) / 90
-        expected = [nearest_hit(plan.walls_m, pose, angle, config.range_max_m) for angle in angles]
-        assert found == pytest.approx(np.array(expected), abs=1e-9)
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 60), on_grid=st.booleans())
@@ -132,13 +114,6 @@ def test_another_robot_is_seen_as_a_disc():
     assert len(seen) == 2 * int(np.degrees(half_width_rad)) + 1
 
 
-def test_a_robot_behind_a_wall_is_not_seen():
-    walls = np.concatenate([SQUARE, [[[2, 0], [2, 4]]]])
-    alone = scanner(walls).scan(np.array([[1.0, 2.0, 0.0]]))
-    together = scanner(walls, robots=2).scan(np.array([[1.0, 2.0, 0.0], [3.0, 2.0, 0.0]]))
-    assert np.array_equal(alone[0], together[0])
-
-
 def test_range_noise_has_the_configured_spread_and_stays_in_range():
     device = scanner(range_noise_std_m=0.05, range_max_m=2.5, beam_count=360)
     pose = np.array([[2.0, 2.0, 0.0]])
@@ -152,11 +127,10 @@ def test_range_noise_has_the_configured_spread_and_stays_in_range():
     assert 0.0 < scanner(range_noise_std_m=1.0, beam_count=360).scan(pose).min() < 0.01
 
 
-def test_adding_a_robot_leaves_the_noise_of_the_others_alone():
+def test_a_robot_behind_a_wall_is_not_seen_and_leaves_the_noise_of_the_others_alone():
     poses = np.array([[1.0, 1.0, 0.0], [3.0, 3.0, 0.0]])
     walls = np.concatenate([SQUARE, [[[2, 0], [2, 4]]]])
-    one = scanner(walls, robots=1, seed=4).scan(poses[:1])
-    two = scanner(walls, robots=2, seed=4).scan(poses)
+    one, two = (scanner(walls, robots=count, seed=4, range_noise_std_m=0.02).scan(poses[:count]) for count in (1, 2))
     assert np.array_equal(one[0], two[0])
 
 

@@ -95,11 +95,6 @@ def test_measured_bearing_and_range_scatter_as_configured():
     assert np.std([r.range_m for r in readings]) == pytest.approx(0.1, rel=0.06)
 
 
-def test_clear_sight_reads_every_text_right():
-    random = np.random.default_rng(0)
-    assert all(misread("A301 OPTICS LAB", SignsConfig(**CLEAR), random) == "A301 OPTICS LAB" for _ in range(100))
-
-
 def test_fragments_come_as_often_as_configured_with_10_to_45_percent_of_the_text():
     config = SignsConfig(fragment_probability=0.2, character_error_probability=0.0)
     random, text = np.random.default_rng(0), "ABCDEFGHIJKLMNOPQRST"
