@@ -1,5 +1,7 @@
 """Walls from signal strength: the published rules, the signal model, and walls sampled against rays."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from twc_env.metrics.k_visibility import walls_crossed_in_raster, walls_crossed_
 from twc_env.slam import k_visibility_rules as rules
 from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, silhouette_k, sliding_window
 from twc_env.slam.k_visibility import map_structure
-from twc_env.slam.k_visibility_signal import fit_alike, fit_signal, locate_router
+from twc_env.slam.k_visibility_signal import _forward_backward, _transitions, fit_alike, fit_signal, locate_router
 from twc_env.slam.path_bins import bin_along_path
 from twc_env.slam.wall_candidates import wall_candidates
 
@@ -117,6 +119,37 @@ def past_a_wall(routers_m, noise_db=1.5):
     distance = np.linalg.norm(path[:, None] - routers_m, axis=2)
     noise = np.random.default_rng(1).normal(0.0, noise_db, distance.shape)
     return path, -40.0 - 8.0 * np.log10(distance) - 9.0 * walls + noise, walls
+
+
+def transitions(step_m, stay_m, share, states=3):
+    table = np.empty((states, states))
+    _transitions(step_m, stay_m, share, table)
+    return table
+
+
+def test_numbers_of_walls_are_as_probable_as_all_ways_through_them_together():
+    random, ways = np.random.default_rng(0), list(itertools.product(range(3), repeat=5))
+    told, steps = random.normal(size=(5, 3)), random.uniform(0.1, 4.0, 5)
+    tables = [transitions(np.inf, 1.5, 0.4), *(transitions(step, 1.5, 0.4) for step in steps[1:])]
+    weight = np.array(
+        [
+            np.prod([np.exp(told[i, k]) * tables[i][way[i - 1] if i else 0, k] for i, k in enumerate(way)])
+            for way in ways
+        ]
+    )
+    probability = np.empty((5, 3))
+    total = _forward_backward(told, steps, 1.5, 0.4, np.empty((5, 3)), probability)
+    assert total == pytest.approx(np.log(weight.sum()))
+    for i, k in itertools.product(range(5), range(3)):
+        assert probability[i, k] == pytest.approx(weight[[way[i] == k for way in ways]].sum() / weight.sum())
+
+
+def test_many_short_steps_are_one_long_one_and_more_walls_are_rarer():
+    assert np.linalg.matrix_power(transitions(0.25, 1.0, 0.4), 8) == pytest.approx(transitions(2.0, 1.0, 0.4))
+    far = transitions(100.0, 1.0, 0.4)
+    assert far[0] == pytest.approx(far[2]) and far[0, 0] > far[0, 1] > far[0, 2]
+    assert transitions(np.inf, 1.0, 0.5)[1] == pytest.approx(np.array([4.0, 2.0, 1.0]) / 7.0)
+    assert transitions(np.inf, 1.0, 1.0) == pytest.approx(1 / 3)
 
 
 def test_transmitters_that_are_alike_share_a_signal_and_nothing_that_one_tells_carries_over_to_the_next():

@@ -1,12 +1,13 @@
 """Walls crossed in a real flat (Kolakowski 2021): six BLE transmitters, known walls, one robot.
 
 The wall plan is used for scoring alone. k is cut at each `k_max` in truth and estimates; `majority` is the accuracy of
-always guessing the commonest k. `signal alone` is the signal model along the path, with power, exponent and wall loss
-shared by all tags, which are alike; `known signal` rounds each smoothed reading, by itself, with the true power,
-exponent and loss. `ours` counts walls of the map that explains all rays at once
-(`k_visibility.map_structure`, at its defaults) where the robot has passed every tag nearly, as in the first run: four
-drives, of which the last two are the two other runs. These stay in one room and the hall before it: there a wall that
-all rays of a tag cross is the same as a weaker tag, no map can tell, and `ours` is the signal alone.
+always guessing the commonest k. `ours` is the signal model along the path, with power, exponent and wall loss shared by
+all tags, which are alike; `map` counts walls of the map that explains all rays at once (`k_visibility.map_structure`,
+at its defaults, each tag by itself); `known signal` rounds each smoothed reading, by itself, with the true power,
+exponent and loss.
+
+The calibration run holds four drives. Priors of the signal model were chosen on the last two, which are also runs of
+their own and stay in one room and the hall before it; the two others are the test.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ from twc_env.slam.path_bins import bin_along_path
 
 SUMMARY = "walls crossed in a real flat with six BLE transmitters"
 _WINDOW = 7
-_RUNS = ("calibration", "calib3", "calib4")
-"""The first is reported; priors of the signal model were chosen on the two others, a quarter of its readings."""
-PASSED_M = 1.0
-"""Passed nearly: its power is told apart from walls."""
+TEST = "calibration, first two drives"
+_TEST_WALKS = (0, 1)
+RUNS = (TEST, "calibration", "calib3", "calib4")
+METHODS = ("k-means", "known signal", "map", "ours")
 _TRUE_SIGNAL = (-50.7, 0.77, 6.0)
 """Power [dBm], exponent and wall loss [dB] fitted to the first run with the walls known."""
 
@@ -45,14 +46,14 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per drive, k_max and method, over all transmitters."""
     folder = data_folder() / "wifi" / "ble_lidar"
     runs = runner.each(
-        _RUNS, lambda run: measure(run, folder, options.out), lambda run: f"{run}, drawn in {options.out}"
+        RUNS, lambda run: measure(run, folder, options.out), lambda run: f"{run}, drawn in {options.out}"
     )
     table = []
-    for name, run in zip(_RUNS, runs, strict=True):
+    for name, run in zip(RUNS, runs, strict=True):
         for k_max in (1, 2, 3):
             true = np.minimum(run["true"], k_max)
             majority = float(np.bincount(true).max() / len(true))
-            for method in ("k-means", "signal alone", "known signal", "ours"):
+            for method in METHODS:
                 accuracy = float(np.mean(np.array(run[f"{method} {k_max}"]) == true))
                 table.append(
                     {"run": name, "k_max": k_max, "method": method, "k_accuracy": accuracy, "majority": majority}
@@ -70,7 +71,9 @@ def remarks(table: list[dict]) -> list[str]:
 
 def measure(run: str, folder: Path, out: Path | None) -> dict:
     """True and estimated k of every reading heard, by method and k_max."""
-    survey = read_ble_run(folder, run)
+    survey = read_ble_run(folder, run.partition(",")[0])
+    if run == TEST:
+        survey = survey.at_scans(np.isin(survey.walk, _TEST_WALKS))
     plan = places.flat(read_flat(folder), 6.0)
     routers = survey.transmitters[0]
     crossed = np.column_stack([plan.wall_index.crossing(router, survey.position_m)[0] for router in routers])
@@ -81,7 +84,6 @@ def measure(run: str, folder: Path, out: Path | None) -> dict:
     power, exponent, loss = _TRUE_SIGNAL
     apart_m = np.linalg.norm(bins.position_m[:, None] - routers, axis=2)
     excess = power - 10 * exponent * np.log10(np.maximum(apart_m, 0.5)) - bins.rssi_dbm
-    is_passed = bool((apart_m.min(axis=0) <= PASSED_M).all())
     cells = plan.cells(scoring.RESOLUTION_M)
     mapped = scoring.by_ours(walk, cells, seed=0)
     structure = mapped.structure
@@ -93,13 +95,10 @@ def measure(run: str, folder: Path, out: Path | None) -> dict:
             smooth = sliding_window(walk.rssi_dbm[heard[:, r], r], _WINDOW)
             by_means[heard[:, r], r] = predict_walls(smooth, k_means(smooth, k_max + 1))
         by_signal = np.column_stack([fit.walls[bins.bin_of] for fit in fit_alike(bins, routers, k_max)])
-        figures[f"k-means {k_max}"] = by_means[heard]
-        ours = structure.walls if is_passed else by_signal
-        figures[f"signal alone {k_max}"] = by_signal[heard]
-        figures[f"ours {k_max}"] = np.minimum(ours, k_max)[heard]
-        figures[f"known signal {k_max}"] = np.minimum(known, k_max)[heard]
+        found = {"k-means": by_means, "known signal": known, "map": structure.walls, "ours": by_signal}
+        figures |= {f"{method} {k_max}": np.minimum(walls, k_max)[heard] for method, walls in found.items()}
     if out is not None:
         scoring.draw_maps(
-            out / f"{run}.png", f"flat, {run} (k of the strongest transmitter)", walk, cells, {"ours": mapped}
+            out / f"{run}.png", f"flat, {run} (k of the strongest transmitter)", walk, cells, {"map": mapped}
         )
     return figures

@@ -28,8 +28,9 @@ _WALL_LOSS_MIN_DB = 7.0
 _WALL_LOSS_STARTS_DB = (5.0, 8.0, 12.0, 18.0)
 _STAY_M = 1.5
 """Mean path length over which k stays what it is, for a walker along walls."""
-_ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M = (0.6, 0.1), 10.0
-"""Of transmitters of one make in a furnished flat, where echoes fill the rooms and a robot crosses them freely."""
+_ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M, _ALIKE_SHARE = (0.6, 0.1), 20.0, 0.4
+"""Of transmitters of one make in a furnished flat, where echoes fill the rooms and a robot crosses them freely. Each
+further wall is in between for this share of the readings of one wall less: what it takes is hardly heard."""
 _JUMP_DECAY = 0.15
 """How much rarer each further wall in one jump of k is."""
 _STEP_SHARE_MAX = 0.25
@@ -92,7 +93,7 @@ def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
     tries = []
     for start in _WALL_LOSS_STARTS_DB:
         score, parameters, probability = _fitted(
-            decades, level, steps, bins.step_m, k_max, start, _ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M, 40
+            decades, level, steps, bins.step_m, k_max, start, _ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M, 40, _ALIKE_SHARE
         )
         score += _log_prior(parameters[1], _ALIKE_EXPONENT_PRIOR) + _log_prior(parameters[2], _WALL_LOSS_PRIOR_DB)
         tries.append((score, parameters, probability))
@@ -167,9 +168,11 @@ def _log_prior(value: float, prior: tuple[float, float]) -> float:
 
 def _fitted(
     decades: Array, level: Array, steps: Array, step_m: float, k_max: int, start_db: float,
-    exponent_prior: tuple[float, float], stay_m: float, iterations: int,
+    exponent_prior: tuple[float, float], stay_m: float, iterations: int, share: float = 1.0,
 ) -> tuple[float, Array, Array]:  # fmt: skip
     """Log-likelihood, parameters (4,) and probability (n, k_max + 1) of each number of walls, of readings (n,).
+
+    `share`: how often there is one wall more, beforehand.
 
     Correlated readings say the same thing again: their likelihood is tempered to one per correlation length.
     """
@@ -178,14 +181,14 @@ def _fitted(
     probability = np.empty((len(level), k_max + 1))
     temper = min(1.0, max(step_m, 1e-3) / _CORRELATION_M)
     score = _expectation_maximisation(
-        decades, level, steps, temper, iterations, k_max > 0, exponent_prior, stay_m, parameters, probability
+        decades, level, steps, temper, iterations, k_max > 0, exponent_prior, stay_m, share, parameters, probability
     )
     return score, parameters, probability
 
 
 @kernel
 def _expectation_maximisation(
-    decades, level, steps, temper, iterations, has_walls, exponent_prior, stay, parameters, probability
+    decades, level, steps, temper, iterations, has_walls, exponent_prior, stay, share, parameters, probability
 ):
     """Baum-Welch with a regression as its M step; parameters (4,) power, exponent, wall loss, noise, in and out."""
     count, states = probability.shape
@@ -198,7 +201,7 @@ def _expectation_maximisation(
             for k in range(states):
                 e = (level[i] - power + exponent * decades[i] + loss * k) / noise
                 log_emit[i, k] = temper * (-2.5 * np.log(1.0 + e * e / 4.0) - np.log(noise))
-        total = _forward_backward(log_emit, steps, stay, forward, probability)
+        total = _forward_backward(log_emit, steps, stay, share, forward, probability)
         # Normal equations of (power, exponent, loss) with Gaussian priors, in units of the noise.
         a = np.zeros((3, 3))
         b = np.zeros(3)
@@ -232,8 +235,8 @@ def _expectation_maximisation(
 
 
 @kernel
-def _forward_backward(log_emit, steps, stay, forward, probability):
-    """Posterior of each state (count, states); gives the log-likelihood. The first bin prefers no state."""
+def _forward_backward(log_emit, steps, stay, share, forward, probability):
+    """Posterior of each state (count, states); gives the log-likelihood. Before the first bin lies an endless way."""
     count, states = log_emit.shape
     transition = np.empty((states, states))
     backward = np.ones(states)
@@ -242,10 +245,10 @@ def _forward_backward(log_emit, steps, stay, forward, probability):
     for i in range(count):
         top = log_emit[i].max()
         scale = 0.0
-        _transitions(steps[i], stay, transition)
+        _transitions(steps[i] if i > 0 else np.inf, stay, share, transition)
         for k in range(states):
             if i == 0:
-                came = 1.0 / states
+                came = transition[0, k]
             else:
                 came = 0.0
                 for j in range(states):
@@ -265,7 +268,7 @@ def _forward_backward(log_emit, steps, stay, forward, probability):
         if i == 0:
             break
         top = log_emit[i].max()
-        _transitions(steps[i], stay, transition)
+        _transitions(steps[i], stay, share, transition)
         for k in range(states):
             emit[k] = np.exp(log_emit[i, k] - top) * backward[k]
         norm = 0.0
@@ -281,12 +284,13 @@ def _forward_backward(log_emit, steps, stay, forward, probability):
 
 
 @kernel
-def _transitions(step, stay, transition):
-    """How k changes over one step of the path: rarely, and by one wall more often than by two; anyhow over an endless
-    one."""
+def _transitions(step, stay, share, transition):
+    """How k changes over one step of the path: rarely, and by one wall more often than by two; to more walls the more
+    rarely, the smaller the share is (Metropolis et al. 1953). Over an endless step where it was does not matter."""
     states = transition.shape[0]
     if np.isinf(step):
-        transition[:] = 1.0 / states
+        shares = share ** np.arange(states)
+        transition[:] = shares / shares.sum()
         return
     halvings = max(int(np.ceil(np.log2(max(step, 1e-6) / (_STEP_SHARE_MAX * stay)))), 0)
     leave = 1.0 - np.exp(-max(step, 1e-6) / 2.0**halvings / stay)
@@ -295,10 +299,12 @@ def _transitions(step, stay, transition):
         for k in range(states):
             if k != j:
                 total += _JUMP_DECAY ** (abs(k - j) - 1)
+        refused = 0.0
         for k in range(states):
-            if k == j:
-                transition[j, k] = 1.0 - leave if states > 1 else 1.0
-            else:
-                transition[j, k] = leave * _JUMP_DECAY ** (abs(k - j) - 1) / total
+            if k != j:
+                value = leave * _JUMP_DECAY ** (abs(k - j) - 1) / total
+                transition[j, k] = value * share ** max(k - j, 0)
+                refused += value - transition[j, k]
+        transition[j, j] = 1.0 - leave + refused if states > 1 else 1.0
     for _ in range(halvings):
         transition[:] = transition @ transition
