@@ -23,16 +23,17 @@ HOUSE = {
 }
 
 
-def test_the_twin_maps_are_bundled():
-    assert {"twin-01", "twin-02"} <= set(map_names())
+@pytest.fixture
+def house(tmp_path):
+    path = tmp_path / "house.json"
+    path.write_text(json.dumps(HOUSE))
+    return path
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5])
-def test_seeds_that_are_no_whole_numbers_from_0_on_are_refused(tmp_path, seed):
-    path = tmp_path / "house.json"
-    path.write_text(json.dumps(HOUSE))
+def test_seeds_that_are_no_whole_numbers_from_0_on_are_refused(house, seed):
     with pytest.raises(ConfigError, match=f"seed must be a whole number from 0 on; got {seed}"):
-        load_map(path, seed)
+        load_map(house, seed)
 
 
 @pytest.mark.parametrize("name", map_names())
@@ -140,17 +141,13 @@ def test_a_picture_beside_a_map_that_is_gone_keeps_nobody_from_reading_it(tmp_pa
     assert np.ptp(load_map(path).walls_m[..., 0]) == pytest.approx(4.0)
 
 
-def test_house_expo_files_are_known_by_their_keys(tmp_path):
-    path = tmp_path / "house.json"
-    path.write_text(json.dumps(HOUSE))
-    assert load_map(path).rooms[0].name == "Kitchen"
+def test_house_expo_files_are_known_by_their_keys(house):
+    assert load_map(house).rooms[0].name == "Kitchen"
 
 
-def test_furnishing_follows_the_seed(tmp_path):
-    path = tmp_path / "house.json"
-    path.write_text(json.dumps(HOUSE))
-    assert load_map(path, seed=1).digest == load_map(str(path), seed=1).digest
-    assert load_map(path, seed=1).digest != load_map(path, seed=2).digest
+def test_furnishing_follows_the_seed(house):
+    assert load_map(house, seed=1).digest == load_map(str(house), seed=1).digest
+    assert load_map(house, seed=1).digest != load_map(house, seed=2).digest
 
 
 @pytest.mark.parametrize(
@@ -171,11 +168,9 @@ def test_files_that_are_no_map_are_refused(tmp_path, name, content, expected):
         load_map(path)
 
 
-def test_only_geojson_has_levels(tmp_path):
-    path = tmp_path / "house.json"
-    path.write_text(json.dumps(HOUSE))
+def test_only_geojson_has_levels(house):
     with pytest.raises(MapError, match=r"only \.geojson maps have levels; leave #2 out"):
-        load_map(f"{path}#2")
+        load_map(f"{house}#2")
 
 
 @pytest.mark.parametrize("name", ["house.json.gz", "HOUSE.JSON.GZ"])
