@@ -1,4 +1,3 @@
-import hashlib
 import os
 import subprocess
 import sys
@@ -84,43 +83,31 @@ def test_another_seed_gives_another_episode(episode):
     assert fresh_process(1, "1")[2] != episode[2]
 
 
-def digest_of(log) -> str:
-    parts = [value for step in log.observations for agent in sorted(step) for value in step[agent].values()]
-    parts += [list(rewards.values()) for rewards in log.rewards]
-    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+def steps_of(log) -> list:
+    return list(zip(log.observations[1:], log.rewards, strict=True))
 
 
-def test_a_second_episode_of_one_environment_repeats_the_first(explore):
+def test_a_second_episode_of_one_environment_repeats_the_first(explore, same_steps):
     first = explore(60, seed=3)
-    digest = digest_of(first)
     explore(15, seed=4, env=first.env)
-    assert digest_of(explore(60, seed=3, env=first.env)) == digest
+    assert same_steps(steps_of(explore(60, seed=3, env=first.env)), steps_of(first))
 
 
-def test_the_seed_alone_decides_not_the_seeds_of_the_spaces(explore):
+def test_the_seed_alone_decides_not_the_seeds_of_the_spaces(explore, same_steps):
     first = explore(30, seed=3)
-    digest = digest_of(first)
     for agent in first.env.possible_agents:
         first.env.action_space(agent).seed(99)
         first.env.observation_space(agent).seed(99)
-    assert digest_of(explore(30, seed=3, env=first.env)) == digest
+    assert same_steps(steps_of(explore(30, seed=3, env=first.env)), steps_of(first))
 
 
-def test_the_digest_sees_the_last_bit(explore):
-    log = explore(10, seed=3)
-    before = digest_of(log)
-    pose = log.observations[5]["robot_0"]["pose"]
-    pose[0] = np.nextafter(pose[0], np.float32(np.inf))
-    assert digest_of(log) != before
-
-
-def test_the_global_random_generators_are_neither_used_nor_moved(explore):
+def test_the_global_random_generators_are_neither_used_nor_moved(explore, same_steps):
     import random
 
     np.random.seed(1)  # noqa: NPY002
     random.seed(1)
-    digest = digest_of(explore(20))
+    first = explore(20)
     assert np.random.random() == np.random.RandomState(1).random()  # noqa: NPY002
     assert random.random() == random.Random(1).random()
     np.random.seed(2)  # noqa: NPY002
-    assert digest_of(explore(20)) == digest
+    assert same_steps(steps_of(explore(20)), steps_of(first))

@@ -6,7 +6,7 @@ import pytest
 
 import twc_env
 from twc_env.exploration import verdicts
-from twc_env.geometry import compose, inverse, transform_points
+from twc_env.geometry import compose, inverse
 from twc_env.messages import GridMap
 from twc_env.slam.merge_review import MergeReview
 
@@ -93,8 +93,6 @@ def test_the_paths_have_one_pose_per_robot_and_step(log, result):
         assert np.isfinite(poses).all()
     assert result.odometry_poses[0] == pytest.approx(result.true_poses[0])
     assert result.true_poses[-1] == pytest.approx(log.env.state().reshape(3, 6)[:, :3], abs=1e-4)
-    walked = np.hypot(*np.diff(result.true_poses[..., :2], axis=0).transpose(2, 0, 1)).sum()
-    assert result.figures["path_length_m"] == pytest.approx(walked)
 
 
 def test_every_robot_is_in_one_group_and_every_group_has_a_map(result):
@@ -111,13 +109,6 @@ def test_the_alignment_lays_the_estimate_on_the_truth(result):
             aligned = compose(pose, result.estimated_poses[:, robot])
             error = np.hypot(*(aligned - result.true_poses[:, robot])[:, :2].T)
             assert np.sqrt((error**2).mean()) < 0.3
-
-
-def test_the_alignment_lays_believed_walls_on_true_walls(result):
-    grid, pose = result.grids[0], result.pose_building_map[0]
-    walls = transform_points(pose, grid.centre_of(np.argwhere(grid.log_odds > 20)))
-    assert len(walls) > 200
-    assert np.mean(result.floorplan.wall_index.distance_m(walls, 0.5) < 0.2) > 0.9
 
 
 def test_closures_are_counted_as_they_are_listed(result):

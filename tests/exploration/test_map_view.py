@@ -24,15 +24,6 @@ def seen(grid: GridMap, x_m: float, y_m: float, heading_rad: float) -> np.ndarra
     return map_view.crop_around(grid, np.array([x_m, y_m, heading_rad]), CELLS, CELL_M)
 
 
-@pytest.mark.parametrize("heading_rad", [0.0, 0.5 * math.pi, -0.5 * math.pi, math.pi])
-def test_a_wall_ahead_stands_at_its_distance_along_the_columns(room, heading_rad):
-    x_m, y_m = 5.0 + 3.0 * math.cos(heading_rad), 4.0 + 2.0 * math.sin(heading_rad)
-    picture = seen(room, x_m, y_m, heading_rad)
-    wall = np.flatnonzero(picture[map_view.WALL, HALF, HALF:])
-    assert np.abs(wall * CELL_M - 2.0).min() <= CELL_M and not picture[map_view.WALL, HALF, HALF : HALF + 6].any()
-    assert picture[map_view.FREE, HALF, HALF : HALF + 6].all() and picture[map_view.UNKNOWN, HALF, -4:].all()
-
-
 @pytest.mark.parametrize("heading_rad", [0.0, 0.4, 1.1, -2.3])
 @pytest.mark.parametrize("place_m", [(5.0, 4.0), (0.4, 7.5), (9.8, 0.2), (-30.0, 4.0), (5.0, 40.0)])
 def test_every_cell_is_free_or_wall_or_unknown_as_the_map_says_at_its_middle(room, place_m, heading_rad):

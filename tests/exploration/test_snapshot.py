@@ -74,15 +74,6 @@ def test_robots_that_push_against_walls_and_mates_go_on_to_the_byte(robots, stop
     assert seen[0] == seen[1] == seen[2]
 
 
-def test_what_happens_after_a_snapshot_does_not_change_it(same_steps):
-    env, observations = started("velocity", 40)
-    moment = env.snapshot()
-    first = go_on(env, observations, 10)
-    env.reset(seed=9)
-    env.restore(moment)
-    assert same_steps(go_on(env, observations, 10), first)
-
-
 def test_another_process_goes_on_from_a_snapshot_to_the_byte(tmp_path, same_steps):
     env, observations = started("velocity", 60)
     (tmp_path / "moment").write_bytes(pickle.dumps((env.snapshot(), observations)))
