@@ -22,6 +22,12 @@ ROOM_M = (8.0, 0.0, 0.0)
 BLIND = {"slam.merging.contradiction_max": 1.0, "slam.merging.wifi_check": False}
 
 
+@pytest.fixture(autouse=True)
+def no_names(monkeypatch):
+    """The signs that planted closures name hang nowhere."""
+    monkeypatch.setattr(MergeJudge, "names_agree", lambda *_: True)
+
+
 def closures(team, true_poses, shift=(0.0, 0.0, 0.0), count=5, signs_m=None, text=1.0) -> list[LoopClosure]:
     """Closures of robots 0 and 1 that agree on where robot 1 is: off by `shift` in the building.
 

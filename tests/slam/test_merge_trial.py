@@ -14,7 +14,11 @@ from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.loop_verification import SIGN_ALONE_STD
 
 NO_SIGNS = {"slam.cues.lidar": False, "slam.cues.text": False}
-BLIND = {"slam.merging.wifi_check": False, "slam.merging.contradiction_max": 1.0}
+BLIND = {
+    "slam.merging.wifi_check": False,
+    "slam.merging.contradiction_max": 1.0,
+    "slam.merging.signs_read_alike_min": 0,
+}
 MET_STEP = 60
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from twc_env.config import EnvConfig, override
 from twc_env.messages import LoopCandidate, LoopClosure, SignObservation
-from twc_env.slam.signs_in_place import SignsRead, count_shared
+from twc_env.slam.signs_in_place import SignsRead, count_shared, hang_apart
 from twc_env.slam.team import TeamMapper
 
 DOORS_M = 3.0
@@ -59,23 +59,49 @@ def test_readings_are_looked_at_as_they_come(keyframe, scan, walls):
     assert read.by(0, path[2:])[0].tolist() == [0, 0]
 
 
+def test_a_text_hangs_apart_where_one_map_has_it_at_two_places():
+    exit_, lab = 0, 1
+    texts, maps = np.array([exit_, lab, exit_, lab, lab]), np.array([0, 0, 0, 1, 0])
+    places_m = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 5.0], [9.0, 9.0], [3.1, 0.2]])
+    assert hang_apart(texts, places_m, maps).tolist() == [True, False]
+    assert hang_apart(texts, places_m, np.zeros(5, int)).tolist() == [True, True]
+
+
 NAMES, WING_B = ["A101 LAB", "A102 MAIL", "A103 PRINT", "A104 LAB"], ["B101 LAB", "B102 MAIL", "B103 PRINT", "B104 LAB"]
 
 
+@pytest.fixture
+def team_along_doors(keyframe, scan, walls):
+    """Two robots that passed the same doors and exits between them, each reading texts of its own; closures by the
+    exits bring them together."""
+
+    def passed(first, second):
+        room = scan(walls((-30, -2), (30, -2), (30, 2), (-30, 2)), (0.0, 0.0, 0.0))
+        team = TeamMapper(override(EnvConfig(), {"slam.merging.wifi_check": False}), 2)
+        team._seeks_closures = False
+        for k in range(7):
+            made = []
+            for robot, names in enumerate((first, second)):
+                texts = ["EXIT" if k % 2 else names[k // 2]] * 2
+                signs = [SignObservation(text, np.array([0.0, 1.0]), -math.pi / 2) for text in texts if text]
+                seen = keyframe(robot, k, (DOORS_M * k, 0.0, 0.0), DOORS_M * k, room, signs)
+                made.append(replace(seen, motion=np.array([DOORS_M * (k > 0), 0.0, 0.0])))
+            team.update(k, made)
+        for k in (1, 3, 5):
+            candidate = LoopCandidate((0, k), (1, k), np.zeros(3), "text", np.array([0.0, 1.0]), text_similarity=1.0)
+            team._graph.add_closure(LoopClosure(candidate, np.zeros(3), np.diag([0.01, 0.01, 0.002]), 0.9, "pending"))
+        return team
+
+    return passed
+
+
 @pytest.mark.parametrize(("names", "is_merged"), [(NAMES, True), (WING_B, False), ([*NAMES[:1], *WING_B[1:]], True)])
-def test_exits_in_common_do_not_merge_maps_whose_doors_bear_other_names(keyframe, scan, walls, names, is_merged):
-    room = scan(walls((-30, -2), (30, -2), (30, 2), (-30, 2)), (0.0, 0.0, 0.0))
-    team = TeamMapper(override(EnvConfig(), {"slam.merging.wifi_check": False}), 2)
-    team._seeks_closures = False
-    for k in range(7):
-        texts = ["EXIT"] * 2 if k % 2 else [NAMES[k // 2], names[k // 2]]
-        made = []
-        for robot, text in enumerate(texts):
-            signs = [SignObservation(text, np.array([0.0, 1.0]), -math.pi / 2)] * 2
-            passed = keyframe(robot, k, (DOORS_M * k, 0.0, 0.0), DOORS_M * k, room, signs)
-            made.append(replace(passed, motion=np.array([DOORS_M * (k > 0), 0.0, 0.0])))
-        team.update(k, made)
-    for k in (1, 3, 5):
-        candidate = LoopCandidate((0, k), (1, k), np.zeros(3), "text", np.array([0.0, 1.0]), text_similarity=1.0)
-        team._graph.add_closure(LoopClosure(candidate, np.zeros(3), np.diag([0.01, 0.01, 0.002]), 0.9, "pending"))
-    assert team._try_merge(0, 1) is is_merged
+def test_exits_in_common_do_not_merge_maps_whose_doors_bear_other_names(team_along_doors, names, is_merged):
+    assert team_along_doors(NAMES, names)._try_merge(0, 1) is is_merged
+
+
+@pytest.mark.parametrize(
+    ("names", "is_merged"), [([""] * 4, False), (["A101 LAB", "", "", ""], True), (["", "EXIT", "EXIT", ""], False)]
+)
+def test_where_nothing_is_heard_texts_that_hang_everywhere_do_not_merge_maps(team_along_doors, names, is_merged):
+    assert team_along_doors(NAMES, names)._try_merge(0, 1) is is_merged

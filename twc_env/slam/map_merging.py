@@ -3,7 +3,7 @@
 A closure between two groups says where one map lies in the other. One closure is no proof: rooms look alike and signs
 repeat. A merge needs several closures that agree, no walls of one map in the free space of the other, fingerprints that
 are as alike as the robots' own paths say fingerprints of one place are, and signs most of which read the same where the
-two maps would share a place (`signs_in_place`).
+two maps would share a place (`signs_in_place`). Where no fingerprint speaks, one of these must hang nowhere else.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from twc_env.slam.heard_places import HeardPlaces
 from twc_env.slam.map_merging import MergeProposal, Weight
 from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.sign_table import MISSING_AFTER_S
-from twc_env.slam.signs_in_place import SignsRead, count_shared
+from twc_env.slam.signs_in_place import SignsRead, count_shared, hang_apart
 from twc_env.slam.team_graph import TeamGraph
 
 OTHERS_WEIGHT = 2
@@ -100,11 +101,14 @@ class MergeJudge:
         alike = np.array([closure.candidate.is_read_alike for closure in closures])
         return np.array(in_a), np.array(in_b), np.array(measured), np.array(signs), alike
 
-    def radio_allows(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
-        """Whether places that the merge brings together sound alike, or one side never heard anything and may so."""
-        if self._spares_deaf and (self._are_deaf(a) or self._are_deaf(b)):
-            return True
-        return self.radio_agrees(a, b, pose_a_b) is True
+    def is_one_building(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
+        """Whether places that the merge brings together sound alike; where none are compared by radio, or one side
+        never heard anything and may so, whether they bear a name of their own, should texts have been compared."""
+        is_heard = self._rule.wifi_check and not (self._spares_deaf and (self._are_deaf(a) or self._are_deaf(b)))
+        if is_heard:
+            return self.radio_agrees(a, b, proposal.pose_a_b) is True
+        is_read = not any(math.isnan(closure.candidate.text_similarity) for closure in proposal.agreeing)
+        return not is_read or self.names_agree(a, b, proposal.pose_a_b)
 
     def _are_deaf(self, robots: Sequence[int]) -> bool:
         paths = [self._graph.keyframes[robot] for robot in robots]
@@ -134,16 +138,29 @@ class MergeJudge:
 
     def signs_disagree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
         """Whether of the places with signs that the merge brings together more read otherwise than alike."""
-        graph, every, texts = self._graph, [], []
-        for robot in (*a, *b):
-            at, numbers, local = self._read.by(robot, graph.keyframes[robot])
-            poses = compose(graph.poses[graph.path_of(robot)[at]], local)
-            every.append(compose(pose_a_b, poses) if robot in b else poses)
-            texts.append(numbers)
-        same, other = count_shared(
-            np.concatenate(texts), np.concatenate(every), np.repeat([r in b for r in (*a, *b)], list(map(len, texts)))
-        )
+        robots, texts, poses = self._read_by((*a, *b), b, pose_a_b)
+        same, other = count_shared(texts, poses, np.isin(robots, b))
         return bool(other > same)
+
+    def names_agree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
+        """Whether enough of the places that the merge brings together bear one name that nobody read elsewhere."""
+        robots, texts, poses = self._read_by(range(len(self._graph.keyframes)), b, pose_a_b)
+        are_tried = np.isin(robots, (*a, *b))
+        are_told = are_tried & ~hang_apart(texts, poses[:, :2], np.where(are_tried, 0, robots + 1))[texts]
+        same, _ = count_shared(texts[are_told], poses[are_told], np.isin(robots[are_told], b))
+        return same >= self._rule.signs_read_alike_min
+
+    def _read_by(self, robots: Iterable[int], b: Sequence[int], pose_a_b: Array) -> tuple[Array, Array, Array]:
+        """All readings of some robots: (n,) whose, (n,) numbers of their texts, (n, 3) where they hang and face in the
+        maps of these, those of `b` in that of `a`."""
+        graph, whose, texts, poses = self._graph, [], [], []
+        for robot in robots:
+            at, numbers, local = self._read.by(robot, graph.keyframes[robot])
+            hung = compose(graph.poses[graph.path_of(robot)[at]], local)
+            whose.append(np.full(len(at), robot))
+            texts.append(numbers)
+            poses.append(compose(pose_a_b, hung) if robot in b else hung)
+        return np.concatenate(whose), np.concatenate(texts), np.concatenate(poses)
 
     def _heard_everywhere(self) -> HeardPlaces:
         """What was heard at each node."""

@@ -18,6 +18,8 @@ from twc_env.slam.text_similarity import normalise
 
 SAME_PLACE_M, SAME_FACING_RAD = 0.6, 0.8
 """Signs nearer to each other than this, on walls that face the same way, hang in one place."""
+APART_M = 1.5
+"""Readings of one text that lie this far from each other in one map are of two signs."""
 
 
 class SignsRead:
@@ -75,6 +77,19 @@ def _places(poses, is_b):
         for q in range(places):
             is_one[p, q] = is_b[first[p]] < is_b[first[q]] and _hang_together(poses[first[p]], poses[first[q]])
     return place_of, first[:places], is_one
+
+
+def hang_apart(texts: Array, positions_m: Array, maps: Array) -> Array:
+    """(texts,) bool, by their numbers: which hang at two places or more of any one map, as exits do in every corridor.
+
+    texts (n,) numbers of readings, positions_m (n, 2) of each in the map (n,) that it is of, numbers as well.
+    """
+    count = int(texts.max(initial=-1)) + 1
+    low = np.full((int(maps.max(initial=-1)) + 1, count, 2), np.inf)
+    high = -low
+    np.minimum.at(low, (maps, texts), positions_m)
+    np.maximum.at(high, (maps, texts), positions_m)
+    return ((high - low).max(axis=-1) > APART_M).any(axis=0)
 
 
 def count_shared(texts: Array, poses: Array, is_b: Array) -> tuple[int, int]:

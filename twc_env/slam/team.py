@@ -287,7 +287,7 @@ class TeamMapper:
         pose_a_b = proposal.pose_a_b
         if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, pose_a_b):
             return False
-        if self._config.merging.wifi_check and not self._judge.radio_allows(robots_a, robots_b, pose_a_b):
+        if not self._judge.is_one_building(robots_a, robots_b, proposal):
             return False
         if self._judge.signs_disagree(robots_a, robots_b, pose_a_b):
             return False
