@@ -1,10 +1,10 @@
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from twc_env.slam.text_similarity import AlikeTexts, normalise, text_similarity
 
-texts = st.text("ABE3O0 I1", max_size=9)
+texts = st.text("ABE3O0 I1", max_size=12)
 
 
 def edit_distance(a: str, b: str) -> int:
@@ -17,23 +17,6 @@ def edit_distance(a: str, b: str) -> int:
     return table[-1][-1]
 
 
-@pytest.mark.parametrize(
-    ("a", "b", "expected"),
-    [
-        ("EXIT", "EXIT", 1.0),
-        ("EXIT", "EX1T", 0.75),
-        ("A301", "A302", 0.75),
-        ("ROOM A301", "ROOM A302", 8 / 9),
-        ("FIRE HYDRANT", "FIRE HYDRAN", 11 / 12),
-        ("ABC", "XYZ", 0.0),
-        ("", "EXIT", 0.0),
-        ("", "", 0.0),  # an empty text is like nothing, not even itself
-    ],
-)
-def test_known_pairs_have_the_similarity_of_equation_five(a, b, expected):
-    assert text_similarity(a, b) == pytest.approx(expected, abs=1e-12)
-
-
 @given(texts, texts)
 def test_similarity_is_one_minus_the_edit_distance_over_the_longer_length(a, b):
     longest = max(len(a), len(b))
@@ -41,13 +24,14 @@ def test_similarity_is_one_minus_the_edit_distance_over_the_longer_length(a, b):
     assert text_similarity(a, b) == pytest.approx(expected, abs=1e-12)
 
 
-@given(texts, st.lists(texts, max_size=5, unique=True))
-def test_one_against_many_gives_what_one_against_one_gives(text, others):
-    many = AlikeTexts(-1.0)
+@given(texts, st.lists(texts, max_size=5), st.sampled_from([-1.0, 0.505, 0.757]))
+@example("EXIT", ["EXAM", "EXIT", ""], 0.505)
+def test_alike_texts_are_those_that_a_comparison_with_all_would_find(text, others, minimum):
+    alike = AlikeTexts(minimum)
     for other in others:
-        many.number_of(other)
-    expected = [text_similarity(text, other) for other in others]
-    assert [s for _, s in many.alike(text)] == pytest.approx(expected, abs=1e-12)
+        alike.number_of(other)
+    expected = [(k, text_similarity(text, other)) for k, other in enumerate(dict.fromkeys(others))]
+    assert dict(alike.alike(text)) == {k: pytest.approx(s) for k, s in expected if s >= minimum}
 
 
 def test_normalising_ignores_case_and_spaces():
@@ -58,17 +42,6 @@ def test_normalising_ignores_case_and_spaces():
 @given(texts)
 def test_normalising_twice_changes_nothing(text):
     assert normalise(normalise(text)) == normalise(text)
-
-
-def test_alike_texts_are_those_that_a_comparison_with_all_would_find():
-    texts = ["ROOM 101", "ROOM 102", "TOILET", "", "ROOM 101", "R00M 101", "EXIT"]
-    alike = AlikeTexts(0.8)
-    for text in texts:
-        alike.number_of(text)
-    distinct = list(dict.fromkeys(texts))
-    for text in [*distinct, "ROOM 10", "T0ILET"]:
-        expected = {k: text_similarity(text, other) for k, other in enumerate(distinct)}
-        assert dict(alike.alike(text)) == {k: pytest.approx(s) for k, s in expected.items() if s >= 0.8}
 
 
 def test_texts_that_are_kept_are_numbered_anew_and_alike_as_before():
