@@ -48,6 +48,17 @@ def test_normal_equations_of_distances_are_those_of_finite_differences():
             assert -gradient[pose, axis] == pytest.approx(slope, abs=2e-3)
 
 
+def test_steps_know_how_the_ends_of_a_distance_hang_together():
+    """With all of the information matrix a few steps are enough; without the part between two poses they are not."""
+    truth = chain(12, seed=1)
+    pairs = np.array([(i, j) for i in range(12) for j in range(i + 3, 12, 3)])
+    length = np.linalg.norm(truth[pairs[:, 0], :2] - truth[pairs[:, 1], :2], axis=1)
+    graph = equations(truth, Distances(pairs, length, np.full(len(pairs), 1e-4)))
+    start = truth + 0.02 * np.random.default_rng(0).normal(size=truth.shape) * (np.arange(12) > 0)[:, None]
+    solved = graph.minimise(start, np.ones_like, 4)
+    assert graph.squared_errors(solved).sum() < 1e-6 < graph.squared_errors(start).sum()
+
+
 def test_places_that_coincide_are_not_pulled():
     poses = np.zeros((2, 3))
     distances = Distances(np.array([[0, 1]]), np.array([3.0]), np.array([1.0]))

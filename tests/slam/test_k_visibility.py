@@ -10,9 +10,10 @@ from twc_env.metrics.k_visibility import walls_crossed_in_raster, walls_crossed_
 from twc_env.slam import k_visibility_rules as rules
 from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, silhouette_k, sliding_window
 from twc_env.slam.k_visibility import map_structure
+from twc_env.slam.k_visibility_grid import cell_probabilities
 from twc_env.slam.k_visibility_signal import _forward_backward, _transitions, fit_alike, fit_signal, locate_router
 from twc_env.slam.path_bins import bin_along_path
-from twc_env.slam.wall_candidates import wall_candidates
+from twc_env.slam.wall_candidates import WallCandidates, wall_candidates
 
 ROUTER = np.array([0.8, 1.2])
 
@@ -96,6 +97,26 @@ def test_rays_without_a_wall_are_free_and_a_wall_is_sought_between_unequal_readi
     assert np.array_equal(literal, classes)
 
 
+def test_what_two_rays_say_of_a_cell_is_fused_by_their_lengths():
+    cells, walls, routers = np.array([[5, 10], [5, 4]]), np.ones(2, int), np.array([[5.5, 0.5], [5.5, 20.5]])
+    alone = [rules.map_by_rules(cells[k : k + 1], walls[:1], np.array([k]), routers, (11, 30))[1][5, 7] for k in (0, 1)]
+    _, both = rules.map_by_rules(cells, walls, np.arange(2), routers, (11, 30))
+    assert alone[0] != pytest.approx(alone[1])
+    assert both[5, 7] == pytest.approx((16**2 * alone[0] + 10**2 * alone[1]) / (16**2 + 10**2))
+
+
+def test_a_reading_behind_more_walls_than_one_beyond_it_does_not_cut_that_ray():
+    cells, walls = np.array([[5, 5], [5, 10], [5, 20]]), np.array([0, 2, 1])
+    classes, _ = rules.map_by_rules(cells, walls, np.zeros(3, int), np.array([[5.5, 0.5]]), (11, 30))
+    assert (classes[5, :6] == rules.FREE).all() and (classes[5, 11:20] == rules.WALL).all()
+
+
+def test_algorithm_1_raises_what_lies_between_readings_behind_as_many_walls():
+    cells, walls, level = np.array([[5, 10], [5, 20]]), np.ones(2, int), np.full((2, 1), -50.0)
+    levels = rules.map_by_algorithm_1(cells, walls, level, np.array([[5.5, 0.5]]), (11, 30))
+    assert levels[5, 5] < rules.UNKNOWN < levels[5, 15]
+
+
 def test_algorithm_1_raises_what_a_clear_ray_passes_and_lowers_what_lies_before_a_wall():
     cells, walls = np.array([[5, 10], [5, 20]]), np.array([0, 1])
     levels = rules.map_by_algorithm_1(cells, walls, np.array([[-30.0], [-50.0]]), np.array([[5.5, 0.5]]), (11, 30))
@@ -119,6 +140,39 @@ def past_a_wall(routers_m, noise_db=1.5):
     distance = np.linalg.norm(path[:, None] - routers_m, axis=2)
     noise = np.random.default_rng(1).normal(0.0, noise_db, distance.shape)
     return path, -40.0 - 8.0 * np.log10(distance) - 9.0 * walls + noise, walls
+
+
+def test_gross_errors_hardly_bend_the_signal_model():
+    router_m = np.array([[-1.0, 0.0]])
+    path, rssi, walls = past_a_wall(router_m, 1.0)
+    clean = fit_signal(bin_along_path(path, rssi), 0, router_m[0])
+    rssi[3::10] -= 25.0
+    bins = bin_along_path(path, rssi)
+    fit = fit_signal(bins, 0, router_m[0])
+    assert fit.wall_loss_db == pytest.approx(clean.wall_loss_db, abs=1.0)
+    assert fit.power_at_1m_dbm == pytest.approx(clean.power_at_1m_dbm, abs=1.0)
+    assert np.mean(fit.walls[bins.bin_of] == walls[:, 0]) > 0.97
+
+
+def test_where_only_strong_readings_are_heard_their_mean_is_brought_down():
+    random = np.random.default_rng(0)
+    path = np.column_stack([np.linspace(0.0, 5.0, 2000), np.zeros(2000)])
+    level = -88.0 + 3.0 * random.normal(size=(2000, 1))
+    heard = np.where(level > -88.0, level, np.nan)
+    assert np.nanmean(heard) > -86.0 > -86.7 > np.nanmean(bin_along_path(path, heard).rssi_dbm) > -88.0
+
+
+def test_where_the_robot_went_there_is_no_wall():
+    path = np.column_stack([np.linspace(0.0, 4.0, 81), np.zeros(81)])
+    across = WallCandidates(
+        np.array([[2.0, -1.0, 2.0, 1.0]]), np.zeros(1, int), np.zeros(1, bool), np.full(1, -1), np.full(1, -1),
+        np.zeros(1, int), np.ones(1),
+    )  # fmt: skip
+    heard = np.ones((81, 1), bool)
+    grid = cell_probabilities(path, np.array([[0.0, 3.0]]), heard, across, np.ones(1), None, 0.3, 0.1)
+    column, row = np.floor((np.array([2.0, 0.0]) + 1e-6 - grid.origin_m) / 0.1).astype(int)
+    assert grid.classes()[row, column] == rules.FREE
+    assert grid.classes()[row + 5, column] == rules.WALL
 
 
 def transitions(step_m, stay_m, share, states=3):

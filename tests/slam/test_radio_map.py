@@ -32,6 +32,25 @@ def test_both_ways_find_new_places_and_the_gaussian_process_finds_them_better():
     assert gaussian < nearest < 3.0
 
 
+def test_the_gaussian_process_by_hand():
+    """Two places and one transmitter: mean and variance at candidates, and what a reading makes of them."""
+    places, levels = np.array([[0.0, 0.0], [8.0, 0.0]]), np.array([-50.0, -70.0])
+    radio_map = RadioMap(places, [Fingerprint(np.array([1]), levels[k : k + 1]) for k in range(2)])
+    found, spread = GaussianProcessMap(radio_map, 6.0, 8.0, 4.0).locate(Fingerprint(np.array([1]), np.array([-54.0])))
+    lattice = 0.5 * np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)])
+    tried = np.concatenate([place + lattice for place in places])
+    alike = [
+        64 * np.exp(-0.5 * ((a[:, None] - b) ** 2).sum(axis=2) / 36) for a, b in ((places, places), (tried, places))
+    ]
+    gain = alike[1] @ np.linalg.inv(alike[0] + 16 * np.eye(2))
+    mean, variance = -60 + gain @ (levels + 60), 64 - (gain * alike[1]).sum(axis=1) + 16
+    weight = np.exp(-0.5 * (-54 - mean) ** 2 / variance) / np.sqrt(variance)
+    weight /= weight.sum()
+    away = tried - weight @ tried
+    assert found == pytest.approx(weight @ tried)
+    assert spread == pytest.approx(away.T @ (away * weight[:, None]))
+
+
 def test_no_more_is_held_at_a_time_than_some_places_beside_all():
     places = np.random.default_rng(0).uniform(0, 30, (700, 2))
     radio_map = RadioMap(places, [heard_at(p, k) for k, p in enumerate(places)])

@@ -6,7 +6,7 @@ from twc_env.metrics.trajectory import absolute_trajectory_error_m
 from twc_env.slam.building_axes import BuildingAxes
 from twc_env.slam.odometry_calibration import Motions
 from twc_env.slam.radio_evidence import FieldEvidence
-from twc_env.slam.radio_refinement import jacobian, refined
+from twc_env.slam.radio_refinement import _View, jacobian, refined
 
 RANDOM = np.random.default_rng(4)
 ANGLES = np.linspace(0.0, 4 * np.pi, 80)
@@ -25,6 +25,24 @@ def test_slopes_by_motions_are_those_of_the_places():
         step[motion, axis] = 1e-5
         ahead, behind = (poses_along(MOTIONS + sign * step)[:, :2] for sign in (1, -1))
         assert slopes[:, :, motion, axis] == pytest.approx((ahead - behind) / 2e-5, abs=1e-5)
+
+
+@pytest.mark.parametrize("noise", [0.5, 2.0])
+def test_the_view_of_a_path_is_a_gaussian_in_closed_form(noise):
+    random = np.random.default_rng(2)
+    places, motions = 5, 4
+    slopes, missed = random.normal(size=(places, 2, motions, 3)), random.normal(size=(motions, 3))
+    variance, causes = random.uniform(0.5, 2.0, (motions, 3)), random.normal(size=(2, motions, 3))
+    by_place, root = random.normal(size=(places, 2)), random.normal(size=(10, 10))
+    told = root @ root.T + np.eye(10)
+    view = _View(slopes, missed, variance, causes, by_place, told.reshape(places, 2, places, 2))
+    slopes, causes = slopes.reshape(10, 12), causes.reshape(2, 12)
+    before = np.diag(noise**2 * variance.ravel()) + causes.T @ causes
+    pull = slopes.T @ (told @ slopes @ missed.ravel() + by_place.ravel())
+    likeliest = np.linalg.solve(slopes.T @ told @ slopes + np.linalg.inv(before), pull)
+    assert view.likeliest(noise).ravel() == pytest.approx(likeliest, rel=1e-5, abs=1e-6)
+    both = np.eye(10) + told @ slopes @ before @ slopes.T
+    assert view.volume(noise) == pytest.approx(0.5 * np.linalg.slogdet(both)[1], rel=1e-6)
 
 
 def test_what_is_heard_takes_the_noise_out_of_a_path():

@@ -10,14 +10,15 @@ import pytest
 
 from twc_env.config import RadioSlamConfig
 from twc_env.errors import DataError
-from twc_env.geometry import between, wrap_angle
+from twc_env.geometry import between, poses_along, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.metrics.trajectory import absolute_trajectory_error_m
 from twc_env.slam import radio_closures, radio_cue, radio_field
 from twc_env.slam.distance_factor import Distances
 from twc_env.slam.odometry_calibration import Motions, calibrated
 from twc_env.slam.radio_similarity import CELL_ID_MIN
-from twc_env.slam.radio_slam import RadioLog, RadioResult, solve, spread
+from twc_env.slam.radio_slam import ORDER_MIN, RadioLog, RadioResult, _Solver, solve, spread
+from twc_env.slam.similarity_model import SimilarityModel
 
 LAP_M = (40.0, 25.0)
 TRANSMITTERS = 60
@@ -211,6 +212,34 @@ def test_of_each_pair_of_stretches_the_strongest_closure_stays():
     one_place, alike = np.zeros(4, int), np.array([1, 4, 2, 3])
     kept = radio_closures.strongest_per_place(one_place, one_place, alike, 2)
     assert kept.tolist() == [False, True, False, True]
+
+
+def test_closures_are_alike_apart_and_one_for_each_pair_of_stretches():
+    travel = np.arange(0.0, 100.0, 2.0)
+    similarity = np.full((50, 50), 0.1)
+    similarity[0, 30], similarity[1, 31], similarity[20, 45], similarity[10, 14] = 0.8, 0.9, 0.75, 0.95
+    model = SimilarityModel(np.array([0.7, 0.9]), np.array([6.0, 2.0]), np.array([4.0, 1.0]), np.array([50, 50]), 60.0)
+    found = radio_closures.closures(similarity, travel, model, 0.7, 30.0, 6.0, 5)
+    assert found.pairs.tolist() == [[1, 31], [20, 45]]
+    assert found.distance_m == pytest.approx([2.0, 5.0]) and found.variance_m2 == pytest.approx([1.0, 3.25])
+
+
+def test_what_a_difference_of_strengths_is_worth_does_not_depend_on_their_unit():
+    random = np.random.default_rng(3)
+    places = np.column_stack([np.linspace(0.0, 40.0, 80), np.zeros(80)])
+    feature = 50.0 + places @ random.normal(0.0, 1.0, (2, 12)) + random.normal(0.0, 2.0, (80, 12))
+    told, tenfold = (radio_field.learn_worth(scale * feature, places, places[:, 0], 6.0) for scale in (1.0, 10.0))
+    assert told == pytest.approx(100.0 * tenfold, rel=1e-3) and 0.01 < told < 1.0
+
+
+def test_a_path_is_believed_only_where_what_was_heard_prefers_it_to_the_odometry():
+    log, truth = made_log()
+    right = between(truth[:-1], truth[1:])
+    solver = _Solver(dataclasses.replace(log, motions=right, turned_rad=right[:, 2]), RadioSlamConfig(), ("wifi",))
+    bent = poses_along(right + [0.0, 0.0, 0.002])[solver._places]
+    assert solver._order(bent) > ORDER_MIN and not solver._betters_odometry(bent)
+    drifted = _Solver(log, RadioSlamConfig(), ("wifi",))
+    assert drifted._betters_odometry(between(truth[0], truth)[drifted._places])
 
 
 def test_fields_of_strength_find_a_displacement_and_its_direction():

@@ -5,7 +5,9 @@ from twc_env.config import RadioSlamConfig
 from twc_env.errors import DataError
 from twc_env.geometry import align_rigidly, compose, transform_points
 from twc_env.messages import Fingerprint
-from twc_env.slam.trace_joining import Trace, join
+from twc_env.slam.distance_factor import Distances
+from twc_env.slam.radio_field import Ties
+from twc_env.slam.trace_joining import Trace, _Joiner, join
 
 BOXES = np.random.default_rng(0).uniform(-10, 70, (120, 2))
 
@@ -35,6 +37,26 @@ def test_walks_are_joined_by_fingerprints_alone():
     found, truth = np.concatenate(joined.positions_m), np.concatenate(truths)
     away = transform_points(align_rigidly(found, truth), found) - truth
     assert np.linalg.norm(away, axis=1).mean() < 2.5
+
+
+@pytest.mark.parametrize("weighting", ["ours", "paper"])
+def test_slopes_by_where_walks_lie_are_those_of_finite_differences(weighting):
+    traces, _ = walks(4)
+    joiner, random = _Joiner(traces, RadioSlamConfig(weighting=weighting)), np.random.default_rng(0)
+    ends = [np.cumsum([0, *(len(trace.poses) for trace in traces)])[k] + random.integers(0, 5, 9) for k in (0, 1, 2, 3)]
+    pairs = np.concatenate([np.column_stack([ends[a], ends[b]]) for a, b in ((0, 1), (1, 2), (3, 0))])
+    root = random.normal(size=(len(pairs), 2, 2))
+    pulls = [
+        Distances(pairs, random.uniform(1.0, 9.0, len(pairs)), random.uniform(1.0, 9.0, len(pairs))),
+        Ties(pairs, random.normal(0.0, 3.0, (len(pairs), 2)), root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(2)),
+    ]
+    poses = np.column_stack([random.normal(0.0, 4.0, (4, 2)), random.normal(0.0, 0.3, 4)])
+    for pull in pulls:
+        _, gradient = joiner._linearise(poses, pull)
+        for k in range(12):
+            step = 1e-5 * np.eye(12)[k].reshape(4, 3)
+            slope = (joiner._cost(poses + step, pull) - joiner._cost(poses - step, pull)) / 4e-5
+            assert gradient[k] == pytest.approx(slope, rel=1e-4, abs=1e-3)
 
 
 def test_a_walk_that_heard_nothing_known_stays_out():
