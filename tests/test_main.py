@@ -264,22 +264,28 @@ def test_an_interrupted_table_says_that_it_can_go_on(monkeypatch, tmp_path, caps
     assert capsys.readouterr().err == "finished parts are kept: the same command goes on from there\ninterrupted\n"
 
 
-def test_a_log_of_ones_own_laser_is_mapped_and_written_as_others_read_it(tmp_path, capsys):
+def write_laser_log(path, seed, place="twin-01"):
+    """Drive one robot through a building and keep the half circle ahead as CARMEN does; stamps and true poses."""
     settings = {"lidar.beam_count": 360, "lidar.range_max_m": 20.0, "odometry.platform": "skid-steer", "robots": 1}
-    env = twc_env.parallel_env(map="twin-01", max_cycles=800, config={**settings, "slam.mode": "off"})
-    env.reset(seed=1)
+    env = twc_env.parallel_env(map=place, max_cycles=800, config={**settings, "slam.mode": "off"})
+    env.reset(seed=seed)
     lines, stamps_s, true, odometry = [], [], [], np.zeros(3)
-    for actions in drive(env, 1):
+    for actions in drive(env, seed):
         env.step(actions)
         frame = env.frames[0]
         odometry = compose(odometry, frame.odometry)
         if frame.step % 5 == 0:
             half_circle = np.roll(frame.ranges_m, 90)[:180]
-            stamps_s.append(1e9 + frame.time_s)
+            stamps_s.append(seed * 1e9 + frame.time_s)
             numbers = [*half_circle, *odometry, *odometry, stamps_s[-1]]
             lines.append(f"FLASER 180 {' '.join(map(str, numbers))} robot 0.0")
             true.append(env.state()[:3])
-    (tmp_path / "mine.log").write_text("\n".join(lines))
+    path.write_text("\n".join(lines))
+    return stamps_s, np.array(true)
+
+
+def test_a_log_of_ones_own_laser_is_mapped_and_written_as_others_read_it(tmp_path, capsys):
+    stamps_s, true = write_laser_log(tmp_path / "mine.log", 1)
     assert main(["replay", str(tmp_path / "mine.log"), "--out", str(tmp_path / "out")]) == 0
     assert "groups" in capsys.readouterr().out
     written = {path.name for path in (tmp_path / "out").rglob("*.*")}
@@ -291,5 +297,20 @@ def test_a_log_of_ones_own_laser_is_mapped_and_written_as_others_read_it(tmp_pat
     for kind in ("estimated", "odometry"):
         times_s, poses = read_tum(tmp_path / "out" / "trajectories" / f"robot_0_{kind}.tum")
         assert times_s == pytest.approx(stamps_s, rel=0, abs=1e-3)
-        off_m[kind] = metrics.absolute_trajectory_error_m(poses[:, :2], np.array(true)[:, :2])
+        off_m[kind] = metrics.absolute_trajectory_error_m(poses[:, :2], true[:, :2])
     assert off_m["estimated"] < 0.1 < 3 * 0.1 < off_m["odometry"]
+
+
+def test_laser_logs_of_two_robots_become_one_map(tmp_path, capsys):
+    names = [str(tmp_path / "monday.log"), str(tmp_path / "tuesday.log")]
+    driven = [write_laser_log(tmp_path / name, seed, "sfw-e2") for seed, name in enumerate(names, 1)]
+    assert main(["replay", *names, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "out.json")]) == 0
+    assert json.loads((tmp_path / "out.json").read_text())["groups"] == [[0, 1]]
+    paths = [read_tum(tmp_path / "out" / "trajectories" / f"robot_{r}_estimated.tum") for r in (0, 1)]
+    for (times_s, _), (stamps_s, _) in zip(paths, driven, strict=True):
+        assert times_s == pytest.approx(stamps_s, rel=0, abs=1e-3)
+    estimated, true = (np.concatenate([p[:, :2] for _, p in pairs]) for pairs in (paths, driven))
+    assert metrics.absolute_trajectory_error_m(estimated, true) < 0.1  # one alignment for both
+    assert main(["record", "--steps", "5", "--out", str(tmp_path / "run")]) == 0
+    assert main(["replay", names[0], str(tmp_path / "run")]) == 2
+    assert "is of a whole team: give it alone" in capsys.readouterr().err

@@ -51,9 +51,9 @@ def test_every_map_file_follows_the_schema(path):
         ("walls.0", [1, 2, 3, 4]), ("walls.0.4", -1), ("walls.0.4", 1e9), ("walls.0.0", "1"), ("walls.0.0", 1e300),
         ("interior_m", ...), ("interior_m", []), ("interior_m.0", [1]), ("starts", [[1, 2]]), ("wals", []),
         ("rooms.0.polygon_m", [[0, 0], [1, 1]]), ("rooms.0.name", None), ("rooms.0.colour", "red"),
-        ("signs.0.text", " "), ("signs.0.facing_rad", [0]), ("signs.0.position_m", [1, 2, 3]),
-        ("access_points.0.macs", []), ("access_points.0.macs.0", "02:00"), ("access_points.0.macs", [5]),
-        ("access_points.0.name", ...), ("pose_building_home", [1, 2]),
+        ("signs.0.text", " "), ("signs.0.facing_rad", [0]), ("signs.0.facing_rad", 90),
+        ("signs.0.position_m", [1, 2, 3]), ("access_points.0.macs", []), ("access_points.0.macs.0", "02:00"),
+        ("access_points.0.macs", [5]), ("access_points.0.name", ...), ("pose_building_home", [1, 2]),
     ],
 )  # fmt: skip
 def test_schema_and_reader_refuse_the_same_mistakes(path, value):

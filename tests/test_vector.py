@@ -59,6 +59,24 @@ def test_each_environment_plays_as_it_would_alone():
     assert not same({k: v[1, 0] for k, v in observations.items()}, alone["robot_0"]), "a new episode has begun"
 
 
+@pytest.mark.parametrize("workers", [0, 2])
+def test_centralised_critics_get_the_state_of_each_environment_and_that_in_which_an_episode_ended(workers):
+    teams = VectorTeams(3, SMALL, workers=workers)
+    teams.reset(7)
+    env = twc_env.parallel_env(config=SMALL)
+    env.reset(seed=9)
+    assert teams.states().shape == (3, 12)
+    action = np.array([0.7, 0.2], np.float32)
+    for _ in range(25):
+        assert np.array_equal(teams.states()[2], env.state())
+        *_, infos = teams.step(np.broadcast_to(action, (3, 2, 2)))
+        env.step(dict.fromkeys(env.agents, action))
+    assert np.array_equal(infos[2][1]["final_state"], env.state())
+    env.reset(seed=12)
+    assert np.array_equal(teams.states()[2], env.state())
+    teams.close()
+
+
 def test_episodes_change_buildings():
     names = ("gen:office:100:1", "gen:ring:100:2")
     teams = VectorTeams(2, SMALL, buildings=names)

@@ -6,7 +6,7 @@ import argparse
 import sys
 import zipfile
 from collections.abc import Sequence
-from itertools import accumulate
+from itertools import accumulate, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,19 +47,22 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         help="run the SLAM engine on recorded sensor frames, or make a page or Rerun recording of a run",
         description="The engine sees the frames of a log (frames.npz of a run folder, or a log of one robot's laser: "
         "FLASER or ROBOTLASER1 lines of CARMEN, or JSON of the Freiburg benchmark) and nothing else. "
+        "Several laser logs are a team, one robot each, that sets off at once; maps are merged where scans fit. "
         "Prints what it found; the same log gives the same numbers every time. With --html, nothing is run: the run "
         "folder's trace.npz and report.json become one page with a time slider, to be opened in any browser; with "
         "--rerun a recording for the Rerun viewer (`rerun RUN/replay.rrd`).",
         epilog="examples:\n  python -m twc_env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
         "  python -m twc_env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
         "  python -m twc_env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel\n"
+        "  python -m twc_env replay monday.log tuesday.log --out runs/both\n"
         "  python -m twc_env replay runs/demo --html",
     )
     replay.add_argument(
-        "log",
+        "logs",
         type=Path,
+        nargs="+",
         metavar="LOG",
-        help="a run folder, a frame log (frames.npz), or a laser log (.log, .json; .gz too)",
+        help="a run folder, a frame log (frames.npz), or laser logs, one of each robot (.log, .json; .gz too)",
     )
     replay.add_argument(
         "--html", type=Path, nargs="?", const=Path(), metavar="FILE", help="write the page (default: RUN/replay.html)"
@@ -117,10 +120,14 @@ def _progress(done: int, total: int) -> None:
 
 
 def _replay(options: argparse.Namespace) -> None:
-    if not options.log.exists():
-        what = "run folder" if options.html is not None or options.rerun is not None else "run folder or log"
-        raise DataError(f"there is no {what} {options.log}: `python -m agents explore --out RUN` writes one")
-    run = options.log if options.log.is_dir() else options.log.parent
+    for log in options.logs:
+        if not log.exists():
+            what = "run folder" if options.html is not None or options.rerun is not None else "run folder or log"
+            raise DataError(f"there is no {what} {log}: `python -m agents explore --out RUN` writes one")
+        if len(options.logs) > 1 and (log.is_dir() or _is_frame_log(log)):
+            raise DataError(f"{log} is of a whole team: give it alone; several logs are laser logs, one of each robot")
+    log = options.logs[0]
+    run = log if log.is_dir() else log.parent
     if options.html is not None:
         from twc_env.replay_page import write_page
 
@@ -129,18 +136,17 @@ def _replay(options: argparse.Namespace) -> None:
         from twc_env.rerun_export import write_rerun
 
         print(f"written: {write_rerun(run, run / 'replay.rrd' if options.rerun == Path() else options.rerun)}")
-    if options.html is not None or options.rerun is not None:
-        return
-    _replay_frames(options, options.log / "frames.npz" if options.log.is_dir() else options.log)
+    if options.html is None and options.rerun is None:
+        _replay_frames(options, [log / "frames.npz"] if log.is_dir() else options.logs)
 
 
-def _replay_frames(options: argparse.Namespace, log: Path) -> None:
+def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.config import digest, override
     from twc_env.datasets.frame_log import read_truth_log
     from twc_env.slam.engine import CooperativeSlam
 
     check_folder(options.out)
-    config, steps, contacts, begun_s = _read_log(log)
+    config, steps, contacts, begun_s = _read_logs(logs)
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
     config = override(config, {**assignments(options.set), **chosen})
     odom_poses: list[np.ndarray] = []
@@ -160,11 +166,11 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
         odom_poses.append(engine.poses_odom)
         _progress(step - first + 1, len(steps))
     last = max([step, *(frame.step for frame in steps[-1])])
-    if last >= config.max_cycles or not _is_frame_log(log):  # played to its end, where the mapper clears its desk
+    if last >= config.max_cycles or not _is_frame_log(logs[0]):  # played to its end, where the mapper clears its desk
         engine.finish()
     team = engine.team
     figures = {
-        "log": str(log),
+        "log": " ".join(map(str, logs)),
         "steps": len(steps),
         "filter": config.slam.odometry_filter.backend,
         "groups": [list(group.robots) for group in team.groups],
@@ -185,17 +191,21 @@ def _replay_frames(options: argparse.Namespace, log: Path) -> None:
         print(f"\nwritten: {options.out}")
 
 
-def _read_log(log: Path) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], list[Contacts], float]:
-    """Settings, frames step by step, who heard whom, and when time 0 was, of a frame log or a log of laser scans."""
+def _read_logs(
+    logs: Sequence[Path],
+) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], list[Contacts], Sequence[float]]:
+    """Settings, frames step by step, who heard whom, and when each robot's time 0 was, of a frame log or laser logs."""
     from twc_env.config import from_dict
     from twc_env.datasets import frame_log, scan_log
 
-    if _is_frame_log(log):
-        return *frame_log.read_frame_log(log), frame_log.read_contacts(log), 0.0
-    scans = scan_log.read_any_log(log)
-    frames = scan_log.sensor_frames(scans, scan_log.BEAMS, scan_log.RANGE_MAX_M)
-    config = from_dict(scan_log.SETTINGS | {"robots": 1, "max_cycles": len(frames)})
-    return config, [[frame] for frame in frames], [], float(scans.times_s[0])
+    if _is_frame_log(logs[0]):
+        config, steps = frame_log.read_frame_log(logs[0])
+        return config, steps, frame_log.read_contacts(logs[0]), [0.0] * config.robots
+    scans = [scan_log.read_any_log(log) for log in logs]
+    paths = [scan_log.sensor_frames(s, scan_log.BEAMS, scan_log.RANGE_MAX_M, robot=r) for r, s in enumerate(scans)]
+    steps = [[frame for frame in frames if frame is not None] for frames in zip_longest(*paths)]
+    config = from_dict(scan_log.SETTINGS | {"robots": len(logs), "max_cycles": len(steps)})
+    return config, steps, [], [float(s.times_s[0]) for s in scans]
 
 
 def _is_frame_log(log: Path) -> bool:
@@ -227,7 +237,7 @@ def _write_paths(
     engine: CooperativeSlam,
     steps: Sequence[Sequence[SensorFrame]],
     odom_poses: np.ndarray,
-    begun_s: float,
+    begun_s: Sequence[float],
 ) -> None:
     """Where robots were at the times of their frames: in the map that each sees, and by odometry from its start."""
     from twc_env.datasets.tum import write_tum
@@ -250,4 +260,4 @@ def _write_paths(
         }
         for kind, poses in paths.items():
             path = folder / "trajectories" / f"robot_{robot}_{kind}.tum"
-            write_tum(path, np.array([begun_s + frame.time_s for frame in own]), poses)
+            write_tum(path, np.array([begun_s[robot] + frame.time_s for frame in own]), poses)

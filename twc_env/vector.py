@@ -6,8 +6,9 @@
     observations, rewards, ended, infos = teams.step(teams.sample())
 
 An environment whose episode ended begins its next one in the same step: `observations` are the first of the new
-episode, and the last of the old stands in `infos[k][robot]["final_observation"]`. Same arguments and seeds, same
-numbers, whatever the number of workers.
+episode, and the last of the old stands in `infos[k][robot]["final_observation"]`, its state in `"final_state"`. Same
+arguments and seeds, same numbers, whatever the number of workers. With `observation.kind = "flat"` the only block is
+"".
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ class VectorTeams:
         self.config, self.count, self.robots = model.config, count, model.config.robots
         self.agents = tuple(model.possible_agents)
         self.observation_space, self.action_space = model.observation_space("robot_0"), model.action_space("robot_0")
+        self.state_space = model.state_space
         names = _building_names(buildings)
         self._boards = _Boards(count, self.robots, self.observation_space, self.action_space)
         self._context = multiprocessing.get_context("spawn")
@@ -128,6 +130,13 @@ class VectorTeams:
         blocks = self._boards.blocks
         seen = blocks["action_mask"] if "action_mask" in blocks else blocks[FLAT]  # which ends with the mask
         return seen[..., -int(self.action_space.n) :] > 0
+
+    def states(self) -> Array:
+        """(count, 6 robots) float32: the `state()` of each environment now, for centralised critics; it holds truth."""
+        states = np.empty((self.count, *(self.state_space.shape or ())), np.float32)
+        for part, own in zip(self._parts, self._order("state"), strict=True):
+            states[part] = own
+        return states
 
     def close(self) -> None:
         """Stop the workers."""
@@ -235,6 +244,8 @@ class _Crew:
             self._answer = None
             if what == "reset":
                 self.reset(seed)
+            elif what == "state":
+                self._answer = np.array([env.state() for env in self._envs])
             else:
                 self._answer = self.step()
         except TwcError as error:
@@ -258,8 +269,9 @@ class _Crew:
             has_ended = all(truncations.values())
             self._boards.ended[k] = has_ended
             if has_ended:
+                state = env.state()
                 for agent, info in infos.items():
-                    info["final_observation"] = observations[agent]
+                    info["final_observation"], info["final_state"] = observations[agent], state
                 self._seeds[i] += self._boards.ended.shape[0]
                 observations = self._begin(i)
             self._boards.write(k, observations)

@@ -56,6 +56,7 @@ THICK_WALL = [[2, 0, 2, 4, 5], [2.2, 0, 2.2, 4, 5]]
         ({"starts": [[1, 1]]}, ["starts must be a list of 3 numbers each (x, y, heading)"]),
         ({"signs": sign(2, 2)}, ["sign 'EXIT' at (2.00, 2.00) hangs on no wall"]),
         ({"signs": sign(0, 2, np.pi)}, ["sign 'EXIT'", "nothing free in front"]),
+        ({"signs": sign(0, 2, 45)}, ["signs[0].facing_rad must be an angle in radians; got 45", "degrees", "0.7854"]),
         ({"walls": square_values()["walls"] + THICK_WALL, "interior_m": [[1, 1], [3, 3]], "starts": [],
           "signs": sign(2.1, 2)}, ["sign 'EXIT' at (2.10, 2.00) is buried inside a wall"]),
         ({"signs": [{"text": " ", "position_m": [0, 2], "facing_rad": 0}]}, ["sign 0", "no text"]),

@@ -18,6 +18,8 @@ FILE_BYTES_MAX = 64_000_000
 """Of a map file, unpacked."""
 FLOORS_MAX = 200
 """Storeys between a floor and an access point."""
+FACING_MAX_RAD = 12.567
+"""Two turns: what is more was meant in degrees."""
 
 
 def read_floorplan(path: str | Path) -> Floorplan:
@@ -148,6 +150,9 @@ def _sign(values: object, where: str) -> Sign:
     table = _table(values, where, ("text", "position_m", "facing_rad"))
     position = _numbers(table["position_m"], (2,), f"{where}.position_m", "x, y")
     facing = _numbers([table["facing_rad"]], (1,), f"{where}.facing_rad", "angle")[0]
+    if abs(facing) > FACING_MAX_RAD:
+        remedy = f"degrees are {np.radians(facing) % (2 * np.pi):.4f} rad"
+        raise MapError(f"{where}.facing_rad must be an angle in radians; got {facing:g}: as many {remedy}")
     return Sign(_text(table["text"], f"{where}.text"), position, float(facing))
 
 
