@@ -111,8 +111,13 @@ def explore(
 
 def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
     """What else than its settings decides a run: the code of twc_env and of the agents, the plan of its map, and the
-    agent or recogniser of one's own."""
-    named = {"agent_digest": agent, "recogniser_digest": config.slam.place_recognition.recogniser}
+    agent, recogniser or back end of one's own."""
+    slam = config.slam
+    named = {
+        "agent_digest": agent,
+        "recogniser_digest": slam.place_recognition.recogniser,
+        "back_end_digest": slam.pose_graph.robust,
+    }
     own = {key: digest_of(name) for key, name in named.items() if is_in_file(name)}
     return {"code_digest": code_digest("agents"), "map_digest": load_map(config.map).digest, **own}
 

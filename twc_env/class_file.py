@@ -1,4 +1,4 @@
-"""A class of one's own, in a file: FILE.py:CLASS wherever an agent or a place recogniser is named."""
+"""A class of one's own, in a file: FILE.py:CLASS wherever an agent, a place recogniser or a back end is named."""
 
 from __future__ import annotations
 

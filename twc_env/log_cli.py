@@ -203,7 +203,7 @@ def _read_logs(
         return config, steps, frame_log.read_contacts(logs[0]), [0.0] * config.robots
     scans = [scan_log.read_any_log(log) for log in logs]
     paths = [scan_log.sensor_frames(s, scan_log.BEAMS, scan_log.RANGE_MAX_M, robot=r) for r, s in enumerate(scans)]
-    steps = [[frame for frame in frames if frame is not None] for frames in zip_longest(*paths)]
+    steps = [tuple(frame for frame in frames if frame is not None) for frames in zip_longest(*paths)]
     config = from_dict(scan_log.SETTINGS | {"robots": len(logs), "max_cycles": len(steps)})
     return config, steps, [], [float(s.times_s[0]) for s in scans]
 

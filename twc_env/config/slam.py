@@ -138,9 +138,10 @@ class VerificationConfig(Checked):
 class PoseGraphConfig(Checked):
     """Robust SE(2) optimisation."""
 
-    robust: str = choice("ours", "plain", "dcs", "cauchy", "gnc", "pcm")
+    robust: str = choice("ours", "plain", "dcs", "cauchy", "gnc", "pcm", or_class=True)
     """Which closures to believe: `ours` weighs groups of them by their evidence and keeps having second thoughts,
-    `plain` believes all (TWC-SLAM); see `twc_env.slam.robust_backend`."""
+    `plain` believes all (TWC-SLAM); see `twc_env.slam.robust_backend`. FILE.py:CLASS: one of your own
+    (docs/library.md)."""
     robust_scale: float = number(5.0, 0.01, 1000.0)
     period_steps: int = number(10, 1, 10000)
     """Optimised at most this often, and only when closures arrived."""

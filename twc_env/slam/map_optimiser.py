@@ -7,11 +7,13 @@ from bisect import bisect_left
 
 import numpy as np
 
+from twc_env.class_file import is_in_file
 from twc_env.config import PoseGraphConfig
 from twc_env.slam import robust_backend
 from twc_env.slam.forgetting import Forgetting
 from twc_env.slam.group_maps import GroupMaps
 from twc_env.slam.merge_judge import MergeJudge
+from twc_env.slam.own_back_end import OwnBackEnd
 from twc_env.slam.radio_ties import RadioTies
 from twc_env.slam.settled_maps import SettledMaps
 from twc_env.slam.team_graph import TeamGraph
@@ -29,7 +31,12 @@ class MapOptimiser:
         self, config: PoseGraphConfig, graph: TeamGraph, maps: GroupMaps, judge: MergeJudge, radio: RadioTies | None,
         forgetting: Forgetting | None,
     ):  # fmt: skip
-        """radio: what radio says of the whole path; forgetting: for large maps. Both None where there is none."""
+        """radio: what radio says of the whole path; forgetting: for large maps. Both None where there is none.
+
+        Raises ConfigError for a back end of one's own that there is not.
+        """
+        if is_in_file(config.robust):
+            OwnBackEnd(config)
         self._config, self._graph, self._maps, self._judge = config, graph, maps, judge
         self._radio, self._forgetting = radio, forgetting
         self._may_hold_poses = radio is None and config.robust == "ours"

@@ -2,7 +2,7 @@
 
 Modes (`PoseGraphConfig.robust`): `plain` believes all (TWC-SLAM), `dcs` and `cauchy` weigh by residual, `gnc` anneals
 truncated least squares (Yang 2020), `pcm` keeps the largest pairwise consistent set (Mangelson 2018), `ours` grows the
-map from the surest closures outwards (`closure_growth`).
+map from the surest closures outwards (`closure_growth`); FILE.py:CLASS is one of your own (docs/library.md).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.class_file import is_in_file
 from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
 from twc_env.geometry import between, compose
@@ -22,6 +23,7 @@ from twc_env.slam.closure_agreement import pairwise_consistent
 from twc_env.slam.closure_growth import ClosureGrowth
 from twc_env.slam.given_arrays import given_rows
 from twc_env.slam.map_prediction import KEYS_MAX
+from twc_env.slam.own_back_end import OwnBackEnd
 from twc_env.slam.pose_graph import GATE, Graph, NormalEquations
 from twc_env.slam.shared_errors import SharedErrors
 
@@ -156,6 +158,8 @@ def solve(
         out, accepted = _graduated(graph, poses)
     elif config.robust == "pcm":
         out, accepted = pairwise_consistent(graph, poses)
+    elif is_in_file(config.robust):
+        out, accepted = OwnBackEnd(config).solve(poses, graph, fixed)
     else:
         out, accepted, reasons = ClosureGrowth(graph, poses, config, keys_max).run()
     if len(out) and config.robust not in ("plain", "dcs", "cauchy"):
@@ -164,7 +168,9 @@ def solve(
     general = {
         "gnc": "truncated: its error stayed above the inlier bound",
         "pcm": "not in the largest pairwise consistent set",
-    }.get(config.robust, "down-weighted below one half by its residual")
+        "dcs": "down-weighted below one half by its residual",
+        "cauchy": "down-weighted below one half by its residual",
+    }.get(config.robust, f"refused by {config.robust}")
     refused = np.flatnonzero(~accepted).tolist()
     return BackendResult(out, accepted, tuple(Rejection(edge, reasons.get(edge, general)) for edge in refused))
 

@@ -1,0 +1,97 @@
+"""A back end of one's own is named by its file."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import twc_env
+from agents.__main__ import main
+from twc_env import ConfigError, DataError
+from twc_env.class_file import digest_of
+from twc_env.config import PoseGraphConfig
+from twc_env.geometry import between
+from twc_env.slam import robust_backend
+
+LIBRARY = Path(__file__).parents[2] / "docs/library.md"
+OWN = "trimmed.py:Trimmed"
+SETTING = "slam.pose_graph.robust"
+FAULTY = """
+
+class Half: ...
+
+
+class Answers:
+    def __init__(self, rule): ...
+
+    def solve(self, poses, edges, *_):
+        return {answer}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where the back end of docs/library.md lies."""
+    monkeypatch.chdir(tmp_path)
+    text = LIBRARY.read_text().partition("### Your own back end")[2]
+    (tmp_path / "trimmed.py").write_text(re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0])
+    return tmp_path
+
+
+def ring():
+    """A graph around a ring with two true closures and one false; start, and its parts."""
+    turn = np.linspace(0, 2 * np.pi, 40)
+    true = np.stack([5 * np.cos(turn), 5 * np.sin(turn), turn + np.pi / 2], axis=1)
+    edges = np.array([(k, k + 1) for k in range(39)] + [(0, 39), (1, 38), (5, 20)])
+    measured = between(true[edges[:, 0]], true[edges[:, 1]])
+    measured[-1] = 0.0
+    information = np.tile(np.diag([400.0, 400.0, 2500.0]), (len(edges), 1, 1))
+    start = true + np.random.default_rng(0).normal(0.0, 0.05, true.shape)
+    return true, (start, edges, measured, information, np.arange(len(edges)) >= 39)
+
+
+def test_a_back_end_of_ones_own_says_which_closures_to_believe(folder):
+    true, graph = ring()
+    result = robust_backend.solve(*graph, PoseGraphConfig(robust=OWN), fixed=3)
+    assert np.flatnonzero(~result.accepted).tolist() == [41]
+    assert [(r.edge, r.reason) for r in result.rejections] == [(41, f"refused by {OWN}")]
+    assert np.array_equal(result.poses[3], graph[0][3])
+    assert between(result.poses[0], result.poses) == pytest.approx(between(true[0], true), abs=1e-3)
+
+
+def test_robots_meet_with_a_back_end_of_ones_own(folder, capsys):
+    settings = ["--set", f"{SETTING}={OWN}", "--map", "twin-01", "--steps", "700", "--seed", "1"]
+    assert main(["explore", "--no-pictures", *settings, "--out", "run"]) == 0
+    report = json.loads(Path("run/report.json").read_text())
+    assert report["merged_robots"] >= 2 and report["wrong_merges"] == 0 and report["team_ate_m"] < 0.1
+    assert report["back_end_digest"] == digest_of(OWN)
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        ("poses", "must answer with poses and which edges"),
+        ("(poses[:-1], edges[:, 0] >= 0)", "must answer with 40 finite poses; got float64 of (39, 3)"),
+        ("(poses * float('nan'), edges[:, 0] >= 0)", "finite poses"),
+        ("(poses, edges[:, 0])", "must say of 42 edges, by a bool each"),
+    ],
+)
+def test_answers_that_are_none_are_refused(answer, message, tmp_path):
+    path = tmp_path / "faulty.py"
+    path.write_text(FAULTY.format(answer=answer))
+    with pytest.raises(DataError) as error:
+        robust_backend.solve(*ring()[1], PoseGraphConfig(robust=f"{path}:Answers"))
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("Half", "has no solve: a back end has"), ("Whole", "there is no class 'Whole'")]
+)
+def test_a_back_end_that_is_none_is_refused_before_the_episode(name, message, tmp_path):
+    path = tmp_path / "faulty.py"
+    path.write_text(FAULTY.format(answer=None))
+    env = twc_env.parallel_env(config={SETTING: f"{path}:{name}"})
+    with pytest.raises(ConfigError, match=message):
+        env.reset(seed=0)
