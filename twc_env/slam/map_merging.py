@@ -310,4 +310,10 @@ def wifi_agrees(
     )  # fmt: skip
     if len(together) < PAIRS_MIN or len(reference) < PAIRS_MIN:
         return None
-    return bool(np.median(together) <= REFERENCE_SLACK * np.median(reference))
+    return _middle(together) <= REFERENCE_SLACK * _middle(reference)
+
+
+def _middle(values: Array) -> float:
+    """The median: numpy's own takes ten times as long where values are few."""
+    ascending = np.sort(values)
+    return float(ascending[(len(values) - 1) // 2] + ascending[len(values) // 2]) / 2

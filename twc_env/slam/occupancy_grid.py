@@ -11,7 +11,7 @@ from numpy.typing import NDArray as Array
 from twc_env.errors import DataError
 from twc_env.kernels import BindsAnew, Lent, bound, rebound
 from twc_env.messages import GridMap
-from twc_env.slam.cell_kinds import kinds_of
+from twc_env.slam.cell_kinds import note_kinds
 from twc_env.slam.scan_folding import BLOCK_COLUMNS, BLOCK_ROWS, folding_room, integrate_many
 from twc_env.slam.sparse_scans import SparseScans
 
@@ -121,25 +121,30 @@ class OccupancyGrid(BindsAnew):
         )
 
     def _grow(self, low_m: Array, high_m: Array) -> None:
-        """Make the grid hold the box low_m..high_m too, with some room to spare."""
-        rows, columns = self.log_odds.shape
-        top = self.origin_m + np.array([columns, rows]) * self.resolution_m
-        old_low, old_high = (self.origin_m, top) if rows else (low_m, high_m)
-        first = np.floor((np.minimum(low_m - self.PADDING_M, old_low)) / self.resolution_m)
-        last = np.ceil((np.maximum(high_m + self.PADDING_M, old_high)) / self.resolution_m)
-        if rows:  # grow only on the sides that need it
-            first = np.where(low_m < old_low + ROUNDING_M, first, np.round(old_low / self.resolution_m))
-            last = np.where(high_m > old_high - ROUNDING_M, last, np.round(old_high / self.resolution_m))
-        if not np.prod(last - first) <= CELLS_MAX:
+        """Make the grid hold the box low_m..high_m too, with some room to spare, on the sides that need it."""
+        (rows, columns), cell, ends = self.log_odds.shape, self.resolution_m, []
+        for low, high, old_low, count in zip(
+            low_m.tolist(), high_m.tolist(), self.origin_m.tolist(), (columns, rows), strict=True
+        ):
+            if not math.isfinite(high - low):
+                raise self._too_far()
+            old_high = old_low + count * cell
+            is_below, is_above = low < old_low + ROUNDING_M, high > old_high - ROUNDING_M
+            first = math.floor((low - self.PADDING_M) / cell) if is_below or not rows else round(old_low / cell)
+            last = math.ceil((high + self.PADDING_M) / cell) if is_above or not rows else round(old_high / cell)
+            ends.append((first, last))
+        (left, right), (bottom, top) = ends
+        shape = top - bottom, right - left
+        if shape[0] * shape[1] > CELLS_MAX:
             raise self._too_far()
-        shape = (last - first).astype(int)[::-1]
-        grown = np.zeros(shape, np.int16)
+        grown, kinds = np.zeros(shape, np.int16), np.zeros(shape, np.uint8)
         if rows:
-            c, r = np.round(self.origin_m / self.resolution_m - first).astype(int)
+            (x, y) = self.origin_m.tolist()
+            r, c = round(y / cell - bottom), round(x / cell - left)
             grown[r : r + rows, c : c + columns] = self.log_odds
-        self.log_odds, self._snapshot = grown, None
-        self._kinds = kinds_of(grown)  # squares at the old border are others now
+            note_kinds(grown, r - 1, c - 1, r + rows, c + columns, kinds)  # squares at the old border are others now
+        self.log_odds, self._kinds, self._snapshot = grown, kinds, None
         self._touched = np.zeros((-(-shape[0] // BLOCK_ROWS), -(-shape[1] // BLOCK_COLUMNS)), np.int64)
-        self.origin_m = first * self.resolution_m
-        self._boxes_m[0] = *self.origin_m, *(self.origin_m + shape[::-1] * self.resolution_m)
+        self.origin_m = np.array([left * cell, bottom * cell])
+        self._boxes_m[0] = *self.origin_m, *(self.origin_m + np.array([shape[1], shape[0]]) * cell)
         self._rebind()
