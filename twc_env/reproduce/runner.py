@@ -120,7 +120,7 @@ def seeds_argument(text: str) -> list[int]:
 
 def add_seeds(parser: argparse.ArgumentParser, default: str, what: str) -> None:
     """The option `--seeds` of a table."""
-    help = f"{what}: a count, or a range like 0-9 (default: %(default)s)"
+    help = f"{what}: a count, or seeds like 0-9 or 0-3,7 (default: %(default)s)"
     parser.add_argument("--seeds", type=seeds_argument, default=default, help=help)
 
 
