@@ -7,7 +7,7 @@ import pytest
 
 from twc_env.config import MergingConfig
 from twc_env.geometry import between, compose
-from twc_env.messages import LoopCandidate, LoopClosure
+from twc_env.messages import LoopCandidate, LoopClosure, SignObservation
 from twc_env.slam.merge_judge import MergeJudge
 
 PLACES = 12
@@ -84,3 +84,21 @@ def test_closures_that_leave_a_direction_open_have_no_say(axis):
     assert judge(doubts_sounds=False).proposal(loose, (0,)) is None
     assert place_said(say(3, ELSEWHERE, "twc") + loose) == ELSEWHERE
     assert judge(doubts_sounds=False).weight(loose, (0,)) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(("before_m", "after_m", "may"), [(0.0, 2.0, False), (2.0, 0.0, True), (2.0, 4.0, True)])
+def test_no_answer_is_believed_that_puts_ways_together_where_signs_read_otherwise(before_m, after_m, may):
+    doors = [[SignObservation(f"A10{k}", np.array([0.0, 1.0]), np.pi / 2)] * 2 for k in range(PLACES)]
+    ways = [[SimpleNamespace(signs=signs) for signs in doors]] * 2
+    nodes = np.arange(2 * PLACES)
+    graph = SimpleNamespace(**vars(GRAPH), keyframes=ways, path_of=lambda robot: PLACES * robot + np.arange(PLACES))
+    few, more = say(3, TRUE, "twc"), say(6, ELSEWHERE, "twc")
+    for number, closure in enumerate(few + more):
+        closure.number = number
+
+    def answer(believed, ahead_m):
+        return believed, np.concatenate([PATH, PATH + (ahead_m, 0.0, 0.0)])
+
+    asked = MergeJudge(MergingConfig(), graph)
+    assert asked.may_replace((0, 1), nodes, answer(few, before_m), answer(more, after_m)) is may
+    assert not asked.may_replace((0, 1), nodes, answer(more, before_m), answer(few, after_m)), "fewer signs"

@@ -205,8 +205,10 @@ def test_the_back_end_is_told_that_fewer_signs_may_not_replace_more(recorded, mo
     real = robust_backend.revise
 
     def revise(poses, graph, is_used, config, fixed, is_thorough, may_replace):
-        rivals = ~graph.is_closure | ~is_used
-        asked.append((may_replace(is_used, rivals), may_replace(rivals, is_used)))
+        held, rivals = (
+            robust_backend.BackendResult(poses, used, ()) for used in (is_used, ~graph.is_closure | ~is_used)
+        )
+        asked.append((may_replace(held, rivals), may_replace(rivals, held)))
         return real(poses, graph, is_used, config, fixed, is_thorough, may_replace)
 
     monkeypatch.setattr(robust_backend, "revise", revise)

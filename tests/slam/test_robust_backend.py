@@ -295,7 +295,7 @@ def test_an_answer_that_believes_more_is_not_taken_against_a_veto():
     is_used, asked = np.arange(len(few.edges)) < chain.sum(), []
 
     def never(before, after):
-        asked.append((before.sum(), after.sum()))
+        asked.append((before.accepted.sum(), after.accepted.sum()))
         return False
 
     result = robust_backend.revise(start, few, is_used, PoseGraphConfig(robust="ours"), 0, True, never)

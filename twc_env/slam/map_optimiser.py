@@ -141,7 +141,9 @@ class MapOptimiser:
         is_thorough |= self._is_refused_often(robots, refused)
         result = robust_backend.revise(
             self._graph.poses[nodes], graph, is_used, self._config, fixed, is_thorough and refused > 0,
-            lambda *sides: self._judge.may_replace(robots, *[self._graph.closures_of(edges[used]) for used in sides]),
+            lambda *answers: self._judge.may_replace(
+                robots, nodes, *[(self._graph.closures_of(edges[a.accepted]), a.poses) for a in answers]
+            ),
         )  # fmt: skip
         if is_thorough:
             self._refused_heard[robots] = refused

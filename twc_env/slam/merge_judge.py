@@ -27,6 +27,10 @@ OTHERS_WEIGHT = 2
 that does not: along rows of shelves scans fit each other a shelf aside, too."""
 
 
+Answer = tuple[Sequence[LoopClosure], Array]
+"""What the back end believes of a map, and where it puts the nodes (n, 3)."""
+
+
 class MergeJudge:
     """Asks closures, fingerprints and walls about a merge of robots `a` with robots `b`."""
 
@@ -60,14 +64,25 @@ class MergeJudge:
         found = map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
         return found and replace(found, agreeing=tuple(itertools.compress(closures, found.support)))
 
-    def may_replace(self, robots: Sequence[int], before: Sequence[LoopClosure], after: Sequence[LoopClosure]) -> bool:
-        """Whether `after` may be believed instead of `before` in the map of robots: what is won outweighs the loss.
+    def may_replace(self, robots: Sequence[int], nodes: Array, before: Answer, after: Answer) -> bool:
+        """Whether `after` may be believed instead of `before` in the map of robots, which these nodes (n,) are.
 
-        Counting closures is not enough where few signs were seen often, or rows of names are taken for the next ones.
+        What is won must outweigh the loss: counting closures is not enough where few signs were seen often, or rows of
+        names are taken for the next ones. And it must not put ways together where signs read otherwise.
         """
-        held, now = {c.number for c in before}, {c.number for c in after}
-        lost = self.weight([c for c in before if c.number not in now], robots)
-        return self.weight([c for c in after if c.number not in held], robots) >= lost
+        held, now = ({closure.number for closure in answer[0]} for answer in (before, after))
+        lost = self.weight([c for c in before[0] if c.number not in now], robots)
+        if self.weight([c for c in after[0] if c.number not in held], robots) < lost:
+            return False
+        return self._at_odds(robots, nodes, after[1]) <= self._at_odds(robots, nodes, before[1])
+
+    def _at_odds(self, robots: Sequence[int], nodes: Array, poses: Array) -> set[tuple[int, int]]:
+        """Pairs of robots most of whose shared signs read otherwise where poses (n, 3) put these nodes (n,)."""
+        everywhere = self._graph.poses.copy()
+        everywhere[nodes] = poses
+        whose, texts, places = self._read_by(robots, everywhere)
+        pairs = ((pair, np.isin(whose, pair)) for pair in itertools.combinations(robots, 2))
+        return {pair for pair, own in pairs if _read_otherwise(texts[own], places[own], whose[own] == pair[1])}
 
     def weight(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> Weight:
         """How much some closures say for the place that they give other robots in the map of robots `a`; loose ones
@@ -138,29 +153,35 @@ class MergeJudge:
 
     def signs_disagree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
         """Whether of the places with signs that the merge brings together more read otherwise than alike."""
-        robots, texts, poses = self._read_by((*a, *b), b, pose_a_b)
-        same, other = count_shared(texts, poses, np.isin(robots, b))
-        return bool(other > same)
+        robots, texts, places = self._read_by((*a, *b), self._poses_with(b, pose_a_b))
+        return _read_otherwise(texts, places, np.isin(robots, b))
 
     def names_agree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
         """Whether enough of the places that the merge brings together bear one name that nobody read elsewhere."""
-        robots, texts, poses = self._read_by(range(len(self._graph.keyframes)), b, pose_a_b)
+        robots, texts, places = self._read_by(range(len(self._graph.keyframes)), self._poses_with(b, pose_a_b))
         are_tried = np.isin(robots, (*a, *b))
-        are_told = are_tried & ~hang_apart(texts, poses[:, :2], np.where(are_tried, 0, robots + 1))[texts]
-        same, _ = count_shared(texts[are_told], poses[are_told], np.isin(robots[are_told], b))
+        are_told = are_tried & ~hang_apart(texts, places[:, :2], np.where(are_tried, 0, robots + 1))[texts]
+        same, _ = count_shared(texts[are_told], places[are_told], np.isin(robots[are_told], b))
         return same >= self._rule.signs_read_alike_min
 
-    def _read_by(self, robots: Iterable[int], b: Sequence[int], pose_a_b: Array) -> tuple[Array, Array, Array]:
-        """All readings of some robots: (n,) whose, (n,) numbers of their texts, (n, 3) where they hang and face in the
-        maps of these, those of `b` in that of `a`."""
-        graph, whose, texts, poses = self._graph, [], [], []
+    def _poses_with(self, b: Sequence[int], pose_a_b: Array) -> Array:
+        """(n, 3) of all nodes, those of `b` in the map of `a`."""
+        poses, nodes = self._graph.poses.copy(), self._graph.nodes_of(b)
+        poses[nodes] = compose(pose_a_b, poses[nodes])
+        return poses
+
+    def _read_by(self, robots: Iterable[int], poses: Array) -> tuple[Array, Array, Array]:
+        """All readings of some robots, where all nodes are at poses (n, 3).
+
+        (k,) whose, (k,) numbers of their texts, (k, 3) where they hang and face.
+        """
+        whose, texts, places = [], [], []
         for robot in robots:
-            at, numbers, local = self._read.by(robot, graph.keyframes[robot])
-            hung = compose(graph.poses[graph.path_of(robot)[at]], local)
+            at, numbers, local = self._read.by(robot, self._graph.keyframes[robot])
             whose.append(np.full(len(at), robot))
             texts.append(numbers)
-            poses.append(compose(pose_a_b, hung) if robot in b else hung)
-        return np.concatenate(whose), np.concatenate(texts), np.concatenate(poses)
+            places.append(compose(poses[self._graph.path_of(robot)[at]], local))
+        return np.concatenate(whose), np.concatenate(texts), np.concatenate(places)
 
     def _heard_everywhere(self) -> HeardPlaces:
         """What was heard at each node."""
@@ -187,6 +208,12 @@ class MergeJudge:
     def walls_disagree(self, grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> bool:
         """Whether too many walls of one map stand in the free space of the other."""
         return map_merging.wall_contradiction(grid_a, grid_b, pose_a_b) > self._rule.contradiction_max
+
+
+def _read_otherwise(texts: Array, places: Array, is_b: Array) -> bool:
+    """Whether of the places that two sides share more read otherwise than alike; arguments as of `count_shared`."""
+    same, other = count_shared(texts, places, is_b)
+    return other > same
 
 
 def _is_by_sound(closure: LoopClosure) -> bool:

@@ -57,13 +57,13 @@ class BackendResult:
 
 def revise(
     poses: Array, graph: Graph, is_used: Array, config: PoseGraphConfig, fixed: int = 0, is_thorough: bool = False,
-    may_replace: Callable[[Array, Array], bool] = lambda before, after: True,
+    may_replace: Callable[[BackendResult, BackendResult], bool] = lambda before, after: True,
 ) -> BackendResult:  # fmt: skip
     """Optimise inside an episode: warm, from the closures used so far (e,), with second thoughts about each of them.
 
     `ours` fits what is used with dynamic covariance scaling, takes back what the fit contradicts and takes in again
     what has come to agree with it. When `is_thorough`, all closures are also weighed from the start, which replaces the
-    running answer if it believes more of them and `may_replace`, asked with what each of the two believes (e,), agrees.
+    running answer if it believes more of them and `may_replace`, asked with both, agrees.
     Where few are refused, an answer that believes more must believe nearly all: then the fit begins once more where
     every one is believed. The other modes judge all closures anew each time.
     """
@@ -75,7 +75,7 @@ def revise(
             afresh = _all_together(result, graph, config, fixed)
         else:
             afresh = solve(result.poses, *graph.parts, config, fixed, EPISODE_KEYS_MAX, graph.shared)
-        if afresh.accepted.sum() > result.accepted.sum() and may_replace(result.accepted, afresh.accepted):
+        if afresh.accepted.sum() > result.accepted.sum() and may_replace(result, afresh):
             return afresh
     return result
 
