@@ -3,7 +3,8 @@
 Rows of a mall: every trace of a floor of indoor20 is a robot that knows neither where it starts nor where the others
 are; its odometry is steps and compass. `uw_floor`: the surveyed path of one robot, as odometry that reads scale and
 heading wrong (stated below the rows). Errors are those of all scans that are in the common frame, after one rigid
-alignment of the whole; the similarity model never sees a surveyed position.
+alignment of the whole; the similarity model never sees a surveyed position. There `ours` solves the whole log at once,
+and `engine` is the SLAM engine, without camera and laser, that takes the scans one after the other.
 
 Three rows of a mall are no methods but say where its error comes from. `odometry` aligns every walk by itself: how good
 dead reckoning is. `oracle: others told` looks for one walk at a time while all others lie where they truly are, on the
@@ -49,16 +50,19 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.command_line import count
-from twc_env.config import RadioSlamConfig
+from twc_env.config import EnvConfig, RadioSlamConfig, from_dict
 from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.datasets.radio_frames import radio_frames
 from twc_env.datasets.step_heading import WalkerTrace, read_walks
 from twc_env.datasets.uw_floor import read_uw_floor
 from twc_env.geometry import align_rigidly, between, transform_points, wrap_angle
 from twc_env.messages import Fingerprint
 from twc_env.random_streams import random_stream
 from twc_env.reproduce import real_radio_oracle
+from twc_env.reproduce.intel import place_frames
 from twc_env.reproduce.runner import Runner, chosen, data_folder
 from twc_env.slam import radio_slam, trace_joining
+from twc_env.slam.engine import CooperativeSlam
 
 SUMMARY = "real phone walks joined by WiFi alone, and a robot's floor with drift"
 CHOOSES = ("floors",)
@@ -66,6 +70,9 @@ FLOORS, ROBOT_FLOOR = ("site1_B1", "site2_F6"), "uw_floor"
 WEIGHTINGS = ("paper", "ours")
 SCALE_STD, CURL_STD_RAD_M, HEADING_STD_RAD = 0.03, 0.01, 0.01
 """Drift put on the surveyed path of uw_floor: scale and curl of the whole run, heading noise over one metre."""
+ENGINE: EnvConfig = from_dict(
+    {"robots": 1, "lidar": {"beam_count": 8}, "slam": {"cues": {"text": False, "lidar": False}}}
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -117,16 +124,18 @@ def _mall(floor: str, walks: list[WalkerTrace], recorded: int) -> list[dict]:
 
 
 def _robot_floor(survey: RadioSurvey, seeds: int) -> list[dict]:
-    names = (*WEIGHTINGS, "odometry")
+    names = ("odometry", *WEIGHTINGS, "engine")
     away: dict[str, list[Array]] = {name: [] for name in names}
     for seed in range(seeds):
         log = drifted(survey, seed)
         results = {"odometry": log.odometry}
         for weighting in WEIGHTINGS:
             results[weighting] = radio_slam.solve(log, RadioSlamConfig(weighting=weighting)).poses
+        frames = radio_frames(survey.time_s, log.odometry, log.turned_rad, log.fingerprints, ENGINE.lidar.beam_count)
+        results["engine"] = place_frames(CooperativeSlam(ENGINE, 1), [frames])[0]
         for name, poses in results.items():
             away[name].append(_apart_m([poses[:, :2]], [survey.position_m]))
-    return [_row(ROBOT_FLOOR, name, 1, 1, np.concatenate(away[name])) for name in ("odometry", *WEIGHTINGS)]
+    return [_row(ROBOT_FLOOR, name, 1, 1, np.concatenate(away[name])) for name in names]
 
 
 def drifted(survey: RadioSurvey, seed: int) -> radio_slam.RadioLog:
