@@ -1,3 +1,5 @@
+import gc
+import weakref
 from functools import partial
 from pathlib import Path
 
@@ -165,6 +167,21 @@ def test_an_episode_can_be_left_early_and_begun_again(same):
     assert all(same(first[agent], again[agent]) for agent in first)
     twice, _ = env.reset(seed=1)
     assert all(same(first[agent], twice[agent]) for agent in first)
+
+
+@pytest.mark.parametrize("config", [{}, {"action.kind": "frontier", "observation.overview": True}, {"slam.mode": "off"}])
+def test_what_an_episode_took_is_free_for_the_next_one_without_a_search_for_garbage(config):
+    env = twc_env.parallel_env(map="gen:office:100:1", max_cycles=20, config=config)
+    env.reset(seed=0)
+    env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    left = weakref.ref(env.episode), weakref.ref(env.belief("robot_0").grid.log_odds)
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        env.reset(seed=1)
+        assert [what() for what in left] == [None, None]
+    finally:
+        (gc.enable if collects else gc.disable)()
 
 
 def test_without_a_seed_episodes_differ_and_follow_from_the_first(same):

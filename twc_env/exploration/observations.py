@@ -32,8 +32,9 @@ class ObservationBuilder:
         robots, shape = config.robots, config.observation
         self._names = tuple(block_spaces(config))
         self._is_flat = shape.kind != "dict"
-        made: dict[str, Callable[[], Sequence[Array] | Array]] = {
-            "map": self._maps, "overview": self._whole_maps, "radio": self._radio_maps
+        kind = type(self)
+        made: dict[str, Callable[[ObservationBuilder], Sequence[Array] | Array]] = {
+            "map": kind._maps, "overview": kind._whole_maps, "radio": kind._radio_maps
         }  # fmt: skip
         self._makers = [(name, make) for name, make in made.items() if name in self._names]
         self._robots = range(robots)
@@ -67,7 +68,7 @@ class ObservationBuilder:
         if names == _USUAL and not self._is_flat:
             return _usual(rows, self._maps())
         # Not before: the map shows where the mates are.
-        blocks: list[tuple[str, Sequence[Array] | Array]] = [(name, make()) for name, make in self._makers]
+        blocks: list[tuple[str, Sequence[Array] | Array]] = [(name, make(self)) for name, make in self._makers]
         if "frontiers" in names:
             slots, lists = self._config.action.frontier_slots, candidates or [NOTHING] * len(beliefs)
             pairs = zip(lists, beliefs, strict=True)
