@@ -16,7 +16,14 @@ NUMBERS = {
     "world_env_steps_per_s", "slam_env_steps_per_s", "world_env_steps_per_cpu_s", "slam_env_steps_per_cpu_s",
     "slam_step_p99_ms",
 }  # fmt: skip
-PROBED = {"first_step_warm_s", "first_step_cold_s", "all_kernels_cold_s", "memory_per_env_mb", "workers2_speedup"}
+PROBED = {
+    "first_step_warm_s",
+    "first_step_cold_s",
+    "all_kernels_cold_s",
+    "memory_per_env_mb",
+    "workers2_speedup",
+    "two_cores_ceiling",
+}
 ROW = {"what": "walls", "value": 206, "walls": 206, "access_points": 20, "us_per_env_step": 61.5}
 OF_PEERS = {"irsim_env_steps_per_s", "mpe2_env_steps_per_s", "world_over_irsim", "slam_over_mpe2"}
 
@@ -90,10 +97,22 @@ def test_two_workers_run_at_once_and_are_compared_with_one():
     lines: list[str] = []
     bench_probes._ROUNDS, kept = 1, bench_probes._ROUNDS
     try:
-        speedup = bench_probes.workers2_speedup("twin-01", 4, lines.append)
+        figures = bench_probes.two_workers("twin-01", 4, lines.append)
     finally:
         bench_probes._ROUNDS = kept
-    assert lines and (speedup is None or 0.05 < speedup < 20.0)
+    assert set(figures) == {"workers2_speedup", "two_cores_ceiling"}
+    assert lines and all(figure is None or 0.05 < figure < 20.0 for figure in figures.values())
+
+
+def test_a_core_that_is_slow_for_a_while_counts_as_much_with_one_worker_as_with_two(monkeypatch):
+    seconds = iter([[2.0], [1.0, 2.0], [1.0]] * 2)  # of each task: the first alone, both, the second alone
+    monkeypatch.setattr(bench_probes, "_ROUNDS", 1)
+    monkeypatch.setattr(bench_probes, "_start", lambda *_: None)
+    monkeypatch.setattr(bench_probes, "_end", lambda _: None)
+    monkeypatch.setattr(bench_probes.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    said = iter([[1.0, 1.0], *seconds])
+    monkeypatch.setattr(bench_probes, "_answers", lambda _, word: next(said) if word == "go" else [])
+    assert bench_probes.two_workers("twin-01", 4, print) == {"workers2_speedup": 2.0, "two_cores_ceiling": 2.0}
 
 
 def test_a_worker_that_dies_is_an_error_and_leaves_no_other_behind(monkeypatch):
@@ -109,7 +128,7 @@ def test_a_worker_that_dies_is_an_error_and_leaves_no_other_behind(monkeypatch):
     monkeypatch.setattr(bench_probes, "_start", start)
     monkeypatch.setattr(bench_probes.os, "sched_getaffinity", lambda _: {0, 1})
     with pytest.raises(RuntimeError, match="a worker of the probe came to an end"):
-        bench_probes.workers2_speedup("twin-01", 4, print)
+        bench_probes.two_workers("twin-01", 4, print)
     assert all(worker.wait(timeout=10) for worker in started)
 
 

@@ -23,11 +23,13 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 _WARM_STARTS = 3
 _MEMORY_MAP, _MEMORY_ENVS = "gen:office:1000:{}", 4
 _ROUNDS = 21
+_COUNTING, _TURNS = "counting", 1_000_000
+"""Work that needs no memory, and its length: what two cores do of it is the most that they can do at once."""
 
 
 def probe(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
-    """first_step_cold_s, all_kernels_cold_s, first_step_warm_s (and their CPU times), memory_per_env_mb and
-    workers2_speedup."""
+    """first_step_cold_s, all_kernels_cold_s, first_step_warm_s (and their CPU times), memory_per_env_mb,
+    workers2_speedup and two_cores_ceiling."""
     figures: dict[str, float | None] = {}
     with tempfile.TemporaryDirectory() as folder:
         own_cache = {"NUMBA_CACHE_DIR": folder}
@@ -44,39 +46,41 @@ def probe(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
         report(f"import to {what}: {figures[f'{kind}_s']:.2f} s ({figures[f'{kind}_cpu_s']:.2f} s of CPU time)")
     figures["memory_per_env_mb"] = float(_run(["memory", str(steps)]))
     report(f"memory of one environment of 1,000 m2: {figures['memory_per_env_mb']:.1f} MB")
-    figures["workers2_speedup"] = workers2_speedup(map_name, steps, report)
-    return figures
+    return figures | two_workers(map_name, steps, report)
 
 
-def workers2_speedup(map_name: str, steps: int, report: Report) -> float | None:
-    """Steps per second of two worker processes at once over those of one; None on a single core.
+def two_workers(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
+    """workers2_speedup: steps per second of two worker processes at once over those of one. two_cores_ceiling: the same
+    of two that only count, which is what this machine gave two processes in that time. None on a single core.
 
-    Median over many short rounds, in which the first plays an episode alone, then both, then the second alone.
+    Medians over many short rounds, in which the first works alone, then both, then the second alone.
     """
+    figures: dict[str, float | None] = {"workers2_speedup": None, "two_cores_ceiling": None}
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
     if len(cores) < 2:
         report("one core only: two workers cannot be measured")
-        return None
+        return figures
     workers = [_start(["worker", map_name, str(steps), str(core)]) for core in cores[:2]]
-    ratios = []
+    ratios: dict[str, list[float]] = {name: [] for name in figures}
     try:
-        _played_s(workers, 0)  # kernels are compiled or read from disk
+        _rates(workers, "0")  # kernels are compiled or read from disk
         for seed in range(_ROUNDS):
-            first_s, both_s, second_s = (_played_s(some, seed) for some in (workers[:1], workers, workers[1:]))
-            ratios.append((first_s + second_s) / both_s)
+            for name, task in zip(figures, (str(seed), _COUNTING), strict=True):
+                first, both, second = (_rates(some, task) for some in (workers[:1], workers, workers[1:]))
+                ratios[name].append(sum(both) / statistics.mean(first + second))
     finally:
         for worker in workers:
             _end(worker)
-    speedup = statistics.median(ratios)
-    report(f"two workers against one: {speedup:.2f} x (rounds: {min(ratios):.2f} to {max(ratios):.2f})")
-    return speedup
+    for (name, rounds), what in zip(ratios.items(), ("two workers against one", "two that only count"), strict=True):
+        figures[name] = statistics.median(rounds)
+        report(f"{what}: {figures[name]:.2f} x (rounds: {min(rounds):.2f} to {max(rounds):.2f})")
+    return figures
 
 
-def _played_s(workers: list[subprocess.Popen], seed: int) -> float:
-    """How long these workers take to play the same episode, each on its own core; all begin at once."""
-    _answers(workers, str(seed))
-    begins, ends = zip(*_answers(workers, "go"), strict=True)
-    return max(ends) - min(begins)
+def _rates(workers: list[subprocess.Popen], task: str) -> list[float]:
+    """How often in a second each of these workers does a task, each on its own core; all begin at once."""
+    _answers(workers, task)
+    return [1.0 / seconds for seconds in _answers(workers, "go")]
 
 
 def _answers(workers: list[subprocess.Popen], word: str) -> list[Any]:
@@ -167,7 +171,8 @@ def _played(map_name: str, steps: int) -> Any:
 
 
 def _worker(map_name: str, steps: int, core: int, hear: Iterator[str], say: Callable[[str], object]) -> None:
-    """Play the episode of each seed that is heard, at the word after it; says when it is ready, then begin and end."""
+    """Do each task that is heard, at the word after it: play the episode of a seed, or count. Says when it is ready,
+    then how many seconds it took."""
     from twc_env.bench import record_actions
     from twc_env.config import EnvConfig, override
     from twc_env.exploration.environment import ExplorationEnv
@@ -176,15 +181,25 @@ def _worker(map_name: str, steps: int, core: int, hear: Iterator[str], say: Call
         os.sched_setaffinity(0, {core})
     config = override(EnvConfig(), {"map": map_name, "max_cycles": steps})
     env, scout = ExplorationEnv(config=config), ExplorationEnv(config=override(config, {"slam.mode": "off"}))
-    for seed in map(int, hear):
-        actions = record_actions(scout, seed)
-        env.reset(seed=seed)
+    for task in map(str.strip, hear):
+        actions = [] if task == _COUNTING else record_actions(scout, int(task))
+        if actions:
+            env.reset(seed=int(task))
         say('"ready"\n')
         next(hear)
         begin = time.monotonic()
         for action in actions:
             env.step(action)
-        say(json.dumps([begin, time.monotonic()]) + "\n")
+        if not actions:
+            _count()
+        say(json.dumps(time.monotonic() - begin) + "\n")
+
+
+def _count() -> int:
+    number = 1
+    for _ in range(_TURNS):
+        number = (number * 5 + 1) & 0xFFFF
+    return number
 
 
 def main(arguments: list[str]) -> None:
