@@ -1,9 +1,12 @@
 import contextlib
+import multiprocessing
+import time
 
 import numpy as np
 import pytest
 
 import twc_env
+from twc_env import vector
 from twc_env.errors import ActionError, ConfigError, MapError, TwcError, WorkerError
 from twc_env.vector import VectorTeams
 
@@ -113,13 +116,40 @@ def test_errors_reach_the_caller_and_name_what_was_expected():
 
 
 def test_a_dead_worker_is_reported():
-    teams = VectorTeams(1, SMALL, workers=1)
+    teams = VectorTeams(2, SMALL, workers=2)
     teams.reset(0)
-    teams._crews[0]._process.kill()
-    teams._crews[0]._process.join()
+    teams._crews[1]._process.kill()
+    teams._crews[1]._process.join()
     with pytest.raises(WorkerError, match="died"):
-        teams.step(np.zeros((1, 2, 2)))
+        teams.step(np.zeros((2, 2, 2)))
     teams.close()
+
+
+@pytest.mark.parametrize(("workers", "others"), [(0, 0), (1, 0), (2, 1)])
+def test_this_process_is_one_of_those_that_play(workers, others):
+    before = len(multiprocessing.active_children())
+    teams = VectorTeams(2, SMALL, workers=workers)
+    assert len(multiprocessing.active_children()) - before == others
+    teams.close()
+
+
+def test_who_waits_is_awake_until_there_is_something_or_for_a_moment():
+    ours, theirs = multiprocessing.Pipe()
+    stay_awake = vector._wakefulness(ours)
+    begin = time.monotonic()
+    stay_awake()
+    assert time.monotonic() - begin >= vector._AWAKE_S
+    for last_word in (lambda: theirs.send("go"), theirs.close):
+        last_word()
+        vector._AWAKE_S, kept = 60.0, vector._AWAKE_S
+        try:
+            stay_awake()
+        finally:
+            vector._AWAKE_S = kept
+        assert ours.poll(0)
+        if not theirs.closed:
+            assert ours.recv() == "go"
+    ours.close()
 
 
 @pytest.mark.parametrize(("what", "least"), [("count", 1), ("workers", 0)])

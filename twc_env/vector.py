@@ -1,4 +1,4 @@
-"""Many environments at once, in worker processes that write their observations into shared memory.
+"""Many environments at once, in several processes that write their observations into shared memory.
 
     from twc_env.vector import VectorTeams
     teams = VectorTeams(8, {"map": "twin-01"}, workers=2)
@@ -17,7 +17,10 @@ import contextlib
 import difflib
 import math
 import multiprocessing
-from collections.abc import Mapping, Sequence
+import os
+import select
+import time
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.connection import Connection
 from os import PathLike
 from typing import Any
@@ -50,8 +53,9 @@ class VectorTeams:
         workers: int = 0,
         buildings: str | Sequence[str] = (),
     ):
-        """`workers` 0 runs all in this process. `buildings`: a split ("train") or names of maps; each new episode
-        plays in one of them, drawn by its seed. Without any, all play on the config's own map.
+        """`workers`: processes that share the environments, of which this is the first; 0 is as 1. `buildings`: a split
+        ("train") or names of maps; each new episode plays in one of them, drawn by its seed. Without any, all play on
+        the config's own map.
 
         Raises ConfigError for a count or number of workers that makes no sense, MapError for a building that does not
         exist, TwcError for a bad configuration.
@@ -69,10 +73,8 @@ class VectorTeams:
         self._context = multiprocessing.get_context("spawn")
         parts = [list(range(count))[k :: max(workers, 1)] for k in range(max(workers, 1))]
         task = (to_dict(self.config), names)
-        if workers == 0:
-            self._crews: list[_Crew | _Worker] = [_Crew(parts[0], self._boards, *task)]
-        else:
-            self._crews = [_Worker(self._context, part, self._boards, task) for part in parts]
+        others = [_Worker(self._context, part, self._boards, task) for part in parts[1:]]
+        self._crews: list[_Crew | _Worker] = [_Crew(parts[0], self._boards, *task), *others]
         self._parts = parts
 
     def reset(self, seed: int = 0) -> dict[str, Array]:
@@ -148,7 +150,7 @@ class VectorTeams:
         if not self._crews:
             raise TwcError("these environments are closed: make new ones")
         try:
-            for crew in self._crews:
+            for crew in reversed(self._crews):  # that of this process last: it does what it is told at once
                 crew.send(what, seed)
             answers = [crew.receive() for crew in self._crews]
         except BaseException:  # interrupted: who goes on must not read this step's answers as the next one's
@@ -293,6 +295,7 @@ class _Worker:
 
     def __init__(self, context, part: list[int], boards: _Boards, task: tuple):
         self._pipe, theirs = context.Pipe()
+        self._stay_awake = _wakefulness(self._pipe)
         self._process = context.Process(target=_work, args=(theirs, part, boards, *task), daemon=True)
         with single_threaded(), deaf_to_interrupts():
             self._process.start()
@@ -305,6 +308,7 @@ class _Worker:
             raise errors.WorkerError(_LOST) from None
 
     def receive(self) -> Any:
+        self._stay_awake()
         try:
             return self._pipe.recv()
         except (EOFError, OSError):
@@ -325,10 +329,34 @@ _LOST = (
 )
 
 
+_AWAKE_S = 1e-3
+"""How long who waits for another process keeps its core awake."""
+
+
+def _wakefulness(pipe: Connection) -> Callable[[], None]:
+    """What waits until there is something to receive, or for a moment.
+
+    A core that has fallen asleep takes as long to wake up as an environment takes for a step, and does not know any
+    more by then what it worked on. Whoever else wants the core gets it.
+    """
+    if not (hasattr(os, "sched_yield") and hasattr(select, "poll")):
+        return lambda: None
+    coming = select.poll()
+    coming.register(pipe.fileno(), select.POLLIN)
+
+    def wait() -> None:
+        end = time.monotonic() + _AWAKE_S
+        while not coming.poll(0) and time.monotonic() < end:
+            os.sched_yield()
+
+    return wait
+
+
 def _work(pipe: Connection, part: list[int], boards: _Boards, config: dict, buildings: tuple[str, ...]) -> None:
     """The life of a worker process."""
-    crew = _Crew(part, boards, config, buildings)
+    crew, stay_awake = _Crew(part, boards, config, buildings), _wakefulness(pipe)
     while True:
+        stay_awake()
         try:
             what, seed = pipe.recv()
         except (EOFError, OSError):  # the parent is gone
