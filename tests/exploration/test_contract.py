@@ -169,7 +169,9 @@ def test_an_episode_can_be_left_early_and_begun_again(same):
     assert all(same(first[agent], twice[agent]) for agent in first)
 
 
-@pytest.mark.parametrize("config", [{}, {"action.kind": "frontier", "observation.overview": True}, {"slam.mode": "off"}])
+@pytest.mark.parametrize(
+    "config", [{}, {"action.kind": "frontier", "observation.overview": True}, {"slam.mode": "off"}]
+)
 def test_what_an_episode_took_is_free_for_the_next_one_without_a_search_for_garbage(config):
     env = twc_env.parallel_env(map="gen:office:100:1", max_cycles=20, config=config)
     env.reset(seed=0)
