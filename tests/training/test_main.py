@@ -57,11 +57,11 @@ def test_a_training_whose_worker_died_says_how_to_go_on(tmp_path, monkeypatch, c
     step = TeamVecEnv.step_wait
 
     def killing(self):
-        self.teams._crews[0]._process.kill()
+        self.teams._crews[1]._process.kill()
         return step(self)
 
     monkeypatch.setattr(TeamVecEnv, "step_wait", killing)
-    assert main(["ppo", "--workers", "1", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 2
+    assert main(["ppo", "--workers", "2", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 2
     *_, last = capsys.readouterr().err.splitlines()
     assert last.startswith("error: a worker process has died") and "--resume goes on from the last model" in last
 

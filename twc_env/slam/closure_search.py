@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -40,9 +41,9 @@ class ClosureSearch:
         self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
         self._asks_first = isinstance(self._recogniser, TextWifiRecogniser)
         """Whether it makes no candidate of what is not new."""
-        if isinstance(self._recogniser, TextWifiRecogniser):
-            self._recogniser.is_wanted = self._is_new
         self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "wifi", MEETING, "proximity")}
+        if isinstance(self._recogniser, TextWifiRecogniser):
+            self._recogniser.is_wanted = partial(_is_new, maps, self._filters[self._recogniser.name])
         self._signless: SignlessRecogniser | None = None
         self._meetings: MeetingRecogniser | None = None
         if self._recogniser.name == "twc" and config.slam.cues.lidar:
@@ -81,17 +82,11 @@ class ClosureSearch:
             candidates.append(near)
         for candidate in candidates:
             ends = self._graph.keyframe(candidate.target), self._graph.keyframe(candidate.source)
-            if self._is_new(*ends, candidate.recogniser):
+            if _is_new(self._maps, self._filters[candidate.recogniser], *ends):
                 new.append(candidate)
         for candidate in new:
             self._waiting[candidate.recogniser].append(candidate)
             self.waiting_count += 1
-
-    def _is_new(self, target: Keyframe, source: Keyframe, by: str = "") -> bool:
-        """Whether no earlier proposal by this recogniser, the usual one if none is named, is repeated; notes this."""
-        is_one_map = self._maps.group_of[target.robot] == self._maps.group_of[source.robot]
-        reach_m = REPEAT_REACH_M if is_one_map else REPEAT_REACH_APART_M
-        return self._filters[by or self._recogniser.name].is_new(target, source, reach_m)
 
     def _is_tied(self, keyframe: Keyframe, loosely: bool = False) -> bool:
         """Whether a closure already ties this part of its robot's path to the map; loosely: a loose one will do."""
@@ -180,3 +175,9 @@ class ClosureSearch:
             self._waiting[candidate.recogniser].appendleft(candidate)
         self.waiting_count += len(self._without_scans)
         self._without_scans.clear()
+
+
+def _is_new(maps: GroupMaps, earlier: ProposalFilter, target: Keyframe, source: Keyframe) -> bool:
+    """Whether no earlier proposal of the same kind is repeated; notes this one."""
+    is_one_map = maps.group_of[target.robot] == maps.group_of[source.robot]
+    return earlier.is_new(target, source, REPEAT_REACH_M if is_one_map else REPEAT_REACH_APART_M)
