@@ -56,3 +56,11 @@ def test_distance_at_similarity_takes_the_pairs_of_the_bin():
     mean, std = distance_at_similarity(position, similarity, np.ones((20, 20), bool), 0.8)
     assert (mean, std) == (3.0, 0.0)
     assert np.isnan(distance_at_similarity(position, similarity, np.ones((20, 20), bool), 0.5)).all()
+
+
+def test_pairs_half_a_width_from_a_similarity_count_and_no_further_ones():
+    position = np.column_stack([np.arange(21.0), np.zeros(21)])
+    similarity = np.full((21, 21), 0.84)
+    similarity[0] = 0.82
+    mean, std = distance_at_similarity(position, similarity, np.ones((21, 21), bool), 0.8, 0.05)
+    assert (mean, std) == pytest.approx((10.5, np.arange(1.0, 21.0).std()))

@@ -4,7 +4,7 @@ import twc_env
 from twc_env.config import KVisibilityConfig
 from twc_env.messages import SensorFrame, WifiScan
 from twc_env.slam import radio_structure
-from twc_env.slam.radio_structure import RadioStructure
+from twc_env.slam.radio_structure import RadioStructure, update_reading
 
 CONFIG = KVisibilityConfig(enabled=True, noise_std_db=2.0, wall_loss_db=10.0, period_scans=1)
 
@@ -131,3 +131,13 @@ def test_a_robot_that_only_repeats_what_it_heard_adds_nothing():
         scan = WifiScan(np.array([7]), np.array([-50.0]), np.array([float(k)]))
         radio.add(SensorFrame(0, k, float(k), np.zeros(3), 0.0, np.zeros(4), scan), np.array([0.5 * k, 0.0, 0.0]))
     assert len(radio._readings[0].macs) == 1
+
+
+def test_a_wall_already_found_on_a_ray_explains_its_loss_and_spares_the_other_cells():
+    signal, changes = (-40.0, 2.0, 8.0, 3.0), []  # power, exponent, wall loss and noise
+    for level in (0, 40):
+        log_odds = np.zeros((3, 60), np.int16)
+        log_odds[1, 30] = level
+        update_reading(log_odds, np.zeros(2), 10.0, 5.5, 0.15, 0.5, 0.15, -40.0 - 20 * np.log10(5.0) - 8.0, *signal)
+        changes.append(int(log_odds[1, 15]))
+    assert changes[1] < min(changes[0], 0)
