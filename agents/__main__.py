@@ -29,8 +29,8 @@ from twc_env.config import digest, load, override
 from twc_env.json_values import TERMINAL, check_folder, write_json
 
 _EXPLORE_HELP = """\
-Let a scripted team explore one building and write a run folder:
-report.json (docs/figures.md says what each figure means), config.json, map.png, episode.gif, map.pgm + map.yaml,
+Run one episode with a scripted team and write a run folder:
+report.json (metrics, defined in docs/figures.md), config.json, map.png, episode.gif, map.pgm + map.yaml,
 pose_graph.g2o and trajectories/*.tum (readable by evo).
 
 examples:
@@ -38,23 +38,22 @@ examples:
   python -m agents explore --map twin-02 --robots 3 --seed 1 --out runs/twin-02
   python -m agents explore --map office.yaml --steps 6000 --set odometry.drift=2 --set lidar.beam_count=360
   python -m agents explore --map gen:office:800:7 --agent random --no-pictures --json -
-  python -m agents explore --agent mine.py:Mine        a team of your own: a class derived from agents.Policy
+  python -m agents explore --agent mine.py:Mine        your own team: a class derived from agents.Policy
   python -m agents explore --config runs/twin-02 --seed 1        the same episode again, to the byte
   python -m agents explore --config twc/ExploreHard-v0 --steps 1500
 """
 _BENCHMARK_HELP = """\
-Run many seeds on several maps and print one table per map. Runs that are already in the output folder with the same
-settings, by the same code on the same plan, are not run again, so an interrupted benchmark goes on where it stopped.
-A seed passes when all robots end in one map, no merge was wrong, team ATE is at most 0.30 m and at least 90 % of the
-floor is mapped rightly.
+Run many seeds on several maps and print one table per map. Runs in the output folder with the same settings, code and
+floor plan are reused, so an interrupted benchmark continues where it stopped. A seed passes if all robots end in one
+map, no merge was wrong, team ATE is at most 0.30 m and at least 90 % of the floor is mapped correctly.
 
 examples:
   python -m agents benchmark --maps twin-01 twin-02 --seeds 0-9 --out runs/benchmark
   python -m agents benchmark --maps twin-01 --seeds 0-99 --jobs 4 --no-pictures --set odometry.platform=legged
 """
 _COMPARE_HELP = """\
-Let several teams explore the same buildings from the same starts and print how much sooner than the first of them each
-has 90 % of the floor mapped rightly, with a 95 % interval. Episodes that the same code finished are not run again.
+Compare teams in the same buildings from the same start poses: how much sooner than the first team each of the others
+has mapped 90 % of the floor correctly, with a 95 % confidence interval. Episodes finished by the same code are reused.
 
 examples:
   python -m agents compare --buildings 20 --jobs 2
@@ -62,8 +61,8 @@ examples:
   python -m agents compare --agents nearest-frontier radio-frontier --robots 1 --set slam.k_visibility.enabled=true
 """
 _SURVEY_HELP = """\
-Let one robot map flats from WiFi alone, once along the walls and once where its map is least sure (`radio-walk`), and
-print how much of the map each has by how long a way. Walks that the same code finished are not run again.
+Map flats from WiFi alone with one robot, once by following the walls and once by driving to where its map is least
+certain (`radio-walk`), and print map quality over path length. Walks finished by the same code are reused.
 
 examples:
   python -m agents radio-survey
@@ -71,15 +70,15 @@ examples:
 """
 _AGENTS = """\
 An AGENT is
-  nearest-frontier    drives to the nearest edge of what is known, mates kept apart
-  cost-utility        weighs how near a frontier is against what mates will see of it
-  assignment          one frontier each, so that all ways together are shortest
-  voronoi             each robot keeps to the frontiers that it is nearest to
-  radio-frontier      nearest-frontier, sooner where WiFi tells of floor (slam.k_visibility.enabled=true)
-  radio-walk          walks where walls told from WiFi are least sure
+  nearest-frontier    drives to the nearest frontier, keeping teammates apart
+  cost-utility        trades off distance to a frontier against what teammates will see of it
+  assignment          one frontier per robot, minimising the total path length
+  voronoi             each robot takes the frontiers that it is closest to
+  radio-frontier      nearest-frontier, preferring floor predicted from WiFi (slam.k_visibility.enabled=true)
+  radio-walk          drives to where walls estimated from WiFi are least certain
   random              wanders
-  wall-follower       keeps along walls
-  FILE.py:CLASS       a class of your own, derived from agents.Policy (docs/library.md)
+  wall-follower       follows walls
+  FILE.py:CLASS       your own class, derived from agents.Policy (docs/library.md)
 """
 _TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
 
@@ -107,10 +106,10 @@ def _explore(options: argparse.Namespace) -> int:
         print(f"{options.agent} on {config.map}, seed {options.seed}, {config.robots} robots\n")
         print(table_of(run.report))
         if run.report["merged_robots"] < run.report["robots"] and run.report["lacked"]:
-            print("\nwhy not all share one map:", *run.report["lacked"], sep="\n  ")
+            print("\nwhy the robots do not all share one map:", *run.report["lacked"], sep="\n  ")
         print(f"\nwritten: {folder}")
     if run.was_interrupted:
-        print(f"interrupted after {run.report['steps']} steps; the figures are of those", file=sys.stderr)
+        print(f"interrupted after {run.report['steps']} steps; the results cover these", file=sys.stderr)
     return 130 if run.was_interrupted else 0
 
 
@@ -152,19 +151,21 @@ def _benchmark(options: argparse.Namespace) -> int:
     make_policy(options.agent)  # a misspelt name fails now
     outdated = sum(map(benchmark.is_outdated, jobs))
     if outdated:
-        print(f"{outdated} finished runs are of other code or another plan of the map: run again", file=sys.stderr)
+        print(f"{outdated} finished runs used other code or another floor plan: running them again", file=sys.stderr)
     reports: dict[str, list[dict[str, Any]]] = {name: [] for name in options.maps}
     was_interrupted = False
     try:
         for done, (job, report, was_there) in enumerate(benchmark.run_jobs(jobs, options.jobs), 1):
             reports[names[job.folder]].append(report)
             verdict = "passes" if benchmark.passes(report) else "fails"
-            origin = " (was there)" if was_there else ""
+            origin = " (reused)" if was_there else ""
             print(f"[{done}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {verdict}{origin}", file=sys.stderr)
     except KeyboardInterrupt:
         was_interrupted = True
         finished = sum(map(len, reports.values()))
-        print(f"interrupted after {finished} of {len(jobs)} runs; the same command goes on from there", file=sys.stderr)
+        print(
+            f"interrupted after {finished} of {len(jobs)} runs; the same command continues from there", file=sys.stderr
+        )
     for rows in reports.values():
         rows.sort(key=lambda report: report["seed"])  # not as they came, which differs with the processes
     summaries = {name: benchmark.summary_of(rows) | {"reports": rows} for name, rows in reports.items() if rows}
@@ -208,16 +209,18 @@ def _radio_survey(options: argparse.Namespace) -> int:
     for share in (0.25, 0.5, 0.6, 0.75, 1.0):
         both = [c.at_share(share) for c in found]
         along, active = (sum(column) / len(column) for column in zip(*both, strict=True))
-        print(f"after {share:4.0%} of the walk along the walls: free IoU {along:.3f} along walls, {active:.3f} active")
+        print(
+            f"after {share:4.0%} of the path along the walls: free IoU {along:.3f} wall following, {active:.3f} active"
+        )
     for part in (0.5, 0.75, 0.9, 1.0):
         middle, low, high = radio_survey.median_share([c.path_share(part) for c in found])
         print(
-            f"path of the active walk for {part:4.0%} of that walk's last IoU: {middle:.2f} of what the walk along the "
-            f"walls needs for it (median, 95 % interval {low:.2f} to {high:.2f}; inf: never reached)"
+            f"active path for {part:4.0%} of the final IoU of wall following: {middle:.2f} of the path that wall "
+            f"following needs (median, 95 % interval {low:.2f} to {high:.2f}; inf: never reached)"
         )
     middle, low, high = radio_survey.median_share([c.bound(load_map(c.name)) for c in found])
     print(
-        f"shortest walk found for all of that IoU, if the building were known and readings had no noise: {middle:.2f} "
+        f"lower bound for 100% (shortest path found with known building and noise-free readings): {middle:.2f} "
         f"(median, 95 % interval {low:.2f} to {high:.2f})"
     )
     return 0
@@ -253,18 +256,19 @@ def _parser() -> argparse.ArgumentParser:
         "--map",
         help=f"{', '.join(map_names())}; generated: gen:office:800:7, test/0003; or a file (default: twin-01)",
     )
-    one.add_argument("--seed", type=natural, default=0, help="of starts, noise and furnishing (default: 0)")
+    one.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs (default: 0)")
     one.add_argument(
         "--out",
         type=Path,
         metavar="FOLDER",
-        help="run folder (default: runs/MAP-AGENT-seedSEED, with the settings' digest where they are not the defaults)",
+        help="run folder (default: runs/MAP-AGENT-seedSEED, plus a digest of the settings if they are not the "
+        "defaults)",
     )
-    one.add_argument("--no-gif", action="store_true", help="do not film the episode")
+    one.add_argument("--no-gif", action="store_true", help="do not write episode.gif")
     one.set_defaults(run=_explore)
     many = commands.add_parser(
         "benchmark",
-        help="run one agent on many seeds and maps, and say how many episodes pass",
+        help="run one agent on many seeds and maps, and count the episodes that pass",
         **_paragraphs(_BENCHMARK_HELP),
     )
     many.add_argument(
@@ -272,26 +276,31 @@ def _parser() -> argparse.ArgumentParser:
     )
     many.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9 (default: 0-9)")
     add_folder(many, "--out", "runs/benchmark", "folder of all runs")
-    many.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
+    many.add_argument("--jobs", type=count, default=1, help="parallel processes (default: 1)")
     many.set_defaults(run=_benchmark)
     teams = commands.add_parser(
-        "compare", help="which of several agents explores the same buildings sooner", **_paragraphs(_COMPARE_HELP)
+        "compare", help="compare several agents in the same buildings", **_paragraphs(_COMPARE_HELP)
     )
     teams.add_argument(
         "--agents",
         nargs="+",
         default=list(_TEAMS),
         metavar="AGENT",
-        help=f"of {', '.join(policy_names())}, or FILE.py:CLASS; the first is what the others are compared with "
+        help=f"any of {', '.join(policy_names())}, or FILE.py:CLASS; the first is the baseline "
         f"(default: {', '.join(_TEAMS)})",
     )
-    teams.add_argument("--buildings", type=count, default=10, help="the first of the test split (default: %(default)s)")
-    teams.add_argument("--maps", nargs="+", metavar="MAP", help="names or files instead")
-    add_folder(teams, "--out", "runs/compare", "finished episodes")
-    teams.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
+    teams.add_argument(
+        "--buildings",
+        type=count,
+        default=10,
+        help="number of buildings, from the start of the test split (default: %(default)s)",
+    )
+    teams.add_argument("--maps", nargs="+", metavar="MAP", help="names or files, instead of --buildings")
+    add_folder(teams, "--out", "runs/compare", "folder of finished episodes")
+    teams.add_argument("--jobs", type=count, default=1, help="parallel processes (default: 1)")
     teams.set_defaults(run=_compare)
     walk = commands.add_parser(
-        "radio-survey", help="walls mapped from WiFi alone, by length of walk", **_paragraphs(_SURVEY_HELP)
+        "radio-survey", help="wall maps from WiFi alone, by path length", **_paragraphs(_SURVEY_HELP)
     )
     walk.add_argument(
         "--maps",
@@ -301,8 +310,8 @@ def _parser() -> argparse.ArgumentParser:
         help="names or files (default: sfw-e1 to sfw-e6)",
     )
     walk.add_argument("--seeds", default="0-2", help="numbers and ranges (default: %(default)s)")
-    walk.add_argument("--steps", type=count, default=2500, help="steps at most (default: %(default)s)")
-    add_folder(walk, "--out", "runs/radio-survey", "finished walks")
+    walk.add_argument("--steps", type=count, default=2500, help="maximum number of steps (default: %(default)s)")
+    add_folder(walk, "--out", "runs/radio-survey", "folder of finished walks")
     walk.set_defaults(run=_radio_survey)
     for command in (one, many):
         command.add_argument(
@@ -313,7 +322,7 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--no-pictures", action="store_true", help="write neither map.png nor episode.gif")
     for command in (one, many, teams):
         command.add_argument("--robots", type=count, help="number of robots (default: 3)")
-        command.add_argument("--steps", type=count, help="steps at most (default: 2000)")
+        command.add_argument("--steps", type=count, help="maximum number of steps (default: 2000)")
         command.add_argument(
             "--config",
             metavar="FILE",
@@ -321,7 +330,7 @@ def _parser() -> argparse.ArgumentParser:
         )
         add_set(command)
         command.add_argument(
-            "--json", type=Path, metavar="FILE", help="also write the figures here; - for the terminal"
+            "--json", type=Path, metavar="FILE", help="also write the results as JSON; - for the terminal"
         )
     return parser
 

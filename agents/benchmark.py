@@ -43,7 +43,7 @@ class Job:
 
 
 def passes(report: dict[str, Any]) -> bool:
-    """All robots in one frame, no wrong merge, team ATE of at most 0.30 m, at least 90 % mapped rightly."""
+    """All robots in one frame, no wrong merge, team ATE of at most 0.30 m, at least 90 % mapped correctly."""
     return (
         report["merged_robots"] == report["robots"]
         and report["wrong_merges"] == 0

@@ -1,4 +1,4 @@
-"""Which team explores faster? Several agents in the same buildings with the same seeds, compared in pairs."""
+"""Paired comparison of teams: several agents in the same buildings with the same seeds."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from twc_env.finished_parts import FinishedParts
 from twc_env.worker_processes import in_processes
 
 GOAL = 0.9
-"""Share of the floor that is to be mapped rightly."""
+"""Share of the floor to be mapped correctly."""
 DRAWS = 4000
 
 
@@ -27,14 +27,14 @@ class Outcome:
     """One episode of one agent."""
 
     goal_s: float
-    """Simulated time until `GOAL` was reached; the whole episode's where it never was."""
+    """Simulated time until `GOAL` was reached; the episode's duration if it never was."""
     is_reached: bool
     coverage: float
-    """Rightly mapped at the end, by the largest group."""
+    """Floor mapped correctly at the end by the largest group."""
     coverage_mean: float
-    """The same, averaged over the longest that an episode may last."""
+    """The same, averaged over the maximum duration of an episode."""
     path_m: float
-    """Of all robots together."""
+    """Summed over all robots."""
     team_ate_m: float
     merged_robots: int
     wrong_merges: int
@@ -42,14 +42,14 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """One agent over all buildings, beside the first agent."""
+    """One agent over all buildings, compared with the first agent."""
 
     agent: str
     outcomes: tuple[Outcome, ...]
     sooner_s: tuple[float, float, float]
-    """How much sooner than the first agent it reaches `GOAL`: mean, and ends of its 95 % bootstrap interval."""
+    """Time by which it reaches `GOAL` sooner than the first agent: mean and 95 % bootstrap confidence interval."""
     more: tuple[float, float, float]
-    """How much more is covered on the way (`coverage_mean`), likewise."""
+    """Gain in coverage over time (`coverage_mean`), likewise."""
 
 
 def compare(
@@ -102,12 +102,12 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
 
 
 def table_of(standings: Sequence[Standing]) -> str:
-    """One line an agent: means over the buildings (time also as interquartile mean), and what it gains on the first."""
+    """One line per agent: means over the buildings (time also as interquartile mean), and the gain over the first."""
     from scipy.stats import trim_mean  # slow to import, and not needed before
 
     width = max(18, 2 + max(len(s.agent) for s in standings))
-    head = f"{'agent':<{width}}{'reached':>8}{'to 90 % s':>11}{'IQM s':>8}{'on the way':>12}{'at the end':>12}"
-    head += f"{'path m':>9}{'ATE m':>8}{'wrong':>7}   sooner s (95 %)          more on the way (95 %)"
+    head = f"{'agent':<{width}}{'reached':>8}{'to 90 % s':>11}{'IQM s':>8}{'mean cov.':>12}{'final cov.':>12}"
+    head += f"{'path m':>9}{'ATE m':>8}{'wrong':>7}   sooner s (95 %)          more mean cov. (95 %)"
     lines = [head]
     for s in standings:
         of = {key: np.array([getattr(o, key) for o in s.outcomes], float) for key in Outcome.__slots__}

@@ -1,4 +1,4 @@
-"""Run a policy through an episode and leave a run folder behind."""
+"""Run a policy for one episode and write a run folder."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ COMPILER_EVENT = "numba:compiler_lock"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """One episode that was driven by a policy."""
+    """One finished episode of a policy."""
 
     result: EpisodeResult
     report: dict[str, Any]
@@ -215,20 +215,20 @@ FIGURES = (
     ("robots in one map", "merged_robots", "d"),
     ("wrong merges", "wrong_merges", "d"),
     ("team ATE", "team_ate_m", ".3f m"),
-    ("odometry alone: ATE", "odometry_ate_m", ".3f m"),
+    ("odometry-only ATE", "odometry_ate_m", ".3f m"),
     ("end point error", "epe_m", ".3f m"),
-    ("floor seen", "coverage_true", ".1% "),
+    ("floor observed", "coverage_true", ".1% "),
     ("floor mapped correctly", "coverage_correct", ".1% "),
     ("map IoU", "map_iou", ".3f"),
-    ("odometry alone: map IoU", "odometry_map_iou", ".3f"),
+    ("odometry-only map IoU", "odometry_map_iou", ".3f"),
     ("wall IoU", "wall_iou", ".3f"),
-    ("odometry alone: wall IoU", "odometry_wall_iou", ".3f"),
-    ("path driven", "path_length_m", ".1f m"),
+    ("odometry-only wall IoU", "odometry_wall_iou", ".3f"),
+    ("path length, all robots", "path_length_m", ".1f m"),
     ("collisions", "collisions", "d"),
-    ("stuck share", "stuck_share", ".1% "),
-    ("sent over the link", "bytes_sent", ",d bytes"),
+    ("share of time stuck", "stuck_share", ".1% "),
+    ("data transmitted", "bytes_sent", ",d bytes"),
     ("environment speed", "env_steps_per_s", ".0f steps/s"),
-    ("time the agents thought", "agent_s", ".2f s"),
+    ("time spent in agents", "agent_s", ".2f s"),
 )
 
 

@@ -1,9 +1,8 @@
 """Each robot drives to the nearest frontier of its group's merged map; when none is left, it seeks the other robots.
 
-Robots of one group share a map and spread out over its frontiers. A group that does not hold every robot yet and has
-no frontier left tours the signs and the places not seen for longest, because maps merge where two robots have both
-been. Everything is planned on estimates: a plan may be wrong, so every robot watches its own progress and gives up on
-goals it cannot get to.
+Robots of one group share a map and spread out over its frontiers. A group that is not complete yet and has no frontier
+left tours the signs and the places not visited for longest, because maps merge where two robots have both been. All
+planning is on estimates and may be wrong, so every robot monitors its progress and gives up unreachable goals.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from twc_env.planning import (
 
 
 class NearestFrontier:
-    """The scripted team that the benchmark figures are made with."""
+    """The default scripted team, used for the benchmark results."""
 
     def __init__(self, config: EnvConfig, explorer: ExplorerConfig | None = None):
         self.dynamics: DynamicsConfig = config.dynamics

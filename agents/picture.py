@@ -1,4 +1,4 @@
-"""Pictures of an episode: one map with everything on it, and a moving one."""
+"""Pictures of an episode: an annotated map and an animated GIF."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GIF_WIDTH_PX = 640
 
 
 def require_libraries(gif: bool = True) -> None:
-    """Raise ConfigError now rather than after the episode when a picture could not be written."""
+    """Raise ConfigError before the episode if a library for pictures is missing."""
     missing = [name for name, module in (("matplotlib", "matplotlib"), ("pillow", "PIL")) if not find_spec(module)]
     if missing and (gif or "matplotlib" in missing):
         raise ConfigError(
@@ -154,20 +154,20 @@ def _draw_closures(axes, result: EpisodeResult) -> None:
     from matplotlib.collections import LineCollection
 
     styles = {
-        "accepted closure, right": ("#1a9641", 0.9, 6.2),
-        "accepted closure, wrong": ("#e60000", 1.6, 6.3),
+        "accepted closure, correct": ("#1a9641", 0.9, 6.2),
+        "accepted closure, false": ("#e60000", 1.6, 6.3),
         "closure not accepted": ("#f0a030", 0.6, 6.0),
     }
     lines: dict[str, list[tuple]] = {name: [] for name in styles}
     for closure in result.closures:
         name = "closure not accepted"
         if closure["status"] == "accepted":
-            name = f"accepted closure, {'right' if closure['correct'] else 'wrong'}"
+            name = f"accepted closure, {'correct' if closure['correct'] else 'false'}"
         lines[name].append((closure["target_m"], closure["source_m"]))
     for name, (colour, width, order) in styles.items():
         if lines[name]:
             faint = {"alpha": max(0.1, LINES_CLEAR / len(lines[name])), "zorder": 1.9}
-            style = faint if len(lines[name]) > LINES_CLEAR and "wrong" not in name else {"zorder": order}
+            style = faint if len(lines[name]) > LINES_CLEAR and "false" not in name else {"zorder": order}
             axes.add_collection(LineCollection(lines[name], colors=colour, linewidths=width, **style))
             axes.plot([], [], color=colour, lw=width, label=f"{name} ({len(lines[name])})")
 

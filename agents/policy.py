@@ -1,4 +1,4 @@
-"""What a team policy is, and the list of those that can be asked for by name; FILE.py:CLASS names one of one's own."""
+"""Base class of team policies, and their names; FILE.py:CLASS names your own."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from twc_env.messages import Belief
 
 
 class Policy(Protocol):
-    """Drives a whole team from what each robot believes; a base class too, for those that need `act` only."""
+    """Controls a whole team from the robots' beliefs. Subclasses must implement `act` only."""
 
     def __init__(self, config: EnvConfig):
-        """Robots move as `config.dynamics` says."""
+        """`config.dynamics` has the robots' limits."""
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
-        """Forget everything and get ready for a new episode with these agents."""
+        """Prepare for a new episode with these agents; discards all state."""
 
     @abstractmethod
     def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
-        """For each agent (2,) float32 in [-1, 1]: forward speed and turn rate as shares of their maxima."""
+        """For each agent (2,) float32 in [-1, 1]: forward speed and turn rate as fractions of their maxima."""
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
-        """Whether there is nothing left worth doing; an episode may end early then."""
+        """Whether nothing is left to do, so that an episode may end early."""
 
 
 _POLICIES: dict[str, type[Policy]] = {
@@ -55,16 +55,18 @@ def policy_names() -> tuple[str, ...]:
 
 
 def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
-    """Build a policy for robots that move as `config.dynamics` says; `name` may be FILE.py:CLASS.
+    """Create a policy for robots with the limits in `config.dynamics`; `name` may be FILE.py:CLASS.
 
-    Raises ConfigError for an unknown name, and where robots do not take velocities.
+    Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`.
     """
     if name not in _POLICIES and not is_in_file(str(name)):
         known = f"choose one of {', '.join(policy_names())}, or FILE.py:CLASS"
         raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, _POLICIES)}")
     config = config or EnvConfig()
     if config.action.kind != "velocity":
-        raise ConfigError(f"scripted teams steer by velocity; got action.kind = {config.action.kind!r}: leave it out")
+        raise ConfigError(
+            f"scripted teams need action.kind = 'velocity'; got {config.action.kind!r}: remove this setting"
+        )
     if name in _POLICIES:
         return _POLICIES[name](config)
     remedy = "derive it from agents.Policy, or add what lacks"

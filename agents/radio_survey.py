@@ -1,8 +1,8 @@
-"""Does choosing where to walk pay? The map from radio against path length, for the active walk and along the walls.
+"""Radio map quality over path length: active path planning against wall following.
 
-Both robots start at the same place of the same building with the same noise, know the routers alone, and are scored on
-`Belief.radio_map` alone. The score is the IoU of free floor in which floor that is left unknown counts as missed, so
-that nothing is won by abstaining; IoU as published and coverage stand beside it.
+Both robots start at the same place of the same building with the same noise, know the routers only, and are scored on
+`Belief.radio_map` only. The score is the IoU of free floor with unknown floor counted as missed, so that abstaining
+does not help; IoU as published and coverage are reported as well.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ def test_the_fuzzer_sees_a_mark_that_a_refusal_left(monkeypatch):
 def test_the_command_prints_what_came_of_it(tmp_path, capsys):
     path = tmp_path / "fuzz.json"
     assert main(["soak", "--actions", "60", "--json", str(path)]) == 0
-    assert "60 broken actions" in capsys.readouterr().out
+    assert "60 malformed actions" in capsys.readouterr().out
     assert json.loads(path.read_text())["actions"]["escaped"] == []
     with pytest.raises(SystemExit, match="2"):
         main(["soak", "--actions", "0"])

@@ -134,7 +134,7 @@ def test_a_worker_that_dies_is_an_error_and_leaves_no_other_behind(monkeypatch):
 
 def test_bench_says_that_its_robots_are_driven_by_velocity(capsys):
     assert main(["bench", "--set", "action.kind=waypoint"]) == 2
-    assert "drives robots by velocity, got action.kind = 'waypoint'" in capsys.readouterr().err
+    assert "needs action.kind = 'velocity'; got 'waypoint'" in capsys.readouterr().err
 
 
 def test_the_large_building_is_generated_and_reset():

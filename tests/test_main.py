@@ -55,7 +55,7 @@ def test_bad_input_ends_with_one_line_and_status_2(arguments, message, refusal):
 def test_counts_that_make_no_run_are_refused_by_the_command_line(arguments, capsys):
     with pytest.raises(SystemExit):
         main(arguments.split())
-    assert "must be a whole number from 1 on; got" in capsys.readouterr().err
+    assert "must be a whole number of at least 1; got" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["compiled", "filterpy"])
@@ -261,7 +261,7 @@ def test_an_interrupted_table_says_that_it_can_go_on(monkeypatch, tmp_path, caps
 
     monkeypatch.setattr("twc_env.reproduce.matching.rows", interrupt)
     assert main(["reproduce", "matching", "--cache", str(tmp_path)]) == 130
-    assert capsys.readouterr().err == "finished parts are kept: the same command goes on from there\ninterrupted\n"
+    assert capsys.readouterr().err == "finished parts are kept: the same command continues from there\ninterrupted\n"
 
 
 def write_laser_log(path, seed, place="twin-01"):
@@ -292,7 +292,7 @@ def test_a_log_of_ones_own_laser_is_mapped_and_written_as_others_read_it(tmp_pat
     assert {"map.pgm", "map.yaml", "pose_graph.g2o", "robot_0_estimated.tum", "robot_0_odometry.tum"} <= written
     (tmp_path / "other.log").write_text("ODOM 0 0 0")
     assert main(["replay", str(tmp_path / "other.log")]) == 2
-    assert "is no CARMEN log" in capsys.readouterr().err
+    assert "is not a CARMEN log" in capsys.readouterr().err
     off_m = {}
     for kind in ("estimated", "odometry"):
         times_s, poses = read_tum(tmp_path / "out" / "trajectories" / f"robot_0_{kind}.tum")

@@ -32,7 +32,7 @@ def house(tmp_path):
 
 @pytest.mark.parametrize("seed", [-1, 1.5])
 def test_seeds_that_are_no_whole_numbers_from_0_on_are_refused(house, seed):
-    with pytest.raises(ConfigError, match=f"seed must be a whole number from 0 on; got {seed}"):
+    with pytest.raises(ConfigError, match=f"seed must be a whole number of at least 0; got {seed}"):
         load_map(house, seed)
 
 

@@ -193,7 +193,7 @@ def test_numbers_that_cannot_be_meant_are_refused(arguments, least, capsys):
     with pytest.raises(SystemExit) as stopped:
         run(*arguments.split())
     assert stopped.value.code == 2
-    assert f"must be a whole number from {least} on" in capsys.readouterr().err
+    assert f"must be a whole number of at least {least}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", [[], ["list"], ["show"], ["generate"], ["import"], ["export"], ["check"]])

@@ -83,7 +83,7 @@ def test_a_trace_or_report_that_lacks_something_is_named(run, tmp_path):
     shutil.copy(run / "trace.npz", tmp_path)
     for report in ("[]", "{}", '{"map": "twin-01"}'):
         (tmp_path / "report.json").write_text(report)
-        with pytest.raises(DataError, match="no report with config_digest, map, seed, version"):
+        with pytest.raises(DataError, match="not a report with config_digest, map, seed, version"):
             write_page(tmp_path, tmp_path / "page.html")
 
 

@@ -156,7 +156,7 @@ def test_who_waits_is_awake_until_there_is_something_or_for_a_moment():
 @pytest.mark.parametrize("number", [-1, 0.5, "1", True, None])
 def test_what_is_no_number_of_environments_or_workers_is_refused(what, least, number):
     for wrong in (number, least - 1):
-        with pytest.raises(ConfigError, match=f"{what} must be a whole number from {least} on; got {wrong!r}"):
+        with pytest.raises(ConfigError, match=f"{what} must be a whole number of at least {least}; got {wrong!r}"):
             VectorTeams(**{"count": 2, what: wrong}, config=SMALL)
 
 
@@ -212,7 +212,7 @@ def test_actions_of_another_number_of_rows_are_refused(shape):
     rows.reset()
     with pytest.raises(ActionError, match=r"shape \(4, 2\), one row per robot; got"):
         rows.step(np.zeros(shape))
-    with pytest.raises(ConfigError, match="seed must be a whole number from 0 on; got '1'"):
+    with pytest.raises(ConfigError, match="seed must be a whole number of at least 0; got '1'"):
         TeamVecEnv(2, SMALL, seed="1")
 
 

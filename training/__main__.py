@@ -37,7 +37,8 @@ def main(arguments: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="python -m training",
-        description="Learn to explore: one policy for all robots of a team. Each command has its own --help.",
+        description="Train and evaluate exploration policies shared by all robots of a team. Each command has its own "
+        "--help.",
         epilog="examples:\n  python -m training ppo --steps 60000 --out runs/ppo\n"
         "  python -m training evaluate --model runs/ppo/model.zip --seeds 0-19",
     )
@@ -47,39 +48,44 @@ def _parser() -> argparse.ArgumentParser:
     ppo = commands.add_parser(
         "ppo",
         help="train with proximal policy optimisation",
-        description="Train one policy for all robots with PPO, in small generated buildings or one map. The run "
-        "folder gets config.json, model.zip, metrics.csv and tensorboard/; the model is saved after each round of "
-        "learning, so an interrupted run goes on with --resume. A new run needs a new folder.",
+        description="Train one shared policy with PPO, in small generated buildings or on one map. Writes config.json, "
+        "model.zip, metrics.csv and tensorboard/ to the run folder. The model is saved after each policy update, so an "
+        "interrupted run continues with --resume. A new run needs a new folder.",
         epilog="examples:\n  python -m training ppo --steps 60000 --out runs/ppo\n"
         "  python -m training ppo --steps 120000 --out runs/ppo --resume\n"
         "  python -m training ppo --map twin-01 --robots 3 --set odometry.drift=2 --out runs/twin",
     )
     ppo.add_argument("--map", help="bundled name, generated name or file, instead of small generated buildings")
     ppo.add_argument(
-        "--area", type=float, default=250.0, help="floor of generated buildings [m2] (default: %(default)s)"
+        "--area", type=float, default=250.0, help="floor area of the generated buildings [m2] (default: %(default)s)"
     )
     ppo.add_argument("--robots", type=int, default=2, help="robots per team (default: %(default)s)")
     ppo.add_argument(
         "--steps",
         type=int,
         default=181_000,
-        help="decisions of all robots together; while a robot is busy, each step counts as one (default: %(default)s)",
+        help="total decisions of all robots; a busy robot counts as one decision per step (default: %(default)s)",
     )
     ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode (default: %(default)s)")
-    ppo.add_argument("--workers", type=natural, default=2, help="processes (default: %(default)s; 0: this one)")
+    ppo.add_argument(
+        "--workers",
+        type=natural,
+        default=2,
+        help="worker processes (default: %(default)s; 0: none, run in this process)",
+    )
     ppo.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes (default: %(default)s)")
     add_set(ppo)
     add_folder(ppo, "--out", "runs/ppo", "run folder")
-    ppo.add_argument("--resume", action="store_true", help="go on from the model in the run folder")
+    ppo.add_argument("--resume", action="store_true", help="continue from the model in the run folder")
     ppo.set_defaults(
-        run=_train_ppo, when_interrupted="interrupted; --resume goes on from the last model that was saved, if any"
+        run=_train_ppo, when_interrupted="interrupted; --resume continues from the last saved model, if any"
     )
 
     evaluate = commands.add_parser(
         "evaluate",
-        help="compare a trained model with random and scripted teams on held-out buildings",
-        description="Play one episode per held-out building with the trained team, random choices, the nearest "
-        "frontier and the scripted nearest-frontier team; print means with 95 % intervals.",
+        help="compare a trained policy with random and scripted teams in held-out buildings",
+        description="Run one episode per held-out building with the trained policy, a random one, the nearest frontier "
+        "and the scripted nearest-frontier team; print means with 95 % confidence intervals.",
         epilog="example:\n  python -m training evaluate --model runs/ppo/model.zip --seeds 0-4 --films runs/ppo/films",
     )
     evaluate.add_argument(
@@ -87,11 +93,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="MODEL",
         type=Path,
         default=Path("runs/ppo/model.zip"),
-        help="a run folder, or a model with config.json beside it (default: %(default)s)",
+        help="a run folder, or a model file next to its config.json (default: %(default)s)",
     )
-    evaluate.add_argument("--json", type=Path, metavar="FILE", help="write every episode and the means")
+    evaluate.add_argument("--json", type=Path, metavar="FILE", help="write all episodes and the means")
     evaluate.add_argument(
-        "--seeds", default="0-19", help="held-out buildings, as in 0-4 or 1,5,7 (default: %(default)s)"
+        "--seeds", default="0-19", help="seeds of held-out buildings, e.g. 0-4 or 1,5,7 (default: %(default)s)"
     )
     evaluate.add_argument(
         "--films", type=Path, metavar="FOLDER", help="write a GIF of the trained team in each building"

@@ -1,4 +1,4 @@
-"""A trained policy beside a random one and the scripted nearest-frontier team, on buildings it was not trained in."""
+"""A trained policy against a random one and the scripted nearest-frontier team, in held-out buildings."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ from twc_env.video import RecordEpisodes
 Choose = Callable[[dict, int], dict]
 """Observations and time steps gone by -> actions."""
 _JUDGED: dict[str, object] = {"reward.sharing": "team"}
-"""What the team has covered is read from its terms, however robots were paid when they learnt."""
+"""Coverage is taken from the reward terms of the team, independent of the rewards used in training."""
 POLICIES = ("trained", "random", "nearest", "nearest-frontier")
 
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """What one policy reached in one building."""
+    """Result of one policy in one building."""
 
     coverage: float
-    """Share of the floor that the largest group's map shows rightly at the end."""
+    """Share of the floor mapped correctly by the largest group at the end."""
     mean_coverage: float
-    """That of the rightly merged group that maps most, averaged over the episode's time steps: early is better."""
+    """Share of the floor mapped correctly by the best correctly merged group, averaged over the episode's time
+    steps."""
     merged_robots: int
     wrong_merges: int
 
@@ -49,8 +50,8 @@ class Evaluation:
 
     @property
     def table(self) -> str:
-        """Mean with 95 % interval of each policy, and of each one's paired difference to the trained one, as text."""
-        lines = [f"{'policy':<18}{'coverage':>18}{'over time':>18}{'trained is ahead':>22}{'merged':>8}{'wrong':>7}"]
+        """Means with 95 % intervals of each policy and of its paired difference to the trained one, as text."""
+        lines = [f"{'policy':<18}{'coverage':>18}{'over time':>18}{'trained ahead by':>22}{'merged':>8}{'wrong':>7}"]
         for name, episodes in self.episodes.items():
             end, over = ([getattr(e, key) for e in episodes] for key in ("coverage", "mean_coverage"))
             ahead = "" if name == "trained" else "{:+.3f} +- {:.3f}".format(*self.ahead(name))
@@ -90,7 +91,8 @@ def _interval(values: Sequence[float]) -> str:
 def evaluate(
     model_path: Path, seeds: Sequence[int], show_progress: bool = True, films: Path | None = None
 ) -> Evaluation:
-    """One episode per seed and policy, each seed in its own held-out building; films of the trained team on demand.
+    """One episode per seed and policy, each seed in its own held-out building; optionally with films of the trained
+    team.
 
     A run folder stands for the model in it. Raises DataError when the model or the settings of its run cannot be read,
     or films cannot be written.
@@ -116,7 +118,7 @@ def evaluate(
 
 
 def _trained(model: PPO, task: Task, seed: int) -> Choose:
-    """Draws as in training: two robots that always take their likeliest choice may wait for each other for good."""
+    """Samples as in training: two robots that always take their most likely choice may wait for each other forever."""
     torch.manual_seed(seed)
     notes = TeamNotes(1, task.config.robots, task.max_cycles)
     elapsed_before = 0
@@ -139,7 +141,7 @@ def _random(seed: int) -> Choose:
 
 
 def _nearest(seen: dict, _: int) -> dict:
-    """The first choice that counts: the frontier with the shortest path, else a sign, a mate, or stay."""
+    """The first valid choice: the frontier with the shortest path, else a sign, a teammate, or stay."""
     return {agent: int(np.argmax(o["action_mask"])) for agent, o in seen.items()}
 
 
@@ -148,7 +150,7 @@ def _team(task: Task, render_mode: str | None = None) -> twc_env.ExplorationEnv:
 
 
 def _scripted(task: Task, seed: int) -> Episode:
-    """The scripted team of `agents`, which steers by itself: its advantage is that it decides at every time step."""
+    """The scripted team of `agents` with velocity commands; its advantage is that it decides at every time step."""
     config = override(task.config, {"action.kind": "velocity", **_JUDGED})
     env, policy = twc_env.parallel_env(config=config), make_policy("nearest-frontier", config)
     policy.reset(seed, env.possible_agents)

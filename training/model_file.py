@@ -30,7 +30,7 @@ def load_model(path: Path, policy: type, seen: spaces.Space, chosen: spaces.Spac
     except Exception as error:  # a broken or foreign archive surfaces as almost any exception
         raise DataError(f"cannot read the model {path}: {error}; train anew, or name another") from error
     if (model.observation_space, model.action_space) != (seen, chosen):
-        raise DataError(f"{path} was trained to see or choose something else than config.json beside it says")
+        raise DataError(f"{path} was trained with other observations or actions than config.json beside it says")
     if teams is not None:
         model.set_env(teams)
     return model

@@ -1,7 +1,7 @@
-"""Proximal policy optimisation (stable-baselines3): one policy drives every robot of every team. Runnable alone.
+"""Proximal policy optimisation (stable-baselines3): one policy shared by all robots of all teams. Runnable alone.
 
-Each robot chooses among the frontiers of its map, a sign, a mate or to stay; one small network scores every choice by
-its figures, so that what is learnt about one holds for all. Choices that the mask rules out get no probability.
+Each robot chooses between the frontiers of its map, a sign, a teammate, or staying. One small network scores every
+choice from its features, so weights are shared between choices. Masked choices have probability 0.
 """
 
 from __future__ import annotations
@@ -33,41 +33,41 @@ from twc_env.sb3 import TeamVecEnv
 
 COLUMNS = ("steps", "episodes", "mean_return", "mean_length", "steps_per_s")
 EPISODES_SHOWN = 100
-"""Mean return and length are those of so many rows of episodes that ended last."""
+"""Number of most recent episode rows over which mean return and length are computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Settings of the algorithm; the defaults are those of stable-baselines3 where not noted."""
+    """Hyperparameters; defaults are those of stable-baselines3 unless noted."""
 
     seed: int = 0
-    """Seeds the policy's weights, its sampling and the episodes."""
+    """Seed of the policy's weights, its sampling and the episodes."""
     environments: int = 8
-    """Teams that explore side by side."""
+    """Number of parallel teams."""
     workers: int = 2
-    """Processes that run them; 0: this one."""
+    """Worker processes; 0: run in this process."""
     rollout_steps: int = 64
-    """Decisions of each robot between two updates, a busy one's to go on among them (stable-baselines3: 2048 of one
+    """Decisions per robot between two updates, including those of busy robots to continue (stable-baselines3: 2048 per
     environment)."""
     batch_size: int = 256
     """Samples per gradient step (stable-baselines3: 64)."""
     epochs: int = 10
     """Passes over each rollout."""
     learning_rate: float = 1e-3
-    """Adam step size of the first update (stable-baselines3: 3e-4); it falls in a line to nothing at the last, so that
-    what comes out is not the noise of the last few rollouts (stable-baselines3: the same throughout)."""
+    """Initial Adam step size (stable-baselines3: 3e-4), annealed linearly to 0 so that the result does not depend on
+    the noise of the last few rollouts (stable-baselines3: constant)."""
     discount: float = 1.0
-    """Weight of the next decision's return (stable-baselines3: 0.99). Decisions last differently long: any less would
-    favour long ones, since fewer of them reach the end."""
+    """Discount per decision (stable-baselines3: 0.99). Decisions have different durations, so discounting would favour
+    long ones, of which fewer are needed to reach the end."""
     entropy_weight: float = 0.005
-    """Keeps the policy from settling too early (stable-baselines3: 0)."""
+    """Entropy bonus, against premature convergence (stable-baselines3: 0)."""
 
 
 class ChoiceFeatures(BaseFeaturesExtractor):
-    """A row per choice beside what the robot knows about itself and its team, in one vector.
+    """One row of features per choice, and the state of the robot and its team, as one vector.
 
-    Rows: the figures of a frontier and how near it is to goals (zeros for the other choices), then what kind of choice
-    it is. Pictures are left out: a frontier's figures sum up what matters of the map, and learn in minutes.
+    Rows: the features of a frontier and its distance to goals (zeros for the other choices), then the kind of choice.
+    Images are omitted: frontier features summarise the relevant part of the map and train in minutes.
     """
 
     def __init__(self, observation_space: spaces.Dict):
@@ -99,7 +99,7 @@ class ChoiceFeatures(BaseFeaturesExtractor):
 
 
 class Look(nn.Module):
-    """Reads every choice with one network, and the robot's situation with another."""
+    """Encodes every choice with one network and the robot's situation with another."""
 
     def __init__(self, features: ChoiceFeatures, width: int):
         super().__init__()
@@ -118,10 +118,10 @@ class Look(nn.Module):
 
 
 class ChoiceScorer(nn.Module):
-    """Scores every choice with one network, in view of the best of the others and of the robot's situation.
+    """Scores every choice with one network, given the best of the others and the robot's situation.
 
-    The value has a network of its own, which also knows what the team has gained so far: so it tells better what is
-    still to come. Whoever chooses does not know it, nor is it needed to play.
+    The value function has its own network, which also receives the team's gain so far and so predicts the remaining
+    return better. The policy does not use it, and it is not needed for inference.
     """
 
     def __init__(self, features: ChoiceFeatures, width: int = 64):
@@ -136,7 +136,7 @@ class ChoiceScorer(nn.Module):
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """(batch, choices) logits; a choice that the mask rules out gets no probability."""
+        """(batch, choices) logits; masked choices have probability 0."""
         choices, best, situation, allowed, _ = self.look(features)
         around = torch.cat([best, situation], 1)[:, None].expand(-1, choices.shape[1], -1)
         logits = self.score(torch.cat([choices, around], 2))[..., 0]
@@ -149,7 +149,7 @@ class ChoiceScorer(nn.Module):
 
 
 class ChoicePolicy(MultiInputActorCriticPolicy):
-    """The usual actor-critic over `ChoiceScorer`, whose output is the logits themselves."""
+    """The standard actor-critic over `ChoiceScorer`, whose output is the logits."""
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **{**options, "features_extractor_class": ChoiceFeatures})
@@ -166,26 +166,26 @@ class ChoicePolicy(MultiInputActorCriticPolicy):
 def train(
     task: Task, settings: Settings, steps: int, folder: Path, resume: bool = False, show_progress: bool = True
 ) -> Path:
-    """Train until `steps` decisions have been taken in all; returns the path of the saved model.
+    """Train until a total of `steps` decisions; returns the path of the saved model.
 
-    `resume` goes on from the model in `folder`; its task and settings must be the same, but for the workers. Episodes
-    are drawn anew from the seed and the step count, so a resumed run is reproducible but not equal to an uninterrupted
-    one. Raises DataError when there is nothing to resume, when the folder holds a run and `resume` is not asked for, or
-    when another process trains in it.
+    `resume` continues from the model in `folder`; task and settings must be the same, except for the workers. Episodes
+    are drawn from the seed and the step count, so a resumed run is reproducible but differs from an uninterrupted one.
+    Raises DataError if there is nothing to resume, if the folder holds a run and `resume` is not given, or if another
+    process trains in it.
     """
     torch.set_num_threads(1)
     action, observation = task.config.action, task.config.observation
     if task.config.slam.mode == "off":
-        raise DataError("this policy chooses among frontiers of the map, and slam.mode=off has none: leave it out")
+        raise DataError("this policy chooses between frontiers, and slam.mode=off has none: remove that setting")
     if (action.kind, observation.kind) != ("frontier", "dict"):
-        raise DataError("this policy chooses among frontiers: leave action.kind=frontier and observation.kind=dict")
+        raise DataError("this policy chooses between frontiers: keep action.kind=frontier and observation.kind=dict")
     if not (observation.pose and observation.team):
-        raise DataError("robots tell each other where they go: leave observation.pose=true and observation.team=true")
+        raise DataError("robots share their goals: keep observation.pose=true and observation.team=true")
     model_path = folder / "model.zip"
     if resume:
         _check_same_run(folder, task, settings)
     elif model_path.exists():
-        raise DataError(f"{folder} already holds a model; go on with --resume or name another folder with --out")
+        raise DataError(f"{folder} already holds a model; continue with --resume or name another folder with --out")
     raw = TeamVecEnv(settings.environments, task.config, settings.workers, task.training_maps, settings.seed)
     teams = NotedTeams(raw, task.max_cycles)
     try:
@@ -203,7 +203,7 @@ def train(
                 try:
                     model.learn(steps - model.num_timesteps, progress, tb_log_name="ppo", reset_num_timesteps=False)
                 except WorkerError as error:
-                    remedy = "--resume goes on from the last model that was saved, if any"
+                    remedy = "--resume continues from the last saved model, if any"
                     raise DataError(f"a worker process has died (out of memory or killed); {remedy}") from error
                 finally:
                     progress.bar.close()
@@ -231,7 +231,7 @@ def _new_model(teams: VecEnv, settings: Settings, folder: Path) -> PPO:
 
 
 def falling(first: float, left: float) -> float:
-    """A step size that falls in a line with the share of decisions still to come; the last rollout may pass the end."""
+    """A step size proportional to the share of remaining decisions; the last rollout may exceed the total."""
     return first * max(left, 0.0)
 
 
@@ -249,11 +249,11 @@ def _check_same_run(folder: Path, task: Task, settings: Settings) -> None:
         if record[part].get(name) != value
     ]
     if changed:
-        raise DataError(f"{folder} was trained with {', '.join(changed)}; ask for the same, or name another --out")
+        raise DataError(f"{folder} was trained with {', '.join(changed)}; use the same settings, or name another --out")
 
 
 class Progress(BaseCallback):
-    """After each rollout: a line in metrics.csv, a saved model, and the progress bar moves."""
+    """After each rollout: append to metrics.csv, save the model, update the progress bar."""
 
     def __init__(self, folder: Path, steps: int, taken: int, show: bool):
         super().__init__()

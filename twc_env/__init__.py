@@ -1,10 +1,10 @@
-"""twc_env: robots explore a building while cooperative SLAM runs inside every step.
+"""twc_env: multi-robot exploration with cooperative SLAM inside every step.
 
     import twc_env
     env = twc_env.parallel_env(map="twin-01", robots=3)
 
 The standard tasks (`twc/Explore-v0` and others, see `twc_env.tasks`) are registered with PettingZoo (parallel and AEC)
-and, for one robot, with Gymnasium. Nothing heavy is loaded before an environment is made.
+and, for one robot, with Gymnasium. Heavy dependencies are imported only when an environment is created.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def parallel_env(*args: Any, **kwargs: Any) -> ExplorationEnv:
     """The environment under PettingZoo's parallel API; `help(twc_env.ExplorationEnv)` describes it.
 
     Arguments: map, robots, max_cycles, config (an EnvConfig or a dict such as {"action.kind": "frontier"}),
-    render_mode, floorplan, task, render_signal. `python -m twc_env settings` prints all that config may hold.
+    render_mode, floorplan, task, render_signal. `python -m twc_env settings` lists everything config may contain.
     """
     from twc_env.exploration.environment import ExplorationEnv
 
@@ -91,14 +91,14 @@ def parallel_env(*args: Any, **kwargs: Any) -> ExplorationEnv:
 
 
 def raw_env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:
-    """The environment under PettingZoo's AEC API, without checks of the call order."""
+    """The environment under PettingZoo's AEC API, without checking the call order."""
     from pettingzoo.utils import parallel_to_aec
 
     return parallel_to_aec(parallel_env(*args, **kwargs))
 
 
 def env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:
-    """The environment under PettingZoo's AEC API; arguments as of `parallel_env`."""
+    """The environment under PettingZoo's AEC API; same arguments as `parallel_env`."""
     from pettingzoo.utils import OrderEnforcingWrapper
 
     return OrderEnforcingWrapper(raw_env(*args, **kwargs))

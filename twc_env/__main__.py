@@ -24,10 +24,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="python -m twc_env",
-        description="Look at maps and settings, record and replay sensor logs, measure speed, reproduce tables.",
+        description="Inspect maps and settings, record and replay sensor logs, measure speed, reproduce published "
+        "tables.",
         epilog="examples:\n  python -m twc_env maps show twin-01\n  python -m twc_env settings > mine.toml\n"
-        "  python -m twc_env reproduce merging\n\nEach command has its own --help. Teams explore by "
-        "python -m agents, and learn by python -m training.",
+        "  python -m twc_env reproduce merging\n\nEach command has its own --help. See also "
+        "`python -m agents` (scripted teams) and `python -m training` (learning).",
     )
     add_version(parser)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

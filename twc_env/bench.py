@@ -121,7 +121,7 @@ def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lamb
     Raises ConfigError where robots are not driven by velocity, as the wanderers here are.
     """
     if config.action.kind != "velocity":
-        raise ConfigError(f"bench drives robots by velocity, got action.kind = {config.action.kind!r}: leave it out")
+        raise ConfigError(f"bench needs action.kind = 'velocity'; got {config.action.kind!r}: remove this setting")
     plan = load_map(config.map)
     of_world, of_slam = OurRuns(override(config, {"slam.mode": "off"}), plan), OurRuns(config, plan)
     world, slam = [], []

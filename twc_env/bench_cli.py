@@ -18,36 +18,42 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
     """Arguments of the command."""
     speed = commands.add_parser(
         "bench",
-        help="steps per second of the world alone and of the whole step with SLAM",
-        description="Robots wander by reflex through whole episodes; medians over the episodes are printed. "
-        "Compare figures from one machine and one run only.",
+        help="measure steps per second, with and without SLAM",
+        description="Measure steps per second over whole episodes of robots driven by a reactive policy (median over "
+        "episodes). "
+        "Compare only values from the same machine and run.",
         epilog="examples:\n  python -m twc_env bench --json runs/bench.json\n"
         "  python -m twc_env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
         "  python -m twc_env bench --parts\n"
         "  python -m twc_env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer",
     )
     speed.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
-    speed.add_argument("--robots", type=count, default=3, help="how many (default: %(default)s)")
+    speed.add_argument("--robots", type=count, default=3, help="number of robots (default: %(default)s)")
     speed.add_argument("--beams", type=count, default=180, help="beams per scan (default: %(default)s)")
     speed.add_argument("--steps", type=count, default=1500, help="steps per episode (default: %(default)s)")
-    speed.add_argument("--episodes", type=count, default=3, help="seeds 0, 1, ... (default: %(default)s)")
+    speed.add_argument(
+        "--episodes", type=count, default=3, help="number of episodes, with seeds 0, 1, ... (default: %(default)s)"
+    )
     add_set(speed)
-    speed.add_argument("--parts", action="store_true", help="the table of what costs what, instead of rates")
+    speed.add_argument("--parts", action="store_true", help="print the time of each part of a step instead")
     speed.add_argument(
         "--peers",
         action="store_true",
-        help="in one run on one core: ours beside IR-SIM and MPE2 (pip install 'twc_env[peers]'), start-up, memory, "
-        "two workers; fixed settings",
+        help="compare with IR-SIM and MPE2 on one core (pip install 'twc_env[peers]'); also start-up time, memory and "
+        "two "
+        "workers; settings are fixed",
     )
     speed.add_argument(
-        "--scaling", action="store_true", help="cost of the world against walls, beams, robots and area; large resets"
+        "--scaling",
+        action="store_true",
+        help="cost of the simulated world by number of walls, beams, robots and area; resets of large buildings",
     )
     speed.add_argument(
         "--long",
         action="store_true",
-        help="one episode, by tenths: whether steps take longer the further robots have gone",
+        help="step times along one long episode, in tenths",
     )
-    speed.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one object")
+    speed.add_argument("--json", type=Path, metavar="FILE", help="write the results as one object")
     speed.set_defaults(run=_bench)
 
 

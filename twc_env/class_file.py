@@ -51,7 +51,7 @@ def _file_of(name: str) -> tuple[Path, str]:
     file, _, own = name.rpartition(":")
     path = Path(file).resolve()
     if not path.is_file():
-        raise ConfigError(f"there is no file {file} to take {own!r} from")
+        raise ConfigError(f"there is no file {file} to load {own!r} from")
     return path, own
 
 

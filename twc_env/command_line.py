@@ -129,7 +129,9 @@ class Parser(argparse.ArgumentParser):
 
 def add_version(parser: argparse.ArgumentParser) -> None:
     """The option `--version`."""
-    parser.add_argument("--version", action="version", version=f"twc_env {__version__}", help="print it and end")
+    parser.add_argument(
+        "--version", action="version", version=f"twc_env {__version__}", help="print the version and exit"
+    )
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:
@@ -139,7 +141,7 @@ def add_set(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="change a setting, as in lidar.beam_count=90; may be given often (python -m twc_env settings has all)",
+        help="override a setting, e.g. lidar.beam_count=90; repeatable (list: python -m twc_env settings)",
     )
 
 
@@ -170,7 +172,7 @@ def natural(text: str) -> int:
 
 def _whole_number(text: str, least: int) -> int:
     if not (text.isascii() and text.isdigit()) or int(text) < least:
-        raise argparse.ArgumentTypeError(f"must be a whole number from {least} on; got {text!r}")
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least {least}; got {text!r}")
     return int(text)
 
 

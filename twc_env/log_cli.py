@@ -27,30 +27,32 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
     """Arguments of the two commands."""
     record = commands.add_parser(
         "record",
-        help="record what robots sense in an episode, the truth in a separate file",
-        description="Robots wander by reflex. Writes frames.npz (sensor frames and settings, no truth) and truth.npz "
-        "(true poses); docs/frames.md describes both. `python -m agents explore` records its episodes too.",
+        help="record the sensor frames of an episode, and the ground truth in a separate file",
+        description="Record an episode of robots driven by a reactive policy. Writes frames.npz (sensor frames and "
+        "settings, "
+        "no ground truth) and truth.npz (true poses); see docs/frames.md. `python -m agents explore` records frames "
+        "too.",
         epilog="example:\n  python -m twc_env record --map twin-02 --steps 900 --out runs/log",
     )
     record.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
-    record.add_argument("--robots", type=count, default=3, help="how many (default: %(default)s)")
-    record.add_argument("--steps", type=count, default=600, help="time steps, of 0.1 s (default: %(default)s)")
+    record.add_argument("--robots", type=count, default=3, help="number of robots (default: %(default)s)")
+    record.add_argument("--steps", type=count, default=600, help="time steps of 0.1 s (default: %(default)s)")
     record.add_argument(
-        "--seed", type=natural, default=0, help="of starts, noise and furnishing (default: %(default)s)"
+        "--seed", type=natural, default=0, help="of start poses, noise and generated signs (default: %(default)s)"
     )
     add_set(record)
-    record.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder to write to")
+    record.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="output folder")
     record.set_defaults(run=_record)
 
     replay = commands.add_parser(
         "replay",
-        help="run the SLAM engine on recorded sensor frames, or make a page or Rerun recording of a run",
-        description="The engine sees the frames of a log (frames.npz of a run folder, or a log of one robot's laser: "
-        "FLASER or ROBOTLASER1 lines of CARMEN, or JSON of the Freiburg benchmark) and nothing else. "
-        "Several laser logs are a team, one robot each, that sets off at once; maps are merged where scans fit. "
-        "Prints what it found; the same log gives the same numbers every time. With --html, nothing is run: the run "
-        "folder's trace.npz and report.json become one page with a time slider, to be opened in any browser; with "
-        "--rerun a recording for the Rerun viewer (`rerun RUN/replay.rrd`).",
+        help="run the SLAM engine on a recorded log, or export a run as a web page or Rerun recording",
+        description="Run the SLAM engine on the frames of a log and print the result, which is deterministic. LOG is "
+        "frames.npz of a run folder, or a laser log of one robot (CARMEN FLASER or ROBOTLASER1 lines, or the Freiburg "
+        "benchmark's JSON). Several laser logs are a team of one robot each that starts at the same time; their maps "
+        "are merged where scans fit. The engine uses nothing but the logs. --html and --rerun run nothing: they "
+        "convert the run folder's trace.npz and report.json to a web page with a time slider, or to a recording for "
+        "the Rerun viewer (`rerun RUN/replay.rrd`).",
         epilog="examples:\n  python -m twc_env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
         "  python -m twc_env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
         "  python -m twc_env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel\n"
@@ -65,7 +67,12 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         help="a run folder, a frame log (frames.npz), or laser logs, one of each robot (.log, .json; .gz too)",
     )
     replay.add_argument(
-        "--html", type=Path, nargs="?", const=Path(), metavar="FILE", help="write the page (default: RUN/replay.html)"
+        "--html",
+        type=Path,
+        nargs="?",
+        const=Path(),
+        metavar="FILE",
+        help="write the web page (default: RUN/replay.html)",
     )
     replay.add_argument(
         "--rerun",
@@ -75,11 +82,13 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         metavar="FILE",
         help="write a recording for the Rerun viewer (default: RUN/replay.rrd; pip install 'twc_env[rerun]')",
     )
-    replay.add_argument("--truth", type=Path, metavar="FILE", help="truth.npz: also print the team's trajectory error")
+    replay.add_argument(
+        "--truth", type=Path, metavar="FILE", help="truth.npz, to also print the team's trajectory error"
+    )
     replay.add_argument(
         "--filter",
         choices=("compiled", "filterpy"),
-        help="odometry filter: the compiled kernel, or filterpy's EKF, its oracle (default: the log's)",
+        help="odometry filter: compiled kernel, or filterpy's EKF as a reference (default: as in the log)",
     )
     add_set(replay)
     replay.add_argument(
@@ -88,7 +97,7 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         metavar="FOLDER",
         help="write map.pgm + .yaml (map_server), pose_graph.g2o, trajectories/*.tum",
     )
-    replay.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    replay.add_argument("--json", type=Path, metavar="FILE", help="write the results")
     replay.set_defaults(run=_replay)
 
 
@@ -151,7 +160,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     config = override(config, {**assignments(options.set), **chosen})
     odom_poses: list[np.ndarray] = []
     if config.slam.oracle != "none":
-        print(f"slam.oracle = {config.slam.oracle!r}: what it tells is in no log, so nothing is told", file=sys.stderr)
+        print(f"slam.oracle = {config.slam.oracle!r}: ignored, since logs contain no ground truth", file=sys.stderr)
     if config.link.topology == "peer":
         print(
             "each robot has a mapper of its own: groups, closures, map and graph are those of robot 0", file=sys.stderr

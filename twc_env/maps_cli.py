@@ -37,62 +37,66 @@ def add_maps_parser(commands) -> None:
     maps.set_defaults(run=_list, maps=[])
     parts = maps.add_subparsers(metavar="COMMAND")
 
-    text = "sizes and contents of the bundled maps, or of those named"
+    text = "list sizes and contents of the bundled maps, or of the given ones"
     listing = _part(parts, "list", _list, text, ["list twin-01 gen:office:800:7"])
     listing.add_argument("maps", nargs="*", metavar="MAP", help="default: all bundled maps")
 
     text = "draw a map: walls, rooms, signs, access points and signal strength"
     show = _part(parts, "show", _show, text, ["show test/0003 --out building.png"])
-    show.add_argument("map", metavar="MAP", help="as below")
-    show.add_argument("--out", type=Path, metavar="FILE.png", help="default: the map's name in this folder")
-    show.add_argument("--no-signal", action="store_true", help="leave the signal-strength overlay out")
+    show.add_argument("map", metavar="MAP", help="see below")
+    show.add_argument("--out", type=Path, metavar="FILE.png", help="default: the map's name in the current folder")
+    show.add_argument("--no-signal", action="store_true", help="omit the signal-strength overlay")
     _seed(show)
 
-    text = "make buildings of a kind, area and seed, and write them as native JSON"
-    more = "\nThe same building is the map gen:office:800:7 wherever a map is named."
+    text = "generate buildings of a kind, area and seed, and write them as native JSON"
+    more = "\nThe same building can be used without a file, as the map gen:office:800:7."
     make = _part(parts, "generate", _generate, text, ["generate office 800 --seed 7 --out office.json"], more)
     from twc_env.world.generate import AREA_MAX_M2, AREA_MIN_M2
     from twc_env.world.layouts import KINDS
 
     make.add_argument("kind", metavar="KIND", help=f"one of {', '.join(KINDS)}")
     make.add_argument("area", type=float, metavar="AREA", help=f"gross floor area, {AREA_MIN_M2} to {AREA_MAX_M2} m2")
-    make.add_argument("--seed", type=natural, default=0, help="of the building (default: %(default)s)")
+    make.add_argument("--seed", type=natural, default=0, help="seed of the building (default: %(default)s)")
     make.add_argument(
-        "--count", type=count, default=1, help="this many, with seeds that count on (default: %(default)s)"
+        "--count", type=count, default=1, help="number of buildings, with consecutive seeds (default: %(default)s)"
     )
-    make.add_argument("--out", type=Path, metavar="FILE.json", help="default: KIND-AREA-SEED.json in this folder")
+    make.add_argument(
+        "--out", type=Path, metavar="FILE.json", help="default: KIND-AREA-SEED.json in the current folder"
+    )
 
-    text = "read a file of another format, check it, and write native JSON"
-    more = "\nFormats without signs and access points are furnished by --seed. Edit the JSON to your liking."
+    text = "convert a file of another format to native JSON, after checking it"
+    more = "\nIf the format has no signs and access points, they are generated from --seed. The JSON can be edited."
     bring = _part(parts, "import", _import, text, ["import plan.png --resolution 0.02 --out plan.json"], more)
-    bring.add_argument("map", metavar="FILE", help="file, or FILE#LEVEL of an OpenStreetMap building")
+    bring.add_argument("map", metavar="FILE", help="a file, or FILE#LEVEL for one level of an OpenStreetMap building")
     bring.add_argument(
         "--resolution", type=float, metavar="M", help="metres per pixel of a .png or .pgm (default: 0.05)"
     )
-    bring.add_argument("--out", type=Path, metavar="FILE.json", help="default: the file's stem in this folder")
+    bring.add_argument("--out", type=Path, metavar="FILE.json", help="default: the file's stem in the current folder")
     _seed(bring)
 
     text = "write a map as .json (native), .yaml + .pgm (ROS map_server) or .png"
     give = _part(parts, "export", _export, text, ["export twin-01 twin-01.yaml"])
-    give.add_argument("map", metavar="MAP", help="as below")
-    give.add_argument("out", type=Path, metavar="FILE", help="the suffix picks the format")
+    give.add_argument("map", metavar="MAP", help="see below")
+    give.add_argument("out", type=Path, metavar="FILE", help="the suffix selects the format")
     give.add_argument(
         "--resolution", type=float, metavar="M", help="metres per pixel of a .yaml or .png (default: 0.05)"
     )
     _seed(give)
 
-    text = "say whether maps are sound and every room can be reached; exit status 2 if one is not"
+    text = "check that maps are valid and every room is reachable; exit status 2 if one is not"
     more = """
 
---splits draws all 1,200 buildings of the splits and compares their layouts, turned and mirrored too.
---fuzz reads that many mutated files: nothing but a one-line error may come of them."""
+--splits generates all 1,200 buildings of the splits and compares their layouts, including rotated and mirrored copies.
+--fuzz reads mutated map files; each must load or be rejected with a one-line error."""
     check = _part(parts, "check", _check, text, ["check mine.json", "check --splits"], more)
     check.add_argument(
-        "maps", nargs="*", metavar="MAP", help="default: all bundled maps, unless an option asks for more"
+        "maps", nargs="*", metavar="MAP", help="default: all bundled maps, or none with --splits or --fuzz"
     )
-    check.add_argument("--splits", action="store_true", help="are the splits disjoint, and what are their digests")
-    check.add_argument("--fuzz", type=count, metavar="COUNT", help="read COUNT mutated map files")
-    check.add_argument("--json", type=Path, metavar="FILE", help="write the findings")
+    check.add_argument(
+        "--splits", action="store_true", help="check that the splits are disjoint, and print their digests"
+    )
+    check.add_argument("--fuzz", type=count, metavar="COUNT", help="number of mutated map files to read")
+    check.add_argument("--json", type=Path, metavar="FILE", help="write the results")
     _seed(check)
 
     text = "print the JSON schema of the native format"
@@ -108,7 +112,12 @@ def _part(parts, name: str, run, text: str, examples: list[str], more: str = "")
 
 
 def _seed(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seed", type=natural, default=0, help="furnishes maps without signs (default: %(default)s)")
+    parser.add_argument(
+        "--seed",
+        type=natural,
+        default=0,
+        help="for generating signs and access points if a map has none (default: %(default)s)",
+    )
 
 
 def _list(options: argparse.Namespace) -> None:
@@ -167,7 +176,7 @@ def _picture(path: Path, seed: int, resolution_m: float) -> Floorplan:
     from twc_env.datasets.picture import read_picture
 
     if not {".png", ".pgm"} & {suffix.lower() for suffix in path.suffixes}:
-        raise MapError(f"--resolution is for .png and .pgm; leave it out for {path.name}")
+        raise MapError(f"--resolution is for .png and .pgm; omit it for {path.name}")
     if not 0.005 <= resolution_m <= 10:
         raise MapError(f"--resolution must be 0.005 to 10 m per pixel; got {resolution_m:g}")
     return read_picture(path, seed, resolution_m)
@@ -178,9 +187,7 @@ def _export(options: argparse.Namespace) -> None:
 
     resolution_m = EXPORT_RESOLUTION_M if options.resolution is None else options.resolution
     if options.resolution is not None and options.out.suffix.lower() == ".json":
-        raise MapError(
-            f"--resolution is for .yaml and .png; a native map has no pixels: leave it out for {options.out}"
-        )
+        raise MapError(f"--resolution is for .yaml and .png; a native map has no pixels: omit it for {options.out}")
     plan = load_map(options.map, options.seed)
     print(f"written: {export_map(plan, options.out, resolution_m)}")
 

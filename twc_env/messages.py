@@ -1,4 +1,4 @@
-"""The records that cross borders between packages. None of them can hold a true pose.
+"""The records exchanged between packages. None of them can hold a true pose.
 
 Frames: `robot` is the body frame (x ahead, y left); `odom` is where one robot's front end started (continuous, drifts);
 `map` is the frame of the merged map of the robot's group (jumps when closures arrive). `pose_map_robot` is the pose of
@@ -19,12 +19,13 @@ _Record = TypeVar("_Record")
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
 def _record(kind: type[_Record]) -> type[_Record]:
-    """A record that type checkers take as frozen. It is made all the time: freezing it would triple its cost."""
+    """A record that only type checkers treat as frozen; freezing it at run time would triple the cost of creating
+    it."""
     return dataclass(slots=True, eq=False)(kind)
 
 
 UNSEEN_M = -0.001
-"""Range of a beam that tells nothing, as behind a scanner that looks ahead only: free up to nowhere, and no wall."""
+"""Range of a beam without information, as behind a scanner with a limited field of view: neither free nor wall."""
 
 
 @_record
@@ -34,14 +35,14 @@ class WifiScan:
     macs: Array
     """(heard,) int64, ascending: the 48-bit MAC addresses heard; LTE cells have numbers of 2^48 and above."""
     rssi_dbm: Array
-    """(heard,) float64, received strength of each."""
+    """(heard,) float64, RSSI of each."""
     age_s: Array | None = None
-    """(heard,) float64, how long ago each was really heard; None: all in this sweep."""
+    """(heard,) float64, age of each reading; None: all from this sweep."""
 
 
 @dataclass(frozen=True, slots=True)
 class SignReading:
-    """One text read by the camera, as the OCR gave it (so possibly misread)."""
+    """One sign reading of the camera: the OCR output, possibly misread."""
 
     text: str
     bearing_rad: float
@@ -52,28 +53,28 @@ class SignReading:
 
 @_record
 class SensorFrame:
-    """All that one robot measures in one step. The engine knows nothing else of the world."""
+    """All measurements of one robot in one step: the engine's only input."""
 
     robot: int
     step: int
     time_s: float
-    """By the robot's own clock, which may count from anywhere and jump ahead, but not back."""
+    """Time on the robot's own clock, which may start anywhere and jump forward, but not back."""
     odometry: Array
-    """(3,) motion since the last frame in the robot frame of that frame [m, m, rad], from wheels, legs or hand."""
+    """(3,) odometry: motion since the previous frame, in the robot frame of that frame [m, m, rad]."""
     turn_rate_rad_s: float
-    """Gyro: turn rate averaged over the time since the last frame."""
+    """Gyro turn rate, averaged since the previous frame."""
     ranges_m: Array
-    """(beams,) beam i points to 2 pi i / beams in the robot frame; no return reads the scanner's maximum range.
+    """(beams,) beam i points to 2 pi i / beams in the robot frame; no return is the scanner's maximum range.
 
-    A negative range is free up to there without a wall; `UNSEEN_M` says nothing at all, and 0 is refused."""
+    A negative range means free up to there but no wall; `UNSEEN_M` means no information; 0 is rejected."""
     wifi: WifiScan | None = None
-    """The scan that finished in this step, if one did."""
+    """The WiFi scan completed in this step, if any."""
     signs: tuple[SignReading, ...] = ()
 
 
 @_record
 class Fingerprint:
-    """The radio signature of a place: clipped mean strength of each transmitter (TWC-SLAM Eq. 7-8)."""
+    """The radio fingerprint of a place: outlier-free mean RSSI of each transmitter (TWC-SLAM Eq. 7-8)."""
 
     macs: Array
     """(heard,) int64, ascending."""
@@ -83,42 +84,43 @@ class Fingerprint:
 
 @_record
 class SignObservation:
-    """A text that was read near a keyframe, placed in the keyframe's robot frame."""
+    """A sign read near a keyframe, positioned in the keyframe's robot frame."""
 
     text: str
     position_m: Array
     """(2,)."""
     facing_rad: float
-    """Outward normal of the wall it hangs on, as the local map shows it; NaN where the map shows no wall."""
+    """Outward normal of its wall according to the local map; NaN if the map shows no wall there."""
 
 
 @_record
 class Keyframe:
-    """A place a robot remembers: where its front end believed it was, and what it sensed there."""
+    """A keyframe: pose estimated by the front end, and what was sensed there."""
 
     robot: int
     index: int
-    """Counts the robot's own keyframes from 0."""
+    """Index among the robot's own keyframes, from 0."""
     step: int
     time_s: float
     """Since the robot's first frame."""
     pose_odom: Array
     """(3,) pose in the robot's odom frame."""
     motion: Array
-    """(3,) pose in the frame of the previous keyframe (zeros for the first)."""
+    """(3,) pose relative to the previous keyframe (zeros for the first)."""
     motion_covariance: Array
     """(3, 3) covariance of `motion` [m2, m rad, rad2], along the axes of this keyframe's own frame."""
     travel_m: float
-    """Path length up to here."""
+    """Path length so far."""
     ranges_m: Array
-    """(beams,) the scan taken here; negative where the beam met a team mate: free up to there, but no wall."""
+    """(beams,) the scan taken here; negative if the beam hit a teammate: free up to there, but no wall."""
     signs: tuple[SignObservation, ...]
     """Texts read since the last keyframe."""
     fingerprint: Fingerprint
     by_odometry_m: tuple[float, float] = (0.0, 0.0)
-    """What of `motion` matched scans leave open, as along a corridor, by the axes of this keyframe."""
+    """The part of `motion` left unconstrained by scan matching, as along a corridor, in this keyframe's axes."""
     odometry_scale: tuple[float, float] = (0.0, 0.0)
-    """By what share the robot takes its odometry to read too long, one sigma; zeros while scans left nothing open."""
+    """Estimated scale error of the odometry and its standard deviation; zeros while scan matching constrains
+    everything."""
 
     @property
     def key(self) -> tuple[int, int]:
@@ -128,28 +130,28 @@ class Keyframe:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contacts:
-    """Who reached whom over the radio in one step. Rows listen: all robots, or the one mapper; columns send: robots."""
+    """Radio contacts in one step. Rows are listeners (all robots, or the central mapper), columns are senders."""
 
     tried: Array
-    """(listeners, robots) bool: near enough, so that what there was to say was sent."""
+    """(listeners, robots) bool: in range, so that messages were sent."""
     heard: Array
-    """(listeners, robots) bool: and it was not lost."""
+    """(listeners, robots) bool: and were received."""
 
 
 @_record
 class LoopCandidate:
-    """A pair of keyframes that look like one place, not yet checked by geometry."""
+    """A loop candidate: two keyframes that look like the same place, not yet verified by geometry."""
 
     target: tuple[int, int]
     """(robot, keyframe index)."""
     source: tuple[int, int]
     guess: Array
-    """(3,) first guess of the source's pose in the target's frame."""
+    """(3,) initial guess of the source's pose in the target's frame."""
     recogniser: str
-    """Who proposed it: "twc", "text", "wifi", "lidar", "fused", "meeting" (by WiFi, of robots that share no map), or
-    "proximity" (near in the present estimate)."""
+    """Its source: "twc", "text", "wifi", "lidar", "fused", "meeting" (WiFi, between robots that share no map) or
+    "proximity" (close in the current estimate)."""
     sign_m: Array | None = None
-    """(2,) the sign that both saw, in the target's frame; None when no sign is meant."""
+    """(2,) the sign that both saw, in the target's frame; None without a sign."""
     text_similarity: float = float("nan")
     mac_similarity: float = float("nan")
     rssi_similarity: float = float("nan")
@@ -163,35 +165,35 @@ class LoopCandidate:
 
 
 LOOSE_M = 0.5
-"""A closure that may err by more (one sigma) leaves a direction open."""
+"""A closure with a larger standard deviation in some direction leaves that direction unconstrained."""
 
 
 def is_loose(covariance: Array) -> bool:
-    """Whether a closure with this covariance (3, 3) leaves a direction open."""
+    """Whether a closure with this covariance (3, 3) leaves a direction unconstrained."""
     return bool(covariance[0, 0] + covariance[1, 1] > LOOSE_M**2)
 
 
 @dataclass(slots=True, eq=False)
 class LoopClosure:
-    """A candidate after scan matching, and what the back end thinks of it now."""
+    """A candidate after scan matching, and its current status in the back end."""
 
     candidate: LoopCandidate
     pose_target_source: Array
     """(3,) measured pose of the source in the target's frame."""
     covariance: Array
-    """(3, 3) of the measurement, along the axes of the source's frame, as pose graphs in g2o files have it."""
+    """(3, 3) covariance of the measurement in the axes of the source's frame, as in g2o files."""
     overlap: float
-    """Share of the source's points that lie on the target's walls."""
+    """Share of the source's points on the target's walls."""
     status: str
-    """"accepted", "pending" (waits for other closures that agree) or "rejected"."""
+    """"accepted", "pending" (waiting for consistent closures) or "rejected"."""
     reason: str = ""
     """Why it is not accepted."""
     number: int = -1
-    """Its place among the closures of the mapper that verified it."""
+    """Its index among the closures of the mapper that verified it."""
 
     @property
     def is_loose(self) -> bool:
-        """Whether it leaves a direction open: along a bare corridor scans fit everywhere."""
+        """Whether it leaves a direction unconstrained, as in a bare corridor, where scans fit anywhere along it."""
         return is_loose(self.covariance)
 
     def joins(self, a: Collection[int], b: Collection[int]) -> bool:
@@ -214,7 +216,7 @@ class GridMap:
     """(2,) lower left corner of cell [0, 0] in the map frame."""
     resolution_m: float
     kinds: Array | None = None
-    """(rows, columns) uint8, what stands there in short (`slam.cell_kinds`); None: whoever needs it works it out."""
+    """(rows, columns) uint8, class of each cell (`slam.cell_kinds`); None: computed on demand."""
     touched: Array | None = None
     """(blocks, blocks) int64, of each block of `BLOCK_SHAPE` cells another number when one of them may have become
     free, unknown or wall; None: any may have."""
@@ -239,7 +241,7 @@ class GridMap:
 
 @_record
 class KnownSign:
-    """A text that the team has read, where it believes it stands."""
+    """A sign that the team has read, at its estimated position."""
 
     text: str
     position_m: Array
@@ -248,7 +250,7 @@ class KnownSign:
 
 @_record
 class Belief:
-    """What one robot knows: the merged map of its group and where it is in it. Holds estimates only."""
+    """What one robot knows: the merged map of its group and its pose in it. Estimates only."""
 
     robot: int
     step: int
@@ -256,23 +258,23 @@ class Belief:
     """(3,)."""
     grid: GridMap
     mates: dict[int, Array] = field(default_factory=dict)
-    """Robots of the same group: robot -> (3,) estimated pose in the same map frame, where it was last heard of."""
+    """Other robots of the group -> (3,) estimated pose in the same map frame, as of the last contact."""
     signs: tuple[KnownSign, ...] = ()
     ranges_m: Array | None = None
     """(beams,) the robot's latest scan."""
     map_version: int = 0
-    """Grows whenever the map jumped (a closure moved it): plans made before should be dropped."""
+    """Incremented when the map jumps because of a closure; older plans should be discarded."""
     pose_odom: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) where its front end has it, in the frame it started in: smooth, never corrected."""
+    """(3,) pose according to its front end, in the frame in which it started: continuous, never corrected."""
     pose_std: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) how far the path may have strayed since the robot's last closure [m, m, rad]; `reproduce stress` has it
-    beside what the error was."""
+    """(3,) standard deviation of the drift since the robot's last closure [m, m, rad]; `reproduce stress` compares it
+    with the actual error."""
     since_closure_m: float = 0.0
-    """Path length since that closure; since the start where there was none."""
+    """Path length since that closure, or since the start."""
     contact_steps: dict[int, int] = field(default_factory=dict)
-    """Other robot -> step of the newest keyframe heard of it; -1: nothing yet."""
+    """Other robot -> step of its newest keyframe received; -1: none yet."""
     radio_map: GridMap | None = None
-    """What signal strength says of the group's map frame: probably free < 0, probably wall > 0. None: not asked for
-    (`slam.k_visibility`), or nothing heard yet."""
+    """Map estimated from signal strength, in the group's map frame: probably free < 0, probably wall > 0. None:
+    disabled (`slam.k_visibility`), or nothing heard yet."""
     transmitter_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(k, 2) where the transmitters behind that map are believed to stand."""
+    """(k, 2) estimated positions of the transmitters used for that map."""

@@ -20,23 +20,26 @@ def add_ocr_parser(commands) -> None:
 
     make = actions.add_parser(
         "measure",
-        help="draw signs, read them with a real OCR, write the table of errors (about 10 minutes; extra `ocr`)",
-        description="Interrupted, it goes on where it was. The table that the package ships came from the defaults.",
+        help="render signs, read them with a real OCR, write the error table (about 10 minutes; extra `ocr`)",
+        description="Render signs, read them with a real OCR and write the error table. Resumes if interrupted. The "
+        "table "
+        "in the package was measured with the defaults.",
         epilog="example:\n  python -m twc_env ocr measure --signs 4 --out runs/ocr/table.json",
     )
-    make.add_argument("--out", type=Path, required=True, metavar="FILE", help="table to write, json")
+    make.add_argument("--out", type=Path, required=True, metavar="FILE", help="error table to write, JSON")
     make.add_argument("--seed", type=natural, default=0, help="of signs and views (default: %(default)s)")
-    make.add_argument("--signs", type=count, default=40, help="per grid point (default: %(default)s)")
-    make.add_argument("--processes", type=count, default=2, help="at once (default: %(default)s)")
-    add_folder(make, "--cache", "runs/ocr", "finished parts")
+    make.add_argument("--signs", type=count, default=40, help="signs per grid point (default: %(default)s)")
+    make.add_argument("--processes", type=count, default=2, help="parallel processes (default: %(default)s)")
+    add_folder(make, "--cache", "runs/ocr", "folder of finished parts")
     make.set_defaults(run=_measure)
 
     show = actions.add_parser(
         "show",
-        help="picture of drawn signs and of the error rates in the table (extra `ocr`)",
+        help="draw sample signs and the error rates of the table (extra `ocr`)",
+        description="Draw sample signs with their readings and the error rates of the table.",
         epilog="example:\n  python -m twc_env ocr show --out runs/ocr.png",
     )
-    show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write, png")
+    show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write, PNG")
     show.set_defaults(run=_show)
 
 

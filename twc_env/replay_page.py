@@ -128,5 +128,5 @@ def read_report(path: Path) -> dict[str, Any]:
         raise DataError(f"{path} is not valid JSON: {error}; run the episode again") from error
     needed = {"map", "seed", "config_digest", "version"}
     if not isinstance(report, dict) or not needed <= set(report):
-        raise DataError(f"{path} is no report with {', '.join(sorted(needed))}; run the episode again")
+        raise DataError(f"{path} is not a report with {', '.join(sorted(needed))}; run the episode again")
     return report

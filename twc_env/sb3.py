@@ -1,4 +1,4 @@
-"""stable-baselines3's vector environment over whole teams: one policy drives every robot (parameter sharing).
+"""A stable-baselines3 VecEnv over whole teams: one policy controls every robot (parameter sharing).
 
     from stable_baselines3 import PPO
     from twc_env.sb3 import TeamVecEnv
@@ -23,10 +23,10 @@ from twc_env.vector import FLAT, VectorTeams
 
 
 class TeamVecEnv(VecEnv):
-    """Row k * robots + r is robot r of environment k; arguments as of `VectorTeams`.
+    """Row k * robots + r is robot r of environment k; same arguments as `VectorTeams`.
 
-    Episodes end by their time limit only: `info["TimeLimit.truncated"]` is True, and `terminal_observation` is there.
-    `info["episode"]` has return and length, as of VecMonitor, which is not needed.
+    Episodes end by their time limit only: `info["TimeLimit.truncated"]` is True and `terminal_observation` is set.
+    `info["episode"]` has return and length, so VecMonitor is not needed.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class TeamVecEnv(VecEnv):
         self._lengths = np.zeros(self.num_envs, np.int64)
 
     def reset(self) -> dict[str, Array] | Array:
-        """Begin new episodes; the seed given last (`seed()` or the constructor) is used once, then the next ones."""
+        """Begin new episodes; a seed from `seed()` or the constructor is used once, then subsequent ones."""
         seeds = [s for s in self._seeds if s is not None]
         first = seeds[0] if seeds else self._next_seed
         self._next_seed = first + 1_000_003
@@ -56,7 +56,7 @@ class TeamVecEnv(VecEnv):
         return self._rows(self.teams.reset(first))
 
     def step_async(self, actions: Array) -> None:
-        """Keep the actions for `step_wait`. Raises ActionError for another number of them."""
+        """Store the actions for `step_wait`. Raises ActionError if their number is wrong."""
         actions = np.asarray(actions)
         wanted = (self.num_envs, *(self.action_space.shape or ()))
         if actions.shape != wanted:
@@ -86,27 +86,27 @@ class TeamVecEnv(VecEnv):
         return rows.get(FLAT, rows)
 
     def get_attr(self, attr_name: str, indices=None) -> list[Any]:
-        """An attribute of this object, once per row asked for: rows are no environments of their own."""
+        """An attribute of this object, once per requested row: rows are not environments of their own."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices=None) -> None:
-        """Not offered: a row has no attributes of its own. Raises AttributeError."""
+        """Not supported: a row has no attributes of its own. Raises AttributeError."""
         raise AttributeError(f"rows of a TeamVecEnv have no attributes to set; got {attr_name!r}")
 
     def set_options(self, options: Any = None) -> None:
-        """Not offered: episodes are told apart by `buildings` and seeds alone. Raises AttributeError for any option."""
+        """Not supported: episodes differ by `buildings` and seeds only. Raises AttributeError for any option."""
         if any(options if isinstance(options, (list, tuple)) else (options,)):
             raise AttributeError(f"episodes of a TeamVecEnv take no options; got {options!r}: choose `buildings`")
 
     def action_masks(self) -> Array:
-        """(rows, choices) bool: what each robot may choose next. Raises ConfigError unless actions are choices."""
+        """(rows, choices) bool: each robot's valid choices. Raises ConfigError unless `action.kind = "frontier"`."""
         masks = self.teams.action_masks()
         return masks.reshape(self.num_envs, masks.shape[-1])
 
     def env_method(self, method_name: str, *args, indices=None, **kwargs) -> list[Any]:
-        """`action_masks` row by row, as MaskablePPO of sb3-contrib asks for it.
+        """`action_masks` row by row, as required by MaskablePPO of sb3-contrib.
 
-        Raises AttributeError for all else: environments live in worker processes.
+        Raises AttributeError for any other method: environments live in worker processes.
         """
         if method_name == "action_masks":
             masks = self.action_masks()
@@ -114,7 +114,7 @@ class TeamVecEnv(VecEnv):
         raise AttributeError(f"environments of a TeamVecEnv cannot be called; got {method_name!r}")
 
     def env_is_wrapped(self, wrapper_class: type, indices=None) -> list[bool]:
-        """No row is wrapped by anything, but episodes are counted as stable-baselines3's Monitor does."""
+        """True for Monitor only, since episodes are counted as stable-baselines3's Monitor does."""
         from stable_baselines3.common.monitor import Monitor
 
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]

@@ -13,14 +13,14 @@ def add_settings_parser(commands: argparse._SubParsersAction) -> None:
     parser = commands.add_parser(
         "settings",
         help="print every setting with its meaning, range and value, as a TOML file to start from",
-        description="Print settings as TOML with comments; what differs from its default is marked. The text is a\n"
-        "config file: save it, change it, and give it to --config or to twc_env.config.load.",
+        description="Print settings as commented TOML; values that differ from the default are marked. The output is "
+        "a config file: save it, edit it, and pass it to --config or twc_env.config.load.",
         epilog="examples:\n  python -m twc_env settings lidar slam.keyframe\n"
         "  python -m twc_env settings --task twc/ExploreHard-v0 > hard.toml",
     )
-    parser.add_argument("sections", nargs="*", metavar="SECTION", help="show these alone, e.g. radio or slam.merging")
-    parser.add_argument("--task", metavar="ID", help="begin with the settings of a standard task")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="begin with a TOML or JSON file of settings")
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help="print only these, e.g. radio or slam.merging")
+    parser.add_argument("--task", metavar="ID", help="start from a standard task")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="start from a TOML or JSON file")
     add_set(parser)
     parser.set_defaults(run=_print)
 

@@ -14,31 +14,32 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
     """Arguments of the command."""
     long = commands.add_parser(
         "soak",
-        help="play for very long in changing buildings and watch memory; misuse it; check what it shows",
-        description="Robots wander by reflex through episodes of 500 steps, each in another building of the training "
-        "split. Prints what memory did after a warm-up; an exception ends it with the seed of its episode. With "
-        "--actions or --observations, that is done instead.",
+        help="stress tests: long runs with memory monitoring, malformed actions, observation checks",
+        description="Run episodes of 500 steps, each in another building of the training split, with robots driven by "
+        "a reactive policy, and print the memory growth after a warm-up. An exception ends the run and names the "
+        "seed of its episode. With --actions or --observations, run these tests instead.",
         epilog="examples:\n  python -m twc_env soak --steps 100000 --set observation.kind=flat\n"
         "  python -m twc_env soak --actions 100000 --observations 10000",
     )
     long.add_argument(
-        "--steps", type=count, default=1_000_000, help="time steps in all, in whole episodes (default: %(default)s)"
+        "--steps", type=count, default=1_000_000, help="total time steps, in whole episodes (default: %(default)s)"
     )
     long.add_argument(
         "--actions",
         type=count,
         metavar="COUNT",
-        help="throw so many broken actions; each must be refused and leave no mark",
+        help="number of malformed actions; each must be rejected without side effects",
     )
     long.add_argument(
         "--observations",
         type=count,
         metavar="STEPS",
-        help="random steps of all kinds of action, all blocks on: in their spaces, never constant, no shared memory",
+        help="number of random steps, with all kinds of action and all blocks, in which observations are checked: "
+        "inside their spaces, not constant, no shared memory",
     )
-    long.add_argument("--seed", type=natural, default=0, help="of the first episode (default: %(default)s)")
+    long.add_argument("--seed", type=natural, default=0, help="seed of the first episode (default: %(default)s)")
     add_set(long)
-    long.add_argument("--json", type=Path, metavar="FILE", help="write the figures as one flat object")
+    long.add_argument("--json", type=Path, metavar="FILE", help="write the results as one flat object")
     long.set_defaults(run=_soak)
 
 
@@ -66,9 +67,9 @@ def _misuse(options: argparse.Namespace) -> None:
     if options.actions is not None:
         thrown = fuzz_actions(options.actions, options.seed, show_count)
         print(
-            f"{thrown.count} broken actions: {thrown.refused} refused, {thrown.accepted} sound after all, "
+            f"{thrown.count} malformed actions: {thrown.refused} rejected, {thrown.accepted} valid after all, "
             f"{len(thrown.escaped)} raised something else; {thrown.steps_compared} steps equal to those of a team "
-            "that was spared them" + (f", but for {thrown.changed}" if thrown.changed else "")
+            "without them" + (f", but for {thrown.changed}" if thrown.changed else "")
         )
         faults += thrown.escaped[:5] + [f"refused actions of kind {kind} left a mark" for kind in thrown.changed]
         figures["actions"] = {name: getattr(thrown, name) for name in thrown.__slots__}

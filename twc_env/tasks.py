@@ -1,4 +1,4 @@
-"""The standard tasks: an id and a version each, and what they set. `gymnasium.make` and `pettingzoo.make` know the ids.
+"""The standard tasks: versioned ids, registered with Gymnasium and PettingZoo, and their settings.
 
 A test pins the configuration digest of every id; a change of results needs a new version (CHANGELOG.md).
 """
@@ -34,11 +34,11 @@ TASKS: dict[str, dict[str, Any]] = {
     "twc/ExploreTruePoses-v0": {"slam.oracle": "poses"},
     "twc/ExploreNoMerging-v0": {"slam.merging.enabled": False},
 }
-"""Id -> dotted settings that differ from the defaults. The last three are the ladder of oracles."""
+"""Id -> dotted settings that differ from the defaults. The last three are oracles and an ablation."""
 
 
 def task_config(task: str) -> EnvConfig:
-    """The whole configuration of a standard task. Raises ConfigError for an unknown id."""
+    """The complete configuration of a standard task. Raises ConfigError for an unknown id."""
     from twc_env.config import EnvConfig, override
     from twc_env.errors import ConfigError, did_you_mean
 

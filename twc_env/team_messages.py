@@ -1,7 +1,7 @@
-"""What all robots of a team sensed and believe in one step: arrays over robots, with a record of each when asked for.
+"""Frames and beliefs of a whole team in one step: arrays over robots, with records of single robots on demand.
 
-Both are sequences of the records of `messages`, so whoever needs one robot's takes it by its number, and whoever works
-on all robots at once takes the arrays. Like the records, they can hold no true pose.
+Both are sequences of the records in `messages`: index them for one robot, or use the arrays for all robots at once.
+Like the records, they cannot hold a true pose.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class _Team(Sequence[_Record]):
 
 
 class WifiScans(NamedTuple):
-    """The sweeps over the radio channels that robots finished in one step, side by side."""
+    """The WiFi scans that robots completed in one step, concatenated."""
 
     robots: Array
     """(k,) int64: whose each is."""
@@ -148,7 +148,7 @@ class TeamFrames(_Team[SensorFrame]):
 
 
 class KnownSigns(_Team[KnownSign]):
-    """The texts that a group of robots has read, each once per place."""
+    """The signs that a group of robots has read, each once per place."""
 
     __slots__ = ("_tuple", "places_m", "texts")
 

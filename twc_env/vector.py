@@ -5,10 +5,9 @@
     observations = teams.reset(seed=0)                     # block -> (8, robots, ...)
     observations, rewards, ended, infos = teams.step(teams.sample())
 
-An environment whose episode ended begins its next one in the same step: `observations` are the first of the new
-episode, and the last of the old stands in `infos[k][robot]["final_observation"]`, its state in `"final_state"`. Same
-arguments and seeds, same numbers, whatever the number of workers. With `observation.kind = "flat"` the only block is
-"".
+An environment whose episode ended starts the next one in the same step: `observations` are the first of the new
+episode, and the last of the old one is in `infos[k][robot]["final_observation"]`, its state in `"final_state"`. Results
+depend on arguments and seeds, not on the number of workers. With `observation.kind = "flat"` the only block is "".
 """
 
 from __future__ import annotations
@@ -57,8 +56,8 @@ class VectorTeams:
         ("train") or names of maps; each new episode plays in one of them, drawn by its seed. Without any, all play on
         the config's own map.
 
-        Raises ConfigError for a count or number of workers that makes no sense, MapError for a building that does not
-        exist, TwcError for a bad configuration.
+        Raises ConfigError for an invalid count or number of workers, MapError for an unknown building, TwcError for an
+        invalid configuration.
         """
         count, workers = whole_number("count", count, 1), whole_number("workers", workers, 0)
         if workers > count:
@@ -85,8 +84,8 @@ class VectorTeams:
     def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, list[list[dict[str, Any]]]]:
         """One step of all environments.
 
-        actions: (count, robots, ...). Returns observations as of `reset`, rewards (count, robots) float32, whether the
-        episode has ended (count,) bool (by its time limit: nothing else ends one), and infos[k][robot].
+        actions: (count, robots, ...). Returns observations as from `reset`, rewards (count, robots) float32, whether
+        the episode has ended (count,) bool (always by its time limit), and infos[k][robot].
         """
         wanted = (self.count, self.robots, *(self.action_space.shape or ()))
         actions = np.asarray(actions)
@@ -103,7 +102,7 @@ class VectorTeams:
         return self._boards.observations(), self._boards.rewards.copy(), self._boards.ended.copy(), infos
 
     def _check(self, actions: Array) -> None:
-        """Refuse bad actions before any environment has moved."""
+        """Reject invalid actions before any environment has moved."""
         space = self.action_space
         low, high = (0, space.n - 1) if isinstance(space, spaces.Discrete) else (-1.0, 1.0)
         if isinstance(space, spaces.Discrete) and actions.dtype.kind not in "iu":
@@ -116,15 +115,15 @@ class VectorTeams:
             )
 
     def sample(self) -> Array:
-        """Random actions for all robots; masked where there is a mask."""
+        """Random actions for all robots, within the mask if there is one."""
         space = self.action_space
         if not isinstance(space, spaces.Discrete):
             return np.array([[space.sample() for _ in self.agents] for _ in range(self.count)])
         return np.array([[space.sample(mask.astype(np.int8)) for mask in row] for row in self.action_masks()])
 
     def action_masks(self) -> Array:
-        """(count, robots, choices) bool: what each robot may choose next. Raises ConfigError unless actions are choices
-        (`action.kind = "frontier"`)."""
+        """(count, robots, choices) bool: each robot's valid choices. Raises ConfigError unless
+        `action.kind = "frontier"`."""
         if not isinstance(self.action_space, spaces.Discrete):
             raise ConfigError(
                 f"only choices have masks: action.kind must be 'frontier'; it is {self.config.action.kind!r}"
@@ -148,7 +147,7 @@ class VectorTeams:
 
     def _order(self, what: str, seed: int = 0) -> list[Any]:
         if not self._crews:
-            raise TwcError("these environments are closed: make new ones")
+            raise TwcError("these environments are closed: create new ones")
         try:
             for crew in reversed(self._crews):  # that of this process last: it does what it is told at once
                 crew.send(what, seed)

@@ -2,8 +2,8 @@
 
     env = RecordEpisodes(twc_env.parallel_env(render_mode="rgb_array"), "films")
 
-For one robot that chooses velocities, gymnasium's own `RecordVideo` does the same as MP4 (it needs moviepy). It takes
-one picture per action: where actions last, as `frontier` does, films are made here, with robots=1.
+For one robot with velocity actions, gymnasium's `RecordVideo` writes MP4 instead (needs moviepy). It records one image
+per action, so use this class with robots=1 for actions that last many time steps, such as `frontier`.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ INK, PAPER = (38, 44, 56), (255, 255, 255)
 
 
 class RecordEpisodes(BaseParallelWrapper):
-    """Writes `episode-0.gif`, `episode-1.gif`, ... into a folder, each when its episode ends.
+    """Writes `episode-0.gif`, `episode-1.gif`, ... to a folder, each when its episode ends.
 
-    Under each picture stand the time, how many robots share a map and how much of the floor is mapped rightly.
-    Every `every`-th time step is filmed, also within actions that last, and shown for as long as these steps last. An
-    episode that is left before its first step leaves no film; one that is left in the middle a shorter one.
+    The caption shows the time, how many robots share a map and the share of the floor that is mapped correctly. Every
+    `every`-th time step is recorded, also within long actions, and shown in real time. An episode abandoned before its
+    first step leaves no film; one abandoned later leaves a shorter one.
     """
 
     def __init__(self, env: ExplorationEnv, folder: str | Path, every: int = 2):
-        """Raises ConfigError for an environment without pictures or where Pillow is missing, DataError for a folder
-        that cannot be written to."""
+        """Raises ConfigError if the environment does not render images or Pillow is missing, DataError if the folder
+        is not writable."""
         super().__init__(env)
         if env.render_mode != "rgb_array":
             raise ConfigError(f"films need render_mode='rgb_array'; the environment has {env.render_mode!r}")
@@ -58,14 +58,14 @@ class RecordEpisodes(BaseParallelWrapper):
         return result
 
     def step(self, actions: Mapping[str, Any]):
-        """One step; the last of an episode writes the film."""
+        """One step; the last one of an episode writes the film."""
         result = super().step(dict(actions))
         if not self.agents:
             self._write()
         return result
 
     def close(self) -> None:
-        """Write what was filmed of an episode that has not ended."""
+        """Write the film of an unfinished episode."""
         self._write()
         super().close()
 

@@ -57,7 +57,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_first_episode(com
 def test_counts_that_make_no_run_are_refused(arguments, capsys):
     with pytest.raises(SystemExit):
         main(arguments.split())
-    assert "must be a whole number from 1 on; got '0'" in capsys.readouterr().err
+    assert "must be a whole number of at least 1; got '0'" in capsys.readouterr().err
 
 
 def test_the_summary_is_mean_deviation_and_extremes():
@@ -85,12 +85,12 @@ def test_a_finished_run_is_not_run_again_but_one_with_other_settings_is(tmp_path
     assert main([*arguments, "30"]) == 0
     report = tmp_path / "twin-01" / "seed-1" / "report.json"
     written = report.stat().st_mtime_ns
-    assert "was there" not in capsys.readouterr().err
+    assert "(reused)" not in capsys.readouterr().err
     assert main([*arguments, "30"]) == 0
-    assert capsys.readouterr().err.count("was there") == 2
+    assert capsys.readouterr().err.count("(reused)") == 2
     assert report.stat().st_mtime_ns == written
     assert main([*arguments, "31"]) == 0
-    assert "was there" not in capsys.readouterr().err
+    assert "(reused)" not in capsys.readouterr().err
     summary = json.loads((tmp_path / "all.json").read_text())
     assert [r["steps"] for r in summary["twin-01"]["reports"]] == [31, 31]
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
@@ -102,9 +102,9 @@ def test_a_run_without_the_pictures_that_are_now_asked_for_is_run_again(tmp_path
     picture = tmp_path / "twin-01" / "seed-0" / "map.png"
     assert main([*arguments, "--no-pictures"]) == 0 and not picture.exists()
     assert main(arguments) == 0 and picture.exists()
-    assert "was there" not in capsys.readouterr().err
+    assert "(reused)" not in capsys.readouterr().err
     assert main([*arguments, "--no-pictures"]) == 0 and picture.exists()
-    assert "was there" in capsys.readouterr().err
+    assert "(reused)" in capsys.readouterr().err
 
 
 def test_files_of_one_name_in_two_folders_have_a_run_each(tmp_path, monkeypatch, capsys):
@@ -132,7 +132,7 @@ def test_a_run_of_other_code_or_another_plan_is_run_again_and_that_is_said(tmp_p
     assert main(arguments) == 0
     assert "1 finished runs are of other code or another plan" in capsys.readouterr().err
     assert main(arguments) == 0
-    assert "was there" in capsys.readouterr().err
+    assert "(reused)" in capsys.readouterr().err
     monkeypatch.setattr("agents.explore.code_digest", lambda *_: "other")
     assert main(arguments) == 0
     assert "1 finished runs are of other code or another plan" in capsys.readouterr().err
@@ -189,5 +189,5 @@ def test_an_interrupted_benchmark_still_writes_its_summary(tmp_path, monkeypatch
     assert code == 130
     assert calls == [0, 1]
     *_, last = capsys.readouterr().err.splitlines()
-    assert last == "interrupted after 1 of 3 runs; the same command goes on from there"
+    assert last == "interrupted after 1 of 3 runs; the same command continues from there"
     assert json.loads((tmp_path / "summary.json").read_text())["twin-01"]["seeds"] == 1

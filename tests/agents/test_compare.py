@@ -55,7 +55,7 @@ def test_an_episode_is_covered_on_the_way_by_what_its_rewards_sum_up_to():
 
 def test_teams_that_would_not_take_velocities_are_refused_before_the_first_episode(tmp_path, capsys):
     assert main(["compare", "--set", "action.kind=frontier", "--buildings", "1", "--out", str(tmp_path / "out")]) == 2
-    assert "steer by velocity; got action.kind = 'frontier'" in capsys.readouterr().err
+    assert "need action.kind = 'velocity'; got 'frontier'" in capsys.readouterr().err
     assert not list(tmp_path.glob("out/**/*.json"))
 
 

@@ -97,7 +97,7 @@ def test_the_legend_of_the_picture_names_every_mark_once(tmp_path, monkeypatch):
 def test_a_team_in_several_maps_says_why(tmp_path, capsys):
     arguments = f"explore --map sfw-e4 --robots 2 --steps 60 --no-pictures --out {tmp_path}".split()
     assert main([*arguments, "--set", "building.sign_share=0", "--set", "radio.wifi=false"]) == 0
-    assert "why not all share one map:\n  " in capsys.readouterr().out
+    assert "why the robots do not all share one map:\n  " in capsys.readouterr().out
     assert main([*arguments, "--set", "slam.oracle=starts"]) == 0
     assert "why not" not in capsys.readouterr().out
 
@@ -122,7 +122,7 @@ def test_many_closures_that_were_refused_leave_the_paths_to_be_seen(tmp_path, mo
     [
         ("explore --map twin-1", "did you mean 'twin-01'"),
         ("explore --agent nearest", "did you mean 'nearest-frontier'"),
-        ("explore --set action.kind=frontier", "steer by velocity; got action.kind = 'frontier'"),
+        ("explore --set action.kind=frontier", "need action.kind = 'velocity'; got 'frontier'"),
         ("explore --set lidar.beam_cout=3", "did you mean 'beam_count'"),
         ("explore --set lidar.beam_count", "--set takes KEY=VALUE"),
         ("explore --set lidar.beam_count=many", "must be a whole number"),

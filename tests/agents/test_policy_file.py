@@ -59,10 +59,10 @@ def test_a_run_says_which_policy_file_it_was_and_runs_again_once_that_changed(mi
     assert (report["agent"], report["agent_digest"]) == (mine, digest_of(mine))
     benchmark = ["benchmark", "--maps", "sfw-e1", "--seeds", "0", *explore, "--out", "out"]
     assert main(benchmark) == 0 and main(benchmark) == 0
-    assert "was there" in capsys.readouterr().err
+    assert "(reused)" in capsys.readouterr().err
     (tmp_path / "beside.py").write_text("SPEED = 0.5\n")
     assert main(benchmark) == 0
-    assert "was there" not in capsys.readouterr().err
+    assert "(reused)" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

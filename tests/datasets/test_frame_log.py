@@ -131,7 +131,7 @@ def test_steps_without_frames_keep_their_place_and_their_contacts(recorded, tmp_
     np.savez(tmp_path / "older.npz", **older)
     assert [len(frames) for frames in read_frame_log(tmp_path / "older.npz")[1]] == [2, 2, 1]
     np.savez(tmp_path / "odd.npz", **older, step_frames=np.array([2, 2]))
-    with pytest.raises(DataError, match="step_frames tells of 4 frames, and there are 5"):
+    with pytest.raises(DataError, match="step_frames counts 4 frames, and there are 5"):
         read_frame_log(tmp_path / "odd.npz")
     with pytest.raises(DataError, match="5 contacts for 6 steps"):
         write_frame_log(tmp_path / "frames.npz", env.config, [steps[0]] * 6, heard[:5])
@@ -193,8 +193,8 @@ def test_a_log_without_any_of_its_columns_is_named(columns, tmp_path):
         ({"robot": np.full(6, "a")}, "robot of type <U1"),
         ({"wifi_count": np.full(6, "a")}, "wifi_count of type <U1"),
         ({"step_frames": np.array("a")}, "step_frames of type <U1"),
-        ({"step_frames": np.zeros(0, int)}, "step_frames tells of 0 frames"),
-        ({"wifi_count": np.full(6, 99, np.int32)}, "wifi_count tells of 594 readings"),
+        ({"step_frames": np.zeros(0, int)}, "step_frames counts 0 frames"),
+        ({"wifi_count": np.full(6, 99, np.int32)}, "wifi_count counts 594 readings"),
         ({"wifi_count": np.full(6, -2, np.int32)}, "wifi_count"),
         ({"wifi_age_s": np.zeros(1)}, "wifi_age_s"),
         ({"odometry": np.zeros((6, 2))}, "odometry"),

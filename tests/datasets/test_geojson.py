@@ -236,7 +236,7 @@ def in_metres() -> dict:
     ("values", "expected"),
     [
         (collection(polygon(box(0, 0, 8, 6), tags={"indoor": "wall", "level": "0"})), "tagged indoor=room"),
-        (polygon(box(0, 0, 8, 6)), "is no GeoJSON FeatureCollection with features"),
+        (polygon(box(0, 0, 8, 6)), "is not a GeoJSON FeatureCollection with features"),
         (in_metres(), "is wider than 2000 m; cut out one building, or, if its numbers are metres"),
     ],
 )
@@ -253,8 +253,8 @@ def test_door_widths_that_are_no_numbers_become_plain_doors(building, width):
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"features": []}, "no GeoJSON FeatureCollection with features"),
-        ({"features": [1]}, "no GeoJSON FeatureCollection with features"),
+        ({"features": []}, "not a GeoJSON FeatureCollection with features"),
+        ({"features": [1]}, "not a GeoJSON FeatureCollection with features"),
         ({"features": [{"type": "Feature"}]}, "feature 0 must be the polygon of the floor"),
         ({"features": [polygon([(0, 0), (1, 0), (2, 0)])]}, "outline has no area"),
         ({"features": [polygon([(0, 0), (float("nan"), 0), (2, 5)])]}, "must hold closed rings"),
@@ -300,7 +300,9 @@ def test_a_building_in_metres_of_a_projection_is_refused_with_the_remedy(buildin
         values["features"][0]["geometry"]["coordinates"][0][1] = place
     else:
         values["features"][3]["geometry"]["coordinates"] = place
-    with pytest.raises(MapError, match=r"is no longitude and latitude in degrees; export it in .*EPSG:4326") as caught:
+    with pytest.raises(
+        MapError, match=r"is not a longitude and latitude in degrees; export it in .*EPSG:4326"
+    ) as caught:
         load_map(building(values))
     assert f"[{place[0]:.9g}, {place[1]:.9g}]" in str(caught.value)
 

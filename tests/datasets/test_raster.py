@@ -136,7 +136,7 @@ def test_each_kind_of_pgm_is_read(tmp_path, name, kind, white):
 def test_broken_pgm_pictures_are_refused(tmp_path, content):
     path = tmp_path / "broken.pgm"
     path.write_bytes(content)
-    with pytest.raises(MapError, match=r"broken\.pgm is no complete PGM picture"):
+    with pytest.raises(MapError, match=r"broken\.pgm is not a complete PGM image"):
         read_picture(path)
 
 

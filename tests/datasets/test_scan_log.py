@@ -66,14 +66,14 @@ def test_carmen_may_have_comments_in_any_encoding_indented_lines_and_tabs(tmp_pa
 def test_a_line_of_carmen_that_is_no_scan_is_named(tmp_path, first, last, fault):
     path = tmp_path / "drive.log"
     path.write_text(f"# a log\n{first}\n{last}\n")
-    with pytest.raises(DataError, match=f"line 3 is no scan: {fault}.*; mend or delete it"):
+    with pytest.raises(DataError, match=f"line 3 is not a scan: {fault}.*; fix or delete it"):
         read_carmen_log(path)
 
 
 def test_a_log_of_deep_nesting_is_refused(tmp_path):
     path = tmp_path / "drive.json"
     path.write_text("[" * 100_000)
-    with pytest.raises(DataError, match="is no scan log"):
+    with pytest.raises(DataError, match="is not a scan log"):
         read_scan_log(path)
 
 

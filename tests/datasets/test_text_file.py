@@ -34,5 +34,5 @@ def test_a_broken_archive_is_a_data_error(tmp_path, read, rest):
 @pytest.mark.parametrize("read", [read_tum, read_g2o, read_scan_log, read_table])
 def test_text_in_another_encoding_is_named_with_the_remedy(tmp_path, read):
     (tmp_path / "a.txt").write_bytes("Zürich\n".encode("latin-1"))
-    with pytest.raises(DataError, match=r"a\.txt is no text in UTF-8: .*; save it as UTF-8"):
+    with pytest.raises(DataError, match=r"a\.txt is not UTF-8 text: .*; save it as UTF-8"):
         read(tmp_path / "a.txt")

@@ -91,15 +91,15 @@ def test_no_seeds_at_all_are_refused(text):
     ("arguments", "message"),
     [
         ("intel --seeds x", "takes a count like 20 or a range like 0-9; got 'x'"),
-        ("intel --robots 0", "must be a whole number from 1 on; got '0'"),
-        ("merging --buildings 0", "must be a whole number from 1 on; got '0'"),
-        ("merging --seed -1", "must be a whole number from 0 on; got '-1'"),
-        ("radio-table1 --processes 0", "must be a whole number from 1 on; got '0'"),
+        ("intel --robots 0", "must be a whole number of at least 1; got '0'"),
+        ("merging --buildings 0", "must be a whole number of at least 1; got '0'"),
+        ("merging --seed -1", "must be a whole number of at least 0; got '-1'"),
+        ("radio-table1 --processes 0", "must be a whole number of at least 1; got '0'"),
         ("radio-table1 --share nan", "must be a number from 0.01 to 1; got 'nan'"),
         ("radio-scale --length -1", "must be a number from 100 to 1e+06; got '-1'"),
         ("ocr --hidden 2", "must be a number from 0 to 0.95; got '2'"),
         ("odometry --drift wide", "must be a number from 0 to 10; got 'wide'"),
-        ("matching --points many", "must be a whole number from 1 on; got 'many'"),
+        ("matching --points many", "must be a whole number of at least 1; got 'many'"),
     ],
 )
 def test_numbers_that_make_no_table_are_refused_by_the_command_line(arguments, message, capsys):

@@ -60,7 +60,7 @@ def test_fused_beats_the_hard_rule(table):
 def test_remarks_measure_the_distance_to_the_print_by_every_way_of_counting(table):
     lines = twc_table1.remarks(plain(list(table.values())))
     for reading in ("all pairs", "all pairs, recall of what text lets through", "best match", "after scan matching"):
-        assert any(line.startswith(f"twc against the print, {reading}: mean absolute error") for line in lines)
+        assert any(line.startswith(f"twc against the paper, {reading}: mean absolute error") for line in lines)
 
 
 def test_with_signs_of_departments_text_is_surer_and_the_hard_rule_less_sure_as_in_the_print(table):

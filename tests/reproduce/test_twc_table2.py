@@ -48,8 +48,8 @@ def test_remarks_say_how_right_text_must_be_for_the_order_of_the_print():
         few = {"method": "text", "backend": f"literal {share:g}", "epe_m": epe_m, "closure_precision": share}
         table.append(row | few)
     both_scenes = [*table, *({**row, "scene": "#02"} for row in table)]  # the paper's claim is about both
-    told = [line for line in twc_table2.remarks(both_scenes) if line.startswith("#01 text as printed by")]
-    assert len(told) == 1 and told[0].endswith("is that of the print with 99, 98 %")
+    told = [line for line in twc_table2.remarks(both_scenes) if line.startswith("#01 text as printed, by")]
+    assert len(told) == 1 and told[0].endswith("rank as in the paper with 99, 98 %")
 
 
 def test_the_whole_system_reaches_its_goal_on_a_walk(table):

@@ -30,7 +30,7 @@ def scan(macs, rssi_dbm) -> WifiScan:
         ({"ranges_m": np.full(60, np.nan)}, "no numbers"),
         ({"ranges_m": np.r_[np.full(59, 3.0), 0.0]}, "ranges that are 0 or no numbers"),
         ({"robot": 0.0}, "different robots 0 to 1"),
-        ({"step": None}, "has a step that is no whole number"),
+        ({"step": None}, "has a step that is not a whole number"),
         ({"robot": 2}, "different robots 0 to 1"),
         ({"robot": -1}, "different robots 0 to 1"),
         ({"odometry": np.array([0.0, np.nan, 0.0])}, "motion since the last frame"),
@@ -51,7 +51,7 @@ def scan(macs, rssi_dbm) -> WifiScan:
         ({"wifi": scan([1, 2], [40.0, 50.0])}, "strengths up to 50: give dBm, which are negative"),
         ({"wifi": {1: -40.0}}, r"has dict as WiFi: give WifiScan"),
         ({"signs": (("A101", 0.0, 2.0),)}, r"holds \('A101', 0.0, 2.0\) as a sign: give SignReading"),
-        ({"signs": (SignReading("A101", 0.0, -2.0),)}, "a finite range from 0 on"),
+        ({"signs": (SignReading("A101", 0.0, -2.0),)}, "a finite, non-negative range"),
         ({"time_s": 1.7e18}, "is of 1.7e\\+18 s, which no clock shows: times are in seconds"),
         ({"wifi": scan([1, 2], ["loud", "low"])}, "values of another kind"),
         ({"ranges_m": np.array(["far"] * 60)}, "values of another kind"),
@@ -70,7 +70,7 @@ def test_a_frame_that_cannot_be_meant_is_refused(changes, message):
 
 @pytest.mark.parametrize("count", [0, -1, 2.5, "2", None])
 def test_a_team_of_no_number_of_robots_is_refused(count):
-    with pytest.raises(ConfigError, match=f"robot_count must be a whole number from 1 on; got {count!r}"):
+    with pytest.raises(ConfigError, match=f"robot_count must be a whole number of at least 1; got {count!r}"):
         CooperativeSlam(CONFIG, count)
 
 

@@ -107,7 +107,7 @@ def test_beliefs_follow_when_a_merge_is_undone(undone):
 def test_the_closures_of_an_undone_merge_say_why_they_are_refused(undone):
     reasons = [c.reason for c in undone[0].team.closures if c.status == "rejected" and c.candidate.target[0] == 0]
     told = [reason for reason in reasons if reason.startswith("the merge it spoke for was undone: ")]
-    assert len(told) == 5 and "of the walls of one stand in the free space of the other" in told[0]
+    assert len(told) == 5 and "of the walls of one lie in the free space of the other" in told[0]
 
 
 def test_undoing_is_the_same_every_time(recorded, undone):

@@ -25,7 +25,7 @@ SETTING = "slam.place_recognition.recogniser"
 def own(tmp_path, monkeypatch):
     """The recogniser of docs/library.md, and one that lacks what all have."""
     monkeypatch.chdir(tmp_path)
-    text = LIBRARY.read_text().partition("### A place recogniser of your own")[2]
+    text = LIBRARY.read_text().partition("### Your own place recogniser")[2]
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
     (tmp_path / "places.py").write_text(f"{code}\n\nclass Half:\n    def propose(self, *_):\n        return []\n")
     return EnvConfig(max_cycles=700), {SETTING: OWN, "slam.place_recognition.proximity_m": 0.0}
@@ -48,11 +48,11 @@ def test_a_benchmark_runs_again_once_the_recogniser_changed(own, capsys):
     settings = [f"--set={key}={value}" for key, value in own[1].items()]
     benchmark = ["benchmark", "--maps", "sfw-e1", "--seeds", "0", "--robots", "1", "--steps", "3", "--no-pictures"]
     assert main([*benchmark, *settings, "--out", "out"]) == 0 and main([*benchmark, *settings, "--out", "out"]) == 0
-    assert "was there" in capsys.readouterr().err
+    assert "(reused)" in capsys.readouterr().err
     with Path("places.py").open("a") as file:
         file.write("CHANGED = True\n")
     assert main([*benchmark, *settings, "--out", "out"]) == 0
-    assert "was there" not in capsys.readouterr().err
+    assert "(reused)" not in capsys.readouterr().err
 
 
 def test_a_snapshot_holds_what_a_recogniser_of_ones_own_knows(own):

@@ -54,7 +54,7 @@ def test_a_receiver_that_hears_all_names_stronger_is_named(mapper_of):
 
 def test_names_that_stand_everywhere_are_counted(mapper_of):
     twice = mapper_of(*[(0, name, -50.0) for name in (*NAMES, *NAMES)])
-    assert any(line == "5 of 5 names stand at several places" for line in shortcomings(twice))
+    assert any(line == "5 of 5 sign texts occur at several places" for line in shortcomings(twice))
     assert not any("names" in line for line in shortcomings(mapper_of(*[(0, name, -50.0) for name in NAMES])))
 
 

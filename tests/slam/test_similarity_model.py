@@ -33,7 +33,7 @@ def test_a_window_that_cuts_distances_off_is_noticed_once(caplog):
     with caplog.at_level(logging.WARNING):
         for _ in range(2):
             assert train_on_path(similarity, travel, positions, 0.3, window_m=30.0).is_truncated(0.3)
-    assert caplog.text.count("cut off") == 1
+    assert caplog.text.count("truncated") == 1
 
 
 def test_a_model_without_bins_is_not_said_to_be_cut_off(caplog):
@@ -41,4 +41,4 @@ def test_a_model_without_bins_is_not_said_to_be_cut_off(caplog):
     travel = np.arange(3.0)
     with caplog.at_level(logging.WARNING):
         model = train_on_path(np.full((3, 3), 0.9), travel, np.column_stack([travel, travel]), 0.7)
-    assert not len(model.centre) and "cut off" not in caplog.text
+    assert not len(model.centre) and "truncated" not in caplog.text

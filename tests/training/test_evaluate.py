@@ -63,7 +63,7 @@ def test_a_model_that_is_broken_or_of_another_task_is_named(task, run, tmp_path,
     model.write_bytes(sound)
     write_settings(tmp_path, "ppo", replace(task, overrides={**task.overrides, "observation.sign_slots": 2}), {})
     assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
-    assert "was trained to see or choose something else" in capsys.readouterr().err
+    assert "was trained with other observations or actions" in capsys.readouterr().err
     model.unlink()
     assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
     assert "there is no model" in capsys.readouterr().err

@@ -21,7 +21,7 @@ from training.__main__ import main
         (["ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
         (["ppo", "--resume"], "holds no training run"),
         (["ppo", "--seed", "-1"], "--seed must be 0 to"),
-        (["ppo", "--set", "slam.mode=off"], "slam.mode=off has none: leave it out"),
+        (["ppo", "--set", "slam.mode=off"], "slam.mode=off has none: remove that setting"),
         (
             ["ppo", "--out", "/dev/null/run"],
             "cannot write to the folder /dev/null/run: /dev/null is a file; choose another",
@@ -47,7 +47,7 @@ def test_another_kind_of_action_or_observation_is_refused(tmp_path, capsys):
         assert "action.kind=frontier" in capsys.readouterr().err
     for block in ("pose", "team"):
         assert main(["ppo", "--out", str(tmp_path / "run"), "--set", f"observation.{block}=false"]) == 2
-        assert "leave observation.pose=true and observation.team=true" in capsys.readouterr().err
+        assert "keep observation.pose=true and observation.team=true" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("torch")
@@ -63,7 +63,9 @@ def test_a_training_whose_worker_died_says_how_to_go_on(tmp_path, monkeypatch, c
     monkeypatch.setattr(TeamVecEnv, "step_wait", killing)
     assert main(["ppo", "--workers", "2", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 2
     *_, last = capsys.readouterr().err.splitlines()
-    assert last.startswith("error: a worker process has died") and "--resume goes on from the last model" in last
+    assert (
+        last.startswith("error: a worker process has died") and "--resume continues from the last saved model" in last
+    )
 
 
 @pytest.mark.usefixtures("torch")
@@ -76,4 +78,4 @@ def test_an_interrupted_training_says_so_on_a_line_of_its_own(tmp_path, monkeypa
     monkeypatch.setattr(TeamVecEnv, "step_wait", interrupt)
     assert main(["ppo", "--workers", "0", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 130
     *_, last = capsys.readouterr().err.splitlines()
-    assert last == "interrupted; --resume goes on from the last model that was saved, if any"
+    assert last == "interrupted; --resume continues from the last saved model, if any"

@@ -116,7 +116,7 @@ def test_a_wrong_map_leaves_no_run_folder(train, settings, tmp_path):
 def test_resuming_with_another_task_is_refused(train, settings, run):
     from training.run_folder import Task
 
-    with pytest.raises(DataError, match=r"was trained with map=.* instead of 'twin-02'.*; ask for the same"):
+    with pytest.raises(DataError, match=r"was trained with map=.* instead of 'twin-02'.*; use the same settings"):
         train(Task("twin-02"), settings, 512, run, resume=True)
 
 
@@ -131,5 +131,5 @@ def test_two_trainings_do_not_share_a_folder(train, task, settings, tmp_path):
 
 
 def test_a_finished_run_is_not_overwritten(train, task, settings, run):
-    with pytest.raises(DataError, match="already holds a model; go on with --resume"):
+    with pytest.raises(DataError, match="already holds a model; continue with --resume"):
         train(task, settings, 128, run)

@@ -1,7 +1,7 @@
-"""Every number the environment can be configured with: sections for the world, the engine and the environment.
+"""All settings, in sections for the simulated world, the SLAM engine and the environment.
 
-A config is a frozen value: build it once, hand each module its section, never edit it. `from_dict` and `load` refuse
-keys they do not know and values of the wrong type or out of range; `digest` names the values in logs and tables.
+A config is immutable. `from_dict` and `load` reject unknown keys and values of the wrong type or out of range; `digest`
+identifies a config in logs and tables.
 """
 
 from twc_env.config.environment import ActionConfig, EnvConfig, ObservationConfig, RewardConfig

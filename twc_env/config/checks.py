@@ -32,7 +32,7 @@ def plain_value(value):
 def whole_number(name: str, value, least: int) -> int:
     """An argument that counts, as Python's int; raises ConfigError for what is no whole number from `least` on."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise ConfigError(f"{name} must be a whole number from {least} on; got {value!r}")
+        raise ConfigError(f"{name} must be a whole number of at least {least}; got {value!r}")
     return int(value)
 
 

@@ -1,4 +1,4 @@
-"""What agents see, command and are paid for, and the whole of an episode's settings."""
+"""Settings of observations, actions and rewards, and the complete settings of an episode."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from twc_env.config.world import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObservationConfig(Checked):
-    """What a learner sees: which blocks, and their shapes. `ExplorationEnv` describes each."""
+    """Which observation blocks there are, and their shapes. `ExplorationEnv` describes each block."""
 
     kind: str = choice("dict", "flat")
-    """`flat` joins all blocks, in the order below, to one vector of float32 (uint8 channels scaled to [0, 1])."""
+    """`flat` concatenates all blocks, in the order below, to one float32 vector (uint8 channels scaled to [0, 1])."""
     lidar: bool = True
     map: bool = True
     overview: bool = False
@@ -33,57 +33,58 @@ class ObservationConfig(Checked):
     signs: bool = True
     team: bool = True
     frontiers: bool = False
-    """Always there when the action is the choice of a frontier."""
+    """Always on with `action.kind = "frontier"`."""
     map_cells: int = number(64, 8, 512)
     map_cell_m: float = number(0.25, 0.05, 5.0)
     overview_cells: int = number(32, 8, 512)
-    """Rows and columns of the whole merged map, shrunk to fit; stable-baselines3's own network needs 36."""
+    """Rows and columns of the merged map, downscaled to fit; the default CNN of stable-baselines3 needs at least 36."""
     path_m: float = number(100.0, 0.0, 10_000.0)
-    """Length of the robot's own path that `map` shows."""
+    """Length of the robot's own past path shown in `map`."""
     wifi_slots: int = number(16, 1, 512)
     sign_slots: int = number(4, 1, 64)
     sign_memory_s: float = number(5.0, 0.0, 3600.0)
-    """Readings stay among the recent ones for so long."""
+    """How long a reading counts as recent."""
     frontier_period_s: float = number(1.0, 0.01, 60.0)
-    """How often `frontiers` is worked out anew when nothing is decided on it (it costs a path search)."""
+    """Update interval of `frontiers` while no decision depends on it (an update costs a path search)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActionConfig(Checked):
-    """What an agent commands, and how long one decision lasts."""
+    """What an action means and how long it lasts."""
 
     kind: str = choice("velocity", "waypoint", "frontier")
-    """`velocity` decides every time step; the other two are driven by the environment until they are over."""
+    """`velocity`: one command per time step. `waypoint` and `frontier`: the environment drives until the goal is
+    reached."""
     timing: str = choice("synchronous", "asynchronous")
-    """A step of `waypoint` and `frontier` ends when all robots are done, or as soon as one is."""
+    """With `waypoint` and `frontier`, a step ends when all robots have arrived, or as soon as one has."""
     frontier_slots: int = number(8, 1, 64)
     waypoint_reach_m: float = number(5.0, 0.5, 100.0)
-    """The goal that an action of length 1 stands for."""
+    """Distance of the goal for an action of length 1."""
     decision_max_s: float = number(10.0, 0.1, 600.0)
-    """A step never lasts longer."""
+    """Maximum duration of a step."""
     stay_s: float = number(1.0, 0.1, 60.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewardConfig(Checked):
-    """Weights of the named terms of `twc_env.exploration.rewards`; the default pays only for rightly mapped floor."""
+    """Weights of the terms in `twc_env.exploration.rewards`; by default only correctly mapped floor is rewarded."""
 
     period_steps: int = number(10, 1, 10000)
-    """The team is judged this often, and always at the last step."""
+    """How often the first three terms are evaluated; always at the last step."""
     sharing: str = choice("team", "individual")
-    """Whose map and place the first three terms look at."""
+    """Whether the first three terms refer to the team or to each robot's own map and localisation."""
     coverage: float = number(1.0, -1000.0, 1000.0)
     merge: float = number(0.0, -1000.0, 1000.0)
     localisation: float = number(0.0, -1000.0, 1000.0)
     collision: float = number(0.0, -1000.0, 1000.0)
-    """Negative to discourage, as for the next two."""
+    """Negative values penalise; also for the next two."""
     time: float = number(0.0, -1000.0, 1000.0)
     bytes: float = number(0.0, -1000.0, 1000.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EnvConfig(Checked):
-    """One episode's worth of settings."""
+    """All settings of an episode."""
 
     map: str = "twin-01"
     """A bundled map ("twin-01"), a generated building ("gen:office:800:7", "train/0007") or a file: twc_env or

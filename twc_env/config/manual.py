@@ -1,4 +1,4 @@
-"""All settings as one commented TOML text: what each means, what may stand in it and what stands there now."""
+"""All settings as commented TOML: meaning, allowed values and current value of each."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _WIDTH = 118
 
 
 def as_toml(config: EnvConfig, sections: Sequence[str] = ()) -> str:
-    """The settings as TOML that `load` reads back, those that differ from their default marked.
+    """The settings as TOML that `load` reads back; values that differ from their default are marked.
 
-    sections: dotted names, to show these and what is in them alone ("slam.merging"); none shows all. Raises ConfigError
-    for a section that is not there.
+    sections: dotted names of the sections to show, such as "slam.merging"; none shows all. Raises ConfigError for an
+    unknown section.
     """
     names = [name for name, _ in sections_of(EnvConfig)]  # that of the outermost is ""
     for name in sections:

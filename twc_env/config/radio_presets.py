@@ -1,4 +1,4 @@
-"""Settings of the radio for kinds of places: each fitted to measurements of such a place."""
+"""Radio settings by type of place, each fitted to measurements of such a place."""
 
 from __future__ import annotations
 

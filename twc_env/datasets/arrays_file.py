@@ -27,7 +27,7 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
     path = Path(path)
     try:
         if path.is_file() and not zipfile.is_zipfile(path):
-            raise DataError(f"{path} is no {kind} or is cut off; {remedy}")
+            raise DataError(f"{path} is not a {kind} or is truncated; {remedy}")
         with path.open("rb") as file, np.load(file) as data:
             arrays = {key: data[key] for key in data.files}
     except OSError as error:
@@ -35,7 +35,7 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
     except DataError:
         raise
     except Exception as error:  # a broken archive surfaces as almost any exception
-        raise DataError(f"{path} is no {kind} or is cut off: {error}; {remedy}") from error
+        raise DataError(f"{path} is not a {kind} or is truncated: {error}; {remedy}") from error
     if str(arrays.get("format")) != form:
         raise DataError(f"{path} has format {str(arrays.get('format'))!r}; expected {form!r}: {remedy}")
     if missing := sorted(set(keys) - set(arrays)):

@@ -87,10 +87,10 @@ def _scans(path: Path) -> tuple[Array, list[Array], list[Array]]:
     try:
         blocks = [np.array(block.split(), float) for block in re.findall(r"\[([^\]]*)\]", text)]
     except ValueError as error:
-        raise DataError(f"{path} is no scan file: {error}; expected numbers in brackets") from error
+        raise DataError(f"{path} is not a scan file: {error}; expected numbers in brackets") from error
     angles, ranges = blocks[0::2], blocks[1::2]
     if not times or not len(times) == len(angles) == len(ranges) or [*map(len, angles)] != [*map(len, ranges)]:
-        raise DataError(f"{path} is no scan file or is cut off; expected a time, angles and ranges for each scan")
+        raise DataError(f"{path} is not a scan file or is truncated; expected a time, angles and ranges for each scan")
     kept = [np.where((r > 100 * RANGE_MIN_M) & (r < 100 * RANGE_RELIABLE_M), 0.01 * r, 0.0) for r in ranges]
     return np.array(times, float), [np.deg2rad(0.001 * a) for a in angles], kept
 

@@ -72,14 +72,14 @@ class RadioSurvey:
     def room_kinds(self) -> Array:
         """(s,) kinds of rooms of a set that tells them; DataError for others."""
         if self.room_kind is None:
-            raise DataError(f"survey {self.name} does not tell its kinds of rooms; use one that does")
+            raise DataError(f"survey {self.name} has no room types; use one that does")
         return self.room_kind
 
     @property
     def transmitters(self) -> tuple[Array, Array, Array]:
         """Places (t, 2), storeys (t,) and 5 GHz flags (t,) of a set that tells them; DataError for others."""
         if self.transmitter_m is None or self.transmitter_floor is None or self.is_high_band is None:
-            raise DataError(f"survey {self.name} does not tell where its transmitters stand; use one that does")
+            raise DataError(f"survey {self.name} has no transmitter positions; use one that does")
         return self.transmitter_m, self.transmitter_floor, self.is_high_band
 
 
@@ -88,7 +88,7 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> tuple[list[str], li
     try:
         rows = list(csv.reader(io.StringIO(read_text(path))))
     except csv.Error as error:
-        raise DataError(f"{path} is no table: {error}; fetch the file again") from error
+        raise DataError(f"{path} is not a table: {error}; fetch the file again") from error
     if not rows or (missing := [c for c in columns if c not in rows[0]]):
         raise DataError(f"{path} lacks the columns {', '.join(columns if not rows else missing)}; fetch the file again")
     for number, row in enumerate(rows[1:], 2):

@@ -1,4 +1,4 @@
-"""Recorded sensor frames: what robots sensed, without any truth, so that the engine can be run again on them."""
+"""Recorded sensor frames, without ground truth, on which the engine can be run again."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def write_frame_log(
 ) -> None:
     """Write the frames of an episode (one sequence of frames per step) to a compressed .npz file.
 
-    `contacts`, one per step, say who heard whom; a log without them is replayed with all robots in touch.
-    Raises DataError for frames that are not of the team and scanner of `config`, and where nothing can be written.
+    `contacts`, one per step, are the radio contacts; a log without them is replayed with all robots in contact.
+    Raises DataError if frames do not match the team and scanner of `config`, or if the file cannot be written.
     """
     if any(isinstance(step, SensorFrame) for step in steps):
         raise DataError("steps must be sequences of frames, one frame per robot: of one robot [[frame], [frame], ...]")
@@ -86,7 +86,7 @@ def _ages(scans: Sequence[WifiScan]) -> dict[str, Any]:
 def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame, ...]]]:
     """The config of the recording and its frames, one tuple per step, empty where all robots have failed.
 
-    Raises DataError when the file is missing, cut off or no frame log.
+    Raises DataError if the file is missing, truncated or not a frame log.
     """
     log = _read(path)
     try:
@@ -113,7 +113,7 @@ def wifi_readings(steps: Sequence[Sequence[SensorFrame]], robot: int = 0) -> tup
 
 
 def read_contacts(path: str | Path) -> list[Contacts]:
-    """Who heard whom in each step of a recording; empty where the log does not say. Raises DataError as above."""
+    """Radio contacts in each step of a recording; empty if not recorded. Raises DataError as above."""
     log = _read(path)
     if "contacts_heard" not in log or "contacts_tried" not in log:
         return []
@@ -125,7 +125,7 @@ def read_contacts(path: str | Path) -> list[Contacts]:
 
 
 def write_truth_log(path: str | Path, seed: int, map_name: str, true_poses: Array) -> None:
-    """Write where the robots truly were, (steps + 1, robots, 3) in the building frame, beside a frame log."""
+    """Write the true poses (steps + 1, robots, 3) in the building frame to a file of their own."""
     write_arrays(
         path, format=np.array(TRUTH_FORMAT), seed=np.array(seed), map=np.array(map_name), true_poses=true_poses
     )
@@ -166,12 +166,12 @@ def _fault(log: dict[str, Array]) -> str | None:
     if log["odometry"].shape != (frames, 3) or log["ranges_m"].ndim != 2:
         return f"odometry of shape {log['odometry'].shape} and ranges_m of {log['ranges_m'].shape}"
     if (counts < -1).any() or np.maximum(counts, 0).sum() != readings:
-        return f"wifi_count tells of {np.maximum(counts, 0).sum()} readings and wifi_macs holds {readings}"
+        return f"wifi_count counts {np.maximum(counts, 0).sum()} readings and wifi_macs holds {readings}"
     if "wifi_age_s" in log and log["wifi_age_s"].shape != (readings,):
         return f"wifi_age_s of shape {log['wifi_age_s'].shape} for {readings} readings"
     counted = log.get("step_frames", np.ones(0, int))
     if "step_frames" in log and (counted.sum() != frames or counted.min() < 0):
-        return f"step_frames tells of {counted.sum()} frames, and there are {frames}"
+        return f"step_frames counts {counted.sum()} frames, and there are {frames}"
     if not np.isin(log["sign_frame"], np.arange(frames)).all():
         return f"sign_frame names frames beyond the {frames} that there are"
     return None
@@ -180,7 +180,7 @@ def _fault(log: dict[str, Array]) -> str | None:
 def _steps(log: dict[str, Array]) -> list[tuple[SensorFrame, ...]]:
     texts = json.loads(str(log["sign_text"]))
     if not all(isinstance(text, str) for text in texts):
-        raise TypeError("sign_text holds what is no text")
+        raise TypeError("sign_text holds something that is not text")
     signs: dict[int, list[SignReading]] = {}
     for frame, (bearing, range_m), text in zip(log["sign_frame"].tolist(), log["sign_place"], texts, strict=True):
         signs.setdefault(frame, []).append(SignReading(text, float(bearing), float(range_m)))

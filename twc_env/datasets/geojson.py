@@ -36,7 +36,7 @@ def geojson_plan(values: object, path: Path, seed: int = 0, level: str = "0") ->
     table = values if isinstance(values, dict) else {}
     features = table.get("features")
     if not isinstance(features, list) or not all(isinstance(f, dict) for f in features) or not features:
-        raise MapError(f"{path.name} is no GeoJSON FeatureCollection with features; export the floor again")
+        raise MapError(f"{path.name} is not a GeoJSON FeatureCollection with features; export the floor again")
     check_reference(table, path.name)
     name = _plan_name(path)
     if any("tags" in properties_of(feature) or part_of(feature) for feature in features):

@@ -151,4 +151,4 @@ def _check_degrees(places: Array, where: str) -> None:
     is_odd = ~(np.abs(places) <= (180.0, 90.0)).all(axis=1)
     if is_odd.any():
         x, y = places[is_odd][0]
-        raise MapError(f"{where}: [{x:.9g}, {y:.9g}] is no longitude and latitude in degrees; {_REMEDY}")
+        raise MapError(f"{where}: [{x:.9g}, {y:.9g}] is not a longitude and latitude in degrees; {_REMEDY}")

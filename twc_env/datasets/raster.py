@@ -120,7 +120,7 @@ def _decode_with_pillow(raw: bytes, path: Path, behind: int) -> Array:
 
 def _decode_pgm(raw: bytes, where: str) -> Array:
     """P5 (binary) and P2 (text), 8 or 16 bit, comments allowed; values are scaled to 0..255."""
-    incomplete = f"{where} is no complete PGM picture (P5 or P2); export it again"
+    incomplete = f"{where} is not a complete PGM image (P5 or P2); export it again"
     header = _PGM_HEADER.match(raw)
     if header is None:
         raise MapError(incomplete)

@@ -135,7 +135,7 @@ def _read_yaml(path: Path) -> dict[str, str]:
     try:
         text = load_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise MapError(f"{path.name} is no text: {error}; export the map again") from error
+        raise MapError(f"{path.name} is not text: {error}; export the map again") from error
     values, key = {}, ""
     for line in text.split("\n"):
         if line.rstrip() == "...":  # the document ends

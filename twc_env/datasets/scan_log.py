@@ -102,7 +102,7 @@ def read_scan_log(path: str | Path) -> ScanLog:
         return _log(np.array(times, float), np.array(poses, float), ranges_m)
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise DataError(
-            f"{path} is no scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
+            f"{path} is not a scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
         ) from error
 
 
@@ -131,17 +131,17 @@ def read_carmen_log(path: str | Path) -> ScanLog:
                 raise ValueError("its beams point elsewhere than those before")
         except (ValueError, IndexError) as error:
             reason = "it is cut off" if isinstance(error, IndexError) else _short(error)
-            raise DataError(f"{path}, line {k} is no scan: {reason}; mend or delete it") from error
+            raise DataError(f"{path}, line {k} is not a scan: {reason}; fix or delete it") from error
     if not scans:
         raise DataError(
-            f"{path} is no CARMEN log: expected lines {' or '.join(_READERS)}; what else you can read, "
+            f"{path} is not a CARMEN log: expected lines {' or '.join(_READERS)}; what else you can read, "
             "twc_env.datasets.frame_log.write_frame_log makes a log of (docs/frames.md)"
         )
     ranges_m, poses, times_s, (directions, *_) = zip(*scans, strict=True)
     try:
         return _log(np.array(times_s), np.array(poses), np.array(ranges_m, float), directions)
     except ValueError as error:
-        raise DataError(f"{path} is no CARMEN log: {_short(error)}") from error
+        raise DataError(f"{path} is not a CARMEN log: {_short(error)}") from error
 
 
 class _Scan(NamedTuple):

@@ -24,7 +24,7 @@ def read_text(path: str | Path, errors: str = "strict") -> str:
             raw = lzma.decompress(raw)
         return raw.decode("utf-8-sig", errors)
     except UnicodeDecodeError as error:
-        raise DataError(f"{path} is no text in UTF-8: {error}; save it as UTF-8") from error
+        raise DataError(f"{path} is not UTF-8 text: {error}; save it as UTF-8") from error
     except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
         reason = getattr(error, "strerror", None) or error
         raise DataError(f"cannot read {path}: {reason}; check the path or fetch the file again") from error

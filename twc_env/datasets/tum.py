@@ -23,7 +23,7 @@ def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
         raise DataError(f"times must be (k,) and poses (k, 3); got {times_s.shape} and {poses.shape}")
     is_whole = np.isfinite(times_s) & np.isfinite(poses).all(axis=1)
     if not is_whole.all():
-        raise DataError(f"times and poses must be finite; row {int(np.argmin(is_whole))} is not: leave it out")
+        raise DataError(f"times and poses must be finite; row {int(np.argmin(is_whole))} is not: remove it")
     half = poses[:, 2] / 2
     zeros = np.zeros(len(poses))
     columns = [times_s, poses[:, 0], poses[:, 1], zeros, zeros, zeros, np.sin(half), np.cos(half)]

@@ -35,9 +35,7 @@ def check_agents(actions: Any, agents: Sequence[str]) -> None:
             raise ActionError(f"no action for {agent!r}: step() needs one for each of {list(agents)}")
     if len(actions) != len(agents):
         unknown = next(name for name in actions if name not in agents)
-        raise ActionError(
-            f"action for {unknown!r}, which is not in the episode: leave it out; there are {list(agents)}"
-        )
+        raise ActionError(f"action for {unknown!r}, which is not in the episode: remove it; agents are {list(agents)}")
 
 
 def action_array(action: Any) -> Array:

@@ -40,72 +40,74 @@ STATE_LIMIT = 1e4
 
 
 class ExplorationEnv(ParallelEnv, EzPickle):
-    """Several robots explore a building while a cooperative SLAM engine maps it inside every step.
+    """A team of robots explores a building while a cooperative SLAM engine maps it inside every step.
 
-    Robots start with no common frame, their odometry drifts, rooms look alike and signs repeat. What an agent does
-    decides which places the engine recognises, and so how good the team's map becomes; that map is what is rewarded.
+    Robots start without a common frame, their odometry drifts, rooms look alike and signs repeat. The agents' actions
+    determine which places the engine recognises and hence the quality of the team's map, which is what is rewarded.
 
-    Agents: "robot_0" ... "robot_{n-1}". All live for the whole episode, which is truncated after `max_cycles` time
-    steps of `dynamics.time_step_s`.
+    Agents: "robot_0" ... "robot_{n-1}". All stay in the episode until it is truncated after `max_cycles` time steps of
+    `dynamics.time_step_s`.
 
     Actions, by `action.kind`:
 
     | kind | space | meaning |
     |---|---|---|
-    | `velocity` | `Box(-1, 1, (2,))` | speed, turn rate (left positive), as shares of the maxima; one time step |
-    | `waypoint` | `Box(-1, 1, (2,))` | goal ahead, to the left, in units of `action.waypoint_reach_m` |
-    | `frontier` | `Discrete(slots + 3)` | a row of `frontiers`; then: nearest sign, nearest mate, stay |
+    | `velocity` | `Box(-1, 1, (2,))` | speed and turn rate (left positive), as fractions of the maxima; one time step |
+    | `waypoint` | `Box(-1, 1, (2,))` | goal ahead and to the left, in units of `action.waypoint_reach_m` |
+    | `frontier` | `Discrete(slots + 3)` | a row of `frontiers`; then: nearest sign, nearest teammate, stay |
 
-    A waypoint is the reachable known place nearest to the goal. Waypoints and frontiers are planned and followed on the
-    estimated map, which takes many time steps; a step ends when all robots are done (`action.timing = "synchronous"`:
-    who is early waits), or as soon as one is ("asynchronous": the others go on, and their next actions do not count),
-    at the latest after `action.decision_max_s`. Rewards of the time steps are added up. `info["is_deciding"]` tells
-    whose next action counts, `info["time_steps"]` how long the step was. For `frontier`, `action_mask` stands in the
-    observation and in `info`; a choice that it rules out counts as stay, and stay means "go on" to a busy robot.
+    A waypoint goal is moved to the nearest reachable known place. Waypoints and frontiers are planned and followed on
+    the estimated map, which takes many time steps. A step ends when all robots have arrived
+    (`action.timing = "synchronous"`: early robots wait) or as soon as one has ("asynchronous": the others continue, and
+    their next actions are ignored), at the latest after `action.decision_max_s`. Rewards of the time steps are summed.
+    `info["is_deciding"]` says whether a robot's next action counts, `info["time_steps"]` how long the step was. For
+    `frontier`, `action_mask` is in the observation and in `info`. A masked choice counts as stay; for a busy robot,
+    stay means "continue".
 
-    Observation, a `Dict` of the blocks that `observation` asks for, built from sensor frames and estimates only:
+    Observation: a `Dict` of the blocks enabled in `observation`, built from sensor frames and estimates only:
 
     | key | shape | range | meaning |
     |---|---|---|---|
-    | `lidar` | (beams,) | [0, 1] | range over maximum range; beam 0 ahead, counter-clockwise |
-    | `map` | (7, 64, 64) uint8 | 0, 255 | around the robot, which looks along +column: free, wall, unknown, frontier, |
-    | | | | own path, mates, signs |
-    | `overview` | (4, 32, 32) uint8 | 0..255 | the whole merged map, shrunk: free, wall, this robot, mates |
-    | `pose` | (8,) | m, m, -, -, m, m, rad, m | x, y, cos, sin of the heading in the map frame of the robot's group; |
-    | | | | standard deviations and path length since the last closure |
-    | `wifi` | (16,) | [0, 1] | strength per transmitter, -100..-20 dBm; a slot keeps its transmitter; 0: not heard |
+    | `lidar` | (beams,) | [0, 1] | range / maximum range; beam 0 ahead, counter-clockwise |
+    | `map` | (7, 64, 64) uint8 | 0, 255 | egocentric, robot facing +column: free, wall, unknown, frontier, |
+    | | | | own path, teammates, signs |
+    | `overview` | (4, 32, 32) uint8 | 0..255 | the merged map, downscaled: free, wall, this robot, teammates |
+    | `pose` | (8,) | m, m, -, -, m, m, rad, m | x, y, cos, sin of heading in the map frame of the robot's group; |
+    | | | | standard deviations of x, y, heading and path length since the last closure |
+    | `wifi` | (16,) | [0, 1] | RSSI per transmitter, -100..-20 dBm; slots keep their transmitter; 0: not heard |
     | `signs` | (4, 5) | [-1, 1] | recent readings, newest first: present, bearing / pi, distance d / (d + 10 m), age |
-    | | | | / `sign_memory_s`, c / (c + 2) where the text is known from c other places |
-    | `team` | (n-1, 5) | [-1, 1] | per mate: shares my map, bearing / pi, d / (d + 10 m), heading / pi, |
+    | | | | / `sign_memory_s`, c / (c + 2) if the text is known from c other places |
+    | `team` | (n-1, 5) | [-1, 1] | per teammate: shares my map, bearing / pi, d / (d + 10 m), heading / pi, |
     | | | | age a / (a + 10 s) of its last message |
     | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest first: present, bearing / pi, d / (d + 10 m), |
-    | | | | path l / (l + 10 m), size s / (s + 5 m), a mate is nearer |
-    | `action_mask` | (11,) int8 | 0, 1 | which choices count (only with `action.kind = "frontier"`) |
-    | `radio` | (2, 64, 64) uint8 | 0, 255 | with `slam.k_visibility.enabled`: probably free, probably wall, told by |
-    | | | | signal strength alone, as `map` |
+    | | | | path l / (l + 10 m), size s / (s + 5 m), a teammate is closer |
+    | `action_mask` | (11,) int8 | 0, 1 | valid choices (only with `action.kind = "frontier"`) |
+    | `radio` | (2, 64, 64) uint8 | 0, 255 | with `slam.k_visibility.enabled`: probably free, probably wall, estimated |
+    | | | | from signal strength alone; egocentric like `map` |
 
-    With `observation.kind = "flat"` the blocks come as one vector of float32, pictures scaled to [0, 1].
+    With `observation.kind = "flat"` the blocks are concatenated to one float32 vector, images scaled to [0, 1].
 
-    Reward: sum of named terms times the weights of `reward`; `twc_env.exploration.rewards` has their table, and they
-    stand in `info["reward_terms"]`. By default each agent gets the gain in rightly mapped floor of the rightly merged
-    group that maps most, so that an episode's sum is that share at its end: `coverage_correct`, unless another group
-    has more robots. The team is judged every `reward.period_steps` time steps and at the last. The last `info` also
-    holds the scalar figures of the report (docs/figures.md).
+    Reward: a weighted sum of named terms. `twc_env.exploration.rewards` lists the terms, `reward` has the weights, and
+    `info["reward_terms"]` the values. By default each agent receives the increase in correctly mapped floor of the
+    best correctly merged group, so the return of an episode is that share at its end: `coverage_correct`, unless
+    another group has more robots. The map is evaluated every `reward.period_steps` time steps and at the last one. The
+    last `info` also contains the scalar metrics of the report (docs/figures.md).
 
-    `slam.mode = "off"` runs no engine: `pose` is odometry summed up, `map` and `team` stay zero, `coverage` pays
-    nothing (there is no map: `velocity` alone can be commanded), and `result()` judges dead reckoning.
+    `slam.mode = "off"` runs no engine: `pose` is integrated odometry, `map` and `team` stay zero, `coverage` pays
+    nothing, only `velocity` actions are possible (there is no map), and `result()` evaluates dead reckoning.
 
-    Arguments: `map` (bundled name or file), `robots`, `max_cycles` and `render_mode` ("human", "rgb_array" or None);
-    `config` (an EnvConfig, a dict of overrides, dotted keys allowed) holds everything else; `task` names a standard
-    task that the overrides change; `render_signal=True` lays WiFi strength over the pictures. In mode "human" a window
-    shows every time step, at `metadata["render_fps"]`; who shuts it ends the pictures, not the episode.
-    `reset(options=...)` holds for one episode: `{"starts": "map"}` uses the map's own starts instead of drawing them by
-    seed, `{"starts": [(x, y, heading), ...]}` those of each robot in the building's frame; `{"map": NAME}` plays in
-    another building, `{"split": "train"}` (or validation, test) in one of that split, drawn by the seed;
-    `floorplan.name` tells which.
+    Arguments: `map` (bundled name or file), `robots`, `max_cycles`; `render_mode` ("human", "rgb_array" or None);
+    `config` (an EnvConfig or a dict of overrides, dotted keys allowed) for everything else; `task`, a standard task to
+    which the overrides apply; `render_signal=True` overlays WiFi signal strength. With "human" a window shows every
+    time step at `metadata["render_fps"]`; closing it ends the display, not the episode.
 
-    `belief(agent)` gives a planner what the robot knows; `result()` judges the episode so far against the truth;
-    `snapshot()` and `restore()` save and bring back a moment, exactly.
+    `reset(options=...)` applies to one episode. `{"starts": "map"}` uses the map's own start poses instead of random
+    ones, `{"starts": [(x, y, heading), ...]}` the given ones, in the building frame. `{"map": NAME}` plays in another
+    building, `{"split": "train"}` (or validation, test) in a building of that split drawn by the seed;
+    `floorplan.name` is its name.
+
+    `belief(agent)` is what a robot knows, for planners; `result()` evaluates the episode so far against ground truth;
+    `snapshot()` and `restore()` save and restore the exact state.
 
     Versions: v0, first release.
     """
@@ -158,7 +160,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (6 * count,), np.float32)
         self._weights = rewards.weights_of(self.config.reward)
         self._weighed: tuple[Sequence[dict[str, float]] | None, dict[str, float]] = None, {}
-        """The terms that were weighed last, and what they earned; steps in which nothing happens share theirs."""
+        """The terms weighted last and the resulting rewards; uneventful steps share them."""
         self._begun: Episode | None = None
         self._seed: int | None = None
 
@@ -171,10 +173,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict | None = None):
-        """Begin an episode. The same seed gives the same episode; without one, the next seed after the last is used.
+        """Begin an episode. The same seed gives the same episode; the default is the previous seed + 1.
 
-        Raises MapError for a map that cannot be loaded. Options of other environments are ignored. After a reset that
-        failed no episode is under way.
+        Options of other environments are ignored. Raises MapError for a map that cannot be loaded; no episode is under
+        way then.
         """
         self.agents, self._begun = [], None
         seed = self._next_seed() if seed is None else whole_number("seed", seed, 0)
@@ -192,14 +194,14 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self._by_agent(episode.observe()), infos
 
     def step(self, actions: Mapping[str, Any]):
-        """Act, sense, run SLAM, judge: one time step, or as many as the action lasts.
+        """Act, sense, run SLAM, compute rewards: for one time step, or as many as the action lasts.
 
-        Raises ActionError for a missing, malformed, non-finite or out-of-range action, or one for an agent that is not
-        in the episode; nothing has happened then.
+        Raises ActionError for a missing, malformed, non-finite or out-of-range action, or one for an unknown agent; the
+        state is unchanged then.
         """
         episode, agents = self._begun, self.agents
         if episode is None or not agents:
-            raise TwcError("step() needs an episode that has begun and is not over: call reset() first")
+            raise TwcError("step() needs a running episode: call reset() first")
         began = episode.steps
         values = episode.step(actions, agents, self._watch)
         seen, observations, infos = episode.observe(), {}, {}
@@ -220,69 +222,70 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     @property
     def episode(self) -> Episode:
-        """The episode that the last `reset` began; it holds the truth. Raises TwcError before the first one."""
+        """The current episode, ground truth included. Raises TwcError before the first `reset`."""
         if self._begun is None:
-            raise TwcError("no episode has begun: call reset() first")
+            raise TwcError("no episode has started: call reset() first")
         return self._begun
 
     @property
     def floorplan(self) -> Floorplan:
-        """The building that the robots are in, as it is."""
+        """The true floor plan of the current building."""
         return self._world.plan
 
     @property
     def engine(self) -> Engine:
-        """The SLAM engine of this episode. This and what follows raises TwcError before the first `reset`."""
+        """The SLAM engine of this episode. This and the following raise TwcError before the first `reset`."""
         return self.episode.engine
 
     @property
     def np_random(self) -> np.random.Generator:
-        """A random stream of the episode's seed for wrappers (SuperSuit's frame_skip); nothing else draws from it."""
+        """A random stream of the episode's seed, reserved for wrappers (SuperSuit's frame_skip)."""
         return self.episode.np_random
 
     @property
     def frames(self) -> Sequence[SensorFrame]:
         """What each robot sensed in the last time step; `twc_env.datasets.write_frame_log` records them.
 
-        As long as no robot has failed they are `TeamFrames`, with arrays over robots; who has failed has none.
+        While no robot has failed this is a `TeamFrames`, with arrays over robots. A failed robot has no frame.
         """
         return self.episode.frames
 
     @property
     def frames_of_step(self) -> list[Sequence[SensorFrame]]:
-        """The same for each time step of the last `step`: one for velocities, many for actions that last."""
+        """The same for each time step of the last `step`: one with `velocity`, many with other actions."""
         return self.episode.frames_of_step
 
     @property
     def contacts(self) -> Contacts:
-        """Who heard whom in the last time step."""
+        """Radio contacts between robots in the last time step."""
         return self.episode.contacts
 
     def belief(self, agent: str) -> Belief:
-        """What one robot knows: the merged map of its group and where it is in it. Estimates only.
+        """What one robot knows: the merged map of its group and its pose in it. Estimates only.
 
-        Raises TwcError for a name that is no robot's.
+        Raises TwcError for an unknown agent.
         """
         if agent not in self.action_spaces:
             raise TwcError(f"there is no agent {agent!r}; the team is {', '.join(self.possible_agents)}")
         return self.episode.belief(self.possible_agents.index(agent))
 
     def state(self) -> Array:
-        """(6 robots,) float32 for centralised critics; holds truth: each robot's true, then its estimated pose."""
+        """(6 robots,) float32 for centralised critics, with ground truth: each robot's true, then its estimated
+        pose."""
         estimated = [self.engine.pose_map_robot(r) for r in range(self.config.robots)]
         both = np.concatenate([self.episode.world.poses, np.array(estimated)], axis=1)
         return np.clip(both, -STATE_LIMIT, STATE_LIMIT).astype(np.float32).ravel()
 
     def result(self) -> evaluation.EpisodeResult:
-        """Judge the episode so far against the truth; call it before the next `reset`."""
+        """Evaluate the episode so far against ground truth; call it before the next `reset`."""
         return self.episode.result()
 
     def render(self) -> Array | None:
-        """(height, width, 3) uint8 picture of truth and belief; None without a render_mode, or if a window shows it."""
+        """(height, width, 3) uint8 image of truth and estimate; None without a render_mode or with a window."""
         return None if self._viewer is None else self._viewer.draw(self.episode)
 
     def watch(self, spectator: Callable[[], None]) -> None:
-        """Call it after every time step from now on, also within actions that last: for films of one's own."""
+        """Call `spectator` after every time step from now on, also within long actions: for your own films."""
         self._spectators.append(spectator)
         self._watch = self._tell
 
@@ -293,17 +296,17 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             spectator()
 
     def snapshot(self) -> Snapshot:
-        """This moment of the episode: world, engine, pose graph and random streams.
+        """The complete state of the episode: world, engine, pose graph and random streams.
 
-        Raises TwcError before `reset`, DataError where a part of one's own, as a recogniser may have, cannot be copied.
+        Raises TwcError before `reset`, DataError if a custom part, such as a recogniser, cannot be copied.
         """
         return take_snapshot(self.config, self.episode)
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on from a moment that an environment of the same config and version took.
+        """Continue from a snapshot of an environment with the same config and version.
 
-        Raises ConfigError when the config or the version differs, DataError when the snapshot is broken; the episode
-        goes on then.
+        Raises ConfigError if the config or the version differs, DataError if the snapshot is corrupt; the current
+        episode is unchanged then.
         """
         episode = self._begun = restore_snapshot(self.config, snapshot)
         self.agents = [] if episode.is_over else self.possible_agents[:]
@@ -312,7 +315,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._world, self._seed = episode.world, episode.seed
 
     def close(self) -> None:
-        """Shut the window of render_mode "human", and send home who watches."""
+        """Close the window of render_mode "human" and drop all spectators."""
         self._spectators.clear()
         if self._viewer is not None:
             self._viewer.close()

@@ -1,21 +1,21 @@
-"""Named reward terms of one transition. Here, in metrics and in drawing, truth may be read.
+"""Named reward terms of one transition. Only rewards, metrics and drawing may read ground truth.
 
 | term | value | kind |
 |---|---|---|
-| `coverage` | share of the floor that is mapped rightly, by the rightly merged group that maps most | potential |
-| `merge` | robots of that group beyond the first, over those there could be | potential |
-| `localisation` | 1 - error / 1 m of where robots believe to be, 0 from 1 m on; mean of the team | potential |
-| `collision` | 1 while the robot touches something | event |
+| `coverage` | share of the floor mapped correctly by the best correctly merged group | potential |
+| `merge` | (robots in that group - 1) / (robots in the team - 1) | potential |
+| `localisation` | 1 - position error / 1 m, at least 0; mean over the team | potential |
+| `collision` | 1 while the robot is in contact with something | event |
 | `time` | 1 / `max_cycles` per time step | event |
-| `bytes` | bytes that the team sent, per robot, / 10 kB, at most 1, per time step | event |
+| `bytes` | bytes sent by the team per robot and time step, / 10 kB, at most 1 | event |
 
-Every value lies in [0, 1]. A potential pays its change, so that its sum over an episode is its value at the end (before
-the first scan it is 0); an event pays its value. The reward is the sum of terms times the weights of the same names in
-`RewardConfig`; give events negative weights. Before the last step a map is laid on the building to 2 cm and 1 mrad and
-its own cells are counted instead of the floor's, which gives the same share to a thousandth of the floor (1 at most).
+Every value lies in [0, 1]. A potential pays its change, so its sum over an episode is its final value (it is 0 before
+the first scan); an event pays its value. The reward is the sum of terms times the weights of the same names in
+`RewardConfig`; give events negative weights. Before the last step, a map is aligned with the building to 2 cm and 1
+mrad and its own cells are counted instead of the floor's, which gives the same share to within 0.001 (at most 1).
 
-With `reward.sharing = "individual"` each robot is paid for its own group's coverage and merge and its own localisation,
-instead of the team's.
+With `reward.sharing = "individual"` each robot is rewarded for its own group's coverage and merge and its own
+localisation instead of the team's.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ BYTES_MAX = 10_000.0
 
 
 class Standing(NamedTuple):
-    """The potentials of a team as last judged."""
+    """The potentials of a team as last evaluated."""
 
     team: list[float]
     """Coverage, merge, localisation of the team."""
     own: list[list[float]]
-    """The same of each robot: of its group, rightly merged or 0, and its own localisation."""
+    """The same for each robot: those of its group (0 if it is wrongly merged), and its own localisation."""
 
     @classmethod
     def nothing(cls, robots: int) -> Standing:
@@ -49,7 +49,7 @@ class Standing(NamedTuple):
 
 
 class JudgedMap(NamedTuple):
-    """A map that robots believe in, against the truth."""
+    """A map held by some robots, compared with ground truth."""
 
     viewers: tuple[int, ...]
     robot_count: int
@@ -57,11 +57,11 @@ class JudgedMap(NamedTuple):
     is_right: bool
     """No pair of them is wrongly merged."""
     share: float
-    """Of the floor that it maps rightly."""
+    """Share of the floor that it maps correctly."""
 
 
 class Transition(NamedTuple):
-    """One time step, seen from both sides: the only record that holds truth and estimate together."""
+    """One time step: the only record with both ground truth and estimates."""
 
     before: Standing
     after: Standing
@@ -76,7 +76,7 @@ class Transition(NamedTuple):
 def terms(transition: Transition, sharing: str) -> list[dict[str, float]]:
     """The terms of each robot, by name; the names are those of the weights in RewardConfig.
 
-    Robots that did alike share one dict: whoever gives it away copies it.
+    Robots with equal terms share one dict; copy it before handing it out.
     """
     before, after, contacts, bytes_per_robot, step_count_max = transition
     common, touching = _NOTHING.copy(), contacts.tolist()
@@ -96,7 +96,7 @@ def terms(transition: Transition, sharing: str) -> list[dict[str, float]]:
 
 
 def quiet(uneventful: list[dict[str, float]], bytes_per_robot: float) -> list[dict[str, float]]:
-    """The terms of a step in which robots do nothing but send, from those in which they do not even that."""
+    """The terms of a step with messages but no other event, from those of a step without any."""
     common = uneventful[0].copy()
     common["bytes"] = min(bytes_per_robot / BYTES_MAX, 1.0)
     return [common] * len(uneventful)
@@ -107,12 +107,12 @@ def _gains(before: list[float], after: list[float]) -> tuple[float, float, float
 
 
 def weights_of(config: RewardConfig) -> tuple[tuple[str, float], ...]:
-    """The terms that count and their weights, in the order of the terms."""
+    """The terms with a weight other than 0 and their weights, in the order of the terms."""
     return tuple((name, getattr(config, name)) for name in TERMS if getattr(config, name))
 
 
 def weigh(values: Sequence[dict[str, float]], weights: Sequence[tuple[str, float]]) -> list[float]:
-    """The reward of each robot: each term that counts times its weight."""
+    """The reward of each robot: the weighted sum of its terms."""
     rewards: list[float] = []
     weighed, reward = None, 0.0
     for own in values:
@@ -125,9 +125,9 @@ def weigh(values: Sequence[dict[str, float]], weights: Sequence[tuple[str, float
 
 
 def standing_of(maps: Sequence[JudgedMap], errors_m: Sequence[float]) -> Standing:
-    """The potentials from every map that some robot believes in, and from how far off each robot is.
+    """The potentials from every map that some robot holds and from the position error of each robot.
 
-    errors_m (robots,): between where it is and where it believes to be, its map laid on the building.
+    errors_m (robots,): distance between true and estimated position, after alignment of its map.
     """
     count = len(errors_m)
     own = [[0.0, 0.0, 1.0 - min(error_m / ERROR_MAX_M, 1.0)] for error_m in errors_m]

@@ -1,4 +1,4 @@
-"""How far an estimated path is from the true one, and how a robot moved."""
+"""Trajectory errors, path length and time spent stuck."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NO_TURNS = np.zeros((0, 2))
 
 
 def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
-    """The pose (3,) that moves estimated positions onto true ones with least squared error.
+    """The rigid transform (3,) from estimated to true positions with the least squared error.
 
     Both (..., 2) or (..., 3), of equal leading shape: all robots and steps count alike, so one rigid motion is found
     for the team as a whole. Raises DataError for unequal shapes or no positions.

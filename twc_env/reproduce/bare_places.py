@@ -1,14 +1,15 @@
-"""Three robots where scans fix little: bare corridors, in which all places look alike, and a hall beyond laser range.
+"""Three robots in scenes with little geometry: bare corridors, and a hall larger than the laser range.
 
-Robots start at random places without a common frame and drive to the nearest frontier. Scans fix nobody along a
-corridor but at its ends; signs hang 8 m apart, access points 10 m (`without WiFi`: nowhere). `words`: every sign has a
-text of its own; `numbers`: texts that differ in a digit alone, which recognition takes for alike. The hall has 60 m a
-side, signs 10 m apart along two walls and nine access points; from its middle the laser reaches no wall.
-`wrong_merges` counts pairs of robots that ever shared a map although their own paths place it more than 1 m or 10
-degrees apart, `wrong_episodes` the episodes with any; `undone` merges that the engine took back; `false_closures` those
-that it believed at the end and that are more than half a metre or 10 degrees off, but for those that leave a direction
-open. Wrong merges without any are drift: along a corridor only odometry measures, and its scale is off by 2.5 %.
-`ate_m` aligns every group of merged robots once.
+Robots start at random poses without a common frame and drive to the nearest frontier. Along a corridor, scan matching
+is constrained only at the ends. Signs are 8 m apart, access points 10 m (`without WiFi`: none). `words`: every sign has
+a distinct text; `numbers`: texts that differ in one digit only, which recognition treats as similar. The hall is 60 m
+wide, with signs 10 m apart along two walls and nine access points; from its centre the laser reaches no wall.
+
+`wrong_merges` counts pairs of robots that shared a map at any time although their own paths place it more than 1 m or
+10 degrees apart, `wrong_episodes` the episodes with any, `undone` the merges that the engine undid. `false_closures`
+are closures accepted at the end with an error above 0.5 m or 10 degrees, except those that leave a direction
+unconstrained. Wrong merges without false closures are drift: along a corridor distance comes from odometry alone, whose
+scale is off by 2.5 %. `ate_m` aligns every group of merged robots once.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.world.floorplan import AccessPoint, Floorplan, Sign
 
-SUMMARY = "merges where scans fix little: bare corridors and a hall beyond laser range"
+SUMMARY = "merging in scenes with little geometry: bare corridors, and a hall larger than the laser range"
 CHOOSES = ("seeds", "scenes")
 WORDS = (
     "OPTICS LAB", "CERAMICS", "LIBRARY", "SERVER ROOM", "KITCHEN", "WORKSHOP", "ARCHIVE", "MEETING", "STORE", "EXIT",
@@ -86,12 +87,12 @@ SCENES: dict[str, Corridor | Hall] = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    add_seeds(parser, "10", "episodes of a scene")
+    add_seeds(parser, "10", "seeds of the episodes of each scene")
     parser.add_argument(
-        "--scenes", nargs="+", choices=SCENES, default=list(SCENES), metavar="SCENE", help="default: all"
+        "--scenes", nargs="+", choices=SCENES, default=list(SCENES), metavar="SCENE", help="scenes (default: all)"
     )
-    parser.add_argument("--robots", type=count, default=3, help="default: %(default)s")
-    parser.add_argument("--steps", type=count, default=2000, help="of an episode at most (default: %(default)s)")
+    parser.add_argument("--robots", type=count, default=3, help="number of robots (default: %(default)s)")
+    parser.add_argument("--steps", type=count, default=2000, help="maximum steps per episode (default: %(default)s)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -1,14 +1,15 @@
-"""Radio and LiDAR on real drives through a furnished flat: trajectory against a tracked tag, map against the wall plan.
+"""Radio and LiDAR on real drives through a furnished flat: trajectory against a tracked tag, map against the plan.
 
-The robot has no encoders: its odometry is what it was told to do. `commands` sums that up. `scan odometry` takes the
-motion from matching each scan to the one before, searched around the command, since a short pulse turns the robot by
-anything. `lidar` is the engine on that, with loops by nearness and likeness of scans; `radio+lidar` proposes loops by
-BLE strengths (6 transmitters) and scans together (`fused`). Scans are left out while the robot turns. That their time
-is the end of a scanner's turn, and how far around the command they are searched, was chosen on these two drives,
-looking at how well scans match across turns and at the tracked tag: the figures are no test on unseen drives.
+The robot has no encoders, so its odometry is the commanded motion. `commands` integrates it. `scan odometry` takes the
+motion from matching consecutive scans, searched around the command, because a short pulse may turn the robot by any
+angle. `lidar` is the engine on that, with loop candidates from proximity and scan similarity; `radio+lidar` proposes
+loops from BLE signal strength (6 transmitters) and scans together (`fused`). Scans taken while the robot turns are
+ignored. The interpretation of scan stamps as the end of a scanner revolution, and the size of the search around the
+command, were chosen on these two drives, from how well scans match across turns and from the tracked tag: the results
+are not a test on unseen drives.
 
 Positions are compared with those of the UWB tag after one rigid alignment; the tag's own error and its lever arm of
-0.13 m are in the figures. The flat is furnished and the plan is not, so no map can reach a wall IoU of 1.
+0.13 m are included. The flat is furnished and the plan is not, so no map can reach a wall IoU of 1.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""How near robots keep to a building's axes: corrected paths of public laser logs, and the walks of `radio-table1`.
+"""Alignment of paths with a building's axes: corrected paths of public laser logs, and the walks of `radio-table1`.
 
-Places are taken every 3 m along a path. Of the ways between them, some follow two directions at right angles and stray
-from these by a normal deviation, the others go anyhow; share and deviation are fitted to each path. The logs chose
-`slam.building_axes.STD_RAD`; the walks were only reported.
+Places are sampled every 3 m along a path. Some of the segments between them follow two orthogonal directions, with a
+normally distributed deviation; the others have any direction. The share of the former and the deviation are fitted to
+each path. `slam.building_axes.STD_RAD` was chosen on the logs; the walks were only evaluated.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from twc_env.reproduce.radio_twins import PLACES, true_path
 from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 from twc_env.slam.building_axes import LENGTH_M, BuildingAxes
 
-SUMMARY = "how near robots keep to the directions of walls: five laser logs beside the walks of radio-table1"
+SUMMARY = "how closely paths follow the directions of walls: five laser logs and the walks of radio-table1"
 CHOOSES = ("seeds",)
 
 LOGS = ("aces", "freiburg-079", "freiburg-101", "intel", "orebro")
@@ -29,7 +29,7 @@ LEAST_RAD = np.radians(1.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    add_seeds(parser, "2", "walks of each place")
+    add_seeds(parser, "2", "seeds of the walks in each place")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

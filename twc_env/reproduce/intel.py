@@ -1,16 +1,16 @@
-"""The Intel Research Lab log, from raw odometry and scans to a map, by the very engine that runs in the environment.
+"""The Intel Research Lab log, from raw odometry and scans to a map, by the same engine as in the environment.
 
 The log has 910 scans of the front half over 500 m, one every 0.5 to 0.7 m or half a radian; every scan becomes a
-keyframe. Loops are proposed by nearness in the present estimate and by likeness of scans alone: there are no signs and
-no WiFi, so merging asks more closures instead of radio. With `robots` above 1 the log is cut into so many consecutive
-pieces that are played at once, each robot in a frame of its own; they meet in one map only where geometry says so, and
-a relation between robots that share no map counts as missed (`relations` counts the judged ones).
+keyframe. Loop candidates come from proximity in the current estimate and scan similarity only. There are no signs and
+no WiFi, so merging requires more closures instead. With `robots` above 1 the log is split into as many consecutive
+pieces, played simultaneously, each robot in its own frame. They merge only where the geometry allows it; a relation
+between robots that share no map counts as missed (`relations` is the number evaluated).
 
-Errors are means (and medians) over the 119 hand-verified relations of the Freiburg SLAM benchmark that have both ends
-within 20 ms of scans of the log. The log leaves most scans out, and the laser's stamps come in bursts (some kept scans
-are 5 ms apart), so 29 of them belong to a scan beside the kept one, from which the robot may have turned by some
-degrees; relations that name the same such stamp miss by the same angle. The columns `exact` take the 90 whose two
-stamps are those of kept scans, to the microsecond. The particle filter is our own baseline in GMapping's manner
+Errors are means (and medians) over the 119 hand-verified relations of the Freiburg SLAM benchmark whose two ends are
+within 20 ms of scans in the log. The log omits most scans, and laser stamps come in bursts (some scans are 5 ms apart).
+So 29 relations refer to an omitted neighbour of a logged scan, from which the robot may have turned by some degrees;
+relations that share such a stamp have the same angular error. The columns `exact` use the 90 relations whose two stamps
+match logged scans to the microsecond. The particle filter is our own GMapping-style baseline
 (`twc_env.slam.particle_filter`).
 """
 
@@ -44,7 +44,7 @@ from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.occupancy_grid import OccupancyGrid
 from twc_env.slam.particle_filter import ParticleFilterSettings, map_frames
 
-SUMMARY = "the Intel Lab log from raw odometry to a map, as one robot and cut into three that merge by geometry"
+SUMMARY = "the Intel Lab log from raw odometry to a map: one robot, and split into three that merge by geometry"
 CHOOSES = ("robots", "seeds")
 
 SAME_SCAN_S = 1e-6
@@ -53,9 +53,11 @@ SAME_SCAN_S = 1e-6
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--robots", type=count, nargs="+", default=[1, 3], help="pieces of the log (default: 1 3)")
-    parser.add_argument("--particles", type=count, default=20, help="of the particle filter (default: 20)")
-    add_seeds(parser, "3", "of the particle filter")
+    parser.add_argument(
+        "--robots", type=count, nargs="+", default=[1, 3], help="numbers of robots to split the log into (default: 1 3)"
+    )
+    parser.add_argument("--particles", type=count, default=20, help="particles of the particle filter (default: 20)")
+    add_seeds(parser, "3", "seeds of the particle filter")
     parser.add_argument("--scans", type=count, default=910, help="only the first scans of the log (default: all)")
 
 

@@ -1,11 +1,11 @@
-"""One loop candidate, verified: how long scan matching takes and how often it finds the pose, with a guess and without.
+"""Verification of one loop candidate: time and success rate of scan matching, with an initial guess and without.
 
-Pairs of scans in generated buildings, taken at most 1.5 m apart within sight of each other and turned at will, with 1
-cm of noise. A guess is off by up to 0.25 m and 0.12 rad along each axis, a `far` one by up to 1 m and 20 degrees;
-without one every heading and every shift within 3 m is searched by branch and bound. `verify` is all that a candidate
-goes through: the target's walls drawn, matching, overlap, free space, covariance. `point-to-point` is ICP as TWC-SLAM
-prints it. Times are of the processor, the median over pairs of the best of a few repetitions; the paper of the
-600-point match prints 13.04 ms with a guess.
+Pairs of scans in generated buildings, taken at most 1.5 m apart, in sight of each other, with any rotation and 1 cm of
+noise. An initial guess is off by up to 0.25 m and 0.12 rad along each axis, a `far` one by up to 1 m and 20 degrees;
+without a guess, branch and bound searches all headings and all translations within 3 m. `verify` is the complete
+verification: drawing the target's walls, matching, overlap, free space, covariance. `point-to-point` is ICP as in
+TWC-SLAM. Times are CPU times, the median over pairs of the best of a few repetitions. The published time for a
+600-point match is 13.04 ms with a guess.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from twc_env.slam.target_walls import FIELD_CELL_M, REFINE_ITERATIONS, REFINE_RE
 from twc_env.world.lidar import Lidar
 from twc_env.world.starts import start_places
 
-SUMMARY = "time and success of verifying one loop candidate, with a guess and without"
+SUMMARY = "time and success rate of verifying one loop candidate, with an initial guess and without"
 CHOOSES = ("buildings",)
 APART_M = 1.5
 GUESS_OFF = np.array([0.25, 0.25, 0.12])
@@ -46,8 +46,10 @@ GOALS_MS = {"with": 0.5, "without": 12.0}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--buildings", type=count, default=20, help="of the test split (default: %(default)s)")
-    parser.add_argument("--pairs", type=count, default=5, help="of scans per building (default: %(default)s)")
+    parser.add_argument(
+        "--buildings", type=count, default=20, help="number of test-split buildings (default: %(default)s)"
+    )
+    parser.add_argument("--pairs", type=count, default=5, help="pairs of scans per building (default: %(default)s)")
     parser.add_argument("--points", type=count, default=600, help="beams of a scan (default: %(default)s)")
 
 

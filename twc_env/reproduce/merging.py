@@ -1,13 +1,14 @@
-"""Do teams merge, and never wrongly? Robots that start without a common frame walk through unseen buildings.
+"""Map merging without a common start frame, in unseen buildings: success rate, wrong merges, cost.
 
-Each of the 100 buildings of the test split gets one episode. Its rooms are dealt to the robots in strips from left to
-right; every robot tours its own strip and the first rooms of the next, so that paths overlap partly. The walkers know
-the building; the engine sees sensor frames only. `wrong_merges` counts pairs of robots that ever shared a map although
-their own paths place it more than 1 m or 10 degrees apart; `undone` merges that the engine took back. Bytes are those
-put on the air until two robots first shared a map, by kind of message. `wall_thickness_m` is of the largest map,
-`wall_thickness_true_m` of one drawn from the same scans at the true poses: ghost walls would set them apart. With
-`--set link.scan_on_request=true` scans travel only where the mapper asks, with `--set link.topology=peer` there is no
-mapper in the middle but one on each robot.
+Each of the 100 buildings of the test split gets one episode. Its rooms are assigned to the robots in strips from left
+to right; each robot tours its own strip and the first rooms of the next, so paths overlap partially. The walkers know
+the building; the engine only receives sensor frames.
+
+`wrong_merges` counts pairs of robots that shared a map at any time although their own paths place it more than 1 m or
+10 degrees apart, `undone` the merges that the engine undid. Bytes are those transmitted until two robots first shared a
+map, by message type. `wall_thickness_m` is measured in the largest map, `wall_thickness_true_m` in one drawn from the
+same scans at the true poses; ghost walls would make them differ. With `--set link.scan_on_request=true` scans are sent
+only on request; with `--set link.topology=peer` there is one mapper per robot instead of a central one.
 """
 
 from __future__ import annotations
@@ -46,9 +47,11 @@ STUCK_STEPS, ESCAPE_STEPS = 30, 12
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument("--buildings", type=count, default=100, help="of the test split (default: %(default)s)")
-    parser.add_argument("--robots", type=count, default=3, help="default: %(default)s")
-    parser.add_argument("--seed", type=natural, default=0, help="of noise (default: %(default)s)")
+    parser.add_argument(
+        "--buildings", type=count, default=100, help="number of test-split buildings (default: %(default)s)"
+    )
+    parser.add_argument("--robots", type=count, default=3, help="number of robots (default: %(default)s)")
+    parser.add_argument("--seed", type=natural, default=0, help="noise seed (default: %(default)s)")
     add_set(parser)
 
 

@@ -1,9 +1,9 @@
-"""Does the fast model of misreading agree with the real OCR? Signs that had no part in the table, band by band.
+"""Validation of the fast misreading model against the real OCR, by distance, on signs not used for its table.
 
-Held-out texts (the bundled twins' and the test split's) are seen from distances within half a metre of each band, from
-all directions the camera may read from, by a robot that often turns. The real OCR reads a picture of each; the fast
-model draws from the measured table for the same views. Reported are the share of texts read exactly and the mean
-Levenshtein similarity (papers.md T4) to the truth, case aside; what was not read at all counts as similarity 0.
+Held-out texts (of the bundled twins and the test split) are seen from distances within half a metre of each band, from
+all directions in the camera's reading range, by a robot that often turns. The real OCR reads a rendered image of each;
+the fast model samples from the measured table for the same views. Reported are the share of texts read exactly and the
+mean Levenshtein similarity (papers.md T4) to the true text, ignoring case; a text not read at all has similarity 0.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from twc_env.world.ocr_table import SHIPPED, load_table
 from twc_env.world.sign_picture import View, draw_plate
 from twc_env.world.sign_readers import hidden_part
 
-SUMMARY = "misread signs: the fast model against a real OCR on signs it was not made from"
+SUMMARY = "misread signs: the fast model against a real OCR on held-out signs"
 DISTANCES_M = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 TURN_RATE_STD_RAD_S = 0.4
 DRAWS = 10
@@ -39,11 +39,11 @@ MAPS = ("twin-01", "twin-02", *(f"test/{k:04d}" for k in range(12)))
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument("--signs", type=count, default=1000, help="read per distance (default: %(default)s)")
+    parser.add_argument("--signs", type=count, default=1000, help="signs per distance (default: %(default)s)")
     parser.add_argument(
-        "--hidden", type=number(0.0, 0.95), default=0.0, help="share of each text behind something (default: 0)"
+        "--hidden", type=number(0.0, 0.95), default=0.0, help="occluded share of each text (default: 0)"
     )
-    parser.add_argument("--seed", type=natural, default=0, help="of signs and views (default: %(default)s)")
+    parser.add_argument("--seed", type=natural, default=0, help="seed of signs and views (default: %(default)s)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

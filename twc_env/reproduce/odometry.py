@@ -1,8 +1,8 @@
 """Dead reckoning, simulated and real: errors of raw odometry at the hand-verified relations of the Intel Lab log.
 
-The simulated robot drives the log's corrected path and measures it with the chosen platform's odometry; both are then
-judged at the same pairs of scans by the same code. The means over all relations calibrated the platform
-`pioneer-intel`; the growth with the path between the scans and the long loops were only reported.
+The simulated robot drives along the log's corrected path and measures it with the odometry of the chosen platform; both
+are evaluated at the same pairs of scans by the same code. The platform `pioneer-intel` was calibrated on the means over
+all relations; error growth with path length and the long loops were only evaluated.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from twc_env.geometry import compose, poses_along, travelled_m
 from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 from twc_env.world.odometry import PRESETS, Odometry
 
-SUMMARY = "raw odometry of the Intel Lab log beside the simulated platform at the same relations"
+SUMMARY = "raw odometry of the Intel Lab log against the simulated platform, at the same relations"
 CHOOSES = ("seeds",)
 
 _BANDS_M = ((0.0, 0.5), (5.0, 200.0), (200.0, 1000.0))
@@ -32,12 +32,12 @@ _LONG_S = 60.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument(
-        "--platform", choices=tuple(PRESETS), default="pioneer-intel", help="preset of odometry (default: %(default)s)"
+        "--platform", choices=tuple(PRESETS), default="pioneer-intel", help="odometry preset (default: %(default)s)"
     )
     parser.add_argument(
-        "--drift", type=number(0.0, 10.0), default=1.0, help="how many times the preset's errors (default: %(default)s)"
+        "--drift", type=number(0.0, 10.0), default=1.0, help="multiplier of the preset's errors (default: %(default)s)"
     )
-    add_seeds(parser, "100", "simulated drives")
+    add_seeds(parser, "100", "seeds of the simulated drives")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

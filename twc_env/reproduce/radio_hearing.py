@@ -58,7 +58,7 @@ def missed_by_sweeps(survey: RadioSurvey, is_high: bool) -> float:
     that the sweep in between did not hear."""
     ages_s, high = survey.age_s, survey.is_high_band
     if ages_s is None or high is None:
-        raise DataError(f"survey {survey.name} does not tell ages and bands of its readings; use one that does")
+        raise DataError(f"survey {survey.name} has no ages and bands of readings; use one that does")
     order = np.lexsort((survey.time_s, survey.walk))
     walk, time_s = survey.walk[order], survey.time_s[order]
     since_s = np.diff(time_s, prepend=np.nan)

@@ -1,14 +1,14 @@
-"""The radio model beside measurements: real and simulated figures by the same estimators.
+"""The radio model against measurements: real and simulated statistics by the same estimators.
 
-For each survey the radio model is run at the survey's own places, in a plan that imitates its building, and both sets
-of readings are judged by one function. `calibrated` rows are of sets whose figures the presets were fitted to;
-`reported` rows are of sets looked at only afterwards, with the same settings. Preset `radio-indoor` serves the
-offices, the library and the robot's floor, `radio-mall` the malls; what belongs to a place or a device (its plan, how
-many transmitters, how strong a tag or a router sends, how faint a phone still hears) is set per place.
+Each survey is simulated at its own locations, in a plan that imitates its building, and both sets of readings are
+evaluated by the same function. `calibrated` rows belong to data sets to which the presets were fitted; `reported` rows
+to data sets that were only evaluated afterwards, with the same settings. The preset `radio-indoor` is used for the
+offices, the library and the robot's floor, `radio-mall` for the malls. Properties of a place or device (its plan, the
+number of transmitters, the power of a tag or router, the detection limit of a phone) are set per place.
 
-`real_low` and `real_high` say how far real places of the kind differ by themselves: the middle 95 % of a bootstrap over
-the set's access points, anchors or walks, or the range over three places of a router; none for what papers print.
-`real_near` is the share of these that come within 15 % of the real figure: as often would a model without a flaw.
+`real_low` and `real_high` give the natural variation between real places of the kind: the central 95 % of a bootstrap
+over the data set's access points, anchors or walks, or the range over three positions of a router; none for published
+values. `real_near` is the share of these within 15 % of the real value, that is, how often a perfect model would be.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from twc_env.reproduce.radio_study import Figures, Spread, Study
 from twc_env.reproduce.radio_surveys import FLATS, LIBRARIES
 from twc_env.reproduce.runner import Runner, data_folder
 
-SUMMARY = "path loss, walls, detection, noise and similarity of the radio model beside real surveys"
+SUMMARY = "path loss, walls, detection, noise and similarity of the radio model against real surveys"
 CHOOSES = ("seeds", "only")
 
 _EVIDENCE, _SPREAD, _REAL = -3, -2, -1
@@ -52,12 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=count,
         default=6,
         metavar="N",
-        help="simulated runs, of small sets four each (default: %(default)s)",
+        help="simulated runs; four times as many for small sets (default: %(default)s)",
     )
     parser.add_argument(
-        "--only", default="", metavar="TEXT", help="only sets whose name holds this text (default: all)"
+        "--only", default="", metavar="TEXT", help="only data sets whose name contains this text (default: all)"
     )
-    parser.add_argument("--quick", action="store_true", help="a small part of each set: shows that it runs")
+    parser.add_argument("--quick", action="store_true", help="a small part of each data set, as a smoke test")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -1,9 +1,9 @@
-"""How radio SLAM scales: a robot that drives on and on through one building, and similarity over many fingerprints.
+"""Scaling of radio SLAM: one robot driving ever further through one building, and search among many fingerprints.
 
-Each row is one stretch of the run through the semi-indoor twin, as a mean over seeds (`error_sd_m`: of the stretch's
-mean error over seeds): what `slam.radio_trail` holds in memory at its end, and what a scan cost on it in CPU time, with
-the optimisations that fall due every 30 m among them. Errors have the first pose given. Odometry drifts as the twin's
-does, whatever it then amounts to.
+Each row is one stretch of the run through the semi-indoor twin, averaged over seeds (`error_sd_m` is the standard
+deviation over seeds of the stretch's mean error): the memory held by `slam.radio_trail` at its end, and the CPU time
+per scan, including the optimisations every 30 m. Errors are given the first pose. Odometry drifts like that of the
+twin, without adjustment to the published error.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.slam.radio_similarity import FingerprintStore, all_similarities, feature_rows
 from twc_env.slam.radio_trail import RadioTrail
 
-SUMMARY = "radio SLAM over ten kilometres: memory and time of a scan; similarity over 100,000 fingerprints"
+SUMMARY = "radio SLAM over ten kilometres: memory and time per scan; search among 100,000 fingerprints"
 CHOOSES = ("seeds",)
 PLACE = PLACES["semi-indoor"]
 HEARD = 44
@@ -37,11 +37,13 @@ BULK, REPEATS = 4000, 5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce radio-scale`."""
-    add_seeds(parser, "2", "drives")
+    add_seeds(parser, "2", "seeds of the drives")
     parser.add_argument(
-        "--length", type=number(100.0, 1e6), default=10_000.0, help="metres to drive (default: %(default)s)"
+        "--length", type=number(100.0, 1e6), default=10_000.0, help="path length in metres (default: %(default)s)"
     )
-    parser.add_argument("--stored", type=count, default=100_000, help="fingerprints to search (default: %(default)s)")
+    parser.add_argument(
+        "--stored", type=count, default=100_000, help="number of stored fingerprints (default: %(default)s)"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

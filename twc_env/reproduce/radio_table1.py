@@ -1,14 +1,15 @@
 """Table 1 of the radio SLAM paper: odometry, WiFi, LTE and WiFi with laser in twins of its three environments.
 
-Each seed is another walk of the printed length and duration; its odometry is as far off as printed (mean over the walk,
-first pose given). Errors are those of all scans' positions, mean and deviation over the walk, with the first pose
-given, as means over seeds; `ate_m` is the root mean square after one rigid alignment. `paper` methods weigh as printed:
-all pairs above the threshold, distances from Eq. 3 as it stands, plain least squares. `false` methods have that share
-of false closures (two places drawn at random, said to be near) put among the true ones.
+Each seed is another walk of the published length and duration, with the published odometry error (mean over the walk,
+first pose given). Errors are means and standard deviations over all scan positions of a walk, with the first pose
+given, averaged over seeds; `ate_m` is the root mean square after one rigid alignment. `paper` methods use the published
+weighting: all pairs above the threshold, distances from Eq. 3 as printed, plain least squares. `false` methods add that
+share of false closures (two places drawn at random and declared to be close).
 
-With the first pose given, an error has two parts that `ate_m` knows less of: radio tells neither the size of the map,
-which is the odometry's (off by up to 6 % semi-indoor), nor how it lies to the first heading, which only odometry and
-the building's axes carry on from there (off by 2 degrees semi-indoor). The paper does not say how it aligns.
+With the first pose given, the error has two components that hardly affect `ate_m`. Radio determines neither the scale
+of the map, which comes from odometry (off by up to 6 % semi-indoor), nor its rotation relative to the first heading,
+which only odometry and the building's axes maintain (off by 2 degrees semi-indoor). The paper does not describe its
+alignment.
 """
 
 from __future__ import annotations
@@ -34,18 +35,22 @@ SURVEY_PRINTED_S = 8619.2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce radio-table1`."""
-    add_seeds(parser, "4-9", "walks, of which 0-3 chose settings")
-    parser.add_argument("--places", default=",".join(PLACES), help="default: %(default)s")
-    parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
-    parser.add_argument("--processes", type=count, default=2, help="walks measured at once (default: %(default)s)")
+    add_seeds(parser, "4-9", "walks, of which 0-3 were used for calibration")
+    parser.add_argument("--places", default=",".join(PLACES), help="places (default: %(default)s)")
+    parser.add_argument("--methods", default=",".join(METHODS), help="methods (default: %(default)s)")
+    parser.add_argument("--processes", type=count, default=2, help="parallel processes (default: %(default)s)")
     parser.add_argument(
         "--share",
         type=number(0.01, 1.0),
         default=1.0,
-        help="of the printed length, for a quick look (default: %(default)s)",
+        help="share of the published length, for a quick look (default: %(default)s)",
     )
-    parser.add_argument("--sweep", action="store_true", help="instead: error against access points, drift and distance")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="of pictures: models, trajectories, map (Fig. 3, 4)")
+    parser.add_argument(
+        "--sweep", action="store_true", help="instead: error by number of access points, drift and distance"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="folder for pictures: models, trajectories, map (Fig. 3, 4)"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -1,10 +1,11 @@
 """Place recognition on two real floors: surveyed phone traces as robots, real WiFi, real place names as signs.
 
-A place is where a WiFi scan ended (rows at most 4 s old) and at least one place name could be read along the surveyed
-trace; names are misread as papers.md T3 says. All methods judge all pairs of places of two traces; right are those at
-most 5 m apart. What a method has to learn (WiFi tolerance, weights) it learns on the other floor; what it may learn on
-the spot (how common a name is, how far fingerprints of one trace differ with distance) it learns without any position
-of other traces. Each seed draws the misreadings and four fifths of the traces; `sd` is the spread over the seeds.
+A place is where a WiFi scan ended (readings at most 4 s old) and at least one place name was legible along the surveyed
+trace; names are misread as in papers.md T3. All methods are evaluated on all pairs of places of two traces; pairs at
+most 5 m apart are correct. Parameters that need training (WiFi tolerance, weights) are trained on the other floor;
+parameters that adapt on site (how common a name is, how fingerprints of one trace differ with distance) use no
+positions of other traces. Each seed draws the misreadings and four fifths of the traces; `sd` is the standard deviation
+over seeds.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ TOLERANCES_DB = (3.0, 4.0, 5.0, 7.0, 10.0, 14.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    add_seeds(parser, "10", "draws")
+    add_seeds(parser, "10", "random draws")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

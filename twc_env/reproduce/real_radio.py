@@ -1,42 +1,42 @@
-"""Real radio logs through radio SLAM: phone walks of two malls joined by WiFi alone, and a robot's floor with drift.
+"""Radio SLAM on real logs: phone walks in two malls joined by WiFi alone, and a robot's floor with added drift.
 
-Rows of a mall: every trace of a floor of indoor20 is a robot that knows neither where it starts nor where the others
-are; its odometry is steps and compass. `uw_floor`: the surveyed path of one robot, as odometry that reads scale and
-heading wrong (stated below the rows). Errors are those of all scans that are in the common frame, after one rigid
-alignment of the whole; the similarity model never sees a surveyed position. There `ours` solves the whole log at once,
-and `engine` is the SLAM engine, without camera and laser, that takes the scans one after the other.
+Malls: every trace of an indoor20 floor is a robot that knows neither its own start nor the others'; its odometry is
+step detection and compass. `uw_floor`: the surveyed path of one robot, as odometry with scale and heading errors
+(stated below the rows); there `ours` solves the whole log at once, and `engine` is the SLAM engine, without camera and
+laser, which processes one scan after the other. Errors are those of all scans in the common frame after one rigid
+alignment; the similarity model never sees surveyed positions.
 
-Three rows of a mall are no methods but say where its error comes from. `odometry` aligns every walk by itself: how good
-dead reckoning is. `oracle: others told` looks for one walk at a time while all others lie where they truly are, on the
-map that they span (`real_radio_oracle`); in `oracle: others, shape and heading told` only the walk's place is unknown.
-So most of the error is what radio tells of places, not steps and compass. Errors of the scans of one walk go the same
-way, so more scans hardly help.
+Three rows of a mall are not methods but show where the error comes from. `odometry` aligns every walk individually: the
+quality of dead reckoning. `oracle: others' poses known` localises one walk at a time, with all others at their true
+positions, on the map that they span (`real_radio_oracle`); with `own shape and heading` also known, only the walk's
+position is estimated. They show that most of the error comes from what radio says about places, not from steps and
+compass. Errors of the scans of one walk are correlated, so more scans hardly help.
 
-These were tried once and are no part of the table:
+The following was tried once and is not part of the table:
 
-- A likelihood of distance learnt from measures of a pair of scans by a small network, on the surveyed positions of one
-  floor and used on the other: added up over pairs it misleads, since pairs repeat each other. Learnt without surveyed
-  positions, within walks and against scans of other walks, it finds nothing: scans of one walk are alike for reasons
-  that two walks never share. Learnt within walks alone, from scans some seconds apart, and only for what it says of
-  short distances, it finds one walk of site1_B1 about as well as the oracle's cosine. Walks matched by it lie no nearer
-  to the truth.
-- A network that learns places from the surveyed positions of most walks of site1_B1: it places the other walks no
-  better than the oracle does.
-- The likeness of a scan to the map in many measures, weighed by a network that surveyed positions of the other floor
-  trained: little better than the oracle's one cosine, and it needs the truth. Nor are likelihoods of levels and
-  silences better on both floors, alone or added to the cosine.
-- On site1_B1, groups of walks moved as one on the map of the rest: they swell it. Walks moved in turns by cosine and
-  levels together, the spread held, leave the truth too. Layouts from half of the radios differ by more than such
-  changes do, and their mean is no nearer.
-- Walks laid at the mean of all places they could have on the map of the others, in turns: nearer at first, then
-  further, as that swells the map. It also leaves the truth where it starts there.
-- Scans moved ahead of where they were taken, or only compared with those of like heading: no better. Errors have hardly
-  a part that points outwards.
-- Started where the walks truly lie, the fit of `trace_joining` leaves them. So do, by more, likelihoods by likeness
-  over all pairs, Gaussian processes, transmitters as landmarks with path loss, and levels told from the other walks.
-  Their valleys are flat: a descent that is stopped early flatters.
-- Links from each walk's end to where the same phone's next one begins do not help, nor those where the scans of two
-  walks repeat the very same readings.
+- A small network that predicts a likelihood of distance from measures of a scan pair, trained on surveyed positions of
+  one floor and used on the other: misleading when added up over pairs, since pairs are redundant. Trained without
+  surveyed positions, within walks and against scans of other walks, it learns nothing: scans of one walk are similar
+  for reasons that two walks never share. Trained within walks only, on scans some seconds apart, and used for short
+  distances only, it localises one walk of site1_B1 about as well as the oracle's cosine; walks matched by it are no
+  closer to the truth.
+- A network that learns places from the surveyed positions of most walks of site1_B1: localises the other walks no
+  better than the oracle.
+- Similarity of a scan to the map by many measures, weighted by a network trained on surveyed positions of the other
+  floor: little better than the oracle's cosine, and it needs ground truth. Likelihoods of signal levels and of silence
+  are not better on both floors either, alone or added to the cosine.
+- On site1_B1, moving groups of walks as one on the map of the rest: this inflates the map. Moving walks in turn by
+  cosine and levels together, with the spread held, also drifts away from the truth. Layouts from half of the radios
+  differ by more than such changes do, and their mean is no closer.
+- Placing each walk at the mean of all its possible positions on the map of the others, in turn: closer at first, then
+  further away, as it inflates the map. Started at the truth, it leaves it.
+- Moving scans ahead of where they were taken, or comparing only scans with similar heading: no better. The errors have
+  hardly any radial component.
+- Started at the truth, the fit of `trace_joining` leaves it. So do, by more, likelihoods of similarity over all pairs,
+  Gaussian processes, transmitters as landmarks with path loss, and signal levels predicted from the other walks. Their
+  minima are flat, so a descent that is stopped early looks better than it is.
+- Links from the end of each walk to the start of the same phone's next one, or where the scans of two walks repeat
+  identical readings, do not help.
 
 Settings of `phone_hearing`, `trace_joining` and `real_radio_oracle` were chosen on these floors.
 """
@@ -64,7 +64,7 @@ from twc_env.reproduce.runner import Runner, chosen, data_folder
 from twc_env.slam import radio_slam, trace_joining
 from twc_env.slam.engine import CooperativeSlam
 
-SUMMARY = "real phone walks joined by WiFi alone, and a robot's floor with drift"
+SUMMARY = "real phone walks joined by WiFi alone, and a robot's floor with added drift"
 CHOOSES = ("floors",)
 FLOORS, ROBOT_FLOOR = ("site1_B1", "site2_F6"), "uw_floor"
 WEIGHTINGS = ("paper", "ours")
@@ -77,8 +77,10 @@ ENGINE: EnvConfig = from_dict(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce real-radio`."""
-    parser.add_argument("--floors", default=",".join((*FLOORS, ROBOT_FLOOR)), help="default: %(default)s")
-    parser.add_argument("--seeds", type=count, default=5, help="drifts put on uw_floor (default: %(default)s)")
+    parser.add_argument("--floors", default=",".join((*FLOORS, ROBOT_FLOOR)), help="floors (default: %(default)s)")
+    parser.add_argument(
+        "--seeds", type=count, default=5, help="number of simulated drifts for uw_floor (default: %(default)s)"
+    )
     parser.add_argument("--traces", type=count, metavar="N", help="only the first N walks of a mall")
 
 

@@ -1,13 +1,13 @@
 """Robustness of the back ends: false closures are added to public pose graphs, which start from raw odometry.
 
-False closures are `random` (two poses drawn uniformly, said to be at nearly the same place: sd 1 m, 0.3 rad) or
-`grouped` (twenty in a row that agree with each other: a stretch of the path is said to run along another one). Each is
-wrong by more than 0.5 m or 10 degrees, and by more than its stated noise explains (chi squared, 99.9 %). The share is
-that of all closures. Figures are means over seeds: the error of the positions after alignment to the clean optimum, and
-precision and recall of the closures that a method believes. The clean optimum is the fit to the true edges with the
-lowest error found from odometry and from `ours`: MIT has a far better one than its odometry leads to. Times are CPU
-seconds. `ours` is judged over six seeds (ten take 12 minutes on two cores), the others over the first of them unless
-`--other-seeds` asks for more.
+False closures are `random` (two uniformly drawn poses, declared to be at nearly the same place: standard deviations 1
+m, 0.3 rad) or `grouped` (twenty consecutive ones that agree with each other: one stretch of the path is declared to run
+along another). Each is wrong by more than 0.5 m or 10 degrees, and by more than its stated noise explains (chi squared,
+99.9 %). The share refers to all closures. Results are means over seeds: position error after alignment to the clean
+optimum, and precision and recall of the accepted closures. The clean optimum is the fit to the true edges with the
+lowest error found from odometry and from `ours`: MIT has a far better one than is reached from its odometry. Times are
+CPU seconds. `ours` is evaluated over six seeds (ten take 12 minutes on two cores), the others over the first of them
+unless `--other-seeds` asks for more.
 """
 
 from __future__ import annotations
@@ -64,14 +64,14 @@ class Case:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce robustness`."""
-    add_seeds(parser, "6", "of `ours`")
+    add_seeds(parser, "6", "seeds for `ours`")
     parser.add_argument(
-        "--other-seeds", type=seeds_argument, default="1", help="of the other methods (default: %(default)s)"
+        "--other-seeds", type=seeds_argument, default="1", help="seeds for the other methods (default: %(default)s)"
     )
-    parser.add_argument("--datasets", default=",".join(DATASETS), help="default: %(default)s")
-    parser.add_argument("--shares", default="0,0.2,0.5,0.8", help="of false closures (default: %(default)s)")
-    parser.add_argument("--processes", type=count, default=2, help="default: %(default)s")
-    parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
+    parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs (default: %(default)s)")
+    parser.add_argument("--shares", default="0,0.2,0.5,0.8", help="shares of false closures (default: %(default)s)")
+    parser.add_argument("--processes", type=count, default=2, help="parallel processes (default: %(default)s)")
+    parser.add_argument("--methods", default=",".join(METHODS), help="methods (default: %(default)s)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -30,8 +30,8 @@ _EPILOG = """\
 example:
   python -m twc_env reproduce {name} --json runs/{name}.json
 
-Interrupted, the same command goes on where it stopped; with more seeds, places or buildings it takes what is there.
-Tables from real data read the folder that the environment variable TWC_DATA names (docs/real_data.md).
+An interrupted command continues where it stopped; with more seeds, places or buildings it reuses finished parts.
+Tables of real data read the folder in the environment variable TWC_DATA (docs/real_data.md).
 """
 
 
@@ -105,7 +105,7 @@ def data_folder() -> Path:
         now = f"{folder} is no folder" if folder else "it is not set"
         raise DataError(
             f"this table needs real data: set the environment variable TWC_DATA to its folder ({now}); "
-            "docs/real_data.md says what belongs there and where it is from"
+            "docs/real_data.md lists its contents and their sources"
         )
     return Path(folder)
 
@@ -142,9 +142,10 @@ def add_parser(commands) -> None:
     """The `reproduce` command of `python -m twc_env`."""
     parser = commands.add_parser(
         "reproduce",
-        help="run a published table and print it beside the print",
-        description="Run a published table and print it beside the print; docs/papers.md goes through the papers item "
-        "by item. Each table has its own --help.",
+        help="reproduce tables of the three papers and our own, beside published values",
+        description="Reproduce a table and print it beside the published values. docs/papers.md goes through the "
+        "papers "
+        "item by item. Each table has its own --help.",
         epilog=_EPILOG.format(name="sfw-routers"),
         formatter_class=Paragraphs,
     )
@@ -162,7 +163,7 @@ def add_parser(commands) -> None:
         module.add_arguments(table)
         beside = ", and pictures beside them" if hasattr(module, "draw") else ""
         table.add_argument("--json", type=Path, metavar="FILE", help=f"write the rows{beside}; - for the terminal")
-        add_folder(table, "--cache", "runs/reproduce", "finished parts")
+        add_folder(table, "--cache", "runs/reproduce", "folder of finished parts")
         table.set_defaults(run=lambda options, name=name, module=module: main(name, module, options))
 
 
@@ -176,7 +177,7 @@ def main(name: str, module, options: argparse.Namespace) -> None:
         rows = plain(module.rows(options, runner))
     except KeyboardInterrupt:
         runner.end_line()
-        print("finished parts are kept: the same command goes on from there", file=sys.stderr)
+        print("finished parts are kept: the same command continues from there", file=sys.stderr)
         raise
     finally:
         runner.end_line()

@@ -1,9 +1,9 @@
 """The k-visibility authors' own logs (their experiments 3 and 5), scored against their LiDAR map.
 
-Walk and map have no common frame: the map is laid on the walk by a similarity transform, whose fit is printed. True
-numbers of walls are runs of cells of the map that are not free. `authors` uses the thresholds of the authors' program
-where they apply (one router), `paper` k-means as the paper says, `ours` all columns at once. `ours, as covered` tells
-no more cells than `paper` does, the surest ones.
+Path and map have no common frame: the map is registered to the path by a similarity transform, whose fit is printed.
+The true number of walls is the number of runs of non-free map cells along a ray. `authors` uses the thresholds of the
+authors' program where they apply (one router), `paper` k-means as published, `ours` all columns jointly. `ours, as
+covered` reports no more cells than `paper`, the most certain ones first.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _GAP_CELLS = 5.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-authors`."""
-    add_folder(parser, "--out", "runs/sfw-authors", "pictures")
+    add_folder(parser, "--out", "runs/sfw-authors", "folder for pictures")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -1,13 +1,13 @@
-"""Walls crossed in a real flat (Kolakowski 2021): six BLE transmitters, known walls, one robot.
+"""Number of walls crossed in a real flat (Kolakowski 2021): six BLE transmitters, known walls, one robot.
 
-The wall plan is used for scoring alone. k is cut at each `k_max` in truth and estimates; `majority` is the accuracy of
-always guessing the commonest k. `ours` is the signal model along the path, with power, exponent and wall loss shared by
-all tags, which are alike; `map` counts walls of the map that explains all rays at once (`k_visibility.map_structure`,
-at its defaults, each tag by itself); `known signal` rounds each smoothed reading, by itself, with the true power,
-exponent and loss.
+The wall plan is used for scoring only. k is capped at each `k_max` in truth and estimates; `majority` is the accuracy
+of always guessing the most frequent k. `ours` is the signal model along the path, with power, exponent and wall loss
+shared by all (identical) tags; `map` counts walls of the map that explains all rays jointly
+(`k_visibility.map_structure`, with its defaults, each tag on its own); `known signal` rounds each smoothed reading by
+itself, given the true power, exponent and loss.
 
-The calibration run holds four drives. Priors of the signal model were chosen on the last two, which are also runs of
-their own and stay in one room and the hall before it; the two others are the test.
+The calibration run holds four drives. The priors of the signal model were chosen on the last two, which are also runs
+of their own and stay in one room and the adjacent hall; the other two are the test.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from twc_env.slam.k_clusters import k_means, predict_walls, sliding_window
 from twc_env.slam.k_visibility_signal import fit_alike
 from twc_env.slam.path_bins import bin_along_path
 
-SUMMARY = "walls crossed in a real flat with six BLE transmitters"
+SUMMARY = "number of walls crossed in a real flat with six BLE transmitters"
 _WINDOW = 7
 TEST = "calibration, first two drives"
 _TEST_WALKS = (0, 1)
@@ -39,7 +39,7 @@ _TRUE_SIGNAL = (-50.7, 0.77, 6.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-ble`."""
-    add_folder(parser, "--out", "runs/sfw-ble", "pictures")
+    add_folder(parser, "--out", "runs/sfw-ble", "folder for pictures")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -1,8 +1,8 @@
 """Structure from WiFi on HouseExpo plans, with a route along all walls (inverse k-visibility Fig. 7).
 
-One router, the access point with the shortest mean distance to the route; strengths from the preset `sfw`. The walker
-keeps 0.3 m from walls, or less where doors are so narrow that it would not get around otherwise. In the largest plans
-one router does not reach through: coverage says how far. No plan of these was used to set anything.
+One router: the access point with the shortest mean distance to the route; signal strength from the preset `sfw`. The
+walker keeps 0.3 m from walls, or less where doors are too narrow. In the largest plans one router does not reach
+everywhere: see coverage. No setting was chosen on these plans.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_route
 from twc_env.world.floorplan import Floorplan
 
-SUMMARY = "structure from WiFi on HouseExpo plans, route along all walls, with a reliability curve"
+SUMMARY = "structure from WiFi on HouseExpo plans, route along all walls, with a reliability diagram"
 CHOOSES = ("plans",)
 _READINGS_PER_M = 40.0
 _WALL_LOSS_SCALE = 1.6
@@ -38,8 +38,10 @@ _ALONG_SHARE = 0.85
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-houseexpo`."""
-    parser.add_argument("--plans", type=count, default=30, help="the smallest files first (default: %(default)s)")
-    add_folder(parser, "--out", "runs/sfw-houseexpo", "pictures")
+    parser.add_argument(
+        "--plans", type=count, default=30, help="number of plans, smallest files first (default: %(default)s)"
+    )
+    add_folder(parser, "--out", "runs/sfw-houseexpo", "folder for pictures")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

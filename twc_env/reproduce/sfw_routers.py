@@ -1,6 +1,6 @@
-"""Routers located from signal alone in the twin plans (inverse k-visibility calls it easy and does not show it).
+"""Router positions estimated from signal alone in the twin plans (called easy, but not shown, by inverse k-visibility).
 
-The walks, readings and radio are those of `sfw-table1`; only strengths and positions are given.
+Walks, readings and radio are those of `sfw-table1`; only signal strengths and positions are given.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from twc_env.reproduce.sfw_walks import read_walk, resampled, wall_following_rou
 from twc_env.slam.k_visibility_signal import locate_router
 from twc_env.slam.path_bins import bin_along_path
 
-SUMMARY = "routers located from signal strength alone, in the k-visibility twins"
+SUMMARY = "router positions estimated from signal strength alone, in the k-visibility twins"
 CHOOSES = ("seeds",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-routers`."""
-    add_seeds(parser, "10", "noise")
+    add_seeds(parser, "10", "noise seeds")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

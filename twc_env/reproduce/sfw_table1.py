@@ -1,10 +1,10 @@
 """Table I of inverse k-visibility (Kim et al.): six experiments on twin plans, the published method and ours.
 
-Plans, routers, numbers of readings and areas follow the print (papers.md K20); the radio preset is
-`sfw`. `paper` chooses its number of clusters in hindsight, the best for it; `paper, distance` does so on readings
-compensated for distance. `ours, SLAM` is told where the engine believes the robot was, from odometry and scans.
-Coverage stands beside every IoU, for what a map leaves unknown is excused by the paper's IoU. Settings are chosen on
-other flats, drawn by seed, with other noise: `--flats 16` measures those instead.
+Plans, routers, numbers of readings and areas follow the paper (papers.md K20); the radio preset is `sfw`. `paper` uses
+the number of clusters that is best in hindsight; `paper, distance` does the same on readings compensated for distance.
+`ours, SLAM` uses the robot positions estimated by the engine from odometry and scans. Coverage is printed with every
+IoU, because the paper's IoU ignores unknown cells. Settings are chosen on other, randomly generated flats with other
+noise: `--flats 16` evaluates those instead.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _UPDATE_SIGNAL = (-29.0, 1.25, 8.0, 4.0)
 """Power [dBm], exponent, wall loss [dB] and noise [dB]."""
 WITH_SLAM = "ours, SLAM"
 METHODS = ("paper", scoring.COMPENSATED, "ours", WITH_SLAM)
-SUMMARY = "inverse k-visibility Table I: walls crossed and maps of six plans from signal strength"
+SUMMARY = "inverse k-visibility Table I: number of walls crossed, and maps of six plans, from signal strength"
 CHOOSES = ("seeds", "experiments", "flats")
 POINTS = {1: 3159, 2: 4713, 3: 6001, 4: 1803, 5: 492, 6: 393}
 _PRINTED_ACCURACY = {1: 84.93, 2: 82.79, 3: 85.32, 4: 94.18, 5: 95.73, 6: 96.44}
@@ -44,10 +44,10 @@ _FLAT_NOISE_SEED = 100
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-table1`."""
-    add_seeds(parser, "10", "noise")
-    parser.add_argument("--experiments", default="1,2,3,4,5,6", help="which of the six (default: %(default)s)")
+    add_seeds(parser, "10", "noise seeds")
+    parser.add_argument("--experiments", default="1,2,3,4,5,6", help="experiments to run (default: %(default)s)")
     parser.add_argument(
-        "--flats", type=natural, default=0, metavar="N", help="measure N flats drawn by seed instead of the six"
+        "--flats", type=natural, default=0, metavar="N", help="use N generated flats instead of the six plans"
     )
     add_folder(parser, "--out", "runs/sfw-table1", "pictures")
 

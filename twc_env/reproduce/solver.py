@@ -1,10 +1,9 @@
-"""Our pose-graph solver beside gtsam's Levenberg-Marquardt: the public graphs from raw odometry, in one run.
+"""Our pose-graph solver against gtsam's Levenberg-Marquardt on public graphs from raw odometry, in one run.
 
-Both minimise the same squared errors from the same start; `squared_error` is that of our definition for both. Times
-are CPU seconds, the best of several runs by turns; `time_s` is from arrays to poses, `optimise_s` leaves out putting
-gtsam's graph together (ours has nothing to leave out). Where poses are equal and squared errors are not, gtsam counts a
-rotated residual's translation along the arc. gtsam is an extra for development:
-`pip install 'twc_env[crosscheck]'`.
+Both minimise the same squared errors from the same start; `squared_error` uses our definition for both. Times are CPU
+seconds, the best of several alternating runs; `time_s` is from arrays to poses, `optimise_s` excludes building gtsam's
+graph (ours needs no such step). Where poses are equal and squared errors are not, gtsam measures a rotated residual's
+translation along the arc. gtsam is a development extra: `pip install 'twc_env[crosscheck]'`.
 """
 
 from __future__ import annotations
@@ -24,14 +23,16 @@ from twc_env.reproduce.runner import Runner, chosen, data_folder
 from twc_env.slam import pose_graph
 from twc_env.slam.pose_graph import Graph
 
-SUMMARY = "our pose-graph solver beside gtsam's, on public graphs from odometry"
+SUMMARY = "our pose-graph solver against gtsam's, on public graphs from odometry"
 CHOOSES = ("datasets",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce solver`."""
-    parser.add_argument("--datasets", default=",".join(DATASETS), help="default: %(default)s")
-    parser.add_argument("--repeats", type=count, default=5, help="runs of each solver, by turns (default: %(default)s)")
+    parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs (default: %(default)s)")
+    parser.add_argument(
+        "--repeats", type=count, default=5, help="alternating runs of each solver (default: %(default)s)"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -1,13 +1,15 @@
-"""What the engine does when something is missing or misleads it, against the same episodes with everything in order.
+"""The engine with missing or misleading input, against the same episodes without disturbance.
 
-Episodes are those of `merging`: robots without a common frame walk through unseen buildings on ways that overlap
-partly. Conditions: no signs are read; no WiFi is heard; the link is cut for the middle third of the episode; the last
-robot stops for good half-way; the last robot's receiver reads 10 dB too much; every name hangs at two places or more;
-laser scanners have 60 beams, err by 5 cm (`rough`), have 36 beams and err by 3 cm (`cheap`), or are not matched at all.
-`pose_error_m` is how far robots strayed on their ways since a closure (root mean square along an axis), `pose_std_m`
-how far they believed they might have; `heading_` the same of the heading. `d_` columns are the mean difference to the
-normal run of the same building, with its spread over buildings (`sd_`). `ate_m` aligns every group of merged robots
-once. `lacked` is what the engine's own report names in more episodes than normally (numbers as #).
+Episodes are those of `merging`: robots without a common frame walk through unseen buildings on partially overlapping
+paths. Conditions: no signs are read; no WiFi is heard; no communication in the middle third of the episode; the last
+robot fails half-way; the last robot's receiver reads 10 dB too high; every sign text occurs at two places or more;
+laser scanners with 60 beams, with 5 cm of noise (`rough`), with 36 beams and 3 cm of noise (`cheap`); no scan matching
+at all.
+
+`pose_error_m` is the drift of robots since their last closure (root mean square along an axis), `pose_std_m` the
+standard deviation that they reported for it; `heading_` likewise. `d_` columns are the mean difference to the
+undisturbed run of the same building, with the standard deviation over buildings (`sd_`). `ate_m` aligns every group of
+merged robots once. `lacked` lists what the engine's own report names in more episodes than normally (numbers as #).
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from twc_env.reproduce.merging import STEPS_PER_M, begin, first_buildings, overl
 from twc_env.reproduce.runner import Runner
 from twc_env.world.floorplan import Floorplan
 
-SUMMARY = "the engine without signs, WiFi, link or a robot, with an odd device, repeated names, worse lasers or none"
+SUMMARY = "the engine without signs, WiFi, link or a robot; odd receiver, repeated sign texts, worse or no laser"
 CHOOSES = ("buildings", "conditions")
 CONDITIONS = (
     "normal", "no signs", "no WiFi", "link cut", "robot lost", "odd device", "repeated names", "60 beams",
@@ -48,10 +50,14 @@ FIGURES = {"merged": "merged_share", "ate": "ate_m", "coverage": "coverage_corre
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument("--buildings", type=count, default=10, help="of the test split (default: %(default)s)")
-    parser.add_argument("--robots", type=count, default=3, help="default: %(default)s")
-    parser.add_argument("--seed", type=natural, default=0, help="of noise (default: %(default)s)")
-    parser.add_argument("--conditions", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), help="default: all")
+    parser.add_argument(
+        "--buildings", type=count, default=10, help="number of test-split buildings (default: %(default)s)"
+    )
+    parser.add_argument("--robots", type=count, default=3, help="number of robots (default: %(default)s)")
+    parser.add_argument("--seed", type=natural, default=0, help="noise seed (default: %(default)s)")
+    parser.add_argument(
+        "--conditions", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), help="conditions (default: all)"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -1,18 +1,19 @@
 """Table I of TWC-SLAM: precision and recall of place recognition on twins of its two scenes.
 
-Robots walk scripted routes through all rooms; each pass by a sign is a sighting. All methods judge the same pairs of
-sightings of different robots, and the same are right: one physical sign, sensors at most 3 m apart (papers.md T11;
-pairs of one sign from further apart count neither way). `recall_absolute` is of all right pairs; `recall_conditional`
-is of those the text threshold alone lets through, which is how the print's combined recall can exceed that of text.
-`precision_best_match` counts one match per sighting and other robot, `precision_places` is of WiFi alone at places
-along the way as the paper sampled it. `_verified` figures are of what scan matching then confirms among the pairs that
-a loose setting of the method lets through: text, twc and fused give it the pose that the shared sign implies, WiFi and
-laser none. With `--json` the precision-recall curves of all methods, before and after verification, are written beside
-it, and the paper's figures 4 to 6 as by `twc-table2`. Methods named like `twc departments` walk past signs like those
-that the print implies (`twc_scenes`). `--alternatives` adds the rows of twc and WiFi for the other readings of Eq. 10
-and for Eq. 7 as printed (methods named like `twc cosine`). All constants were fixed on scene #01 and drawn buildings.
-Some episodes of scene #02 were looked at while `fused` was being designed, so its figures there are not those of a
-scene never seen.
+Robots walk scripted routes through all rooms; each pass by a sign is a sighting. All methods are evaluated on the same
+pairs of sightings of different robots. A pair is correct if it is the same physical sign and the sensors are at most 3
+m apart (papers.md T11; pairs of the same sign from further apart count neither way). `recall_absolute` is over all
+correct pairs; `recall_conditional` over those that pass the text threshold alone, which explains how the published
+recall of the combination can exceed that of text. `precision_best_match` counts one match per sighting and other robot;
+`precision_places` is WiFi alone at places along the way, as sampled in the paper. `_verified` columns are after scan
+matching of the pairs that pass a loose setting of the method: text, twc and fused provide the pose implied by the
+shared sign, WiFi and laser none.
+
+With `--json` the precision-recall curves of all methods, before and after verification, are written beside it, and the
+paper's figures 4 to 6 as by `twc-table2`. Methods named like `twc departments` walk past signs as implied by the paper
+(`twc_scenes`). `--alternatives` adds rows of twc and WiFi for the other interpretations of Eq. 10 and for Eq. 7 as
+printed (methods named like `twc cosine`). All constants were fixed on scene #01 and generated buildings. Some episodes
+of scene #02 were inspected during the design of `fused`, so for `fused` that scene is not unseen.
 """
 
 from __future__ import annotations
@@ -50,9 +51,13 @@ EQ7_AS_PRINTED, AS_PRINTED = "eq7", "as printed"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    add_seeds(parser, "20", "walks")
-    parser.add_argument("--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="default: both")
-    parser.add_argument("--alternatives", action="store_true", help="add rows for the other readings of Eq. 7 and 10")
+    add_seeds(parser, "20", "seeds of the walks")
+    parser.add_argument(
+        "--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="scenes (default: both)"
+    )
+    parser.add_argument(
+        "--alternatives", action="store_true", help="add rows for the other interpretations of Eq. 7 and 10"
+    )
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
@@ -152,7 +157,7 @@ def remarks(table: list[dict]) -> list[str]:
             if gap is not None and ("twc" in method or "text" not in reading):
                 scenes = [(row, _gap(table, method, reading, row)) for row in PRINT]
                 lines.append(
-                    f"{method} against the print, {reading}: mean absolute error {np.mean(gap):.1f} points "
+                    f"{method} against the paper, {reading}: mean absolute error {np.mean(gap):.1f} points "
                     f"(precision {gap[0]:.1f}, recall {gap[1]:.1f}; "
                     f"{', '.join(f'{scene} {np.mean(own):.1f}' for scene, own in scenes if own is not None)})"
                 )
@@ -163,15 +168,15 @@ def _why() -> list[str]:
     """Why not every column of the print can be met at once, and why these walls as drawn meet few."""
     beyond = contradiction()
     return [
-        "Why twc cannot be as printed where text and WiFi are: what both accept is part of what either accepts, and "
-        f"their own columns leave the pair of them a recall that lies {beyond:.1f} points below the printed one, mean "
-        f"over its cells: {beyond / 2:.1f} points of mean absolute error on one denominator. With signs of departments "
-        "twc is nearer to the print than that, and in return WiFi alone finds more than printed.",
-        "Why twc is off as drawn: names differ wherever one radio signature reaches, so text and WiFi together accept "
-        "next to nothing wrong; the print accepts up to 46 % wrong, as with signs of departments.",
-        "Why text is off as drawn: alike rooms with the same repeated signs give several wrong pairs of exact texts "
-        "for every right one, so precision at alpha 1.0 cannot reach the printed 78 and 88 %; with signs of "
-        "departments it is near.",
+        "Why twc cannot match the paper if text and WiFi do: pairs accepted by both are a subset of those accepted by "
+        f"either, so the paper's own columns limit the combination to a recall {beyond:.1f} points below the published "
+        f"one (mean over its cells), i.e. {beyond / 2:.1f} points of absolute error on one denominator. With signs "
+        "of departments twc is closer than that, and WiFi alone finds more than published.",
+        "Why twc differs with the original signs: sign texts differ within the range of one radio fingerprint, so text "
+        "and WiFi together accept almost no wrong pair; in the paper up to 46 % are wrong, as with departments.",
+        "Why text differs with the original signs: similar rooms with the same repeated signs give several wrong pairs "
+        "of identical texts for every correct one, so precision at alpha 1.0 cannot reach the published 78 and 88 %; "
+        "with signs of departments it comes close.",
     ]
 
 
@@ -213,7 +218,7 @@ def _best_reading(table: list[dict]) -> list[str]:
     method, reading = min(gaps, key=lambda key: (gaps[key], key))
     other = _gap(table, method, reading, "#02")
     told = f"; the same on #02: {np.mean(other):.1f}" if other is not None else ""
-    nearest = f"{method!r}, {reading}, is nearest to the print on #01: {gaps[method, reading]:.1f} points"
+    nearest = f"{method!r}, {reading}, is closest to the paper on #01: {gaps[method, reading]:.1f} points"
     return [f"Of {len(gaps)} readings {nearest}{told}"]
 
 

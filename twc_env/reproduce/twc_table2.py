@@ -1,20 +1,20 @@
-"""Table II of TWC-SLAM: how far the maps of its two scenes are off, by place recogniser and back end.
+"""Table II of TWC-SLAM: map errors in its two scenes, by place recogniser and back end.
 
 The walks of Table I are mapped by every recogniser with every back end of `offline_mapping`; `fused` also by the engine
-itself, keyframe by keyframe as in an episode (back end `live`); the paper's four methods also as it prints them (back
-end `literal`): point-to-point ICP from the recogniser's guess, and every match believed. The recognisers have the
+itself, keyframe by keyframe as in an episode (back end `live`); and the paper's four methods also as published (back
+end `literal`): point-to-point ICP from the recogniser's guess, with every match accepted. The recognisers have the
 paper's settings: text at alpha 1.0, WiFi at beta = gamma = 1.0, twc at 0.8, lidar and fused at their defaults.
-`odometry` closes no loops: its rows show what the front end alone is worth, each robot in a frame of its own.
+`odometry` closes no loops: its rows show the front end alone, each robot in its own frame.
 
-`epe_m` is the paper's figure: how far the end of each path lies from where it truly is as seen from its start, mean
-over robots. It is blind to maps folded in the middle; `ate_m` (all keyframes, each group of robots aligned once) and
-`wall_thickness_m` are not: the latter is of the largest group's point cloud in cells of 0.1 m, where ghost walls stay
-(in an occupancy grid a folded map rubs out its own walls, and those left look thin). `closure_precision` is of the
-closures that the back end believed, `merged` the share of walks whose robots all end up in one map. Nothing here was
-fitted to scene #02. `--signs departments` hangs up signs like those that the print of Table I implies (`twc_scenes`).
+`epe_m` is the paper's metric: the error of the end of each path relative to its start, averaged over robots. It is
+insensitive to maps folded in between. `ate_m` (all keyframes, each group of robots aligned once) and `wall_thickness_m`
+are not; the latter is measured in the largest group's point cloud in cells of 0.1 m, where ghost walls remain (in an
+occupancy grid a folded map erases its own walls, and the rest look thin). `closure_precision` refers to the closures
+accepted by the back end; `merged` is the share of walks whose robots all end in one map. Nothing was fitted to scene
+#02. `--signs departments` uses signs as implied by the paper's Table I (`twc_scenes`).
 
-Rows of text with back ends like `literal 0.98` get all right closures of `literal`, and of the false ones as many as
-make that share of all right: the first of a random order, so those with less have them too.
+Rows of text with back ends like `literal 0.98` use all correct closures of `literal`, and as many of the false ones as
+give that precision: the first in a random order, so rows with fewer use a subset of them.
 """
 
 from __future__ import annotations
@@ -74,9 +74,11 @@ PRINT = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    add_seeds(parser, "20", "walks")
-    parser.add_argument("--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="default: both")
-    parser.add_argument("--signs", choices=SIGNS, default=SIGNS[0], help="on the walls (default: %(default)s)")
+    add_seeds(parser, "20", "seeds of the walks")
+    parser.add_argument(
+        "--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="scenes (default: both)"
+    )
+    parser.add_argument("--signs", choices=SIGNS, default=SIGNS[0], help="signs on the walls (default: %(default)s)")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
@@ -189,7 +191,7 @@ def remarks(table: list[dict]) -> list[str]:
     lines = []
     for scene in dict.fromkeys(row["scene"] for row in table):
         printed = sorted(PRINT[scene], key=PRINT[scene].__getitem__)
-        lines.append(f"{scene} order of end point errors, print: {' < '.join(printed)}")
+        lines.append(f"{scene} order of end point errors, paper: {' < '.join(printed)}")
         for backend in (*BACKENDS, LITERAL):
             errors = {r["method"]: r["epe_m"] for r in table if (r["scene"], r["backend"]) == (scene, backend)}
             found = sorted(printed, key=errors.__getitem__)
@@ -198,9 +200,9 @@ def remarks(table: list[dict]) -> list[str]:
         ours, per_scene = reductions(_errors(table, method, backend), _errors(table, "twc", backend))
         print_means, print_scenes = reductions(*([scene[m] for scene in PRINT.values()] for m in (method, "twc")))
         lines.append(
-            f"twc against {method}, back end {backend}: {100 * ours:.0f} % less error by the means over the scenes, "
-            f"{100 * per_scene:.0f} % as the mean over scenes "
-            f"(print: {100 * print_means:.0f} and {100 * print_scenes:.0f} %)"
+            f"twc against {method}, back end {backend}: {100 * ours:.0f} % lower error by the means of both scenes, "
+            f"{100 * per_scene:.0f} % as the mean of both scenes "
+            f"(paper: {100 * print_means:.0f} and {100 * print_scenes:.0f} %)"
         )
     return lines + _why(table)
 
@@ -212,7 +214,7 @@ def _why(table: Sequence[dict]) -> list[str]:
         if row["backend"] == LITERAL and row["closure_precision"] is not None:
             lines.append(
                 f"{row['scene']} {row['method']} as printed: {100 * row['closure_precision']:.0f} % of its closures "
-                f"are right; EPE {row['epe_m']:.2f} m, ATE {row['ate_m']:.2f} m"
+                f"are correct; EPE {row['epe_m']:.2f} m, ATE {row['ate_m']:.2f} m"
             )
     for scene in dict.fromkeys(row["scene"] for row in table):
         thinned = [r for r in table if r["scene"] == scene and r["backend"].startswith(f"{LITERAL} ")]
@@ -224,17 +226,17 @@ def _why(table: Sequence[dict]) -> list[str]:
         met = f"with {', '.join(shares)} %" if shares else "with none of these"
         precision = PRINT_TABLE1[scene]["text"][-1][0]
         lines.append(
-            f"{scene} text as printed by how many of its closures are right: EPE {told}; the print has "
-            f"{PRINT[scene]['text']:.2f} m, and in its Table I {precision} % of what text accepts is right; "
-            f"the order of the methods is that of the print {met}"
+            f"{scene} text as printed, by the precision of its closures: EPE {told}; the paper has "
+            f"{PRINT[scene]['text']:.2f} m, and a precision of {precision} % in its Table I; "
+            f"the methods rank as in the paper {met}"
         )
     if lines:
         lines.append(
-            "Least squares that believes every closure folds the map at a few per cent of false ones, and a folded map "
-            "may still end near where it began: by EPE the worst closures can look best, so their order says little. "
-            "False pairs of texts lie rooms apart and those of WiFi side by side, so one of text does most harm: as "
-            "precise as in the print's Table I, text cannot be as exact as in its Table II without a back end that "
-            "refuses closures, and with `robust` those of text, WiFi and both differ by centimetres only."
+            "Least squares with every closure accepted folds the map at a few per cent of false ones. A folded map "
+            "may still end near its start: by EPE the worst closures can look best, so this order says little. "
+            "False text pairs are rooms apart and false WiFi pairs adjacent, so text does most harm: at the precision "
+            "of the paper's Table I, text cannot reach the accuracy of its Table II without a back end that rejects "
+            "closures, and with `robust` the maps of text, WiFi and both differ by centimetres only."
         )
     return lines
 

@@ -1,4 +1,4 @@
-"""The whole cooperative SLAM engine: sensor frames in, beliefs out. It needs no world: recorded frames will do."""
+"""The cooperative SLAM engine: sensor frames in, beliefs out. It also runs on recorded frames, without a world."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
 from twc_env.whole_copy import CopiedWhole
 
 MATCHED_STD_SHARE = 0.25
-"""Ways whose scans were matched stray by about so much of what the covariances of their pieces add up to, which are
-loose on purpose: they are the weights that closures are held against."""
+"""Actual drift of scan-matched paths as a share of their accumulated standard deviation. The latter is deliberately
+conservative, since closures are weighed against it."""
 
 
 @borrowing_kernel
 def _believed_poses(held, poses_odom, mates, out, mate_poses):
-    """Of each robot, to out (robots, 3, 3): its pose in the map, how far that may be off, its pose in odom.
+    """For each robot, into out (robots, 3, 3): its pose in the map, the standard deviation of that, its pose in odom.
 
-    Also where its mates are in the map: now, or when they were heard of last.
+    Also its teammates' poses in the map: current, or as of the last contact.
     """
     poses_map_odom, std, std_share, are_heard_now, heard_poses = parts_of(held)
     for k in range(out.shape[0]):
@@ -65,12 +65,12 @@ def _others_of(robots: int) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One map that robots believe in: a group of one mapper, and the robots that look at it."""
+    """One map held by robots: a group of one mapper, and the robots that use it."""
 
     mapper: TeamMapper
     group: int
     viewers: tuple[int, ...]
-    """With one mapper for all, the whole group; otherwise the one robot whose mapper this is."""
+    """With a central mapper, the whole group; otherwise the robot that owns this mapper."""
 
     @property
     def robots(self) -> tuple[int, ...]:
@@ -79,9 +79,9 @@ class View:
 
 
 class CooperativeSlam(CopiedWhole):
-    """One front end per robot, and one mapper for all or one on each robot (`link.topology`).
+    """One front end per robot, and one central mapper or one per robot (`link.topology`).
 
-    `track` runs the front ends; `absorb` lets the robots talk and the mappers think. `update` does both.
+    `track` runs the front ends; `absorb` exchanges messages and updates the mappers. `update` does both.
     """
 
     def __init__(self, config: EnvConfig, robot_count: int):
@@ -102,7 +102,7 @@ class CooperativeSlam(CopiedWhole):
         self.mappers = [TeamMapper(config, robot_count, home) for home in homes]
         self._exchange = Exchange(config, robot_count)
         self.bytes_sent: dict[str, int] = self._exchange.bytes_sent
-        """Kind of message -> bytes put on the air so far."""
+        """Message type -> bytes transmitted so far."""
         self._wanted = [mapper.wanted for mapper in self.mappers]
         self._listening = Listening(len(self.mappers), robot_count, config.dynamics.time_step_s)
         everyone = np.ones((len(self.mappers), robot_count), bool)
@@ -142,12 +142,12 @@ class CooperativeSlam(CopiedWhole):
         return self.__dict__ | {"_run": None}
 
     def give_starts(self, poses: Array) -> None:
-        """Tell all mappers where the robots started (robots, 3): an oracle, for comparison only (`slam.oracle`)."""
+        """Give all mappers the true start poses (robots, 3): an oracle, for comparison only (`slam.oracle`)."""
         for mapper in self.mappers:
             mapper.give_starts(poses)
 
     def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
-        """Tell where transmitters (k,) stand (k, 2), and where in that frame the robots started (robots, 3): an oracle.
+        """Give positions (k, 2) of transmitters (k,) and, in that frame, the robots' starts (robots, 3): an oracle.
 
         See `slam.k_visibility.are_transmitters_known`.
         """
@@ -161,11 +161,11 @@ class CooperativeSlam(CopiedWhole):
 
     @property
     def team(self) -> TeamMapper:
-        """The one mapper of all robots; where each has its own, that of robot 0."""
+        """The central mapper; with one mapper per robot, that of robot 0."""
         return self.mappers[0]
 
     def mapper_of(self, robot: int) -> TeamMapper:
-        """The mapper whose map this robot believes in."""
+        """The mapper whose map this robot uses."""
         return self.mappers[0 if self._is_central else robot]
 
     def views(self) -> list[View]:
@@ -180,9 +180,9 @@ class CooperativeSlam(CopiedWhole):
         return self._views[1]
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
-        """Run the front end of each frame's robot; the keyframes that came of it, in order, ready to be sent.
+        """Run the front end of each frame's robot; returns the new keyframes, in order, ready to be sent.
 
-        Raises DataError for frames that this team cannot have sensed.
+        Raises DataError for invalid frames.
         """
         self._beliefs = None
         if not isinstance(frames, TeamFrames):
@@ -207,7 +207,7 @@ class CooperativeSlam(CopiedWhole):
         return keyframes
 
     def absorb(self, step: int, contacts: Contacts | None = None) -> None:
-        """Exchange what the contacts of this step allow (None: all are in touch), and let the mappers take it in."""
+        """Exchange messages as the contacts of this step allow (None: all are in contact) and update the mappers."""
         contacts = contacts or self._all_in_touch
         self._listening.note(step, contacts.heard)
         deliveries = self._exchange.deliver(contacts, self._wanted)
@@ -260,7 +260,7 @@ class CooperativeSlam(CopiedWhole):
         self._mates = mates
 
     def finish(self) -> None:
-        """Work off all that waits in the mappers (end of an episode or log); nothing more is sent."""
+        """Process everything queued in the mappers (end of an episode or log); nothing more is sent."""
         for number, mapper in enumerate(self.mappers):
             mapper.finish()
             mapper.update(self._listening.last_step, [])
@@ -268,9 +268,9 @@ class CooperativeSlam(CopiedWhole):
         self._locate()
 
     def update(self, frames: Sequence[SensorFrame], contacts: Contacts | None = None) -> None:
-        """`track` and `absorb` at once.
+        """`track` and `absorb` in one call.
 
-        A step of the team is over once a robot gives its next frame: each may number its own in its own way.
+        A step of the team ends when a robot gives its next frame, so each robot may number its frames independently.
         """
         self.track(frames)
         given = self._clocks.given
@@ -282,7 +282,7 @@ class CooperativeSlam(CopiedWhole):
         return self._poses[robot, 0]
 
     def lacked(self) -> list[str]:
-        """What the engine had to do without so far, one line each; with a mapper on each robot, of each of them."""
+        """Missing or misleading input so far, one line each; with one mapper per robot, for each of them."""
         lines = []
         for number, mapper in enumerate(self.mappers):
             others = [r for r in range(len(self.robots)) if self._is_central or r != number]
@@ -291,13 +291,13 @@ class CooperativeSlam(CopiedWhole):
         return lines
 
     def belief(self, robot: int) -> Belief:
-        """What this robot knows now. Raises TwcError for a robot that there is not."""
+        """What this robot knows now. Raises TwcError for an unknown robot."""
         if not 0 <= robot < len(self.robots):
             raise TwcError(f"robots are 0 to {len(self.robots) - 1}; got {robot!r}")
         return self.beliefs()[robot]
 
     def beliefs(self) -> TeamBeliefs:
-        """What all robots know now."""
+        """What each robot knows now."""
         if self._beliefs is None:
             if self._maps is None or self._radio is not None:
                 self._maps = self._look_up_maps()
@@ -308,7 +308,7 @@ class CooperativeSlam(CopiedWhole):
         return self._beliefs
 
     def _look_up_maps(self) -> HeldMaps:
-        """The maps that the robots believe in."""
+        """The maps that the robots use."""
         rows: list[Any] = [None] * len(self.robots)
         for view in self.views():
             mapper, number = view.mapper, view.group

@@ -29,7 +29,7 @@ def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int)
     if not isinstance(frames, Sequence) or not all(isinstance(frame, SensorFrame) for frame in frames):
         raise DataError(f"give a list of SensorFrame, one for each robot; got {_kind(frames)}")
     if not frames:
-        raise DataError("there are no frames to take in: give those of one robot at least")
+        raise DataError("no frames given: pass those of at least one robot")
     robots = [frame.robot for frame in frames]
     if len(set(robots)) < len(robots) or not all(_is_whole(k) and 0 <= k < robot_count for k in robots):
         raise DataError(f"frames of one step are of different robots 0 to {robot_count - 1}; got robots {robots}")
@@ -54,7 +54,7 @@ def _is_whole(value: object) -> bool:
 
 def _fault(frame: SensorFrame, beam_count: int) -> str | None:
     if not _is_whole(frame.step):
-        return "has a step that is no whole number"
+        return "has a step that is not a whole number"
     if np.shape(frame.ranges_m) != (beam_count,):
         beams = np.shape(frame.ranges_m)
         return f"has ranges of shape {beams}, but lidar.beam_count is {beam_count}: set it to that of the scanner"
@@ -71,7 +71,7 @@ def _fault(frame: SensorFrame, beam_count: int) -> str | None:
         if not isinstance(sign, SignReading):
             return f"holds {sign!r} as a sign: give SignReading(text, bearing_rad, range_m)"
         if not isinstance(sign.text, str) or not math.isfinite(sign.bearing_rad) or not 0.0 <= sign.range_m < math.inf:
-            return f"holds {sign!r}: give a text, a finite bearing, and a finite range from 0 on"
+            return f"holds {sign!r}: give a text, a finite bearing, and a finite, non-negative range"
     return None if frame.wifi is None else _fault_of_scan(frame.wifi)
 
 

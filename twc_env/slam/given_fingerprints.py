@@ -38,7 +38,7 @@ def fault_of_readings(macs: ArrayLike, rssi_dbm: ArrayLike) -> str | None:
         return f"addresses of shape {macs.shape} and strengths of {np.shape(rssi_dbm)}: one for each"
     if len(macs) and macs.dtype.kind not in "iu":
         example = f"such as {macs[0]!r}: int(mac.replace(':', ''), 16) makes one of text"
-        return f"addresses that are no whole numbers, {example}"
+        return f"addresses that are not whole numbers, {example}"
     if not (np.diff(macs) > 0).all():
         return "addresses that do not ascend: sort them, each but once"
     if not np.isfinite(rssi_dbm).all():

@@ -1,4 +1,4 @@
-"""Match a scan to another without any guess: correlative matching by branch and bound over all headings (Olson 2009,
+"""Scan matching without an initial guess: correlative, by branch and bound over all headings (Olson 2009,
 Hess 2016).
 
 The target's points become a field of scores; the source's points, turned to each heading, are shifted over it in whole

@@ -1,9 +1,9 @@
-"""Structure from WiFi: a map of walls from signal strength along a path (inverse k-visibility, K1-K18), our way.
+"""Structure from WiFi: a wall map from signal strength along a path (inverse k-visibility, K1-K18), our method.
 
-The signal model counts walls per reading (`k_visibility_signal`); the path offers pieces where walls may stand
-(`wall_candidates`); sampling all pieces against all rays of all routers at once tells which are walls
-(`wall_sampler`), in turn with power, path loss and the loss of every straight stretch of wall (`wall_solver`). Where
-exactly the number of walls changes, the readings settle (`change_points`). What nothing has touched stays unknown.
+The signal model estimates the number of walls per reading (`k_visibility_signal`). The path suggests candidate segments
+(`wall_candidates`). Sampling all segments jointly against all rays of all routers decides which are walls
+(`wall_sampler`), alternating with power, path loss and the loss of every straight wall (`wall_solver`). The exact
+positions of changes in the number of walls come from the readings (`change_points`). Untouched cells stay unknown.
 """
 
 from __future__ import annotations

@@ -182,7 +182,7 @@ class MergeReview:
         """What walls and radio say."""
         share = wall_contradiction(*self._grids(a, b), IN_PLACE)
         if share > self._rule.contradiction_max * WALLS_SLACK:
-            return f"{share:.0%} of the walls of one stand in the free space of the other"
+            return f"{share:.0%} of the walls of one lie in the free space of the other"
         if self._rule.wifi_check and self._judge.radio_agrees(a, b, IN_PLACE) is False:
             return "places that it brings together sound different"
         return ""

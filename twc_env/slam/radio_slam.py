@@ -1,14 +1,14 @@
 """SLAM from odometry and radio fingerprints alone: a trajectory and a radio map, without knowing any transmitter.
 
-Closures that tell distances, from the similarity of fingerprints (radio SLAM Eq. 1-3), untangle the path
-from its beginning onwards; then the fields of signal strength around each place tie it to other visits near by
-(`radio_path`). `paper` does the first step only, as printed. At last the path moves as a whole to where all that was
-heard is likeliest (`radio_refinement`).
+Distance closures, derived from the similarity of fingerprints (radio SLAM Eq. 1-3), first correct the path
+incrementally from its start. Then local models of signal strength around each place tie it to other visits nearby
+(`radio_path`). `paper` performs the first step only, as published. Finally the whole path is optimised for the
+likelihood of all readings (`radio_refinement`).
 
-How noisy the odometry is nobody says, so the way is gone under several assumptions, and the result stays that explains
-best what was heard without straining the odometry (`radio_evidence`). Where several kinds of radio were heard the way
-is also gone by each alone, as a blurred one bends what a sharp one tells; then all that was heard chooses among the
-refined paths. Where that explains what was heard no better than the odometry does, the odometry is given back.
+The odometry noise is unknown, so several assumptions are tried, and the result that best explains the readings without
+straining the odometry is kept (`radio_evidence`). With several kinds of radio, each is also tried alone, since an
+imprecise one distorts a precise one; then all readings select among the refined paths. If none explains the readings
+better than the odometry, the odometry is returned.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Which closures to believe: the robust modes of the pose graph, and a report of every closure that was refused.
+"""Robust pose-graph optimisation: which closures to accept, with a reason for every rejected one.
 
-Modes (`PoseGraphConfig.robust`): `plain` believes all (TWC-SLAM), `dcs` and `cauchy` weigh by residual, `gnc` anneals
+Modes (`PoseGraphConfig.robust`): `plain` accepts all (TWC-SLAM), `dcs` and `cauchy` weigh by residual, `gnc` anneals
 truncated least squares (Yang 2020), `pcm` keeps the largest pairwise consistent set (Mangelson 2018), `ours` grows the
-map from the surest closures outwards (`closure_growth`); FILE.py:CLASS is one of your own (docs/library.md).
+map outwards from the most certain closures (`closure_growth`); FILE.py:CLASS is your own (docs/library.md).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ EPISODE_KEYS_MAX = 80
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """One refused closure: its edge, and why."""
+    """One rejected closure: its edge and the reason."""
 
     edge: int
     reason: str
@@ -48,7 +48,8 @@ class Rejection:
 
 @dataclass(frozen=True, slots=True)
 class BackendResult:
-    """Poses (n, 3), accepted (e,) bool with odometry always true, and the refused closures in order of their edges."""
+    """Poses (n, 3), accepted (e,) bool (always true for odometry), and the rejected closures in the order of their
+    edges."""
 
     poses: Array
     accepted: Array
@@ -134,9 +135,9 @@ def solve(
     poses: Array, edges: Array, measured: Array, information: Array, is_closure: Array, config: PoseGraphConfig,
     fixed: int = 0, keys_max: int = KEYS_MAX, shared: SharedErrors | None = None,
 ) -> BackendResult:  # fmt: skip
-    """Optimise in the mode `config.robust` and say which closures were believed. Deterministic.
+    """Optimise in the mode `config.robust` and report which closures were accepted. Deterministic.
 
-    Arguments as for `pose_graph.optimise`. `gnc`, `pcm` and `ours` take odometry as known good; `ours` looks at the
+    Arguments as for `pose_graph.optimise`. `gnc`, `pcm` and `ours` treat odometry as outlier-free; `ours` computes the
     joint covariance of at most `keys_max` poses.
     """
     poses = np.array(poses, float)

@@ -95,7 +95,7 @@ def _repeated_names(mapper: TeamMapper) -> list[str]:
     count = len(repeated & names)
     if len(names) < NAMES_MIN or count < REPEATED_SHARE * len(names):
         return []
-    return [f"{count} of {len(names)} names stand at several places"]
+    return [f"{count} of {len(names)} sign texts occur at several places"]
 
 
 def _odd_devices(paths: Sequence[Sequence[Keyframe]]) -> list[str]:

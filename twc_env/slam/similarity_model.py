@@ -107,7 +107,7 @@ def train_on_path(
 def warn_cut_off(similarity_min: float, window_m: float) -> None:
     """Say once in a process that models of such a window tell too short distances."""
     _log.warning(
-        "the similarity model is cut off: at similarity %.2f it tells more than a third of its %.0f m window",
+        "the similarity model is truncated: at similarity %.2f it predicts more than a third of its %.0f m window",
         similarity_min, window_m,
     )  # fmt: skip
 

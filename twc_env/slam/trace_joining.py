@@ -1,4 +1,4 @@
-"""Many short walks put into one frame by radio alone: nobody knows where any of them began.
+"""Aligns many short walks with unknown starts in one frame by radio alone.
 
 Each walk knows its own shape and, by compass, about where north is. Where two walks pass each other, one scan of each
 is the other walk's best match, both ways. A first layout puts such scans at one place, which needs no guess: with

@@ -104,12 +104,12 @@ def _check_signs(plan: Floorplan, cells: Cells, where: str) -> None:
     for sign in plan.signs:
         label = f"{where}: sign {sign.text!r} at {_point_text(sign.position_m)}"
         if plan.wall_index.distance_m(sign.position_m[None], SIGN_TO_WALL_MAX_M)[0] >= SIGN_TO_WALL_MAX_M:
-            raise MapError(f"{label} hangs on no wall: none is within {SIGN_TO_WALL_MAX_M} m; move it onto one")
+            raise MapError(f"{label} is not on a wall: there is none within {SIGN_TO_WALL_MAX_M} m; move it onto one")
         normal = np.array([np.cos(sign.facing_rad), np.sin(sign.facing_rad)])
         front = sign.position_m + SIGN_FRONT_M * normal
         if not cells.is_free(front):
             raise MapError(
-                f"{label} has nothing free in front of it: {_point_text(front)} is no open floor; turn or move it"
+                f"{label} has no free floor in front of it: {_point_text(front)} is not free; turn or move it"
             )
         face = sign.position_m + SIGN_FACE_M * normal
         if plan.wall_index.crossing(front, face[None])[0][0]:

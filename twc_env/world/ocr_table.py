@@ -93,7 +93,9 @@ def load_table(path: Path = SHIPPED) -> OcrTable:
     except OSError as error:
         raise DataError(f"cannot read the OCR table {path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} is no OCR table ({error!r}); make one with: python -m twc_env ocr measure") from error
+        raise DataError(
+            f"{path} is not an OCR table ({error!r}); make one with: python -m twc_env ocr measure"
+        ) from error
 
 
 def table_of(values: dict) -> OcrTable:

@@ -60,7 +60,7 @@ def _check(plan: Floorplan, robots: int, radius_m: float, poses: Array) -> None:
         if not np.isfinite(pose).all():
             raise ConfigError(f"{wanted}; got starts[{i}] = {pose.tolist()}")
         if not is_free[i]:
-            raise ConfigError(f"{at} is no open floor of map {plan.home.name!r}; move it inside")
+            raise ConfigError(f"{at} is not on the free floor of map {plan.home.name!r}; move it inside")
         is_in = np.hypot(*(poses[:i, :2] - pose[:2]).T) < apart_m
         if is_in.any():
             raise ConfigError(f"{at} is in robot {np.argmax(is_in)}; keep robots {apart_m:g} m apart")

@@ -1,4 +1,4 @@
-"""The world as one thing: put robots into a building, move them, and give each what its sensors measure."""
+"""The simulated world: place robots in a building, move them, and compute each robot's measurements."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ _TOUCHING, _UNSEEN = -1, -2
 
 
 class World:
-    """Ground truth of one episode. Call `step`, then `sense` once: sensing draws the noise of that step.
+    """Ground truth of one episode. Call `step`, then `sense` once, since sensing draws the noise of that step.
 
-    Raises MapError for a plan that is not sound.
+    Raises MapError for an invalid plan.
     """
 
     def __init__(self, config: EnvConfig, plan: Floorplan):
@@ -72,7 +72,7 @@ class World:
     def reset(self, seed: int, starts: str | Array = "random") -> None:
         """Begin an episode. Starts: "random" (drawn by seed), "map" (the plan's own), or poses (n, 3).
 
-        Raises MapError when the robots do not fit, ConfigError for starts or a seed that are no such thing.
+        Raises MapError if the robots do not fit, ConfigError for invalid starts or seed.
         """
         seed = whole_number("seed", seed, 0)
         config, robots = self.config, self.config.robots
@@ -106,7 +106,7 @@ class World:
 
     @property
     def poses(self) -> Array:
-        """(n, 3) true poses in the building frame; for readers only, as all that holds the truth."""
+        """(n, 3) true poses in the building frame, read-only."""
         poses = (self._dynamics or _not_begun()).poses
         return self._in_building(poses) if self._is_moved else poses
 
@@ -117,14 +117,14 @@ class World:
 
     @property
     def transmitters_home(self) -> tuple[Array, Array]:
-        """Addresses (k,) of the building's access points, and where they stand (k, 2) as the building was drawn."""
+        """Addresses (k,) of the building's access points and their positions (k, 2) in the frame as drawn."""
         points = self._home.access_points
         is_ours = self._radio.access_point_of < len(points)
         places = np.array([p.position_m for p in points], float).reshape(-1, 2)
         return self._radio.macs[is_ours], places[self._radio.access_point_of[is_ours]]
 
     def anchor(self, robots: Iterable[int]) -> None:
-        """From now on these robots cannot be pushed."""
+        """Make these robots immovable."""
         (self._dynamics or _not_begun()).anchor(robots)
 
     def step(self, commands: Array) -> None:
@@ -142,11 +142,11 @@ class World:
         self._step += 1
 
     def sense(self) -> TeamFrames:
-        """One frame per robot: all that leaves the world. Its arrays are read-only."""
+        """One frame per robot: the world's only output. Its arrays are read-only."""
         return self.tick(None)
 
     def tick(self, commands: Array | None) -> TeamFrames:
-        """`step`, then `sense`: where nobody touches anything, in one compiled call. Without commands `sense` alone."""
+        """`step`, then `sense`; a single compiled call if there is no contact. Without commands only `sense`."""
         if commands is not None:
             commands = np.asarray(commands, _FLOAT, "C")
             self._step += 1
@@ -228,7 +228,7 @@ class World:
 
 
 def _not_begun() -> NoReturn:
-    raise TwcError("no episode has begun: call reset() first")
+    raise TwcError("no episode has started: call reset() first")
 
 
 def _period_steps(period_s: float, config: EnvConfig) -> int:
