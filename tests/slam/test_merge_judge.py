@@ -102,3 +102,11 @@ def test_no_answer_is_believed_that_puts_ways_together_where_signs_read_otherwis
     asked = MergeJudge(MergingConfig(), graph)
     assert asked.may_replace((0, 1), nodes, answer(few, before_m), answer(more, after_m)) is may
     assert not asked.may_replace((0, 1), nodes, answer(more, before_m), answer(few, after_m)), "fewer signs"
+
+
+def test_where_only_scans_are_compared_many_places_must_agree():
+    deaf = MergeJudge(MergingConfig(wifi_check=False), GRAPH)
+    few, enough = (deaf.proposal(say(count, TRUE, "lidar"), (0,)) for count in (7, 8))
+    assert not deaf.is_one_building((0,), (1,), few) and deaf.is_one_building((0,), (1,), enough)
+    one_will_do = MergeJudge(MergingConfig(wifi_check=False, spread_min_m=0.0), GRAPH)
+    assert one_will_do.is_one_building((0,), (1,), few)

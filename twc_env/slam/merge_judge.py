@@ -25,6 +25,9 @@ from twc_env.slam.team_graph import TeamGraph
 OTHERS_WEIGHT = 2
 """Where places count that only sound alike, more than `closures_min` closures must agree, and so many more for each
 that does not: along rows of shelves scans fit each other a shelf aside, too."""
+SCANS_ALONE_MIN = 8
+"""So many places, `spread_min_m` apart, must agree where neither names nor sounds are compared: rooms and whole wings
+look alike."""
 
 
 Answer = tuple[Sequence[LoopClosure], Array]
@@ -117,12 +120,18 @@ class MergeJudge:
         return np.array(in_a), np.array(in_b), np.array(measured), np.array(signs), alike
 
     def is_one_building(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
-        """Whether places that the merge brings together sound alike; where none are compared by radio, or one side
-        never heard anything and may so, whether they bear a name of their own, should texts have been compared."""
+        """Whether places that the merge brings together sound alike.
+
+        Where none are compared by radio, or one side never heard anything and may so: whether both read one name of
+        its own, should texts have been compared, or scans of many places fit.
+        """
         is_heard = self._rule.wifi_check and not (self._spares_deaf and (self._are_deaf(a) or self._are_deaf(b)))
         if is_heard:
             return self.radio_agrees(a, b, proposal.pose_a_b) is True
-        is_read = not any(math.isnan(closure.candidate.text_similarity) for closure in proposal.agreeing)
+        compared = [closure.candidate for closure in proposal.agreeing]
+        if self._rule.spread_min_m > 0.0 and all(candidate.sign_m is None for candidate in compared):
+            return proposal.weight[1] >= SCANS_ALONE_MIN
+        is_read = not any(math.isnan(candidate.text_similarity) for candidate in compared)
         return not is_read or self.names_agree(a, b, proposal.pose_a_b)
 
     def _are_deaf(self, robots: Sequence[int]) -> bool:
