@@ -246,3 +246,9 @@ def test_scans_that_no_grid_can_hold_are_refused(poses):
     """Cells cannot be told apart there, or would fill 800 GB."""
     with pytest.raises(DataError, match=r"no grid of .* holds scans that reach .* units of odometry"):
         map_of(poses, [np.full(BEAMS, 9.0)] * len(poses))
+
+
+@pytest.mark.parametrize("pose", [(np.nan, 0.0, 0.0), (0.0, np.inf, 0.0), (0.0, 0.0, np.nan)])
+def test_poses_that_are_no_place_are_refused_with_their_values(pose):
+    with pytest.raises(DataError, match=r"must be finite; got \[.*(nan|inf)"):
+        map_of([(0.0, 0.0, 0.0), pose], [np.full(BEAMS, 2.0)] * 2)

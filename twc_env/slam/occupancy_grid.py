@@ -60,12 +60,15 @@ class OccupancyGrid(BindsAnew):
     def integrate(self, poses: Array, scans: Array) -> None:
         """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall.
 
-        Raises DataError for poses so far apart that there is no room for the cells between, or that these cannot be
-        told apart.
+        Raises DataError for poses that are not finite, or so far apart that there is no room for the cells between, or
+        that these cannot be told apart.
         """
         if len(poses) == 0:
             return
         poses, scans = np.ascontiguousarray(poses, float), self._sparse.filled(np.ascontiguousarray(scans, float))
+        if not np.isfinite(poses).all():
+            worst = poses[~np.isfinite(poses).all(axis=1)][0]
+            raise DataError(f"poses (x, y, heading) must be finite; got {worst.tolist()}")
         if not self._fold_in(poses, scans):
             self._grow(self._reached_m[:2], self._reached_m[2:])
             if not self._fold_in(poses, scans):
