@@ -130,12 +130,12 @@ def test_a_run_of_other_code_or_another_plan_is_run_again_and_that_is_said(tmp_p
     plan["signs"] = plan["signs"][1:]
     map_file.write_text(json.dumps(plan))
     assert main(arguments) == 0
-    assert "1 finished runs are of other code or another plan" in capsys.readouterr().err
+    assert "1 finished runs used other code or another floor plan" in capsys.readouterr().err
     assert main(arguments) == 0
     assert "(reused)" in capsys.readouterr().err
     monkeypatch.setattr("agents.explore.code_digest", lambda *_: "other")
     assert main(arguments) == 0
-    assert "1 finished runs are of other code or another plan" in capsys.readouterr().err
+    assert "1 finished runs used other code or another floor plan" in capsys.readouterr().err
 
 
 def test_a_place_for_figures_that_cannot_be_written_is_refused_before_any_episode(tmp_path, capsys):
