@@ -118,8 +118,9 @@ class Keyframe:
     fingerprint: Fingerprint
     by_odometry_m: tuple[float, float] = (0.0, 0.0)
     """The part of `motion` left unconstrained by scan matching, as along a corridor, in this keyframe's axes."""
-    odometry_scale: float = 0.0
-    """Estimated scale error of the odometry; 0 while scan matching constrains everything."""
+    odometry_scale: tuple[float, float] = (0.0, 0.0)
+    """Estimated scale error of the odometry and its standard deviation; zeros while scan matching constrains
+    everything."""
 
     @property
     def key(self) -> tuple[int, int]:

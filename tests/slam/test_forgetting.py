@@ -10,7 +10,7 @@ from twc_env import parallel_env
 from twc_env.bench import wander
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.team_alignment import team_error_m
-from twc_env.geometry import between, compose, poses_along
+from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate, LoopClosure, SignObservation
 from twc_env.slam.device_offsets import DeviceOffsets
 from twc_env.slam.forgetting import TIES, Forgetting
@@ -22,7 +22,6 @@ from twc_env.slam.place_recognition import ProposalFilter
 from twc_env.slam.settled_maps import SettledMaps
 from twc_env.slam.sign_readings import SignReadings
 from twc_env.slam.team import TeamMapper
-from twc_env.slam.team_graph import TeamGraph
 
 STEPS, SMALL = 3000, (300, 100)
 """Maps of so few keyframes count as large in these tests, the last hundred as not settled."""
@@ -156,27 +155,6 @@ def test_signs_are_known_from_the_keyframes_that_are_left(keyframe):
     memory.forget(lambda one: one.index == unseen)
     assert [[view.index for view, _ in place.views] for place in memory.signs[0]] == [[unseen]]
     assert memory.place_of((read[unseen], sign)) is memory.signs[0][0] and memory.place_of((read[0], sign)) is None
-
-
-def test_a_way_by_odometry_alone_is_put_right_where_parts_of_it_are_forgotten(keyframe):
-    scale, count, turn = 0.05, 24, np.array([0.5, 0.1, 0.2])
-    graphs = [TeamGraph(2, 8) for _ in range(2)]
-    for k in range(count):
-        motion = turn * (k > 0)
-        c, s = np.cos(motion[2]), np.sin(motion[2])
-        alone = (c * motion[0] + s * motion[1], c * motion[1] - s * motion[0]) if k > 3 else (0.0, 0.0)
-        learned = replace(
-            keyframe(1, k), motion=motion, by_odometry_m=alone, odometry_scale=scale * (k == count - 1)
-        )  # fmt: skip
-        for graph in graphs:
-            graph.add_keyframe(learned)
-    gone = np.array([2, 3, 4, 7, 8, 9, 15, 20])
-    graphs[0].forget(gone, np.ones(len(gone), np.int64))
-    for graph in graphs:
-        assert graph.learn_scale(learned) and not graph.learn_scale(learned)
-    ends = [poses_along(graph.measured[np.argsort(graph.ends[:, 0])])[-1] for graph in graphs]
-    assert ends[0] == pytest.approx(ends[1], abs=1e-9)
-    assert np.hypot(*(ends[1] - poses_along(np.tile(turn, (count - 1, 1)))[-1])[:2]) > 0.1
 
 
 def test_a_map_that_forgets_is_reported_as_any():

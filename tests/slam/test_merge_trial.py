@@ -72,19 +72,6 @@ def test_robots_that_stray_share_no_map_any_more(strayed):
     assert sorted(groups[-1]) == [(0,), (1,), (2,)]
 
 
-def test_who_strayed_is_taken_out_of_the_map_when_an_episode_ends_too(strayed, recorded):
-    config, frames, _ = recorded
-    steps = next(k for k in range(MET_STEP, len(frames)) if (0, 1) not in strayed[1][k])
-    engine = CooperativeSlam(override(config, NO_SIGNS | BLIND), 3)
-    for step, now in enumerate(frames[:steps]):
-        engine.update(now)
-        if step == MET_STEP:
-            meet(engine.team, recorded[2])
-    assert (0, 1) in [group.robots for group in engine.team.groups], "looked at every so many steps"
-    engine.finish()
-    assert sorted(group.robots for group in engine.team.groups) == [(0,), (1,), (2,)]
-
-
 def test_what_they_knew_of_each_other_waits_and_is_no_mistake(strayed):
     engine, _ = strayed
     assert engine.team.merges_undone == 0

@@ -20,8 +20,8 @@ BYTES_PER_FINGERPRINT_MAC = 7
 BYTES_PER_POSE = 12
 BYTES_PER_COVARIANCE = 12
 """Six half-precision numbers."""
-BYTES_PER_SCALE = 6
-"""Three half-precision numbers: what odometry alone told, and its scale."""
+BYTES_PER_SCALE = 8
+"""Four half-precision numbers: what odometry alone told, its scale and how sure that is."""
 BYTES_PER_REQUEST = 4
 """Robot and number of the keyframe whose scan is wanted."""
 BYTES_PER_COUNT = 2
@@ -171,7 +171,7 @@ class Exchange:
     def _count(self, keyframe: Keyframe) -> None:
         sent = self.bytes_sent
         sent["pose"] += BYTES_PER_POSE + BYTES_PER_COVARIANCE
-        if any(keyframe.by_odometry_m) or keyframe.odometry_scale:
+        if keyframe.odometry_scale != (0.0, 0.0):
             sent["pose"] += BYTES_PER_SCALE
         for sign in keyframe.signs:
             sent["text"] += len(sign.text.encode()) + BYTES_PER_POSE

@@ -16,7 +16,6 @@ from twc_env.slam.odometry_filter import (
     first_covariance,
     motion_noise,
     part_from_untold,
-    part_scale,
     process_values,
 )
 
@@ -71,11 +70,6 @@ class FilterpyFilters:
                     R=noise,
                     residual=_pose_difference,
                 )
-
-    def part(self, robots: Array) -> None:
-        """Scans of these robots (k,) met no walls: see `part_scale`."""
-        for k in robots:
-            part_scale(self._filters[k].P)
 
     def anchor(self, robots: Array, is_new: Array) -> None:
         """See the kernel of this name."""

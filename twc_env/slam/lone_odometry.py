@@ -6,87 +6,48 @@ of a way that it has gone by odometry. Its graph holds that way as it was believ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.messages import Keyframe
-from twc_env.slam.growing import ROOM, grown
 
 MOVED_M = 0.05
 """What has been learned is put to use when it makes a robot's way so much longer or shorter."""
 
 
-class _Motions:
-    """Those of one robot: to which node each leads, and, along the axes there, what odometry read and took off that."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._nodes, self._vectors_m = np.zeros(ROOM, np.int64), np.zeros((ROOM, 2, 2))
-
-    @property
-    def nodes(self) -> Array:
-        """(k,) ascending."""
-        return self._nodes[: self.count]
-
-    @property
-    def vectors_m(self) -> Array:
-        """(k, 2, 2) what was read and what was taken off; may be written to."""
-        return self._vectors_m[: self.count]
-
-    def add(self, node: int, read_m: Array, less_m: Array) -> None:
-        """A further one."""
-        if self.count == len(self._nodes):
-            self._nodes, self._vectors_m = grown(self._nodes), grown(self._vectors_m)
-        self._nodes[self.count], self._vectors_m[self.count] = node, (read_m, less_m)
-        self.count += 1
-
-    def hand_on(self, heirs: Array, turns_rad: Array) -> None:
-        """Each leads to another node (k,), ascending, from which its own looks turned (k,); those to one are one."""
-        c, s = np.cos(turns_rad), np.sin(turns_rad)
-        turned_m = self.vectors_m @ np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -2)
-        nodes, firsts = np.unique(heirs, return_index=True)
-        self.count = len(nodes)
-        self._nodes[: self.count], self._vectors_m[: self.count] = nodes, np.add.reduceat(turned_m, firsts)
-
-
 class LoneOdometry:
-    """Such motions of all robots, as edges of a graph, each named by the node to which it leads."""
+    """Of each robot such motions, as edges of a graph, and the scale by which they stand there."""
 
     def __init__(self, robot_count: int):
-        self._motions = [_Motions() for _ in range(robot_count)]
+        self._edges: list[list[int]] = [[] for _ in range(robot_count)]
+        self._read_m: list[list[tuple[float, float]]] = [[] for _ in range(robot_count)]
+        """What odometry read, along the axes of the keyframe at the end of each."""
+        self._applied: list[list[float]] = [[] for _ in range(robot_count)]
+        self._length_m = [0.0] * robot_count
 
-    def add(self, keyframe: Keyframe, node: int) -> None:
-        """Note a new keyframe, which is this node."""
-        believed_m = np.array(keyframe.by_odometry_m)
-        if believed_m.any():
-            read_m = believed_m / (1.0 - keyframe.odometry_scale)
-            self._motions[keyframe.robot].add(node, read_m, read_m - believed_m)
+    def add(self, keyframe: Keyframe, edge: int) -> None:
+        """Note a new keyframe, to which this edge leads."""
+        ahead, left = keyframe.by_odometry_m
+        if ahead == left == 0.0:
+            return
+        robot, scale = keyframe.robot, keyframe.odometry_scale[0]
+        self._edges[robot].append(edge)
+        self._read_m[robot].append((ahead / (1.0 - scale), left / (1.0 - scale)))
+        self._applied[robot].append(scale)
+        self._length_m[robot] += float(np.hypot(*self._read_m[robot][-1]))
 
     def learned(self, robot: int, scale: float) -> tuple[Array, Array] | None:
-        """Nodes (k,), ascending, and what is to be added to the edges there [m], (k, 2); None: too little.
-
-        By the share that odometry is now known to read too long.
-        """
-        motions = self._motions[robot]
-        if not motions.count:
+        """Edges (k,) and what is to be added to each [m], (k, 2), by the scale known now; None: too little."""
+        if not self._edges[robot]:
             return None
-        read_m, less_m = motions.vectors_m[:, 0], motions.vectors_m[:, 1]
-        more_m = less_m - scale * read_m
-        if np.hypot(more_m[:, 0], more_m[:, 1]).sum() < MOVED_M:
+        less = np.array(self._applied[robot]) - scale
+        if np.abs(less).max() * self._length_m[robot] < MOVED_M:
             return None
-        less_m[:] = scale * read_m
-        return motions.nodes.copy(), more_m
+        self._applied[robot] = [scale] * len(less)
+        return np.array(self._edges[robot]), less[:, None] * np.array(self._read_m[robot])
 
-    def forget(self, paths: Sequence[Array], number_of: Array, headings_rad: Array) -> None:
-        """Nodes are gone, past which odometry is joined: what led to them leads to the next that stays.
-
-        paths: the nodes of each robot; number_of (nodes,): their new numbers, -1 for those that are gone; headings_rad
-        (nodes,).
-        """
-        for motions, path in zip(self._motions, paths, strict=True):
-            if motions.count:
-                stay = path[number_of[path] >= 0]
-                heirs = stay[np.searchsorted(stay, motions.nodes)]
-                motions.hand_on(number_of[heirs], headings_rad[motions.nodes] - headings_rad[heirs])
+    def clear(self) -> None:
+        """The edges are others now: what stands there stays."""
+        for robot in range(len(self._edges)):
+            self._edges[robot], self._read_m[robot], self._applied[robot] = [], [], []
+            self._length_m[robot] = 0.0

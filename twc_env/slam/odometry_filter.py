@@ -135,12 +135,6 @@ def open_direction(information):
 
 
 @kernel
-def tells_nothing(information):
-    """Whether a scan met no walls: all directions are open."""
-    return information[0, 0] + information[1, 1] <= 0.0
-
-
-@kernel
 def part_from_untold(p, information):
     """Where a match leaves a direction open, nothing else is told by how far the robot has come along it.
 
@@ -163,16 +157,6 @@ def part_from_untold(p, information):
     for j in range(5):
         for axis in range(2):
             p[j, axis] -= along[axis] * others[j]
-
-
-@kernel
-def part_scale(p):
-    """Where a scan met no walls the scale is told nothing by how far the robot goes. Changes p (5, 5) in place.
-
-    All else is: a robot that comes back to walls that it knows learns of its heading.
-    """
-    for j in range(4):
-        p[4, j] = p[j, 4] = 0.0
 
 
 @kernel

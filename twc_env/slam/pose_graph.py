@@ -220,15 +220,11 @@ class NormalEquations:
         )  # fmt: skip
 
     def answers(self, poses: Array, right: Array) -> Array:
-        """H^-1 right (k, n, 3) for several right sides at these poses, every edge believed.
-
-        NaN where the equations have no one solution.
-        """
+        """H^-1 right (k, n, 3) for several right sides at these poses, every edge believed."""
         diagonal, blocks, _ = self.linearise(poses, np.ones(len(self.edges)))
         sides, diagonal = np.zeros((len(right), *diagonal.shape[:2])), damped(diagonal, NEGLIGIBLE_DAMPING)
         sides[:, : len(poses)] = right
-        found = [self._cholesky.solve(diagonal, blocks, side) for side in sides]
-        return np.array([np.full_like(sides[0], np.nan) if one is None else one for one in found])[:, : len(poses)]
+        return np.array([self._cholesky.solve(diagonal, blocks, side) for side in sides])[:, : len(poses)]
 
     def _go_in_parts(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
         diagonal, blocks, gradient = self.linearise(poses, weight)

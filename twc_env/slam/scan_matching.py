@@ -57,8 +57,7 @@ SEARCH_M, SEARCH_RAD, SEARCH_STEP_M, SEARCH_STEP_RAD, SEARCH_BEAMS = 0.6, 0.36, 
 
 @borrowing_kernel
 def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, information):
-    """Lay a scan (beams,) on a field near a guess: writes the pose (3,) and its information (3, 3), zeros where too
-    little of the scan meets walls.
+    """Lay a scan (beams,) on a field near a guess: writes the pose (3,) and its information (3, 3), zeros for none.
 
     rule: as `LineFields` has it; room: of `matching_room`. Gives whether the pose is to be believed (it is near the
     guess, and enough beams speak for it), whether it explains clearly more of the scan than the guess does, and the
@@ -94,15 +93,19 @@ def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, 
         is_clear = won - LOSS_WEIGHT * lost >= GAIN_MIN * n
     reach, reach_turned = (SLIP_MAX_M, SLIP_MAX_RAD) if is_clear else (INNOVATION_MAX_M, INNOVATION_MAX_RAD)
     jump_x, jump_y = pose[0] - guess[0], pose[1] - guess[1]
-    is_near = math.sqrt(jump_x * jump_x + jump_y * jump_y) <= reach and abs(pose[2] - guess[2]) <= reach_turned
-    is_met = total >= WEIGHT_MIN and total >= MATCHED_SHARE_MIN * n
-    if is_met:
+    is_matched = (
+        total >= WEIGHT_MIN
+        and total >= MATCHED_SHARE_MIN * n
+        and math.sqrt(jump_x * jump_x + jump_y * jump_y) <= reach
+        and abs(pose[2] - guess[2]) <= reach_turned
+    )
+    if is_matched:
         fill_information(h, degenerate, rule[4], information)
     else:
         for i in range(3):
             for j in range(3):
                 information[i, j] = 0.0
-    return is_met and is_near, is_clear, near / max(n, 1)
+    return is_matched, is_clear, near / max(n, 1)
 
 
 @borrowing_kernel

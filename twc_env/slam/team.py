@@ -116,7 +116,9 @@ class TeamMapper:
         is_turn = is_turn or not self.optimiser.is_map_large
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
-            self._reconsider_merges()
+            if self._trials is not None and self._given_starts is None:
+                self._part_strayed(self._trials)
+            self._retry_merges()
         if is_turn and self.optimiser.may_forget:
             self.optimiser.forget()
         elif is_turn and step >= self.optimiser.due_step:
@@ -139,7 +141,7 @@ class TeamMapper:
         """Work off everything that still waits (end of an episode or log)."""
         while self._verify_one():
             pass
-        self._reconsider_merges()
+        self._retry_merges()
         self.optimiser.finish()
         self._settled = -1
 
@@ -313,12 +315,6 @@ class TeamMapper:
         for b in reversed(known[1:]):
             first, second = self.groups[known[0]].robots[0], self.groups[b].robots[0]
             self._maps.merge(known[0], b, between(starts[first], starts[second]))
-
-    def _reconsider_merges(self) -> None:
-        """Take apart who strayed, where scans do not fix robots to each other; and see who may be merged now."""
-        if self._trials is not None and self._given_starts is None:
-            self._part_strayed(self._trials)
-        self._retry_merges()
 
     def _retry_merges(self) -> None:
         """Try all groups with pending closures: new keyframes, walls or merges may have made the case for them."""

@@ -131,20 +131,15 @@ class TeamGraph(GraphArrays):
         self.keyframes[robot].append(keyframe)
         if keyframe.signs:
             self._readings.add(keyframe, node, self.poses)
-        if len(self._nodes[robot]) > 1:
-            self._lone_odometry.add(keyframe, node)
+        self._lone_odometry.add(keyframe, self.edge_count - 1)
         return node
 
     def learn_scale(self, keyframe: Keyframe) -> bool:
         """Put right what odometry alone told by what a robot knows of it at this keyframe; whether anything was."""
-        learned = self._lone_odometry.learned(keyframe.robot, keyframe.odometry_scale)
+        learned = self._lone_odometry.learned(keyframe.robot, keyframe.odometry_scale[0])
         if learned is None:
             return False
-        nodes, more_m = learned
-        odometry = np.flatnonzero(self.closure_of_edge == ODOMETRY)
-        leads_to = self.ends[odometry, 1]
-        order = np.argsort(leads_to, kind="stable")
-        edges = odometry[order[np.searchsorted(leads_to, nodes, sorter=order)]]
+        edges, more_m = learned
         c, s = np.cos(self.measured[edges, 2]), np.sin(self.measured[edges, 2])
         self.measured[edges, 0] += c * more_m[:, 0] - s * more_m[:, 1]
         self.measured[edges, 1] += s * more_m[:, 0] + c * more_m[:, 1]
@@ -235,12 +230,11 @@ class TeamGraph(GraphArrays):
             own = ~is_gone[self.path_of(robot)]
             path[:] = [keyframe for keyframe, stays in zip(path, own.tolist(), strict=True) if stays]
         poses, kept = self.poses, np.flatnonzero(~is_gone)
-        paths = [self.path_of(robot).copy() for robot in range(len(self.keyframes))]
         number_of = self._keep(kept, edges.parts)
         self._nodes[:] = [array("q", self.path_of(robot).tolist()) for robot in range(len(self.keyframes))]
         self._forgotten.renumber(number_of)
         self._readings.forget(carrier_of, number_of, poses)
-        self._lone_odometry.forget(paths, number_of, poses[:, 2])
+        self._lone_odometry.clear()
         self.changes += 1
         return kept
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -23,16 +22,11 @@ from twc_env.slam.odometry_filter import (
     believe_match,
     make_filters,
     open_direction,
-    part_scale,
     predict_state,
-    tells_nothing,
 )
 from twc_env.slam.radio_fingerprint import NO_AGES, ScanWindows, ages_of, keep
 from twc_env.slam.scan_matching import LineFields, match_scan, matching_room
 from twc_env.team_messages import TeamFrames
-
-if TYPE_CHECKING:
-    from twc_env.slam.filterpy_filter import FilterpyFilters
 
 
 @borrowing_kernel
@@ -81,28 +75,18 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
 
 
 @borrowing_kernel
-def _note_open(robots, before, states, is_matched, information, by_odometry):
-    """Add to by_odometry (n, 2) what no scan told of robots' motions from before (n, 2), in odom frames.
+def _note_open(robots, before, states, information, by_odometry):
+    """Add to by_odometry (n, 2) what matched scans left open of robots' motions from before (n, 2), in odom frames.
 
-    Nothing where a scan met walls and was not believed: the next one will be laid on the same.
+    Where no scan is matched nothing is added.
     """
     for a in range(robots.shape[0]):
         k = robots[a]
         is_open, ahead, left = open_direction(information[k])
-        if tells_nothing(information[k]):
-            by_odometry[k, 0] += states[k, 0] - before[k, 0]
-            by_odometry[k, 1] += states[k, 1] - before[k, 1]
-        elif is_open and is_matched[k]:
+        if is_open:
             along = ahead * (states[k, 0] - before[k, 0]) + left * (states[k, 1] - before[k, 1])
             by_odometry[k, 0] += along * ahead
             by_odometry[k, 1] += along * left
-
-
-@borrowing_kernel
-def _forget_unbelieved(robots, is_matched, information):
-    for a in range(robots.shape[0]):
-        if not is_matched[robots[a]]:
-            information[robots[a], :, :] = 0.0
 
 
 @borrowing_kernel
@@ -125,17 +109,14 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
         robots, ranges, states, directions, opening, mate_radius, marked, discs, disc_counts, cells, lines, origins,
         match_rule, has_lidar, room, matched, information, is_matched, is_clear, explained,
     )  # fmt: skip
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        if is_matched[k] and believes_scans:
+            is_matched[k] = believe_match(states[k], covariances[k], matched[k], information[k], noise[5], is_clear[k])
+            if not is_matched[k]:
+                information[k, :, :] = 0.0
     if has_lidar:
-        for a in range(robots.shape[0]):
-            k = robots[a]
-            if is_matched[k] and believes_scans:
-                now = matched[k], information[k], noise[5], is_clear[k]
-                is_matched[k] = believe_match(states[k], covariances[k], *now)
-            elif tells_nothing(information[k]):
-                part_scale(covariances[k])
-        if believes_scans:
-            _note_open(robots, before, states, is_matched, information, by_odometry)
-        _forget_unbelieved(robots, is_matched, information)
+        _note_open(robots, before, states, information, by_odometry)
     has_arrived = _arrive(
         robots, odometry, dts, states, explained, keyframe_rule, keyframe_poses, poses, travels, steps, is_new
     )
@@ -202,16 +183,17 @@ class Tracker(BindsAnew):
         )  # fmt: skip
         if self._run is None:
             if not isinstance(self._filters, CompiledFilters):
-                self._update_stepwise(robots, frames, self._filters)
+                self._update_stepwise(robots, frames)
                 keep(self.radio.kept, frames.time_s, robots, *now[6:])
                 return
             self._run = bound(_track, self._packed(self._filters), *now)
         self.has_arrived = self._run(*now)
 
-    def take_by_odometry(self, robot: int) -> tuple[()] | tuple[tuple[float, float], float]:
+    def take_by_odometry(self, robot: int) -> tuple[()] | tuple[tuple[float, float], tuple[float, float]]:
         """What no scan told of a robot's motions since this was asked last, along its axes [m].
 
-        And by what share its odometry reads too long as far as it knows. Nothing while scans told of all motions.
+        And by what share its odometry reads too long as far as it knows, with one sigma of that. Nothing while scans
+        told of all motions.
         """
         x, y = self._by_odometry_m[robot].tolist()
         if x == y == 0.0 and not self._has_been_alone[robot]:
@@ -219,7 +201,8 @@ class Tracker(BindsAnew):
         self._by_odometry_m[robot], self._has_been_alone[robot] = 0.0, True
         heading_rad = self.poses_odom[robot, 2]
         c, s = math.cos(heading_rad), math.sin(heading_rad)
-        return (c * x + s * y, c * y - s * x), float(self._filters.states[robot, 4])
+        scale, variance = self._filters.states[robot, 4], self._filters.covariances[robot, 4, 4]
+        return (c * x + s * y, c * y - s * x), (float(scale), math.sqrt(variance))
 
     def _packed(self, filters: CompiledFilters) -> Lent:
         """What `_track` needs in every step."""
@@ -233,27 +216,26 @@ class Tracker(BindsAnew):
         )  # fmt: skip
         return Lent(parts)
 
-    def _update_stepwise(self, robots: Array, frames: TeamFrames, filters: FilterpyFilters) -> None:
+    def _update_stepwise(self, robots: Array, frames: TeamFrames) -> None:
         """The same, with filters that are not compiled."""
         count = len(self.poses_odom)
         matched, explained = np.empty((count, 3)), np.zeros(count)
         is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
         dts_s = frames.time_s - self.times_s[robots]
         self.times_s[robots] = frames.time_s
-        before = filters.states[:, :2].copy()
-        filters.predict(robots, frames.odometry, frames.turn_rates_rad_s, dts_s)
+        before = self._filters.states[:, :2].copy()
+        self._filters.predict(robots, frames.odometry, frames.turn_rates_rad_s, dts_s)
         _see(
-            robots, frames.ranges_m, filters.states, *self._marking, *self._matching, matched,
+            robots, frames.ranges_m, self._filters.states, *self._marking, *self._matching, matched,
             self.information, is_matched, is_clear, explained,
         )  # fmt: skip
-        filters.update(robots, matched, self.information, is_matched, is_clear)
+        self._filters.update(robots, matched, self.information, is_matched, is_clear)
+        self.information[robots[~is_matched[robots]]] = 0.0
         if self._has_lidar:
-            filters.part(robots[~self.information[robots].any(axis=(1, 2))])
-            _note_open(robots, before, filters.states, is_matched, self.information, self._by_odometry_m)
-            _forget_unbelieved(robots, is_matched, self.information)
+            _note_open(robots, before, self._filters.states, self.information, self._by_odometry_m)
         self.has_arrived = _arrive(
-            robots, frames.odometry, dts_s, filters.states, explained, self._keyframe_rule,
+            robots, frames.odometry, dts_s, self._filters.states, explained, self._keyframe_rule,
             self.keyframe_poses, self.poses_odom, self.travels_m, self.steps, self.is_new,
         )  # fmt: skip
         if not self._has_lidar:
-            filters.anchor(robots, self.is_new)
+            self._filters.anchor(robots, self.is_new)
