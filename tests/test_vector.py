@@ -133,6 +133,16 @@ def test_this_process_is_one_of_those_that_play(workers, others):
     teams.close()
 
 
+def test_other_processes_are_at_work_while_this_one_plays_its_share(monkeypatch):
+    teams, told = VectorTeams(2, SMALL, workers=2), []
+    for name, crew in zip(("this", "other"), teams._crews, strict=True):
+        send = crew.send
+        monkeypatch.setattr(crew, "send", lambda *order, name=name, send=send: (told.append(name), send(*order)))
+    teams.reset(0)
+    teams.close()
+    assert told == ["other", "this"]
+
+
 def test_who_waits_is_awake_until_there_is_something_or_for_a_moment():
     ours, theirs = multiprocessing.Pipe()
     stay_awake = vector._wakefulness(ours)

@@ -71,3 +71,16 @@ def test_of_many_candidates_a_part_has_its_turn_in_a_step_so_that_they_do_not_be
     mapper._search.waiting_count = waiting
     mapper.update(1, [keyframe(0, 1, (0.0, 0.0, 0.0), 0.0, room)])
     assert len(mapper.closures) == verified
+
+
+@pytest.mark.parametrize(("ahead_m", "tried"), [(0.5, 1), (5.0, 4)])
+def test_a_pair_of_places_that_repeats_an_earlier_one_is_not_tried_again(keyframe, scan, walls, ahead_m, tried):
+    """The same sign, read again by both robots a little later and further on."""
+    room, mapper = walls((-10.0, -9.0), (10.0, -9.0), (10.0, 9.0), (-10.0, 9.0)), TeamMapper(EnvConfig(), 2)
+    for k, x in enumerate((0.0, ahead_m)):
+        sign = [SignObservation("LIBRARY", np.array([1.0 - x, 1.0]), -np.pi / 2)]
+        seen = [keyframe(r, k, (x, 0.0, 0.0), x, scan(room, (x, 0.0, 0.0)), sign, MACS, LEVELS_DBM) for r in (0, 1)]
+        mapper.update(k, seen)
+    for step in range(2, 20):
+        mapper.update(step, [])
+    assert len([c for c in mapper.closures if c.candidate.recogniser == "twc"]) == tried

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from twc_env.config import MergingConfig
 from twc_env.geometry import between, compose, inverse
 from twc_env.messages import Fingerprint
+from twc_env.slam import map_merging
 from twc_env.slam.growing import READINGS_ROOM
 from twc_env.slam.heard_places import HeardPlaces
 from twc_env.slam.map_merging import count_places, largest_agreement, wall_contradiction, weight_of, wifi_agrees
@@ -260,14 +261,20 @@ def test_radio_says_nothing_where_nothing_is_heard():
 
 
 def test_places_heard_bit_by_bit_are_those_heard_at_once():
-    prints = [Fingerprint(np.arange(k), -50.0 - np.arange(k)) for k in (3, 0, 2, READINGS_ROOM)]
+    prints = [Fingerprint(np.arange(k), -50.0 - np.arange(k)) for k in (3, 0, 2, 4 * READINGS_ROOM)]
     at_once, grown = heard_at(prints), HeardPlaces()
     for part in (prints[:1], [], prints[1:]):
         grown.add(part)
-    assert len(at_once) == 4 and at_once.starts.tolist() == [0, 3, 3, 5, 5 + READINGS_ROOM]
+    assert len(at_once) == 4 and at_once.starts.tolist() == [0, 3, 3, 5, 5 + 4 * READINGS_ROOM]
     assert grown.starts.tolist() == at_once.starts.tolist()
     for heard in (at_once, grown):
         for k, one in enumerate(prints):
             place = slice(heard.starts[k], heard.starts[k + 1])
             np.testing.assert_array_equal(heard.macs[place], one.macs)
             np.testing.assert_array_equal(heard.rssi_dbm[place], one.rssi_dbm)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 256])
+def test_the_middle_of_values_is_their_median(count):
+    values = np.random.default_rng(count).normal(size=count)
+    assert map_merging._middle(values) == np.median(values)

@@ -10,6 +10,7 @@ from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.geometry import between
 from twc_env.messages import LoopCandidate, LoopClosure
+from twc_env.slam import merge_trial
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.loop_verification import SIGN_ALONE_STD
 
@@ -70,6 +71,18 @@ def test_robots_that_stray_share_no_map_any_more(strayed):
     _, groups = strayed
     assert groups[MET_STEP] == [(0, 1), (2,)]
     assert sorted(groups[-1]) == [(0,), (1,), (2,)]
+
+
+def test_where_nothing_is_known_of_how_robots_are_placed_they_stay_together(recorded, monkeypatch):
+    """As where the information of their closures cannot be inverted."""
+    config, frames, true_poses = recorded
+    engine = CooperativeSlam(override(config, NO_SIGNS | BLIND), 3)
+    for now in frames[: MET_STEP + 1]:
+        engine.update(now)
+    meet(engine.team, true_poses)
+    assert engine.team._trials.strayed((0, 1)) is None
+    monkeypatch.setattr(merge_trial, "frame_stds", lambda *_: np.full((2, 2, 2), np.nan))
+    assert engine.team._trials.strayed((0, 1)) is None
 
 
 def test_what_they_knew_of_each_other_waits_and_is_no_mistake(strayed):

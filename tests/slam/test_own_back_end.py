@@ -14,6 +14,8 @@ from twc_env.class_file import digest_of
 from twc_env.config import PoseGraphConfig
 from twc_env.geometry import between
 from twc_env.slam import robust_backend
+from twc_env.slam.own_back_end import OwnBackEnd
+from twc_env.slam.pose_graph import Graph
 
 LIBRARY = Path(__file__).parents[2] / "docs/library.md"
 OWN = "trimmed.py:Trimmed"
@@ -67,6 +69,17 @@ def test_robots_meet_with_a_back_end_of_ones_own(folder, capsys):
     report = json.loads(Path("run/report.json").read_text())
     assert report["merged_robots"] >= 2 and report["wrong_merges"] == 0 and report["team_ate_m"] < 0.1
     assert report["back_end_digest"] == digest_of(OWN)
+
+
+def test_odometry_is_believed_whatever_a_back_end_says_and_what_it_is_given_is_its_own(tmp_path):
+    path = tmp_path / "faulty.py"
+    path.write_text(FAULTY.format(answer="poses.fill(0.0) or edges.fill(0) or (poses, edges[:, 0] > 0)"))
+    start, *parts = ring()[1]
+    graph, poses = Graph(*(part.copy() for part in parts)), start.copy()
+    answer, believed = OwnBackEnd(PoseGraphConfig(robust=f"{path}:Answers")).solve(poses, graph, 0)
+    assert not answer.any() and np.array_equal(believed, ~parts[-1])
+    assert np.array_equal(poses, start)
+    assert all(np.array_equal(held, given) for held, given in zip(graph.parts, parts, strict=True))
 
 
 @pytest.mark.parametrize(

@@ -75,13 +75,13 @@ def team_along_doors(keyframe, scan, walls):
     """Two robots that passed the same doors and exits between them, each reading texts of its own; closures by the
     exits bring them together."""
 
-    def passed(first, second):
+    def passed(first, second, third=False):
         room = scan(walls((-30, -2), (30, -2), (30, 2), (-30, 2)), (0.0, 0.0, 0.0))
-        team = TeamMapper(override(EnvConfig(), {"slam.merging.wifi_check": False}), 2)
+        team = TeamMapper(override(EnvConfig(), {"slam.merging.wifi_check": False}), 3)
         team._seeks_closures = False
         for k in range(7):
             made = []
-            for robot, names in enumerate((first, second)):
+            for robot, names in enumerate((first, second, first[::-1])[: 2 + third]):
                 texts = ["EXIT" if k % 2 else names[k // 2]] * 2
                 signs = [SignObservation(text, np.array([0.0, 1.0]), -math.pi / 2) for text in texts if text]
                 seen = keyframe(robot, k, (DOORS_M * k, 0.0, 0.0), DOORS_M * k, room, signs)
@@ -105,3 +105,9 @@ def test_exits_in_common_do_not_merge_maps_whose_doors_bear_other_names(team_alo
 )
 def test_where_nothing_is_heard_texts_that_hang_everywhere_do_not_merge_maps(team_along_doors, names, is_merged):
     assert team_along_doors(NAMES, names)._try_merge(0, 1) is is_merged
+
+
+def test_maps_that_nothing_ties_together_do_not_say_that_a_text_hangs_at_several_places(team_along_doors):
+    """A third robot that read the one name in common has a map of its own, whose frame is another."""
+    team = team_along_doors(NAMES, ["A101 LAB", "", "", ""], third=True)
+    assert team._try_merge(0, 1)
