@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import twc_env
-from twc_env import vector
+from twc_env import crews
 from twc_env.errors import ActionError, ConfigError, MapError, TwcError, WorkerError
 from twc_env.vector import VectorTeams
 
@@ -145,17 +145,17 @@ def test_other_processes_are_at_work_while_this_one_plays_its_share(monkeypatch)
 
 def test_who_waits_is_awake_until_there_is_something_or_for_a_moment():
     ours, theirs = multiprocessing.Pipe()
-    stay_awake = vector._wakefulness(ours)
+    stay_awake = crews._wakefulness(ours)
     begin = time.monotonic()
     stay_awake()
-    assert time.monotonic() - begin >= vector._AWAKE_S
+    assert time.monotonic() - begin >= crews._AWAKE_S
     for last_word in (lambda: theirs.send("go"), theirs.close):
         last_word()
-        vector._AWAKE_S, kept = 60.0, vector._AWAKE_S
+        crews._AWAKE_S, kept = 60.0, crews._AWAKE_S
         try:
             stay_awake()
         finally:
-            vector._AWAKE_S = kept
+            crews._AWAKE_S = kept
         assert ours.poll(0)
         if not theirs.closed:
             assert ours.recv() == "go"
