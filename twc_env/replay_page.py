@@ -64,8 +64,8 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "time_step_s": config.dynamics.time_step_s,
         "subtitle": f"{config.robots} robots, {len(trace['true_poses']) - 1} steps of "
         f"{config.dynamics.time_step_s:g} s, configuration {report['config_digest']}, version {report['version']}. "
-        "Grey lines: the building as it is. White and black: what the team believes. "
-        "Disc: where a robot is; ring: where it believes to be.",
+        "Grey lines: the true building. White and black: the merged map (free, wall). "
+        "Disc: true pose of a robot; ring: its estimate.",
         "colours": ["#" + bytes(colour).hex() for colour in COLOURS],
         "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
         "walls_m": _rounded(walls),
