@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import twc_env
-from twc_env import crews
+from twc_env import environment_group
 from twc_env.errors import ActionError, ConfigError, MapError, TwcError, WorkerError
 from twc_env.vector import VectorTeams
 
@@ -84,7 +84,7 @@ def test_episodes_change_buildings():
     names = ("gen:office:100:1", "gen:ring:100:2")
     teams = VectorTeams(2, SMALL, buildings=names)
     teams.reset(0)
-    maps = [env.floorplan.name for env in teams._crews[0]._envs]
+    maps = [env.floorplan.name for env in teams._groups[0]._envs]
     assert maps == list(names)
     assert VectorTeams(1, SMALL, buildings="train").reset(3)["lidar"].any()
 
@@ -118,44 +118,44 @@ def test_errors_reach_the_caller_and_name_what_was_expected():
 def test_a_dead_worker_is_reported():
     teams = VectorTeams(2, SMALL, workers=2)
     teams.reset(0)
-    teams._crews[1]._process.kill()
-    teams._crews[1]._process.join()
+    teams._groups[1]._process.kill()
+    teams._groups[1]._process.join()
     with pytest.raises(WorkerError, match="died"):
         teams.step(np.zeros((2, 2, 2)))
     teams.close()
 
 
 @pytest.mark.parametrize(("workers", "others"), [(0, 0), (1, 0), (2, 1)])
-def test_this_process_is_one_of_those_that_play(workers, others):
+def test_this_process_counts_as_a_worker(workers, others):
     before = len(multiprocessing.active_children())
     teams = VectorTeams(2, SMALL, workers=workers)
     assert len(multiprocessing.active_children()) - before == others
     teams.close()
 
 
-def test_other_processes_are_at_work_while_this_one_plays_its_share(monkeypatch):
-    teams, told = VectorTeams(2, SMALL, workers=2), []
-    for name, crew in zip(("this", "other"), teams._crews, strict=True):
-        send = crew.send
-        monkeypatch.setattr(crew, "send", lambda *order, name=name, send=send: (told.append(name), send(*order)))
+def test_worker_processes_step_while_this_process_steps_its_own_group(monkeypatch):
+    teams, commanded = VectorTeams(2, SMALL, workers=2), []
+    for name, group in zip(("this", "other"), teams._groups, strict=True):
+        send = group.send
+        monkeypatch.setattr(group, "send", lambda *order, name=name, send=send: (commanded.append(name), send(*order)))
     teams.reset(0)
     teams.close()
-    assert told == ["other", "this"]
+    assert commanded == ["other", "this"]
 
 
-def test_who_waits_is_awake_until_there_is_something_or_for_a_moment():
+def test_a_waiting_process_polls_until_its_pipe_is_readable_or_for_a_moment():
     ours, theirs = multiprocessing.Pipe()
-    stay_awake = crews._wakefulness(ours)
+    spin = environment_group._spinner(ours)
     begin = time.monotonic()
-    stay_awake()
-    assert time.monotonic() - begin >= crews._AWAKE_S
-    for last_word in (lambda: theirs.send("go"), theirs.close):
-        last_word()
-        crews._AWAKE_S, kept = 60.0, crews._AWAKE_S
+    spin()
+    assert time.monotonic() - begin >= environment_group._SPIN_S
+    for event in (lambda: theirs.send("go"), theirs.close):
+        event()
+        environment_group._SPIN_S, kept = 60.0, environment_group._SPIN_S
         try:
-            stay_awake()
+            spin()
         finally:
-            crews._AWAKE_S = kept
+            environment_group._SPIN_S = kept
         assert ours.poll(0)
         if not theirs.closed:
             assert ours.recv() == "go"
@@ -206,7 +206,7 @@ def test_after_an_interruption_no_stale_answer_is_taken(monkeypatch):
     def interrupt():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(teams._crews[0], "receive", interrupt)
+    monkeypatch.setattr(teams._groups[0], "receive", interrupt)
     with pytest.raises(KeyboardInterrupt):
         teams.step(teams.sample())
     with pytest.raises(TwcError, match="closed"):

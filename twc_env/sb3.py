@@ -18,8 +18,8 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from twc_env.config import EnvConfig
 from twc_env.config.checks import whole_number
-from twc_env.crews import FLAT
 from twc_env.errors import ActionError
+from twc_env.shared_arrays import FLAT
 from twc_env.vector import VectorTeams
 
 

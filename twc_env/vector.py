@@ -1,4 +1,4 @@
-"""Many environments at once, in several processes that write their observations into shared memory.
+"""Many environments at once, in several processes that exchange observations and actions through shared memory.
 
     from twc_env.vector import VectorTeams
     teams = VectorTeams(8, {"map": "twin-01"}, workers=2)
@@ -25,10 +25,11 @@ from numpy.typing import NDArray as Array
 from twc_env import errors
 from twc_env.config import EnvConfig, to_dict
 from twc_env.config.checks import whole_number
-from twc_env.crews import FLAT, Boards, Crew, Worker
+from twc_env.environment_group import EnvironmentGroup, WorkerProcess
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
+from twc_env.shared_arrays import FLAT, SharedArrays
 from twc_env.world.splits import SPLITS, is_of_split, split_names
 
 
@@ -58,18 +59,21 @@ class VectorTeams:
         self.observation_space, self.action_space = model.observation_space("robot_0"), model.action_space("robot_0")
         self.state_space = model.state_space
         names = _building_names(buildings)
-        self._boards = Boards(count, self.robots, self.observation_space, self.action_space)
+        self._arrays = SharedArrays(count, self.robots, self.observation_space, self.action_space)
         self._context = multiprocessing.get_context("spawn")
         parts = [list(range(count))[k :: max(workers, 1)] for k in range(max(workers, 1))]
         task = (to_dict(self.config), names)
-        others = [Worker(self._context, part, self._boards, task) for part in parts[1:]]
-        self._crews: list[Crew | Worker] = [Crew(parts[0], self._boards, *task), *others]
+        others = [WorkerProcess(self._context, part, self._arrays, task) for part in parts[1:]]
+        self._groups: list[EnvironmentGroup | WorkerProcess] = [
+            EnvironmentGroup(parts[0], self._arrays, *task),
+            *others,
+        ]
         self._parts = parts
 
     def reset(self, seed: int = 0) -> dict[str, Array]:
         """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on."""
         self._order("reset", whole_number("seed", seed, 0))
-        return self._boards.observations()
+        return self._arrays.observations()
 
     def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, list[list[dict[str, Any]]]]:
         """One step of all environments.
@@ -84,12 +88,12 @@ class VectorTeams:
                 f"actions must have shape {wanted}, one per environment and robot; got {actions.shape}"
             )
         self._check(actions)
-        self._boards.actions[:] = actions
+        self._arrays.actions[:] = actions
         infos: list[list[dict[str, Any]]] = [[] for _ in range(self.count)]
         for part, answers in zip(self._parts, self._order("step"), strict=True):
             for k, info in zip(part, answers, strict=True):
                 infos[k] = info
-        return self._boards.observations(), self._boards.rewards.copy(), self._boards.ended.copy(), infos
+        return self._arrays.observations(), self._arrays.rewards.copy(), self._arrays.ended.copy(), infos
 
     def _check(self, actions: Array) -> None:
         """Reject invalid actions before any environment has moved."""
@@ -118,7 +122,7 @@ class VectorTeams:
             raise ConfigError(
                 f"only choices have masks: action.kind must be 'frontier'; it is {self.config.action.kind!r}"
             )
-        blocks = self._boards.blocks
+        blocks = self._arrays.blocks
         seen = blocks["action_mask"] if "action_mask" in blocks else blocks[FLAT]  # which ends with the mask
         return seen[..., -int(self.action_space.n) :] > 0
 
@@ -131,18 +135,18 @@ class VectorTeams:
 
     def close(self) -> None:
         """Stop the workers."""
-        for crew in self._crews:
-            crew.close()
-        self._crews = []
+        for group in self._groups:
+            group.close()
+        self._groups = []
 
     def _order(self, what: str, seed: int = 0) -> list[Any]:
-        if not self._crews:
+        if not self._groups:
             raise TwcError("these environments are closed: create new ones")
         try:
-            for crew in reversed(self._crews):  # that of this process last: it does what it is told at once
-                crew.send(what, seed)
-            answers = [crew.receive() for crew in self._crews]
-        except BaseException:  # interrupted: who goes on must not read this step's answers as the next one's
+            for group in reversed(self._groups):  # this process's own group last, as it runs at once
+                group.send(what, seed)
+            answers = [group.receive() for group in self._groups]
+        except BaseException:  # interrupted: the next step must not read the results of this one
             self.close()
             raise
         for answer in answers:
