@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twc_env.slam.change_points import settle_changes
+from twc_env.slam.change_points import refine_changes
 
 STEP_M, LOSS_DB = 0.01, 8.0
 
@@ -19,7 +19,7 @@ def readings(walls, seed):
 
 
 def settled(walls, by_map, seed):
-    return settle_changes(by_map, LOSS_DB * by_map, readings(walls, seed), STEP_M * np.arange(len(walls)))
+    return refine_changes(by_map, LOSS_DB * by_map, readings(walls, seed), STEP_M * np.arange(len(walls)))
 
 
 @pytest.mark.parametrize("off", [-12, 9])
@@ -45,4 +45,4 @@ def test_a_long_detour_is_for_the_map_to_judge():
 
 def test_without_readings_the_map_is_believed():
     walls = (np.arange(50) >= 20).astype(int)
-    assert np.array_equal(settle_changes(walls, LOSS_DB * walls, np.full(50, np.nan), np.arange(50.0)), walls)
+    assert np.array_equal(refine_changes(walls, LOSS_DB * walls, np.full(50, np.nan), np.arange(50.0)), walls)

@@ -24,7 +24,7 @@ def test_signs_are_compared_along_a_corridor_although_its_walls_were_met_again(
     mapper.give_starts(np.zeros((2, 3)))
     mapper.update(0, [made(0, 0, 0.0, True), made(1, 0, 0.0, False)])
     near = LoopCandidate((0, 0), (1, 0), np.zeros(3), "proximity")
-    mapper._search.note_tie(LoopClosure(near, np.zeros(3), covariance, 1.0, "accepted"))
+    mapper._search.note_accepted(LoopClosure(near, np.zeros(3), covariance, 1.0, "accepted"))
     mapper.update(1, [made(1, 1, 1.0, True)])
     assert [closure.candidate.recogniser for closure in mapper.closures] == ["twc"] * is_compared
 

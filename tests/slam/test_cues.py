@@ -11,7 +11,7 @@ from twc_env.config import CuesConfig, from_dict
 from twc_env.geometry import between, compose
 from twc_env.maps import load_map
 from twc_env.messages import Keyframe, SensorFrame, WifiScan
-from twc_env.slam.cues import heard, needed
+from twc_env.slam.cues import restricted_config, restricted_frame
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.radio_similarity import CELL_ID_MIN
 from twc_env.world.world import World
@@ -88,13 +88,15 @@ def test_no_combination_of_cues_is_worse_than_odometry(subset, drives, blind):
 def test_a_cue_that_is_switched_off_is_not_heard():
     macs = np.array([1, 2, CELL_ID_MIN + 1])
     frame = SensorFrame(0, 0, 0.0, np.zeros(3), 0.0, np.ones(4), WifiScan(macs, np.array([-50.0, -60.0, -90.0])))
-    assert heard(frame, CuesConfig(wifi=False)).wifi.macs.tolist() == [CELL_ID_MIN + 1]
-    assert heard(frame, CuesConfig(lte=False)).wifi.macs.tolist() == [1, 2]
+    assert restricted_frame(frame, CuesConfig(wifi=False)).wifi.macs.tolist() == [CELL_ID_MIN + 1]
+    assert restricted_frame(frame, CuesConfig(lte=False)).wifi.macs.tolist() == [1, 2]
 
 
 def test_the_recogniser_follows_from_the_cues_that_are_left():
     def recogniser(**off):
-        return needed(replace(CONFIG, slam=replace(CONFIG.slam, cues=CuesConfig(**off)))).slam.place_recognition
+        return restricted_config(
+            replace(CONFIG, slam=replace(CONFIG.slam, cues=CuesConfig(**off)))
+        ).slam.place_recognition
 
     assert recogniser().recogniser == "twc"
     assert recogniser(text=False).recogniser == "wifi"

@@ -14,7 +14,7 @@ from twc_env.class_file import digest_of
 from twc_env.config import PlaceRecognitionConfig, from_dict, override, to_dict
 from twc_env.config.manual import as_toml
 from twc_env.slam.closure_search import make_recogniser
-from twc_env.slam.cues import needed
+from twc_env.slam.cues import restricted_config
 
 LIBRARY = Path(__file__).parents[2] / "docs/library.md"
 OWN = "places.py:SameRouter"
@@ -74,7 +74,7 @@ def test_a_snapshot_holds_what_a_recogniser_of_ones_own_knows(own):
 
 @pytest.mark.parametrize("cue", ["text", "wifi", "lidar"])
 def test_a_recogniser_of_ones_own_stays_whatever_cue_is_missing(own, cue):
-    config = needed(override(own[0], own[1] | {f"slam.cues.{cue}": False}))
+    config = restricted_config(override(own[0], own[1] | {f"slam.cues.{cue}": False}))
     assert config.slam.place_recognition.recogniser == OWN
 
 

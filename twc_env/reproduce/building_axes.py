@@ -49,7 +49,7 @@ def figures(path: Array) -> dict[str, float]:
     """Ways along a path (n, 3), the share that follows axes, and how far these are off [deg], one at least."""
     places, axes = spaced(path[:, :2]), BuildingAxes()
     for _ in range(ROUNDS):
-        axes = dataclasses.replace(axes.fitted(places), std_rad=max(axes.strayed_rad(places), LEAST_RAD))
+        axes = dataclasses.replace(axes.fitted(places), std_rad=max(axes.deviation_rad(places), LEAST_RAD))
     return {"ways": len(places) - 1, "share": axes.share, "std_deg": float(np.degrees(axes.std_rad))}
 
 

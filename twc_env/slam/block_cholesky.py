@@ -1,7 +1,7 @@
-"""Sparse Cholesky factorisation of symmetric matrices made of 3 x 3 blocks, one block row per pose.
+"""Sparse Cholesky factorisation of symmetric matrices of 3 x 3 blocks, one block row per pose.
 
-The elimination order (minimum degree) and the places of all fill are found once per graph; every factorisation then
-runs through flat arrays. What remains when the graph has become nearly complete is factorised densely.
+The symbolic part (minimum-degree elimination order and fill-in) is computed once per graph; each numeric factorisation
+then runs through flat arrays. When the remaining graph is nearly complete, it is factorised densely by LAPACK.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam.growing import enlarged
 
 DENSE_FROM = 24
-"""Neighbours in the remaining graph from which on it may be handed to the dense factorisation."""
+"""Sparse elimination stops when every remaining node has at least this many neighbours ..."""
 DENSE_SHARE = 0.15
-"""Share of the remaining graph that its least connected node must see for that."""
+"""... and at least this share of the remaining nodes as neighbours; the rest is factorised densely."""
 
 
 class BlockCholesky:
-    """Pattern of H, and solutions of H x = b, for H with 3 x 3 blocks at the diagonal and at the given pairs.
+    """Symbolic factorisation of H, and solutions of H x = b, for H with blocks on the diagonal and at the given pairs.
 
-    pairs (e, 2) int: block rows 0..count-1 of each edge; a pair with a negative row takes no place. After construction
-    `block_of_pair` (e,) numbers the off-diagonal block of each pair (-1: none); the block holds H[larger, smaller].
+    pairs (e, 2) int: block rows 0..count-1 of each edge; pairs with a negative row or two equal rows have no block.
+    After construction `block_of_pair` (e,) is the index of each pair's off-diagonal block (-1: none), which holds
+    H[larger, smaller].
     """
 
     def __init__(self, pairs: Array, count: int):
@@ -30,15 +31,15 @@ class BlockCholesky:
         self.block_of_pair = pattern[0]
         self.block_count = int(pattern[1])
         self.pattern = pattern[2:8]
-        """Order, start, nodes, blocks, start of targets and targets, as `factorise` takes them."""
+        """The first six arguments of `factorise`."""
         self._rest, self._rest_pairs = pattern[8], pattern[9]
         self.has_dense_rest = len(self._rest) > 0
-        """Whether something is left that is factorised densely."""
+        """Whether some nodes are factorised densely."""
 
     def solve(self, diagonal: Array, blocks: Array, right: Array) -> Array | None:
-        """x (count, 3) with H x = right; None unless H is positive definite.
+        """x (count, 3) with H x = right (count, 3); None if H is not positive definite.
 
-        diagonal (count, 3, 3) and blocks (>= edges' blocks, 3, 3) are left alone; right (count, 3).
+        diagonal (count, 3, 3) and blocks (k, 3, 3), indexed by `block_of_pair`, are not modified.
         """
         diagonal, solution = diagonal.copy(), right.copy()
         filled = np.zeros((self.block_count, 3, 3))
@@ -48,7 +49,7 @@ class BlockCholesky:
         if not factorise(*self.pattern, diagonal, filled, lower, solution):
             return None
         if self.has_dense_rest:
-            from scipy.linalg.lapack import dpotrf, dpotrs  # a tenth of a start's time, and not needed in it
+            from scipy.linalg.lapack import dpotrf, dpotrs  # imported late: takes a tenth of the start-up time
 
             dense, part = _dense_rest(self._rest, self._rest_pairs, diagonal, filled, solution)
             factor, failed = dpotrf(dense, lower=1, overwrite_a=1)
@@ -61,9 +62,10 @@ class BlockCholesky:
 
 @kernel
 def _eliminate(pairs, count, dense_from, dense_share):
-    """Minimum-degree elimination on lists of neighbours.
+    """Symbolic factorisation: minimum-degree elimination on linked lists of neighbours.
 
-    Block k has the cells 2 k (list of the smaller node) and 2 k + 1. An eliminated node joins all its neighbours.
+    Block k occupies the list cells 2 k (list of the smaller node) and 2 k + 1 (list of the larger). Eliminating a node
+    connects all its neighbours (fill-in).
     """
     neighbour = np.empty(4 * len(pairs) + 16, np.int32)
     following = np.empty(len(neighbour), np.int32)
@@ -87,7 +89,7 @@ def _eliminate(pairs, count, dense_from, dense_share):
             blocks += 1
         block_of_pair[e] = cell >> 1
 
-    first = np.full(count + 1, -1, np.int32)  # of each degree: a doubly linked list of nodes
+    first = np.full(count + 1, -1, np.int32)  # heads of doubly linked lists of nodes, one list per degree
     after, before = np.full(count, -1, np.int32), np.full(count, -1, np.int32)
     for node in range(count - 1, -1, -1):
         after[node] = first[degree[node]]
@@ -126,7 +128,7 @@ def _eliminate(pairs, count, dense_from, dense_share):
         for i in range(d):
             q = node_of[s + i]
             old = degree[q]
-            if before[q] >= 0:  # out of its list of equal degree
+            if before[q] >= 0:  # remove q from the list of its degree
                 after[before[q]] = after[q]
             elif first[old] == q:
                 first[old] = after[q]
@@ -208,7 +210,12 @@ def _eliminate(pairs, count, dense_from, dense_share):
 
 @borrowing_kernel
 def factorise(order, start, node_of, block_of, target_start, target, diagonal, blocks, lower, right):
-    """Eliminate in order: diagonal becomes 3 x 3 Cholesky factors, lower the columns, right the forward solution."""
+    """Numeric factorisation and forward substitution, in place; False if H is not positive definite.
+
+    order (s,): eliminated nodes; start (s + 1,): the range of each node's column in node_of and block_of (fill
+    included); target_start (s + 1,) and target: the blocks that the column's outer product updates. diagonal (n, 3, 3)
+    receives the Cholesky factors, lower (len(node_of), 3, 3) the columns of L, right (n, 3) the forward solution.
+    """
     for step in range(len(order)):
         p = order[step]
         if not diagonal[p, 0, 0] > 0.0:
@@ -282,7 +289,7 @@ def factorise(order, start, node_of, block_of, target_start, target, diagonal, b
 
 @kernel
 def _dense_rest(rest, pairs, diagonal, blocks, right):
-    """The lower triangle of what is left, in columns for LAPACK, and its right-hand side."""
+    """Lower triangle of the remaining dense matrix, column-major for LAPACK, and its right-hand side (size, 1)."""
     size = 3 * len(rest)
     dense = np.zeros((size, size)).T
     part = np.empty((size, 1))
@@ -301,7 +308,7 @@ def _dense_rest(rest, pairs, diagonal, blocks, right):
 
 @borrowing_kernel
 def substitute_back(order, start, node_of, diagonal, lower, solution):
-    """From the forward solution, with the factors that `factorise` left, to the solution itself."""
+    """Backward substitution in place: solution (n, 3) holds the forward solution of `factorise`, then x."""
     for step in range(len(order) - 1, -1, -1):
         p = order[step]
         x0, x1, x2 = solution[p, 0], solution[p, 1], solution[p, 2]

@@ -1,4 +1,4 @@
-"""What stands in a map, one small number per cell: what pictures of it look up, instead of several log-odds."""
+"""Class of each map cell (unknown, free, wall) as one uint8: map images look up one value instead of four log-odds."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def _kind(highest, lowest):
 
 @borrowing_kernel
 def note_kinds(log_odds, first_row, first_column, end_row, end_column, kinds):
-    """Write what stands in the square of four cells from each of these cells on, upwards and to the right.
+    """Write to kinds, in place, the class of the 2 x 2 cells that extend up and right from each cell of a region.
 
-    A square with a wall in it is `WALL`, any other with free space in it `FREE`; so a thin wall is hardly ever missed.
-    Cells of the last row and column stand for themselves and for what is beside them.
+    `WALL` if any of the four is a wall, else `FREE` if any is free: a thin wall is rarely missed when the image is
+    subsampled. In the last row and column the missing neighbours are ignored.
     """
     rows, columns = log_odds.shape
     first, end = max(first_column, 0), min(end_column, columns - 1)
@@ -28,7 +28,7 @@ def note_kinds(log_odds, first_row, first_column, end_row, end_column, kinds):
         above = min(r + 1, rows - 1)
         if first < end:
             a, b, out = log_odds[r, first : end + 1], log_odds[above, first : end + 1], kinds[r, first:end]
-            for c in range(out.shape[0]):  # many cells at once
+            for c in range(out.shape[0]):  # vectorised by the compiler
                 highest = max(max(a[c], a[c + 1]), max(b[c], b[c + 1]))
                 lowest = min(min(a[c], a[c + 1]), min(b[c], b[c + 1]))
                 out[c] = _kind(highest, lowest)
@@ -39,7 +39,7 @@ def note_kinds(log_odds, first_row, first_column, end_row, end_column, kinds):
 
 
 def kinds_of(log_odds: Array) -> Array:
-    """(rows, columns) uint8 of a whole map (rows, columns) int16, as `note_kinds` has it."""
+    """(rows, columns) uint8 classes of a complete map of log-odds (rows, columns) int16, see `note_kinds`."""
     kinds = np.empty(log_odds.shape, np.uint8)
     note_kinds(log_odds, 0, 0, *log_odds.shape, kinds)
     return kinds

@@ -1,11 +1,12 @@
-"""Where along a path the number of walls changes, reading by reading (papers.md K24d).
+"""Positions along a path at which the number of walls changes, to a single reading (papers.md K24d).
 
-A map of walls tells in which order the numbers come and nearly where they change. Where exactly the readings tell: they
-drop by a wall's loss from one reading to the next, while shadowing changes slowly. A reading is
+A wall map gives the sequence of wall counts and the approximate change points. The readings give the exact ones: RSSI
+drops by a wall's loss from one reading to the next, while shadowing changes slowly. Model:
 
     rssi = expected - loss + shadowing + noise,
 
-shadowing a Gauss-Markov process along the path, so that every place of a change has a likelihood (Kalman filter).
+with shadowing a first-order Gauss-Markov process along the path. A Kalman filter gives the likelihood of each change
+point.
 """
 
 from __future__ import annotations
@@ -16,40 +17,40 @@ from numpy.typing import NDArray as Array
 from twc_env.kernels import kernel
 
 REACH_M = 0.3
-"""A change is sought so far on either side of where the map has it."""
+"""Search range of a change point on either side of its current position."""
 _AROUND_M = 0.4
-"""Readings this far beyond still bear on it."""
+"""Readings up to this far beyond the search range enter the likelihood."""
 _MAP_ERROR_M = 0.05
-"""How far the map's changes are off on average."""
+"""Mean absolute error of the map's change points (Laplace prior)."""
 _SWEEPS = 3
 _SHADOWING_M = 0.5
-"""Shadowing is forgotten over this length."""
+"""Correlation length of the shadowing."""
 _STD_MIN_DB = 0.5
 _MEDIAN_STEP = 0.954
-"""Median size of the difference of two readings, in standard deviations of one."""
+"""Median absolute difference of two readings with independent normal noise, in standard deviations of one reading."""
 
 
-def settle_changes(walls: Array, loss_db: Array, excess_db: Array, travel_m: Array) -> Array:
-    """(n,) walls, each change moved to where the readings have it.
+def refine_changes(walls: Array, loss_db: Array, excess_db: Array, travel_m: Array) -> Array:
+    """(n,) wall counts with each change point moved to its most likely reading.
 
-    walls (n,) and their summed loss (n,) as the map has them; excess (n,) is the level expected without walls minus the
-    reading, NaN where not heard; travel (n,) the path length up to each reading.
+    walls (n,) and their summed loss (n,) according to the map; excess (n,): RSSI expected without walls minus the
+    reading, NaN where not heard; travel (n,): path length up to each reading.
     """
-    settled = np.array(walls, np.int64)
-    strayed = (excess_db - loss_db)[np.isfinite(excess_db)]
-    if len(strayed) < 2:
-        return settled
-    noise_db2 = max(float(np.median(np.abs(np.diff(strayed)))) / _MEDIAN_STEP, _STD_MIN_DB) ** 2
-    shadowing_db2 = max(float(np.var(strayed)) - noise_db2, _STD_MIN_DB**2)
-    told = np.array(loss_db, float), np.asarray(excess_db, float), np.asarray(travel_m, float)
-    _settle(settled, *told, noise_db2, shadowing_db2)
-    return settled
+    refined = np.array(walls, np.int64)
+    residual_db = (excess_db - loss_db)[np.isfinite(excess_db)]
+    if len(residual_db) < 2:
+        return refined
+    noise_db2 = max(float(np.median(np.abs(np.diff(residual_db)))) / _MEDIAN_STEP, _STD_MIN_DB) ** 2
+    shadowing_db2 = max(float(np.var(residual_db)) - noise_db2, _STD_MIN_DB**2)
+    readings = np.array(loss_db, float), np.asarray(excess_db, float), np.asarray(travel_m, float)
+    _refine(refined, *readings, noise_db2, shadowing_db2)
+    return refined
 
 
 @kernel
-def _settle(walls, loss, excess, travel, noise, shadowing):
-    """Move one change at a time to its best place between its neighbours, and drop doubtful detours, in place."""
-    home = travel.copy()  # of the change before reading i, where the map had it
+def _refine(walls, loss, excess, travel, noise, shadowing):
+    """Alternately move the change points and remove unsupported short runs, in place; noise and shadowing [dB2]."""
+    home = travel.copy()  # position according to the map of the change point before reading i
     for _ in range(_SWEEPS):
         _move_changes(walls, loss, home, excess, travel, noise, shadowing)
         _drop_detours(walls, loss, excess, travel, noise, shadowing)
@@ -57,6 +58,7 @@ def _settle(walls, loss, excess, travel, noise, shadowing):
 
 @kernel
 def _move_changes(walls, loss, home, excess, travel, noise, shadowing):
+    """Coordinate ascent: move one change point at a time to its most probable position between its neighbours."""
     count, at = walls.shape[0], 1
     while at < count:
         if walls[at] == walls[at - 1]:
@@ -85,7 +87,7 @@ def _move_changes(walls, loss, home, excess, travel, noise, shadowing):
 
 @kernel
 def _drop_detours(walls, loss, excess, travel, noise, shadowing):
-    """Runs between two of equal numbers go unless readings call for them; long ones are for the map to judge."""
+    """Remove runs shorter than 2 `REACH_M` between two equal wall counts if the readings do not support them."""
     count, at = walls.shape[0], 1
     while at < count:
         if walls[at] == walls[at - 1]:
@@ -106,7 +108,7 @@ def _drop_detours(walls, loss, excess, travel, noise, shadowing):
 
 @kernel
 def _likelihood(loss, excess, travel, first, last, low, high, value, noise, shadowing):
-    """Log-likelihood of the readings around first to last if the loss from `low` to before `high` were `value`."""
+    """Log-likelihood of the readings around first to last, with the loss of readings low to high - 1 set to value."""
     count = loss.shape[0]
     begin, end = first, last
     while begin > 0 and travel[first] - travel[begin] < _AROUND_M:

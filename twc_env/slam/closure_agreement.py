@@ -1,7 +1,7 @@
-"""Which closures agree with each other: groups of neighbours, and the largest pairwise consistent set (PCM).
+"""Pairwise consistency of loop closures: groups of neighbouring closures, and the largest consistent set (PCM).
 
-Two closures agree when what they say about their maps differs by no more than their own noise and the odometry between
-their ends explain (Mangelson 2018, pairwise consistency).
+Two closures are consistent if the loop through both and the odometry between their ends closes within its covariance
+(Mangelson et al. 2018, pairwise consistency maximisation).
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from twc_env.slam.pose_graph import GATE, Graph
 from twc_env.slam.twists import adjoint, turned
 
 WINDOW_STEPS = 10
-"""Neighbours of one group lie at most this far apart at both ends."""
+"""Neighbouring closures of one group are at most this many poses apart at both ends."""
 
 
 class Pairs:
-    """Do two closures agree, given the odometry between their ends?
+    """Consistency test for pairs of closures.
 
-    Each closure k claims that its second pose's map lies at T_k = X_i z X_j^-1 of its first pose's; two agree when
-    T_a T_b^-1 is a twist that their own noise and the odometry between their ends explain.
+    Closure k with ends i, j and measurement z states that the map of the second chain has the pose T_k = X_i z X_j^-1
+    in the map of the first, with X from odometry. Two closures are consistent if the twist of T_a T_b^-1 is small
+    for the covariance of both measurements and of the odometry between their ends.
     """
 
     def __init__(self, graph: Graph, poses: Array, chains: Chains, closures: Array):
@@ -36,11 +37,11 @@ class Pairs:
         self._facts = (claim, adjoint(claim), noise, self.i, self.j, chains.step, chains.grown(poses), bent)
 
     def squared(self, a: Array, b: Array) -> Array:
-        """(k,) squared length of the disagreement of closures a, b (k,)."""
+        """(k,) squared Mahalanobis distances between closures a and b (k,): chi-squared, three degrees of freedom."""
         return _disagreements(a, b, *self._facts)
 
     def agreement(self, members: Array) -> Array:
-        """(m, m) whether members agree pairwise; none with itself."""
+        """(m, m) bool consistency matrix of some closures (m,), at `GATE`; False on the diagonal."""
         agree = np.zeros((len(members), len(members)), bool)
         p, q = np.tril_indices(len(members), -1)
         agree[p, q] = agree[q, p] = self.squared(members[p], members[q]) < GATE
@@ -73,7 +74,7 @@ def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown, bent):
                 value += half_turned[p, k] * ad[q, k]
             total[p, q] = value
     if len(bent):
-        _add_bent(ad, bent[i[b]] - bent[i[a]], bent[j[b]] - bent[j[a]], total)
+        _add_shared_errors(ad, bent[i[b]] - bent[i[a]], bent[j[b]] - bent[j[a]], total)
     l00 = np.sqrt(total[0, 0])
     l10, l20 = total[1, 0] / l00, total[2, 0] / l00
     l11 = np.sqrt(total[1, 1] - l10 * l10)
@@ -86,10 +87,11 @@ def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown, bent):
 
 
 @kernel
-def _add_bent(ad, forth, back, total):
-    """Add to a covariance (3, 3), in place, what shared errors of one standard deviation add by two stretches.
+def _add_shared_errors(ad, forth, back, total):
+    """Add to total (3, 3), in place, the covariance of shared odometry errors (`shared_errors`) on two stretches.
 
-    As if those of the two were of different robots.
+    forth and back (3, 3): effect of shared errors of one standard deviation on the stretch at the first and at the
+    second ends. The two are treated as independent, as if they belonged to different robots.
     """
     moved = np.zeros((3, 3))
     for p in range(3):
@@ -111,7 +113,7 @@ def _disagreements(first, second, claim, adjoint, noise, i, j, step, grown, bent
 
 
 def pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
-    """The largest set found in which every pair agrees; separately for each pair of chains."""
+    """Poses (n, 3) and accepted edges (e,) of PCM: a large pairwise consistent set for each pair of odometry chains."""
     chains = Chains(graph, poses)
     poses = chains.dead_reckoning(poses)
     closures = np.flatnonzero(graph.is_closure)
@@ -126,7 +128,10 @@ def pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
 
 @kernel
 def _greedy_clique(agree):
-    """Members of a large clique: from each of the best connected nodes, always add the one that keeps most choices."""
+    """Members of a large clique of the consistency matrix (n, n), ascending.
+
+    Greedy: from each of the ten nodes of highest degree, repeatedly add the node that leaves most candidates.
+    """
     count = len(agree)
     degree = agree.sum(axis=1)
     seeds = np.argsort(-degree, kind="mergesort")[:10]
@@ -153,8 +158,8 @@ def _greedy_clique(agree):
     return np.sort(best)
 
 
-def groups_of_neighbours(pairs: Pairs, chains: Chains) -> Array:
-    """(k,) number of each closure's group: neighbours within a window at both ends that agree, joined transitively."""
+def neighbour_groups(pairs: Pairs, chains: Chains) -> Array:
+    """(k,) group index of each closure: consistent closures within `WINDOW_STEPS` at both ends, joined transitively."""
     i, j = pairs.i, pairs.j
     order = np.lexsort((np.arange(len(i)), chains.step[i], chains.chain[i]))
     parent = np.arange(len(i))

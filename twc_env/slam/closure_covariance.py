@@ -1,4 +1,4 @@
-"""How well a closure is measured, from what its match and the candidate itself say of the pose."""
+"""Covariance of a loop closure, from the information of its scan match and a prior from its candidate."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from twc_env.messages import LOOSE_M
 from twc_env.slam.small_matrices import invert3
 
 STD_MIN = np.array((0.03, 0.03, 0.01))
-"""No match is known better than this [m, m, rad]."""
+"""Least standard deviation of a match [m, m, rad]."""
 
 
 @intrinsic
 def _fused(_context, a, b, c):
-    """a b + c, rounded once, as libraries of matrices work out their products."""
+    """Fused multiply-add a b + c with a single rounding, as in BLAS matrix products."""
 
     def generate(_target, builder, _signature, arguments):
         return builder.fma(*arguments)
@@ -45,17 +45,17 @@ def _fill(information, prior, heading, room, out):
 
 @borrowing_kernel
 def fill_closure_covariance(information, priors, heading, room, out):
-    """See `closure_covariance`; room (2, 3, 3) to work in."""
+    """Write `closure_covariance` to out (3, 3); room (2, 3, 3) is scratch memory."""
     _fill(information, priors[0], heading, room, out)
     if out[0, 0] + out[1, 1] > LOOSE_M**2:
         _fill(information, priors[1], heading, room, out)
 
 
 def closure_covariance(information: Array, priors: Array, heading_rad: float) -> Array:
-    """(3, 3) of a pose with this heading, along its own axes; information (3, 3) along those of its frame.
+    """(3, 3) covariance of a measured pose with this heading, in the axes of that pose (the source).
 
-    priors (2, 3, 3): what is known of it besides, along these axes, too; the second where with the first a direction
-    stays open.
+    information (3, 3) of the match and priors (2, 3, 3), also information, are in the axes of the frame in which the
+    pose is measured (the target). The second prior is used if the first gives a standard deviation above `LOOSE_M`.
     """
     out = np.empty((3, 3))
     fill_closure_covariance(information, priors, heading_rad, np.empty((2, 3, 3)), out)

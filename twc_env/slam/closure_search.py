@@ -1,4 +1,4 @@
-"""From new keyframes to measured closures: who looks alike, what was tried before, and whose turn it is."""
+"""Loop closure detection: candidates for each new keyframe, their queues, and geometric verification."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from twc_env.slam.text_wifi_recogniser import TextWifiRecogniser
 from twc_env.slam.wayside_recognisers import SignlessRecogniser
 
 REPEAT_REACH_M = 2.0
-"""Proposals nearer than this, along both paths, to an earlier one of the same kind are not tried again ..."""
+"""A candidate is a repetition if an earlier one of the same recogniser is nearer than this along both paths."""
 REPEAT_REACH_APART_M = 0.75
-"""... while the two robots do not share a map yet, when every closure counts."""
+"""The same between robots that share no map: more closures are verified there."""
 PROXIMITY_PERIOD_M = 1.5
-"""Path length between two searches for near keyframes."""
-MATE_MARGIN_M = 0.1
-"""Things wider than a robot by more are none."""
-TIED_M = 3.0
-"""Inside one map, a robot whose last closure is nearer than this along its path needs no other yet."""
+"""Path length between two searches for nearby keyframes."""
+ROBOT_MARGIN_M = 0.1
+"""Objects wider than a robot by more than this are not robots."""
+CLOSURE_PERIOD_M = 3.0
+"""Path length after a closure on which a robot needs no other closure inside its map."""
 
 
 class ClosureSearch:
-    """Candidates wait in queues; each step verifies a few of them."""
+    """Candidates wait in one queue per recogniser; each step verifies a few of them."""
 
     def __init__(self, config: EnvConfig, graph: TeamGraph, maps: GroupMaps, robot_count: int):
         self._rule, self._on_request = config.slam.place_recognition, config.link.scan_on_request
         self._graph, self._maps = graph, maps
         self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
-        self._asks_first = isinstance(self._recogniser, TextWifiRecogniser)
-        """Whether it makes no candidate of what is not new."""
+        self._drops_repetitions = isinstance(self._recogniser, TextWifiRecogniser)
+        """Whether the recogniser itself drops repetitions, before it computes a candidate."""
         self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "wifi", MEETING, "proximity")}
         if isinstance(self._recogniser, TextWifiRecogniser):
             self._recogniser.is_wanted = partial(_is_new, maps, self._filters[self._recogniser.name])
@@ -54,30 +54,35 @@ class ClosureSearch:
         self._verifier: LoopVerifier | SignVerifier = SignVerifier()
         if config.slam.cues.lidar:
             self._verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar)
-        self._mate_width_m = 2 * config.dynamics.robot_radius_m + MATE_MARGIN_M
+        self._robot_width_m = 2 * config.dynamics.robot_radius_m + ROBOT_MARGIN_M
         self._waiting: dict[str, deque[LoopCandidate]] = {name: deque() for name in self._filters}
         self.waiting_count = 0
-        """Candidates that may have their turn."""
-        self._without_scans: list[LoopCandidate] = []
+        """Candidates in the queues; those in `_awaiting_scans` are not counted."""
+        self._awaiting_scans: list[LoopCandidate] = []
+        """Candidates whose scans have been requested."""
         self._searched_m = [0.0] * robot_count
-        self._tied_for_m = TIED_M if config.slam.cues.lidar else 0.0
-        """Path length after a closure on which none is needed; without laser each tells what odometry is off by."""
-        self._tied_m = [-np.inf] * robot_count
-        """Path length up to the last closure of each robot that was not loose ..."""
-        self._loosely_tied_m = [-np.inf] * robot_count
-        """... and up to the last one of any kind."""
+        """Path length of each robot at its last search for nearby keyframes."""
+        self._closure_period_m = CLOSURE_PERIOD_M if config.slam.cues.lidar else 0.0
+        """`CLOSURE_PERIOD_M`, or 0 without laser, where every closure corrects the odometry."""
+        self._closure_m = [-np.inf] * robot_count
+        """Path length of each robot at its last accepted closure that was not loose ..."""
+        self._any_closure_m = [-np.inf] * robot_count
+        """... and at its last accepted closure, loose or not."""
 
     def propose(self, keyframe: Keyframe) -> None:
-        """Queue what a new keyframe looks like."""
-        is_tied, is_loosely_tied = self._is_tied(keyframe), self._is_tied(keyframe, loosely=True)
+        """Queue the candidates of a new keyframe."""
+        has_closure, has_any_closure = (
+            self._has_recent_closure(keyframe),
+            self._has_recent_closure(keyframe, counts_loose=True),
+        )
         mates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots
-        candidates = self._recogniser.propose(keyframe, mates if is_tied else ())
-        new, candidates = (candidates, []) if self._asks_first else ([], candidates)
+        candidates = self._recogniser.propose(keyframe, mates if has_closure else ())
+        new, candidates = (candidates, []) if self._drops_repetitions else ([], candidates)
         if self._signless is not None:
-            candidates += self._signless.propose(keyframe, mates if is_loosely_tied else ())
+            candidates += self._signless.propose(keyframe, mates if has_any_closure else ())
         if self._meetings is not None:
             candidates += self._meetings.propose(keyframe, mates)
-        near = None if is_loosely_tied else self._near_keyframe(keyframe)
+        near = None if has_any_closure else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)
         for candidate in candidates:
@@ -88,13 +93,16 @@ class ClosureSearch:
             self._waiting[candidate.recogniser].append(candidate)
             self.waiting_count += 1
 
-    def _is_tied(self, keyframe: Keyframe, loosely: bool = False) -> bool:
-        """Whether a closure already ties this part of its robot's path to the map; loosely: a loose one will do."""
-        tied_m = self._loosely_tied_m if loosely else self._tied_m
-        return keyframe.travel_m - tied_m[keyframe.robot] < self._tied_for_m
+    def _has_recent_closure(self, keyframe: Keyframe, counts_loose: bool = False) -> bool:
+        """Whether the robot had an accepted closure within the last `CLOSURE_PERIOD_M` of its path."""
+        last_m = self._any_closure_m if counts_loose else self._closure_m
+        return keyframe.travel_m - last_m[keyframe.robot] < self._closure_period_m
 
     def _near_keyframe(self, keyframe: Keyframe) -> LoopCandidate | None:
-        """The nearest keyframe of the same map that the path alone does not tie to this one."""
+        """A candidate with the nearest keyframe of the same map, within `proximity_m`; None if there is none.
+
+        Keyframes of the same robot must be `revisit_travel_m` of path away.
+        """
         reach_m = self._rule.proximity_m
         if reach_m <= 0 or keyframe.travel_m - self._searched_m[keyframe.robot] < PROXIMITY_PERIOD_M:
             return None
@@ -111,20 +119,20 @@ class ClosureSearch:
         guess = between(poses[self._graph.node(best)], poses[node])
         return LoopCandidate(best, keyframe.key, guess, "proximity")
 
-    def note_tie(self, closure: LoopClosure) -> None:
-        """A closure was accepted: its robots need no other for a while, or none of its kind where it is loose."""
+    def note_accepted(self, closure: LoopClosure) -> None:
+        """Note an accepted closure: its robots need no other for a while, or no other loose one if it is loose."""
         for key in (closure.candidate.target, closure.candidate.source):
             travel_m = self._graph.keyframe(key).travel_m
-            for tied_m in (self._loosely_tied_m,) if closure.is_loose else (self._loosely_tied_m, self._tied_m):
-                tied_m[key[0]] = max(tied_m[key[0]], travel_m)
+            for last_m in (self._any_closure_m,) if closure.is_loose else (self._any_closure_m, self._closure_m):
+                last_m[key[0]] = max(last_m[key[0]], travel_m)
 
-    def untie(self, robots: tuple[int, ...]) -> None:
-        """The ties of these robots hold no longer: look for others at once."""
+    def forget_closures_of(self, robots: tuple[int, ...]) -> None:
+        """The closures of these robots no longer hold: search for others at once."""
         for robot in robots:
-            self._tied_m[robot] = self._loosely_tied_m[robot] = -np.inf
+            self._closure_m[robot] = self._any_closure_m[robot] = -np.inf
 
     def forget(self, _: Array) -> None:
-        """Keyframes have been forgotten: nothing is compared with them, and what they were tried with is no matter."""
+        """Drop forgotten keyframes from the recognisers, the filters and the queues."""
         held = {keyframe.key for path in self._graph.keyframes for keyframe in path}
         for recogniser in (self._recogniser, self._signless, self._meetings):
             if recogniser is not None:
@@ -139,9 +147,9 @@ class ClosureSearch:
             queue += waiting
 
     def next_closure(self) -> LoopClosure | None:
-        """Verify the first candidate that is needed and whose scans are here; None when none waits.
+        """Verify the first useful candidate whose scans are available; None if the queues are empty.
 
-        Missing scans are asked for. Inside one map a candidate is not needed once another closure ties its keyframe.
+        Missing scans are requested. Inside one map, candidates of a keyframe with a recent closure are dropped.
         """
         while self.waiting_count:
             candidate = next(filter(None, self._waiting.values())).popleft()
@@ -149,35 +157,37 @@ class ClosureSearch:
             (target, _), (source, index) = candidate.target, candidate.source
             paths = self._graph.keyframes[target], self._graph.keyframes[source]
             is_one_map = self._maps.group_of[target] == self._maps.group_of[source]
-            if is_one_map and self._is_tied(self._graph.keyframe((source, index)), candidate.sign_m is None):
+            if is_one_map and self._has_recent_closure(self._graph.keyframe((source, index)), candidate.sign_m is None):
                 continue
             if self._on_request and self._maps.ask_for(self._verifier.compared(candidate, *paths)):
-                self._without_scans.append(candidate)
+                self._awaiting_scans.append(candidate)
             else:
                 closure = self._verifier.verify(candidate, *paths)
                 if candidate.sign_m is None:
-                    self._doubt(closure, *paths)
+                    self._reject_if_fixed_by_robots(closure, *paths)
                 if self._meetings is not None and candidate.recogniser == MEETING:
                     self._meetings.note(closure)
                 return closure
         return None
 
-    def _doubt(self, closure: LoopClosure, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]) -> None:
-        """Refuse a closure without a sign that only robots in the way hold in place, as along a corridor."""
+    def _reject_if_fixed_by_robots(
+        self, closure: LoopClosure, target_path: Sequence[Keyframe], source_path: Sequence[Keyframe]
+    ) -> None:
+        """Reject a closure without a sign if only objects that may be robots constrain it, as along a corridor."""
         if closure.status != "accepted" or closure.is_loose or not isinstance(self._verifier, LoopVerifier):
             return
-        if not self._verifier.rests_on_walls(closure, target_path, source_path, self._mate_width_m):
+        if not self._verifier.is_fixed_by_walls(closure, target_path, source_path, self._robot_width_m):
             closure.status, closure.reason = "rejected", "nothing but what may be robots fixes its place"
 
-    def wake(self) -> None:
-        """Scans have come: candidates that waited for them have their turn first."""
-        for candidate in reversed(self._without_scans):
+    def scans_arrived(self) -> None:
+        """Requested scans have arrived: put the candidates that waited for them at the front of their queues."""
+        for candidate in reversed(self._awaiting_scans):
             self._waiting[candidate.recogniser].appendleft(candidate)
-        self.waiting_count += len(self._without_scans)
-        self._without_scans.clear()
+        self.waiting_count += len(self._awaiting_scans)
+        self._awaiting_scans.clear()
 
 
 def _is_new(maps: GroupMaps, earlier: ProposalFilter, target: Keyframe, source: Keyframe) -> bool:
-    """Whether no earlier proposal of the same kind is repeated; notes this one."""
+    """Whether a pair of keyframes repeats no earlier one; the filter stores the pair."""
     is_one_map = maps.group_of[target.robot] == maps.group_of[source.robot]
     return earlier.is_new(target, source, REPEAT_REACH_M if is_one_map else REPEAT_REACH_APART_M)

@@ -1,8 +1,8 @@
-"""Which cues a robot may place itself by: texts, WiFi, LTE and laser, in any combination (`CuesConfig`).
+"""Restriction of the engine to some cues: texts, WiFi, LTE and laser, in any combination (`CuesConfig`).
 
-What a cue told is taken out of the frames before the engine sees them, and the engine's settings are changed to what is
-left: without laser nothing is matched and walls judge nothing (scans are still drawn); signs then close loops by
-themselves, and radio ties places to each other in the pose graph.
+Readings of disabled cues are removed from the frames, and the engine's settings are adapted. Without laser there is no
+scan matching and no check of merges by walls (scans are still drawn); signs then make closures without verification,
+and radio similarity adds edges to the pose graph.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from twc_env.messages import SensorFrame, WifiScan
 from twc_env.slam.radio_similarity import CELL_ID_MIN
 
 
-def needed(config: EnvConfig) -> EnvConfig:
-    """The configuration of an engine that has only the configured cues; with all of them, as it is."""
+def restricted_config(config: EnvConfig) -> EnvConfig:
+    """The configuration adapted to the enabled cues; unchanged if all are enabled."""
     cues, slam = config.slam.cues, config.slam
     if cues == CuesConfig():
         return config
@@ -34,7 +34,7 @@ def needed(config: EnvConfig) -> EnvConfig:
 
 
 def _recognition(rule: PlaceRecognitionConfig, cues: CuesConfig) -> PlaceRecognitionConfig:
-    """The recogniser that makes most of the cues there are."""
+    """The settings with the recogniser that uses most of the enabled cues; a user's recogniser is kept."""
     if is_in_file(rule.recogniser):
         return rule if cues.lidar else dataclasses.replace(rule, proximity_m=0.0)
     if not cues.lidar:
@@ -48,8 +48,8 @@ def _recognition(rule: PlaceRecognitionConfig, cues: CuesConfig) -> PlaceRecogni
     return dataclasses.replace(rule, recogniser=name)
 
 
-def heard(frame: SensorFrame, cues: CuesConfig) -> SensorFrame:
-    """The frame without what the robot may not use; laser ranges stay, they are needed to drive and to draw."""
+def restricted_frame(frame: SensorFrame, cues: CuesConfig) -> SensorFrame:
+    """The frame without the readings of disabled cues; laser ranges stay, for navigation and drawing."""
     wifi = frame.wifi
     if wifi is not None and not (cues.wifi and cues.lte):
         is_cell = wifi.macs >= CELL_ID_MIN

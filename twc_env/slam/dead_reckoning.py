@@ -1,4 +1,4 @@
-"""The engine of `slam.mode = "off"`: odometry is summed up, nothing is mapped, nobody is recognised."""
+"""The engine of `slam.mode = "off"`: integrates odometry; no mapping, no loop closures, no merging."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from twc_env.team_messages import TeamBeliefs, TeamFrames, nobody, read_only
 
 
 class DeadReckoning(BindsAnew):
-    """`CooperativeSlam`'s interface with no SLAM behind it, for worlds without an engine and for the cost of one.
+    """The interface of `CooperativeSlam` without SLAM, for simulation alone and to measure the cost of the engine.
 
-    Each robot stays alone in a map frame that is its odom frame; its map stays empty. `team` is a mapper that never
-    hears of a keyframe, so whatever judges an episode finds one group per robot, no closure and nothing mapped.
+    Each robot is a group of its own whose map frame is its odom frame and whose map is empty. `team` is a mapper
+    without keyframes: evaluation finds one group per robot, no closures and an empty map.
     """
 
     def __init__(self, config: EnvConfig, robot_count: int):
@@ -33,25 +33,26 @@ class DeadReckoning(BindsAnew):
         """(robots, 3, 3) as `TeamBeliefs.poses`."""
         self._ranges_m: list[Array] | Array = [np.zeros(0)] * robot_count
         self._steps: Sequence[int] | int = 0
-        """The latest scan of each robot, and when it was taken: one number for all that sensed together."""
+        """Latest scan of each robot and its step; one number if all robots have sensed in the same step."""
         grids = [self._grid] * robot_count
-        self._rest = np.zeros(robot_count), grids, [()] * robot_count, *nobody(robot_count)
-        """What all beliefs have in common."""
+        self._constant = np.zeros(robot_count), grids, [()] * robot_count, *nobody(robot_count)
+        """Constant fields of `TeamBeliefs`: drift, grids, signs, mates, their poses and contact steps."""
         self._views = [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
         self.bytes_sent: dict[str, int] = {}
-        """Nothing is sent."""
-        self._alone: _Alone | None = None
+        """Empty: no messages."""
+        self._beliefs: _OdometryBeliefs | None = None
+        """The beliefs, once requested, until the next frames."""
         self._run: Callable[..., None] | None = None
-        """`_chain` for everyone."""
+        """`_integrate` bound to all robots."""
 
     def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
-        """Nothing is made of transmitters here."""
+        """Does nothing."""
 
     def give_starts(self, poses: Array) -> None:
-        """Nothing is merged here."""
+        """Does nothing."""
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
-        """Sum up the odometry of each frame's robot; there are never keyframes to send."""
+        """Integrate the odometry of each frame; returns no keyframes."""
         team, robots, before = TeamFrames.of(frames), self._everyone, self._poses
         if len(team.signs) == len(robots):
             self._ranges_m, self._steps = team.ranges_m, team.step
@@ -65,65 +66,65 @@ class DeadReckoning(BindsAnew):
         self._poses = np.empty(self._shape)
         moves = team.odometry, before, self._poses
         if robots is not self._everyone:
-            _chain(robots, *moves)
+            _integrate(robots, *moves)
         else:
             if self._run is None:
-                self._run = bound(_chain, robots, *moves)
+                self._run = bound(_integrate, robots, *moves)
             self._run(*moves)
-        self._alone = None
+        self._beliefs = None
         return []
 
     def mapper_of(self, robot: int) -> TeamMapper:
-        """The mapper that maps nothing."""
+        """The empty mapper."""
         return self.team
 
     def views(self) -> list[View]:
-        """One empty map per robot."""
+        """One view of an empty map per robot."""
         return self._views
 
     def lacked(self) -> list[str]:
-        """Everything but odometry."""
+        """One line: there is no engine."""
         return ["no engine: odometry alone"]
 
     def absorb(self, step: int, contacts: Contacts | None = None) -> None:
-        """Nothing arrives."""
+        """Does nothing: there are no messages."""
 
     def finish(self) -> None:
-        """Nothing waits."""
+        """Does nothing: nothing is queued."""
 
     def update(self, frames: Sequence[SensorFrame], contacts: Contacts | None = None) -> None:
-        """The same as `track`."""
+        """`track`."""
         self.track(frames)
 
     @property
     def poses_odom(self) -> Array:
-        """(robots, 3) dead reckoning of all robots, each in the odom frame where it starts at (0, 0, 0)."""
+        """(robots, 3) integrated odometry, each in the robot's odom frame, where it starts at (0, 0, 0)."""
         return self._poses[:, 2]
 
     def pose_map_robot(self, robot: int) -> Array:
-        """(3,) dead reckoning of a robot, in the frame it started in."""
+        """(3,) integrated odometry of a robot; its map frame is its odom frame."""
         return self._poses[robot, 0]
 
     def beliefs(self) -> TeamBeliefs:
-        """Where dead reckoning places the robots, each on an empty map, with no mates and no signs."""
-        if self._alone is None:
-            self._alone = _Alone(self._poses, self._rest, self._steps, self._ranges_m)
-        return self._alone
+        """Beliefs of all robots: integrated odometry, empty maps, no mates and no signs."""
+        if self._beliefs is None:
+            self._beliefs = _OdometryBeliefs(self._poses, self._constant, self._steps, self._ranges_m)
+        return self._beliefs
 
     def belief(self, robot: int) -> Belief:
-        """The same of one robot."""
+        """Belief of one robot."""
         return self.beliefs()[robot]
 
 
-class _Alone(TeamBeliefs):
-    """The beliefs of robots that know nobody."""
+class _OdometryBeliefs(TeamBeliefs):
+    """Beliefs of robots without mates; the records are created on demand."""
 
     __slots__ = ("_ranges_m", "_steps")
 
-    def __init__(self, poses: Array, rest: tuple, steps: Sequence[int] | int, ranges_m: Sequence[Array] | Array):
-        # Instead of the parent's: made in every step, which is all that an environment without an engine does here.
+    def __init__(self, poses: Array, constant: tuple, steps: Sequence[int] | int, ranges_m: Sequence[Array] | Array):
+        # Does not call the parent's: this runs in every step and dominates the cost of an environment without engine.
         self._records, self.poses = None, poses
-        self.since_closure_m, self.grids, self.signs, self.mates, self.mate_poses, self.contact_steps = rest
+        self.since_closure_m, self.grids, self.signs, self.mates, self.mate_poses, self.contact_steps = constant
         self._steps, self._ranges_m = steps, ranges_m
 
     def _make(self) -> list[Belief]:
@@ -139,8 +140,11 @@ class _Alone(TeamBeliefs):
 
 
 @borrowing_kernel
-def _chain(robots, motions, before, poses):
-    """Move the poses of robots (k,) in odom and map, which are one here, by motions (k, 3) seen from them."""
+def _integrate(robots, motions, before, poses):
+    """Write poses (all robots, 3, 3) as of `TeamBeliefs.poses`: before, with robots (k,) moved by motions (k, 3).
+
+    Motions are in the robot frame. Odom and map frame coincide.
+    """
     for robot in range(poses.shape[0]):
         for row in range(3):
             for axis in range(3):

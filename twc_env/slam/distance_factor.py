@@ -1,7 +1,7 @@
-"""Pose graphs that also hold distances: a radio closure says how far apart two poses are, not in which direction.
+"""Pose graphs with distance edges: a radio closure measures the distance between two poses, not the direction.
 
-Residual of a distance edge (radio SLAM Eq. 1 with Eq. 3's model): (|p_i - p_j| - z) / std, of one dimension. Headings
-do not enter it, and where both positions coincide its direction is undefined: it then pulls nowhere.
+Residual of a distance edge (radio SLAM Eq. 1, model of Eq. 3): (|p_i - p_j| - z) / std, one-dimensional. It does not
+depend on headings. If both positions coincide, its direction is undefined and its Jacobian is set to zero.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from twc_env.kernels import kernel
 from twc_env.slam.pose_graph import NormalEquations
 
 COINCIDENT_M = 1e-3
-"""Positions nearer than this have no direction between them."""
+"""Positions nearer than this count as coincident."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distances:
-    """Distance edges: pairs (k, 2) of poses, distance_m (k,), variance_m2 (k,)."""
+    """Distance edges: pairs (k, 2) of pose indices, distance_m (k,), variance_m2 (k,)."""
 
     pairs: Array
     distance_m: Array
@@ -34,12 +34,12 @@ class Distances:
         return Distances(self.pairs[chosen], self.distance_m[chosen], self.variance_m2[chosen])
 
     def residuals(self, poses: Array) -> Array:
-        """(k,) how many standard deviations each distance is longer than measured."""
+        """(k,) distance minus measured distance, in standard deviations."""
         away = poses[self.pairs[:, 0], :2] - poses[self.pairs[:, 1], :2]
         return (np.hypot(away[:, 0], away[:, 1]) - self.distance_m) / np.sqrt(self.variance_m2)
 
     def jacobian(self, poses: Array) -> Array:
-        """(k, 2) derivative of each residual by the first position; the second's is its negative."""
+        """(k, 2) derivative of each residual with respect to the first position; for the second it is the negative."""
         away = poses[self.pairs[:, 0], :2] - poses[self.pairs[:, 1], :2]
         length = np.hypot(away[:, 0], away[:, 1])
         unit = np.where((length > COINCIDENT_M)[:, None], away / np.maximum(length, COINCIDENT_M)[:, None], 0.0)
@@ -49,8 +49,8 @@ class Distances:
 NO_DISTANCES = Distances(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0))
 
 
-def together(parts: Sequence[Distances]) -> Distances:
-    """Distances one after the other."""
+def concatenate_distances(parts: Sequence[Distances]) -> Distances:
+    """All edges of several sets, in order."""
     if not parts:
         return NO_DISTANCES
     return Distances(
@@ -61,12 +61,12 @@ def together(parts: Sequence[Distances]) -> Distances:
 
 
 class RadioEquations(NormalEquations):
-    """Normal equations of relative poses and distances together; errors come in this order."""
+    """Normal equations of relative-pose edges followed by distance edges; pose 0 is fixed."""
 
     def __init__(self, edges: Array, measured: Array, information: Array, distances: Distances, count: int):
         self._relative_count, self._distances = len(edges), distances
         nothing = np.zeros((len(distances), 3))
-        # As edges without information the pairs take their places in the sparse pattern.
+        # The pairs enter the sparse pattern as edges without information.
         super().__init__(
             np.concatenate([np.reshape(edges, (-1, 2)), distances.pairs]),
             np.concatenate([np.reshape(measured, (-1, 3)), nothing]),
@@ -76,8 +76,8 @@ class RadioEquations(NormalEquations):
         )
 
     def fit(self, poses: Array, scale: float, iterations: int) -> Array:
-        """Poses of a path after so many steps; its odometry, which comes first, counts in full, all else by a Cauchy
-        loss of this scale."""
+        """Optimised poses (n, 3) of one path. The first n - 1 edges are its odometry, with weight 1; all others have a
+        Cauchy loss of this scale [standard deviations]."""
 
         def weigh(squared: Array) -> Array:
             weight = 1.0 / (1.0 + squared / scale**2)
@@ -87,13 +87,13 @@ class RadioEquations(NormalEquations):
         return self.minimise(poses, weigh, iterations)
 
     def squared_errors(self, poses: Array) -> Array:
-        """(relative + distances,) squared length of each residual."""
+        """(relative + distance edges,) squared Mahalanobis length of each residual."""
         squared = super().squared_errors(poses)
         squared[self._relative_count :] = self._distances.residuals(poses) ** 2
         return squared
 
     def linearise(self, poses: Array, weight: Array) -> tuple[Array, Array, Array]:
-        """As of NormalEquations, with the distances' part added."""
+        """As `NormalEquations.linearise`, with the distance edges added."""
         diagonal, blocks, gradient = super().linearise(poses, weight)
         distances, first = self._distances, self._relative_count
         _add_distances(
@@ -120,7 +120,7 @@ def _add_distances(pairs, residuals, jacobian, weight, block_of_edge, diagonal, 
             g = w * jacobian[e, row] * r
             for end in range(2):
                 pose = pairs[e, end]
-                if pose == 0:  # held where it is
+                if pose == 0:  # fixed
                     continue
                 gradient[pose, row] -= g if end == 0 else -g
                 for col in range(2):

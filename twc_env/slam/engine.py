@@ -92,7 +92,7 @@ class CooperativeSlam(CopiedWhole):
         robot_count = whole_number("robot_count", robot_count, 1)
         self._cues = None if config.slam.cues == CuesConfig() else config.slam.cues
         """Those that it is to hear alone."""
-        config = cues.needed(config)
+        config = cues.restricted_config(config)
         self._front_ends = FrontEnds(config, robot_count)
         self.poses_odom = self._front_ends.poses_odom
         """(robots, 3) front-end estimates of all robots, each in its own odom frame."""
@@ -189,7 +189,7 @@ class CooperativeSlam(CopiedWhole):
             check_frames(frames, self._clocks.times_s, self._beam_count)
             frames = [self._clocks.told(frame, len(self._sensed[1][frame.robot]) == 0) for frame in frames]
         if self._cues is not None:
-            frames = [cues.heard(frame, self._cues) for frame in frames]
+            frames = [cues.restricted_frame(frame, self._cues) for frame in frames]
         if isinstance(frames, TeamFrames):
             self._sensed = [frames.step] * len(frames.signs), frames.ranges_m
         else:

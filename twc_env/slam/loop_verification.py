@@ -77,7 +77,7 @@ class LoopVerifier:
         status = "rejected" if reason else "accepted"
         return LoopClosure(candidate, pose, covariance, overlap, status, reason)
 
-    def rests_on_walls(self, closure: LoopClosure, target_path: Path, source_path: Path, width_m: float) -> bool:
+    def is_fixed_by_walls(self, closure: LoopClosure, target_path: Path, source_path: Path, width_m: float) -> bool:
         """Whether a closure would not be loose without all things narrower than so much: they may be robots."""
         target, source = _ends(closure.candidate, target_path, source_path)
         self._draw_target(target, target_path)

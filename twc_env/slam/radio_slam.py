@@ -25,7 +25,7 @@ from twc_env.errors import DataError
 from twc_env.geometry import between, compose, inverse, poses_along, wrap_angle
 from twc_env.messages import Fingerprint, Keyframe
 from twc_env.slam import radio_closures, radio_cue, radio_field
-from twc_env.slam.distance_factor import Distances, together
+from twc_env.slam.distance_factor import Distances, concatenate_distances
 from twc_env.slam.given_fingerprints import given_fingerprints
 from twc_env.slam.odometry_calibration import Calibration, Motions, between_places, calibrated
 from twc_env.slam.pose_graph import squared_errors
@@ -235,7 +235,7 @@ class _Solver:
         if false_closures is not None:
             near = np.abs(self._places[None] - false_closures.pairs.reshape(-1, 1)).argmin(axis=1).reshape(-1, 2)
             parts.append(Distances(np.sort(near, axis=1), false_closures.distance_m, false_closures.variance_m2))
-        found = together(parts)
+        found = concatenate_distances(parts)
         found = found[found.pairs[:, 0] != found.pairs[:, 1]]
         if self._config.weighting == "ours":
             found = found[radio_closures.with_support(found.pairs[:, 0], found.pairs[:, 1], self._travel_m)]

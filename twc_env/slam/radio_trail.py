@@ -20,7 +20,7 @@ from twc_env.errors import DataError
 from twc_env.geometry import between, compose, poses_along
 from twc_env.messages import Fingerprint
 from twc_env.slam import radio_closures, radio_field
-from twc_env.slam.distance_factor import NO_DISTANCES, Distances, RadioEquations, together
+from twc_env.slam.distance_factor import NO_DISTANCES, Distances, RadioEquations, concatenate_distances
 from twc_env.slam.given_fingerprints import given_fingerprint
 from twc_env.slam.odometry_calibration import Calibration, Motions, calibration
 from twc_env.slam.radio_similarity import all_similarities, features, split_cues
@@ -148,7 +148,7 @@ class RadioTrail:
     def _optimise(self) -> None:
         travel, poses = np.cumsum(self._steps[:, 5]), self._poses
         for round_ in range(ROUNDS):
-            closures = together([self._closures(heard, travel) for heard in self._heard if round_ == 0])
+            closures = concatenate_distances([self._closures(heard, travel) for heard in self._heard if round_ == 0])
             found = [self._ties(heard, round_, poses, travel) for heard in self._heard]
             poses = self._fit(poses, [ties for ties in found if len(ties[0])], closures)
             if not self._is_full:

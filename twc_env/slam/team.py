@@ -93,7 +93,7 @@ class TeamMapper:
             return False
         if scans:
             self._maps.receive(scans)
-            self._search.wake()
+            self._search.scans_arrived()
         for keyframe in keyframes:
             self._maps.add(keyframe, self._graph.add_keyframe(keyframe))
             if self._graph.learn_scale(keyframe):
@@ -253,7 +253,7 @@ class TeamMapper:
             self._graph.refuse(closure, f"{away:.1f} m and {turned:.2f} rad from the estimate")
             return
         self._graph.accept(closure)
-        self._search.note_tie(closure)
+        self._search.note_accepted(closure)
         self.optimiser.soil(self._groups_of(closure)[0], squared > URGENT_SQUARED_ERROR)
 
     def _travel_between(self, candidate: LoopCandidate) -> float:
@@ -358,6 +358,6 @@ class TeamMapper:
         """Two sides of a group have maps of their own again."""
         self._maps.split(self.group_index(a[0]), (a, b))
         self.optimiser.unsettle()
-        self._search.untie(a + b)
+        self._search.forget_closures_of(a + b)
         for side in (a, b):
             self.optimiser.optimise(self.group_index(side[0]))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray as Array
 from scipy.sparse import coo_array
 
 from twc_env.geometry import travelled_m
-from twc_env.slam.change_points import settle_changes
+from twc_env.slam.change_points import refine_changes
 from twc_env.slam.k_visibility_signal import DISTANCE_MIN_M, SignalFit
 from twc_env.slam.path_bins import PathBins
 from twc_env.slam.wall_candidates import WallCandidates
@@ -120,7 +120,7 @@ class WallSolver:
         excess = self.power_dbm - self.exponent * 10 * np.log10(np.maximum(apart_m, DISTANCE_MIN_M)) - rssi_dbm
         travel_m = travelled_m(position_m)
         for router in range(len(self._routers)):
-            walls[:, router] = settle_changes(walls[:, router], loss[:, router], excess[:, router], travel_m)
+            walls[:, router] = refine_changes(walls[:, router], loss[:, router], excess[:, router], travel_m)
         return walls
 
     def _through_walls(self, position_m: Array) -> tuple[Array, Array]:
