@@ -3,7 +3,7 @@ import numpy as np
 from twc_env import observation_check
 from twc_env.__main__ import main
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.observation_check import ACTIONS, check_observations
+from twc_env.observation_check import ACTIONS, EPISODE_STEPS, check_observations
 
 
 def test_every_block_stays_in_its_space_changes_and_shares_no_memory(monkeypatch):
@@ -27,12 +27,19 @@ def test_a_block_that_leaves_its_space_stands_still_or_is_shared_is_named(monkey
 
     monkeypatch.setattr(ExplorationEnv, "step", careless)
     monkeypatch.setattr(observation_check, "ACTIONS", ACTIONS[:1])
-    faults = " ".join(check_observations(10).faults)
+    faults = " ".join(check_observations(EPISODE_STEPS).faults)
     for words in ("pose left its space", "wifi shares memory", "signs never changed"):
         assert words in faults
 
 
+def test_a_run_shorter_than_an_episode_does_not_call_a_block_constant(monkeypatch, capsys):
+    monkeypatch.setattr(observation_check, "ACTIONS", ACTIONS[:1])
+    assert main(["soak", "--observations", "1"]) == 0
+    assert "constant blocks were not searched for: velocity, synchronous" in capsys.readouterr().out
+
+
 def test_the_command_ends_with_an_error_where_a_promise_is_broken(monkeypatch, capsys):
     monkeypatch.setattr(observation_check, "ACTIONS", ACTIONS[:1])
-    assert main(["soak", "--observations", "1"]) == 2
+    monkeypatch.setitem(observation_check._SETTINGS, "max_cycles", 2)
+    assert main(["soak", "--observations", "2"]) == 2
     assert "never changed" in capsys.readouterr().err

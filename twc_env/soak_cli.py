@@ -35,7 +35,7 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
         type=count,
         metavar="STEPS",
         help="number of random steps, with all kinds of action and all blocks, in which observations are checked: "
-        "inside their spaces, not constant, no shared memory",
+        "inside their spaces, no shared memory, not constant over a whole episode",
     )
     long.add_argument("--seed", type=natural, default=0, help="seed of the first episode (default: %(default)s)")
     add_set(long)
@@ -75,7 +75,9 @@ def _misuse(options: argparse.Namespace) -> None:
         figures["actions"] = {name: getattr(thrown, name) for name in thrown.__slots__}
     if options.observations is not None:
         seen = check_observations(options.observations, options.seed, show_count)
-        print(f"{seen.steps} random steps, {seen.blocks} blocks looked at, {len(seen.faults)} faults")
+        print(f"{seen.steps} random steps, {seen.blocks} blocks checked, {len(seen.faults)} faults")
+        if seen.too_short:
+            print(f"less than an episode, so constant blocks were not searched for: {'; '.join(seen.too_short)}")
         faults += seen.faults
         figures["observations"] = {name: getattr(seen, name) for name in seen.__slots__}
     write_json(options.json, figures)

@@ -56,6 +56,21 @@ def test_a_flat_observation_holds_the_blocks_in_order():
     assert both[1].observation_space("robot_1").contains(flat)
 
 
+@pytest.mark.parametrize("action", ACTIONS[3:])
+def test_the_mask_in_the_info_is_that_of_the_observation_from_the_reset_on(action):
+    env = twc_env.parallel_env(map="twin-02", robots=2, max_cycles=120, config=settings(action))
+    observations, infos = env.reset(seed=1)
+    random, choices = np.random.default_rng(0), []
+    while True:
+        for agent, info in infos.items():
+            assert np.array_equal(info["action_mask"], observations[agent]["action_mask"])
+        if not env.agents:
+            break
+        choices.append(sum(info["action_mask"].sum() for info in infos.values()))
+        observations, _, _, _, infos = env.step(random_actions(env, infos, random))
+    assert choices[0] > len(infos), "only `stay` could be chosen at the start"
+
+
 def test_a_robot_that_is_busy_is_not_asked_and_its_action_does_not_count(same):
     config = settings(("frontier", "asynchronous"), **{"action.decision_max_s": 6.0})
     runs = []

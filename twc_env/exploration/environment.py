@@ -188,10 +188,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if self._viewer is not None:
             self._viewer.begin()
             self._viewer.follow(episode)
+        seen = episode.observe()  # before the choices, which it finds
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
         if episode.pilot is not None:
             self._tell_choices(infos, episode.pilot, 0)
-        return self._by_agent(episode.observe()), infos
+        return self._by_agent(seen), infos
 
     def step(self, actions: Mapping[str, Any]):
         """Act, sense, run SLAM, compute rewards: for one time step, or as many as the action lasts.
