@@ -253,10 +253,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     one = commands.add_parser("explore", help="run one episode and write a run folder", **_paragraphs(_EXPLORE_HELP))
     one.add_argument(
-        "--map",
-        help=f"{', '.join(map_names())}; generated: gen:office:800:7, test/0003; or a file (default: twin-01)",
+        "--map", help=f"{', '.join(map_names())}; generated: gen:office:800:7, test/0003; or a file (default: twin-01)"
     )
-    one.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs (default: 0)")
+    one.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs")
     one.add_argument(
         "--out",
         type=Path,
@@ -274,9 +273,9 @@ def _parser() -> argparse.ArgumentParser:
     many.add_argument(
         "--maps", nargs="+", default=["twin-01", "twin-02"], metavar="MAP", help="names or files (default: both twins)"
     )
-    many.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9 (default: 0-9)")
+    many.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9")
     add_folder(many, "--out", "runs/benchmark", "folder of all runs")
-    many.add_argument("--jobs", type=count, default=1, help="parallel processes (default: 1)")
+    many.add_argument("--jobs", type=count, default=1, help="parallel processes")
     many.set_defaults(run=_benchmark)
     teams = commands.add_parser(
         "compare", help="compare several agents in the same buildings", **_paragraphs(_COMPARE_HELP)
@@ -290,14 +289,11 @@ def _parser() -> argparse.ArgumentParser:
         f"(default: {', '.join(_TEAMS)})",
     )
     teams.add_argument(
-        "--buildings",
-        type=count,
-        default=10,
-        help="number of buildings, from the start of the test split (default: %(default)s)",
+        "--buildings", type=count, default=10, help="number of buildings, from the start of the test split"
     )
     teams.add_argument("--maps", nargs="+", metavar="MAP", help="names or files, instead of --buildings")
     add_folder(teams, "--out", "runs/compare", "folder of finished episodes")
-    teams.add_argument("--jobs", type=count, default=1, help="parallel processes (default: 1)")
+    teams.add_argument("--jobs", type=count, default=1, help="parallel processes")
     teams.set_defaults(run=_compare)
     walk = commands.add_parser(
         "radio-survey", help="wall maps from WiFi alone, by path length", **_paragraphs(_SURVEY_HELP)
@@ -309,24 +305,20 @@ def _parser() -> argparse.ArgumentParser:
         default=[f"sfw-e{n}" for n in range(1, 7)],
         help="names or files (default: sfw-e1 to sfw-e6)",
     )
-    walk.add_argument("--seeds", default="0-2", help="numbers and ranges (default: %(default)s)")
-    walk.add_argument("--steps", type=count, default=2500, help="maximum number of steps (default: %(default)s)")
+    walk.add_argument("--seeds", default="0-2", help="numbers and ranges")
+    walk.add_argument("--steps", type=count, default=2500, help="maximum number of steps")
     add_folder(walk, "--out", "runs/radio-survey", "folder of finished walks")
     walk.set_defaults(run=_radio_survey)
     for command in (one, many):
         command.add_argument(
-            "--agent",
-            default="nearest-frontier",
-            help=f"one of {', '.join(policy_names())}, or FILE.py:CLASS (default: %(default)s)",
+            "--agent", default="nearest-frontier", help=f"one of {', '.join(policy_names())}, or FILE.py:CLASS"
         )
         command.add_argument("--no-pictures", action="store_true", help="write neither map.png nor episode.gif")
     for command in (one, many, teams):
         command.add_argument("--robots", type=count, help="number of robots (default: 3)")
         command.add_argument("--steps", type=count, help="maximum number of steps (default: 2000)")
         command.add_argument(
-            "--config",
-            metavar="FILE",
-            help="settings: TOML, JSON, a run folder or a task such as twc/ExploreHard-v0",
+            "--config", metavar="FILE", help="settings: TOML, JSON, a run folder or a task such as twc/ExploreHard-v0"
         )
         add_set(command)
         command.add_argument(

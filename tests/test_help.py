@@ -35,8 +35,11 @@ def test_every_option_says_what_it_means_and_its_default(parser):
     for option in options(parser):
         name = (option.option_strings or [option.dest])[0]
         assert option.help, f"{name} is not explained"
-        has_default = option.option_strings and option.default not in (None, False, [], argparse.SUPPRESS)
-        assert not has_default or "default" in option.help, f"{name} does not say its default"
+        has_default = option.default is not None and option.default not in ([], "", argparse.SUPPRESS)
+        is_switch = not option.option_strings or option.default is False
+        said = parser.formatter_class(parser.prog)._get_help_string(option)
+        assert is_switch or ("default" in said) >= has_default, f"{name} does not say its default"
+        assert said.count("(default:") <= 1, f"{name} says its default twice"
 
 
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)

@@ -56,24 +56,22 @@ def _parser() -> argparse.ArgumentParser:
         "  python -m training ppo --map twin-01 --robots 3 --set odometry.drift=2 --out runs/twin",
     )
     ppo.add_argument("--map", help="bundled name, generated name or file, instead of small generated buildings")
-    ppo.add_argument(
-        "--area", type=float, default=250.0, help="floor area of the generated buildings [m2] (default: %(default)s)"
-    )
-    ppo.add_argument("--robots", type=int, default=2, help="robots per team (default: %(default)s)")
+    ppo.add_argument("--area", type=float, default=250.0, help="floor area of the generated buildings [m2]")
+    ppo.add_argument("--robots", type=int, default=2, help="robots per team")
     ppo.add_argument(
         "--steps",
         type=int,
         default=181_000,
-        help="total decisions of all robots; a busy robot counts as one decision per step (default: %(default)s)",
+        help="total decisions of all robots; a busy robot counts as one decision per step",
     )
-    ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode (default: %(default)s)")
+    ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode")
     ppo.add_argument(
         "--workers",
         type=natural,
         default=2,
         help="worker processes (default: %(default)s; 0: none, run in this process)",
     )
-    ppo.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes (default: %(default)s)")
+    ppo.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes")
     add_set(ppo)
     add_folder(ppo, "--out", "runs/ppo", "run folder")
     ppo.add_argument("--resume", action="store_true", help="continue from the model in the run folder")
@@ -93,12 +91,10 @@ def _parser() -> argparse.ArgumentParser:
         metavar="MODEL",
         type=Path,
         default=Path("runs/ppo/model.zip"),
-        help="a run folder, or a model file next to its config.json (default: %(default)s)",
+        help="a run folder, or a model file next to its config.json",
     )
     evaluate.add_argument("--json", type=Path, metavar="FILE", help="write all episodes and the means")
-    evaluate.add_argument(
-        "--seeds", default="0-19", help="seeds of held-out buildings, e.g. 0-4 or 1,5,7 (default: %(default)s)"
-    )
+    evaluate.add_argument("--seeds", default="0-19", help="seeds of held-out buildings, e.g. 0-4 or 1,5,7")
     evaluate.add_argument(
         "--films", type=Path, metavar="FOLDER", help="write a GIF of the trained team in each building"
     )

@@ -20,39 +20,31 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
         "bench",
         help="measure steps per second, with and without SLAM",
         description="Measure steps per second over whole episodes of robots driven by a reactive policy (median over "
-        "episodes). "
-        "Compare only values from the same machine and run.",
+        "episodes). Compare only values from the same machine and run.",
         epilog="examples:\n  python -m twc_env bench --json runs/bench.json\n"
         "  python -m twc_env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
         "  python -m twc_env bench --parts\n"
         "  python -m twc_env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer",
     )
-    speed.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
-    speed.add_argument("--robots", type=count, default=3, help="number of robots (default: %(default)s)")
-    speed.add_argument("--beams", type=count, default=180, help="beams per scan (default: %(default)s)")
-    speed.add_argument("--steps", type=count, default=1500, help="steps per episode (default: %(default)s)")
-    speed.add_argument(
-        "--episodes", type=count, default=3, help="number of episodes, with seeds 0, 1, ... (default: %(default)s)"
-    )
+    speed.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
+    speed.add_argument("--robots", type=count, default=3, help="number of robots")
+    speed.add_argument("--beams", type=count, default=180, help="beams per scan")
+    speed.add_argument("--steps", type=count, default=1500, help="steps per episode")
+    speed.add_argument("--episodes", type=count, default=3, help="number of episodes, with seeds 0, 1, ...")
     add_set(speed)
     speed.add_argument("--parts", action="store_true", help="print the time of each part of a step instead")
     speed.add_argument(
         "--peers",
         action="store_true",
         help="compare with IR-SIM and MPE2 on one core (pip install 'twc_env[peers]'); also start-up time, memory and "
-        "two "
-        "workers; settings are fixed",
+        "two workers; settings are fixed",
     )
     speed.add_argument(
         "--scaling",
         action="store_true",
         help="cost of the simulated world by number of walls, beams, robots and area; resets of large buildings",
     )
-    speed.add_argument(
-        "--long",
-        action="store_true",
-        help="step times along one long episode, in tenths",
-    )
+    speed.add_argument("--long", action="store_true", help="step times along one long episode, in tenths")
     speed.add_argument("--json", type=Path, metavar="FILE", help="write the results as one object")
     speed.set_defaults(run=_bench)
 

@@ -91,7 +91,17 @@ def _silence() -> None:
 
 
 class Paragraphs(argparse.HelpFormatter):
-    """Help whose paragraphs are filled one by one; lines that begin with two spaces, as examples do, stay."""
+    """Help whose paragraphs are filled one by one; lines that begin with two spaces, as examples do, stay.
+
+    The help of an option ends with its default value, unless it says a default itself.
+    """
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        text = action.help or ""
+        is_number_or_text = isinstance(action.default, (int, float, str, Path)) and action.default is not False
+        if not action.option_strings or not is_number_or_text or action.default == "" or "default: " in text:
+            return text
+        return text if action.default == argparse.SUPPRESS else f"{text} (default: %(default)s)"
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         return "\n\n".join(self._filled(part, width) for part in text.strip().split("\n\n"))
@@ -156,8 +166,7 @@ def assignments(texts: Sequence[str]) -> dict[str, object]:
 
 def add_folder(parser: argparse.ArgumentParser, option: str, default: str, what: str) -> None:
     """An option that names a folder."""
-    help = f"{what} (default: %(default)s)"
-    parser.add_argument(option, type=Path, default=Path(default), metavar="FOLDER", help=help)
+    parser.add_argument(option, type=Path, default=Path(default), metavar="FOLDER", help=what)
 
 
 def count(text: str) -> int:

@@ -29,17 +29,14 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         "record",
         help="record the sensor frames of an episode, and the ground truth in a separate file",
         description="Record an episode of robots driven by a reactive policy. Writes frames.npz (sensor frames and "
-        "settings, "
-        "no ground truth) and truth.npz (true poses); see docs/frames.md. `python -m agents explore` records frames "
-        "too.",
+        "settings, no ground truth) and truth.npz (true poses); see docs/frames.md. `python -m agents explore` records "
+        "frames too.",
         epilog="example:\n  python -m twc_env record --map twin-02 --steps 900 --out runs/log",
     )
-    record.add_argument("--map", default="twin-01", help="bundled name, generated name or file (default: %(default)s)")
-    record.add_argument("--robots", type=count, default=3, help="number of robots (default: %(default)s)")
-    record.add_argument("--steps", type=count, default=600, help="time steps of 0.1 s (default: %(default)s)")
-    record.add_argument(
-        "--seed", type=natural, default=0, help="of start poses, noise and generated signs (default: %(default)s)"
-    )
+    record.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
+    record.add_argument("--robots", type=count, default=3, help="number of robots")
+    record.add_argument("--steps", type=count, default=600, help="time steps of 0.1 s")
+    record.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs")
     add_set(record)
     record.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="output folder")
     record.set_defaults(run=_record)

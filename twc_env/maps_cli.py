@@ -56,10 +56,8 @@ def add_maps_parser(commands) -> None:
 
     make.add_argument("kind", metavar="KIND", help=f"one of {', '.join(KINDS)}")
     make.add_argument("area", type=float, metavar="AREA", help=f"gross floor area, {AREA_MIN_M2} to {AREA_MAX_M2} m2")
-    make.add_argument("--seed", type=natural, default=0, help="seed of the building (default: %(default)s)")
-    make.add_argument(
-        "--count", type=count, default=1, help="number of buildings, with consecutive seeds (default: %(default)s)"
-    )
+    make.add_argument("--seed", type=natural, default=0, help="seed of the building")
+    make.add_argument("--count", type=count, default=1, help="number of buildings, with consecutive seeds")
     make.add_argument(
         "--out", type=Path, metavar="FILE.json", help="default: KIND-AREA-SEED.json in the current folder"
     )
@@ -113,10 +111,7 @@ def _part(parts, name: str, run, text: str, examples: list[str], more: str = "")
 
 def _seed(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--seed",
-        type=natural,
-        default=0,
-        help="for generating signs and access points if a map has none (default: %(default)s)",
+        "--seed", type=natural, default=0, help="for generating signs and access points if a map has none"
     )
 
 

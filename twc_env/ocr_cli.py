@@ -22,14 +22,13 @@ def add_ocr_parser(commands) -> None:
         "measure",
         help="render signs, read them with a real OCR, write the error table (about 10 minutes; extra `ocr`)",
         description="Render signs, read them with a real OCR and write the error table. Resumes if interrupted. The "
-        "table "
-        "in the package was measured with the defaults.",
+        "table in the package was measured with the defaults.",
         epilog="example:\n  python -m twc_env ocr measure --signs 4 --out runs/ocr/table.json",
     )
     make.add_argument("--out", type=Path, required=True, metavar="FILE", help="error table to write, JSON")
-    make.add_argument("--seed", type=natural, default=0, help="of signs and views (default: %(default)s)")
-    make.add_argument("--signs", type=count, default=40, help="signs per grid point (default: %(default)s)")
-    make.add_argument("--processes", type=count, default=2, help="parallel processes (default: %(default)s)")
+    make.add_argument("--seed", type=natural, default=0, help="of signs and views")
+    make.add_argument("--signs", type=count, default=40, help="signs per grid point")
+    make.add_argument("--processes", type=count, default=2, help="parallel processes")
     add_folder(make, "--cache", "runs/ocr", "folder of finished parts")
     make.set_defaults(run=_measure)
 

@@ -21,9 +21,7 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
         epilog="examples:\n  python -m twc_env soak --steps 100000 --set observation.kind=flat\n"
         "  python -m twc_env soak --actions 100000 --observations 10000",
     )
-    long.add_argument(
-        "--steps", type=count, default=1_000_000, help="total time steps, in whole episodes (default: %(default)s)"
-    )
+    long.add_argument("--steps", type=count, default=1_000_000, help="total time steps, in whole episodes")
     long.add_argument(
         "--actions",
         type=count,
@@ -37,7 +35,7 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
         help="number of random steps, with all kinds of action and all blocks, in which observations are checked: "
         "inside their spaces, no shared memory, not constant over a whole episode",
     )
-    long.add_argument("--seed", type=natural, default=0, help="seed of the first episode (default: %(default)s)")
+    long.add_argument("--seed", type=natural, default=0, help="seed of the first episode")
     add_set(long)
     long.add_argument("--json", type=Path, metavar="FILE", help="write the results as one flat object")
     long.set_defaults(run=_soak)

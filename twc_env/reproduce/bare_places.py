@@ -91,8 +91,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenes", nargs="+", choices=SCENES, default=list(SCENES), metavar="SCENE", help="scenes (default: all)"
     )
-    parser.add_argument("--robots", type=count, default=3, help="number of robots (default: %(default)s)")
-    parser.add_argument("--steps", type=count, default=2000, help="maximum steps per episode (default: %(default)s)")
+    parser.add_argument("--robots", type=count, default=3, help="number of robots")
+    parser.add_argument("--steps", type=count, default=2000, help="maximum steps per episode")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -46,11 +46,9 @@ GOALS_MS = {"with": 0.5, "without": 12.0}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument(
-        "--buildings", type=count, default=20, help="number of test-split buildings (default: %(default)s)"
-    )
-    parser.add_argument("--pairs", type=count, default=5, help="pairs of scans per building (default: %(default)s)")
-    parser.add_argument("--points", type=count, default=600, help="beams of a scan (default: %(default)s)")
+    parser.add_argument("--buildings", type=count, default=20, help="number of test-split buildings")
+    parser.add_argument("--pairs", type=count, default=5, help="pairs of scans per building")
+    parser.add_argument("--points", type=count, default=600, help="beams of a scan")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -47,11 +47,9 @@ STUCK_STEPS, ESCAPE_STEPS = 30, 12
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument(
-        "--buildings", type=count, default=100, help="number of test-split buildings (default: %(default)s)"
-    )
-    parser.add_argument("--robots", type=count, default=3, help="number of robots (default: %(default)s)")
-    parser.add_argument("--seed", type=natural, default=0, help="noise seed (default: %(default)s)")
+    parser.add_argument("--buildings", type=count, default=100, help="number of test-split buildings")
+    parser.add_argument("--robots", type=count, default=3, help="number of robots")
+    parser.add_argument("--seed", type=natural, default=0, help="noise seed")
     add_set(parser)
 
 

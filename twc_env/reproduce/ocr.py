@@ -39,11 +39,9 @@ MAPS = ("twin-01", "twin-02", *(f"test/{k:04d}" for k in range(12)))
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument("--signs", type=count, default=1000, help="signs per distance (default: %(default)s)")
-    parser.add_argument(
-        "--hidden", type=number(0.0, 0.95), default=0.0, help="occluded share of each text (default: 0)"
-    )
-    parser.add_argument("--seed", type=natural, default=0, help="seed of signs and views (default: %(default)s)")
+    parser.add_argument("--signs", type=count, default=1000, help="signs per distance")
+    parser.add_argument("--hidden", type=number(0.0, 0.95), default=0.0, help="occluded share of each text")
+    parser.add_argument("--seed", type=natural, default=0, help="seed of signs and views")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

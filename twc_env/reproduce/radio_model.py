@@ -48,11 +48,7 @@ STUDIES: tuple[Study, ...] = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument(
-        "--seeds",
-        type=count,
-        default=6,
-        metavar="N",
-        help="simulated runs; four times as many for small sets (default: %(default)s)",
+        "--seeds", type=count, default=6, metavar="N", help="simulated runs; four times as many for small sets"
     )
     parser.add_argument(
         "--only", default="", metavar="TEXT", help="only data sets whose name contains this text (default: all)"

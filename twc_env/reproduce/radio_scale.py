@@ -38,12 +38,8 @@ BULK, REPEATS = 4000, 5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce radio-scale`."""
     add_seeds(parser, "2", "seeds of the drives")
-    parser.add_argument(
-        "--length", type=number(100.0, 1e6), default=10_000.0, help="path length in metres (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--stored", type=count, default=100_000, help="number of stored fingerprints (default: %(default)s)"
-    )
+    parser.add_argument("--length", type=number(100.0, 1e6), default=10_000.0, help="path length in metres")
+    parser.add_argument("--stored", type=count, default=100_000, help="number of stored fingerprints")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

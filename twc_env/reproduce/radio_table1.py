@@ -36,14 +36,11 @@ SURVEY_PRINTED_S = 8619.2
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce radio-table1`."""
     add_seeds(parser, "4-9", "walks, of which 0-3 were used for calibration")
-    parser.add_argument("--places", default=",".join(PLACES), help="places (default: %(default)s)")
-    parser.add_argument("--methods", default=",".join(METHODS), help="methods (default: %(default)s)")
-    parser.add_argument("--processes", type=count, default=2, help="parallel processes (default: %(default)s)")
+    parser.add_argument("--places", default=",".join(PLACES), help="places")
+    parser.add_argument("--methods", default=",".join(METHODS), help="methods")
+    parser.add_argument("--processes", type=count, default=2, help="parallel processes")
     parser.add_argument(
-        "--share",
-        type=number(0.01, 1.0),
-        default=1.0,
-        help="share of the published length, for a quick look (default: %(default)s)",
+        "--share", type=number(0.01, 1.0), default=1.0, help="share of the published length, for a quick look"
     )
     parser.add_argument(
         "--sweep", action="store_true", help="instead: error by number of access points, drift and distance"

@@ -65,13 +65,11 @@ class Case:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce robustness`."""
     add_seeds(parser, "6", "seeds for `ours`")
-    parser.add_argument(
-        "--other-seeds", type=seeds_argument, default="1", help="seeds for the other methods (default: %(default)s)"
-    )
-    parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs (default: %(default)s)")
-    parser.add_argument("--shares", default="0,0.2,0.5,0.8", help="shares of false closures (default: %(default)s)")
-    parser.add_argument("--processes", type=count, default=2, help="parallel processes (default: %(default)s)")
-    parser.add_argument("--methods", default=",".join(METHODS), help="methods (default: %(default)s)")
+    parser.add_argument("--other-seeds", type=seeds_argument, default="1", help="seeds for the other methods")
+    parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs")
+    parser.add_argument("--shares", default="0,0.2,0.5,0.8", help="shares of false closures")
+    parser.add_argument("--processes", type=count, default=2, help="parallel processes")
+    parser.add_argument("--methods", default=",".join(METHODS), help="methods")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from twc_env.command_line import Paragraphs, add_folder, aligned, count, parse_seeds, show_line
+from twc_env.command_line import add_folder, aligned, count, parse_seeds, show_line
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
 from twc_env.json_values import TERMINAL, check_folder, plain, write_json
@@ -120,7 +120,7 @@ def seeds_argument(text: str) -> list[int]:
 
 def add_seeds(parser: argparse.ArgumentParser, default: str, what: str) -> None:
     """The option `--seeds` of a table."""
-    help = f"{what}: a count, or seeds like 0-9 or 0-3,7 (default: %(default)s)"
+    help = f"{what}: a count, or seeds like 0-9 or 0-3,7"
     parser.add_argument("--seeds", type=seeds_argument, default=default, help=help)
 
 
@@ -144,10 +144,8 @@ def add_parser(commands) -> None:
         "reproduce",
         help="reproduce tables of the three papers and our own, beside published values",
         description="Reproduce a table and print it beside the published values. docs/papers.md goes through the "
-        "papers "
-        "item by item. Each table has its own --help.",
+        "papers item by item. Each table has its own --help.",
         epilog=_EPILOG.format(name="sfw-routers"),
-        formatter_class=Paragraphs,
     )
     tables = parser.add_subparsers(required=True, metavar="TABLE")
     for name in TABLES:
@@ -158,7 +156,6 @@ def add_parser(commands) -> None:
             help=module.SUMMARY + needs_data,
             description=module.__doc__,
             epilog=_EPILOG.format(name=name),
-            formatter_class=Paragraphs,
         )
         module.add_arguments(table)
         beside = ", and pictures beside them" if hasattr(module, "draw") else ""

@@ -38,9 +38,7 @@ _ALONG_SHARE = 0.85
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-houseexpo`."""
-    parser.add_argument(
-        "--plans", type=count, default=30, help="number of plans, smallest files first (default: %(default)s)"
-    )
+    parser.add_argument("--plans", type=count, default=30, help="number of plans, smallest files first")
     add_folder(parser, "--out", "runs/sfw-houseexpo", "folder for pictures")
 
 

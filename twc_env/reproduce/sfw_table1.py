@@ -45,7 +45,7 @@ _FLAT_NOISE_SEED = 100
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-table1`."""
     add_seeds(parser, "10", "noise seeds")
-    parser.add_argument("--experiments", default="1,2,3,4,5,6", help="experiments to run (default: %(default)s)")
+    parser.add_argument("--experiments", default="1,2,3,4,5,6", help="experiments to run")
     parser.add_argument(
         "--flats", type=natural, default=0, metavar="N", help="use N generated flats instead of the six plans"
     )

@@ -29,10 +29,8 @@ CHOOSES = ("datasets",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `python -m twc_env reproduce solver`."""
-    parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs (default: %(default)s)")
-    parser.add_argument(
-        "--repeats", type=count, default=5, help="alternating runs of each solver (default: %(default)s)"
-    )
+    parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs")
+    parser.add_argument("--repeats", type=count, default=5, help="alternating runs of each solver")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -50,11 +50,9 @@ FIGURES = {"merged": "merged_share", "ate": "ate_m", "coverage": "coverage_corre
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    parser.add_argument(
-        "--buildings", type=count, default=10, help="number of test-split buildings (default: %(default)s)"
-    )
-    parser.add_argument("--robots", type=count, default=3, help="number of robots (default: %(default)s)")
-    parser.add_argument("--seed", type=natural, default=0, help="noise seed (default: %(default)s)")
+    parser.add_argument("--buildings", type=count, default=10, help="number of test-split buildings")
+    parser.add_argument("--robots", type=count, default=3, help="number of robots")
+    parser.add_argument("--seed", type=natural, default=0, help="noise seed")
     parser.add_argument(
         "--conditions", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), help="conditions (default: all)"
     )

@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="scenes (default: both)"
     )
-    parser.add_argument("--signs", choices=SIGNS, default=SIGNS[0], help="signs on the walls (default: %(default)s)")
+    parser.add_argument("--signs", choices=SIGNS, default=SIGNS[0], help="signs on the walls")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
