@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from agents import benchmark, compare, picture, radio_survey
-from agents.explore import Progress, explore, table_of, write_run
+from agents.explore import explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from twc_env import EnvConfig, load_map, map_names, task_config
 from twc_env.command_line import (
@@ -21,9 +21,11 @@ from twc_env.command_line import (
     add_version,
     assignments,
     count,
+    end_line,
     natural,
     parse_seeds,
     run_command,
+    show_count,
 )
 from twc_env.config import digest, load, override
 from twc_env.json_values import TERMINAL, check_folder, write_json
@@ -95,11 +97,12 @@ def _explore(options: argparse.Namespace) -> int:
         picture.require_libraries(has_gif)
     folder = options.out or _run_folder(config, options.agent, options.seed)
     check_folder(folder)
-    progress = Progress(config.max_cycles, f"{_folder_name(config.map)} seed {options.seed}")
-    try:
-        run = explore(config, options.agent, options.seed, picture.Film() if has_gif else None, progress)
-    finally:
-        progress.close()
+    what = f" steps on {_folder_name(config.map)}, seed {options.seed}"
+    film = picture.Film() if has_gif else None
+    run = explore(
+        config, options.agent, options.seed, film, lambda done: show_count(done, config.max_cycles, what, every=50)
+    )
+    end_line()
     write_run(run, folder, not options.no_pictures)
     write_json(options.json, run.report)
     if options.json != TERMINAL:

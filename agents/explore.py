@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -177,36 +176,6 @@ def _clear(folder: Path) -> None:
     for pattern in _WRITTEN:
         for path in folder.glob(pattern):
             path.unlink()
-
-
-class Progress:
-    """A progress bar on a terminal, nothing in a pipe: tqdm where installed, else a plain counter."""
-
-    def __init__(self, total: int, label: str):
-        self._total, self._label, self._done = total, label, 0
-        self._is_shown = sys.stderr.isatty()
-        self._bar = None
-        if self._is_shown:
-            try:
-                from tqdm import tqdm
-            except ImportError:
-                return
-            self._bar = tqdm(total=total, desc=label, unit=" steps", leave=False)
-
-    def __call__(self, done: int) -> None:
-        """So many are done."""
-        if self._bar is not None:
-            self._bar.update(done - self._done)
-        elif self._is_shown and done % 20 == 0:
-            print(f"\r{self._label}: {done}/{self._total}", end="", file=sys.stderr, flush=True)
-        self._done = done
-
-    def close(self) -> None:
-        """Clear the line."""
-        if self._bar is not None:
-            self._bar.close()
-        elif self._is_shown:
-            print("\r" + " " * 60 + "\r", end="", file=sys.stderr, flush=True)
 
 
 FIGURES = (

@@ -40,7 +40,7 @@ def test_an_exception_names_the_episode_it_came_from(monkeypatch):
 def test_a_log_has_a_line_each_minute_of_how_far_a_soak_is(monkeypatch, capsys):
     monkeypatch.setattr(soaking, "EPISODE_STEPS", 12)
     clock = iter(range(0, 10_000, 25))
-    monkeypatch.setattr(command_line, "_logged_s", [0.0])
+    monkeypatch.setitem(command_line._progress, "logged_s", 0.0)
     monkeypatch.setattr(command_line, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
     assert main(["soak", "--steps", "120", "--set", "lidar.beam_count=36"]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "/120 steps" in line]

@@ -27,8 +27,9 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 SEEDS_MAX = 100_000
 """Of a range on a command line."""
 LOG_INTERVAL_S = 60.0
-_logged_s = [time.monotonic()]
-"""When a log had its last line of how far a command is."""
+LINE_WIDTH = 110
+_progress = {"logged_s": time.monotonic(), "is_open": False}
+"""Time of the last progress line in a log, and whether the line of the terminal shows progress."""
 
 
 def exit_status(command: Callable[[], int | None], remark: str = "interrupted") -> int:
@@ -45,7 +46,10 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
         sys.stdout.reconfigure(errors="backslashreplace" if sys.stdout.errors == "strict" else sys.stdout.errors)
     try:
         begin_work()
-        status = command()
+        try:
+            status = command()
+        finally:
+            end_line()
         sys.stdout.flush()
         return status or 0
     except TwcError as error:
@@ -200,19 +204,30 @@ def number(least: float, most: float) -> Callable[[str], float]:
     return read
 
 
-def show_count(done: int, total: int, what: str = "") -> None:
-    """How far a command is; see `show_line`."""
-    show_line(f"{done}/{total}{what}", done == total)
+def show_count(done: int, total: int, what: str = "", every: int = 1) -> None:
+    """Show how much of a command is done, whenever the count is a multiple of `every`; see `show_line`."""
+    if done % every == 0 or done == total:
+        show_line(f"{done}/{total}{what}", done == total)
 
 
 def show_line(text: str, is_last: bool = False) -> None:
-    """How far a command is: on one line of a terminal, which changes; in a log a line each minute."""
+    """Show the progress of a command: on a terminal in one line that is overwritten, in a log in a line per minute."""
     if sys.stderr.isatty():
-        sys.stderr.write(f"\r{text}" + ("\n" if is_last else ""))
+        sys.stderr.write(f"\r{text[:LINE_WIDTH]:<{LINE_WIDTH}}")
         sys.stderr.flush()
-    elif time.monotonic() - _logged_s[-1] >= LOG_INTERVAL_S:
+        _progress["is_open"] = True
+        if is_last:
+            end_line()
+    elif time.monotonic() - _progress["logged_s"] >= LOG_INTERVAL_S:
         sys.stderr.write(f"{text}\n")
-        _logged_s[-1] = time.monotonic()
+        _progress["logged_s"] = time.monotonic()
+
+
+def end_line() -> None:
+    """End the line that shows progress, so that the next output begins a new line."""
+    if _progress["is_open"]:
+        sys.stderr.write("\n")
+        _progress["is_open"] = False
 
 
 def aligned(rows: Sequence[dict[str, Any]]) -> str:

@@ -113,16 +113,11 @@ def _record(options: argparse.Namespace) -> None:
         env.step(actions)
         steps.append(env.frames)
         contacts.append(env.contacts)
-        _progress(len(steps) - 1, env.config.max_cycles)
+        show_count(len(steps) - 1, env.config.max_cycles, " steps", every=50)
     with alone_in(options.out):
         write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
         write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
     print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
-
-
-def _progress(done: int, total: int) -> None:
-    if done % 50 == 0 or done == total:
-        show_count(done, total, " steps")
 
 
 def _replay(options: argparse.Namespace) -> None:
@@ -170,7 +165,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
             engine.track(frames)
         engine.absorb(step, contacts[step - first] if contacts else None)
         odom_poses.append(engine.poses_odom)
-        _progress(step - first + 1, len(steps))
+        show_count(step - first + 1, len(steps), " steps", every=50)
     last = max([step, *(frame.step for frame in steps[-1])])
     if last >= config.max_cycles or not _is_frame_log(logs[0]):  # played to its end, where the mapper clears its desk
         engine.finish()

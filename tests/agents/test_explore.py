@@ -228,18 +228,11 @@ def test_missing_drawing_libraries_are_named_before_the_episode(monkeypatch, cap
 
 
 def test_an_interrupted_run_writes_what_it_has(monkeypatch, capsys, tmp_path):
-    class Impatient:
-        def __init__(self, total, label):
-            pass
+    def interrupt(done, *_, **__):
+        if done == 12:
+            raise KeyboardInterrupt
 
-        def __call__(self, done):
-            if done == 12:
-                raise KeyboardInterrupt
-
-        def close(self):
-            pass
-
-    monkeypatch.setattr("agents.__main__.Progress", Impatient)
+    monkeypatch.setattr("agents.__main__.show_count", interrupt)
     assert main(["explore", "--steps", "50", "--no-pictures", "--out", str(tmp_path / "run")]) == 130
     assert json.loads((tmp_path / "run" / "report.json").read_text())["steps"] == 12
     assert "interrupted after 12 steps" in capsys.readouterr().err
@@ -272,10 +265,14 @@ def test_a_film_ends_on_the_last_step_wherever_it_falls():
     assert film._steps == [*range(0, 320, 2), 319]
 
 
-def test_progress_is_silent_in_a_pipe(capsys, monkeypatch):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
-    progress = explore_module.Progress(10, "x")
-    for done in range(10):
-        progress(done)
-    progress.close()
-    assert capsys.readouterr().err == ""
+def test_on_a_terminal_the_steps_are_counted_in_one_line_and_an_error_begins_the_next(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr("agents.__main__.write_run", lambda *_: [][1])
+    with pytest.raises(IndexError):
+        main(["explore", "--steps", "100", "--robots", "1", "--no-pictures", "--out", str(tmp_path / "run")])
+    shown = capsys.readouterr().err
+    assert [line.strip() for line in shown.split("\r")] == [
+        "",
+        *(f"{k}/100 steps on twin-01, seed 0" for k in (50, 100)),
+    ]
+    assert shown.endswith("\n") and shown.count("\n") == 1

@@ -152,7 +152,7 @@ def test_an_error_in_a_part_stands_on_a_line_of_its_own(tmp_path, capsys, monkey
 
 def test_a_log_has_a_line_each_minute_of_how_far_a_table_is(tmp_path, capsys, monkeypatch):
     clock = iter(range(0, 10_000, 10))
-    monkeypatch.setattr(command_line, "_logged_s", [0.0])
+    monkeypatch.setitem(command_line._progress, "logged_s", 0.0)
     monkeypatch.setattr(command_line, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
     Runner("toy", tmp_path, {}).each(range(30), lambda part: part)
     lines = capsys.readouterr().err.splitlines()

@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from twc_env.command_line import add_folder, aligned, count, parse_seeds, show_line
+from twc_env.command_line import add_folder, aligned, count, end_line, parse_seeds, show_line
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
 from twc_env.json_values import TERMINAL, check_folder, plain, write_json
@@ -41,7 +41,6 @@ class Runner:
     def __init__(self, name: str, folder: Path, settings: dict):
         self._parts = FinishedParts(folder, name, settings)
         self._started = time.monotonic()
-        self._is_in_line = False
         if self._parts.remark:
             print(self._parts.remark, file=sys.stderr)
         self.notes: list[str] = []
@@ -62,7 +61,7 @@ class Runner:
         for k, result in in_processes(partial(_once, self._parts), labelled, processes):
             results[k] = result
             self.say(f"{len(results)}/{len(parts)} {next(under_way, '')}")
-        self.say(f"{len(parts)}/{len(parts)}", end="\n")
+        self.say(f"{len(parts)}/{len(parts)}", is_last=True)
         return [results[k] for k in range(len(parts))]
 
     def grid(self, kinds: Iterable, seeds: Iterable, work: Callable[..., object], processes: int = 1) -> dict:
@@ -74,20 +73,9 @@ class Runner:
             results[kind].append(result)
         return results
 
-    def say(self, text: str, end: str = "") -> None:
-        """How far the table is, in the line of the last such message; in a log a line each minute."""
-        text = f"[{time.monotonic() - self._started:5.0f} s] {text[:100]}"
-        if not sys.stderr.isatty():
-            show_line(text)
-            return
-        self._is_in_line = not end
-        print(f"\r{text:<110}", end=end, file=sys.stderr, flush=True)
-
-    def end_line(self) -> None:
-        """Let what is said next begin a line of its own."""
-        if self._is_in_line:
-            print(file=sys.stderr)
-            self._is_in_line = False
+    def say(self, text: str, is_last: bool = False) -> None:
+        """Show the progress of the table, after the time since the start; see `show_line`."""
+        show_line(f"[{time.monotonic() - self._started:5.0f} s] {text}", is_last)
 
 
 def _once(finished: FinishedParts, labelled: tuple[str, Callable[[], object]]) -> object:
@@ -173,11 +161,11 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     try:
         rows = plain(module.rows(options, runner))
     except KeyboardInterrupt:
-        runner.end_line()
+        end_line()
         print("finished parts are kept: the same command continues from there", file=sys.stderr)
         raise
     finally:
-        runner.end_line()
+        end_line()
     print(aligned(rows))
     print("".join(note + "\n" for note in runner.notes), end="")
     for remark in getattr(module, "remarks", lambda _: ())(rows):
@@ -185,5 +173,5 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     write_json(options.json, rows)
     if options.json not in (None, TERMINAL):
         paths = getattr(module, "draw", lambda *_: ())(options, runner, options.json.parent)
-        runner.end_line()
+        end_line()
         print("".join(f"written: {path}\n" for path in paths), end="")
