@@ -1,4 +1,4 @@
-"""Actions that no agent should send: NaN, wrong shapes and types, unknown agents. Each must be refused, harmlessly."""
+"""Malformed actions: NaN, wrong shapes and types, unknown agents. Each must be rejected without side effects."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from twc_env.random_streams import random_stream
 KINDS = ("velocity", "waypoint", "frontier")
 GOOD: dict[str, Any] = {"velocity": (0.5, 0.1), "waypoint": (0.3, 0.0), "frontier": 0}
 CHECK_EVERY = 500
-"""After so many refusals both teams take a sound step and must see the same."""
+"""Number of malformed actions between two valid steps, after which both teams must observe the same."""
 SMALL = {"robots": 2, "max_cycles": 10**6, "lidar.beam_count": 36, "action.decision_max_s": 0.5}
 
 
 @dataclass(slots=True)
 class ActionFuzzReport:
-    """What came of the actions."""
+    """Results of `fuzz_actions`."""
 
     count: int = 0
     refused: int = 0
     accepted: int = 0
-    """Mutations that happened to be sound; the other team took them too."""
+    """Mutations that happened to be valid; the reference team executed them too."""
     steps_compared: int = 0
     escaped: list[str] = field(default_factory=list)
-    """Actions that raised something else than ActionError."""
+    """Actions that raised an exception other than ActionError."""
     changed: list[str] = field(default_factory=list)
-    """Kinds of action after whose refusals the episode was not what it would have been without."""
+    """Kinds of action whose rejected actions changed the episode."""
 
 
 def fuzz_actions(
     count: int, seed: int = 0, report: Callable[[int, int], None] = lambda done, total: None
 ) -> ActionFuzzReport:
-    """Throw `count` broken actions at teams of every kind of action; equal seeds throw the same.
+    """Send `count` malformed actions to teams of every kind of action; equal seeds send the same ones.
 
-    A second team is spared them. Sound steps in between must give both the same observations and rewards.
+    A reference team receives only the valid actions. Both teams must get the same observations and rewards.
     """
     result = ActionFuzzReport()
     for number, kind in enumerate(KINDS):
@@ -81,7 +81,7 @@ def _compare(kind: str, ours: tuple, theirs: tuple, result: ActionFuzzReport) ->
 
 
 def broken_actions(env: ExplorationEnv, kind: str, random: np.random.Generator) -> Any:
-    """A mapping with one fault, or no mapping at all."""
+    """A mapping of actions with one fault, or a value that is not a mapping."""
     actions: dict[Any, Any] = {agent: np.array(GOOD[kind]) for agent in env.agents}
     victim = env.agents[int(random.integers(len(env.agents)))]
     fault = int(random.integers(12))
@@ -105,7 +105,7 @@ def broken_actions(env: ExplorationEnv, kind: str, random: np.random.Generator) 
 
 
 class _Hostile:
-    """Something that cannot be made into an array."""
+    """An object that cannot be converted to an array."""
 
     def __array__(self, *arguments: Any, **options: Any) -> Any:
         raise RuntimeError("no array")

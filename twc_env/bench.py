@@ -1,9 +1,9 @@
 """Measure speed: environment steps per second of the world alone (no engine) and of the whole step with SLAM inside.
 
-The robots wander by reflex through whole episodes, so that keyframes, loop closures, merges, optimisation and redrawing
-are all paid for. What they do is recorded beforehand, in an episode without an engine (the world is the same), so that
-only the environment is timed. The team's trajectory error is printed beside the speed, because an engine that has lost
-track can be fast.
+The robots follow a reactive policy through whole episodes, so that keyframes, loop closures, merges, optimisation and
+redrawing are all included. Their actions are recorded beforehand, in an episode without an engine (the world is the
+same), so that only the environment is timed. The trajectory error of the team is printed beside the speed, because an
+engine that has lost track can be fast.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from twc_env.world.floorplan import Floorplan
 
 
 class Wanderer:
-    """Drives one robot by its scan alone: straight on, and away from what comes near."""
+    """Reactive policy of one robot, from its scan only: straight on, and away from near obstacles."""
 
     def __init__(self, seed: int):
         self._random = np.random.default_rng(seed)
@@ -49,10 +49,10 @@ class Wanderer:
 
 
 def wander(env: ExplorationEnv, seed: int) -> Iterator[dict[str, Array]]:
-    """The actions of a wandering team, step by step, until the episode ends; the caller steps the environment."""
+    """Yields the actions of a team of Wanderers until the episode ends; the caller steps the environment."""
     drivers = {agent: Wanderer(seed * 1000 + robot) for robot, agent in enumerate(env.agents)}
     while env.agents:
-        seen = {f.robot: f.ranges_m for f in env.frames}  # robots that have failed see nothing, and do not move
+        seen = {f.robot: f.ranges_m for f in env.frames}  # failed robots have no frame, and do not move
         yield {
             agent: drivers[agent].act(seen[robot]) if robot in seen else np.zeros(2)
             for robot, agent in enumerate(env.agents)
@@ -68,7 +68,7 @@ class Run:
     cpu_s: float
     team_ate_m: float = float("nan")
     step_s: Array | None = None
-    """(steps,) wall time of each step, where it was taken."""
+    """(steps,) wall time of each step, if measured."""
 
     @property
     def rate(self) -> float:
@@ -82,7 +82,7 @@ class Run:
 
 
 class OurRuns:
-    """Episodes of our environment, one per seed; the first is played once before, so that kernels are compiled."""
+    """Episodes of our environment, one per seed; one is run in advance to compile the kernels."""
 
     def __init__(self, config: EnvConfig, plan: Floorplan):
         self._env = ExplorationEnv(config=config, floorplan=plan)
@@ -90,7 +90,7 @@ class OurRuns:
         self.once(0)
 
     def once(self, seed: int) -> Run:
-        """One whole episode."""
+        """Time one whole episode."""
         actions = record_actions(self._scout, seed)
         self._env.reset(seed=seed)
         step, step_s = self._env.step, np.empty(len(actions))
@@ -106,7 +106,7 @@ class OurRuns:
 
 
 def record_actions(env: ExplorationEnv, seed: int) -> list[dict[str, Array]]:
-    """What a wandering team does in one episode, float32 as a learner would send it."""
+    """Actions of a team of Wanderers in one episode, float32 as from a learned policy."""
     env.reset(seed=seed)
     actions = []
     for action in wander(env, seed):
@@ -118,7 +118,7 @@ def record_actions(env: ExplorationEnv, seed: int) -> list[dict[str, Array]]:
 def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lambda _line: None) -> dict:
     """Time `episodes` episodes of each kind; rates are medians. `report` gets a line after each.
 
-    Raises ConfigError where robots are not driven by velocity, as the wanderers here are.
+    Raises ConfigError unless robots are driven by velocity.
     """
     if config.action.kind != "velocity":
         raise ConfigError(f"bench needs action.kind = 'velocity'; got {config.action.kind!r}: remove this setting")

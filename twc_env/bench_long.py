@@ -1,4 +1,4 @@
-"""One very long episode in one building: does a step take longer, the further the robots have gone?"""
+"""Step times along one very long episode in one building."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ class Stretch:
     """A tenth of the episode."""
 
     steps: int
-    """Since the episode began, at its end; so too the next four."""
+    """Since the start of the episode, at the end of the stretch; likewise the next four."""
     path_m: float
-    """Of all robots together."""
+    """Summed over all robots."""
     keyframes: int
-    """That reached the mapper of robot 0 ..."""
+    """Keyframes that reached the mapper of robot 0 ..."""
     held: int
-    """... and were not forgotten."""
+    """... and those that it still holds."""
     closures: int
-    """Verified by it."""
+    """Closures that it verified."""
     memory_mb: float
-    """Of the whole process ..."""
+    """Memory of the process ..."""
     record_mb: float
-    """... and of that what is noted of each step to judge the episode by: truth, odometry, contacts."""
+    """... and the part of it that records each step for scoring: truth, odometry, contacts."""
     mean_ms: float
-    """Processor time of a step; so too the others."""
+    """CPU time of a step; likewise the others."""
     median_ms: float
     p99_ms: float
     worst_ms: float
 
 
 def bench_long(config: EnvConfig, report: Callable[[str], None] = lambda _line: None) -> list[Stretch]:
-    """Let a team wander for all of `config.max_cycles` steps; `report` gets a line after each stretch."""
+    """Run a team of Wanderers for `config.max_cycles` steps; `report` gets a line after each stretch."""
     env = ExplorationEnv(config=config)
     env.reset(seed=0)
     ends = {config.max_cycles * part // PARTS for part in range(1, PARTS + 1)}
@@ -54,7 +54,7 @@ def bench_long(config: EnvConfig, report: Callable[[str], None] = lambda _line: 
         for step, actions in enumerate(wander(env, 0), start=1):
             began = time.process_time()
             env.step(actions)
-            if env.agents:  # the last step works off what still waits, which no other has to
+            if env.agents:  # the last step also processes the whole backlog
                 took_s.append(time.process_time() - began)
             if step in ends:
                 stretches.append(_stretch(env, step, took_s))
@@ -65,9 +65,9 @@ def bench_long(config: EnvConfig, report: Callable[[str], None] = lambda _line: 
 
 @contextmanager
 def only_new_garbage() -> Iterator[None]:
-    """Python looks for garbage among what is made from now on.
+    """Limit garbage collection to objects that are created in this context.
 
-    To look through all that libraries made when they were loaded, too, takes longer than any step, every now and then.
+    A collection over all objects of the loaded libraries takes longer than any step.
     """
     gc.collect()
     gc.freeze()

@@ -1,9 +1,8 @@
-"""What costs what: the time of each part of a step, averaged over whole episodes.
+"""Profile of a step: the time of each part, averaged over whole episodes.
 
-An episode is run in two ways. Left alone it gives the CPU time of the whole; the same to the bit, with a stopwatch
-around each part, gives the shares. Both are repeated, and of each step the quickest run counts, because what other
-processes of the machine take away differs from run to run. A part's time is its own: what it spends inside another part
-counts there.
+An episode is run in two ways: unchanged for the CPU time of the whole step, and with a stopwatch around each part for
+the shares. Both are repeated, and the fastest run of each step counts, which reduces the influence of other processes.
+The time of a part excludes other parts that it calls.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from twc_env.exploration.environment import ExplorationEnv
 
 _CALIBRATION_CALLS = 20_000
 REPEATS = 5
-"""Runs of each episode, of each kind."""
+"""Repetitions of each episode, of both kinds."""
 REST = "the rest"
 
 
@@ -46,7 +45,7 @@ class PartTime:
 
 
 def _parts() -> list[tuple[str, bool, Any, str]]:
-    """(part, whether it is of the engine, owner, function or method) of all that is timed."""
+    """(part, whether it belongs to the engine, owner, function or method) of all timed parts."""
     from twc_env.exploration import map_view, verdicts
     from twc_env.exploration.episode import Episode
     from twc_env.exploration.observations import ObservationBuilder
@@ -88,20 +87,20 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
 
 
 class Stopwatch:
-    """Own times of functions that call each other."""
+    """Exclusive times of functions that call each other."""
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter):
         self._clock = clock
         self.time_s: dict[str, float] = defaultdict(float)
         self.calls: dict[str, int] = defaultdict(int)
         self._running: list[list[float]] = []
-        """Of each timed call under way: the time spent inside other timed calls."""
+        """Of each running timed call: the time spent in other timed calls."""
         self._overhead_s = 0.0
         self._overhead_s = self._calibrated_overhead_s()
 
     @contextmanager
     def around(self, parts: list[tuple[str, bool, Any, str]]):
-        """Time these functions while the block runs."""
+        """Time these functions within this context."""
         held = [(owner, name, owner.__dict__[name]) for _, _, owner, name in parts]
         try:
             for part, _, owner, name in parts:
@@ -132,7 +131,7 @@ class Stopwatch:
         return run
 
     def _calibrated_overhead_s(self) -> float:
-        """What a stopwatch costs the caller of the function it times."""
+        """Overhead of a stopwatch for the caller of the timed function."""
         empty = self.timed("", lambda: None)
         clock = self._clock
         start = clock()
@@ -144,7 +143,7 @@ class Stopwatch:
 
 
 def bench_parts(config: EnvConfig, episodes: int, report: Callable[[str], None] = lambda _line: None) -> list[PartTime]:
-    """Time the parts over `episodes` episodes; the parts in the order of a step, what is left last."""
+    """Time the parts over `episodes` episodes; in the order of a step, `REST` last."""
     runs = []
     for seed in range(episodes):
         step_us, team_ate_m = _time_whole(config, seed)
@@ -176,7 +175,7 @@ def _time_whole(config: EnvConfig, seed: int) -> tuple[float, float]:
 
 
 def _time_parts(config: EnvConfig, seed: int) -> tuple[dict[str, float], dict[str, int]]:
-    """Seconds and calls of each part in one episode; `REST` is what no part claims."""
+    """Seconds and calls of each part in one episode; `REST` is the remaining time."""
     parts = _parts()
     best: dict[str, Array] = {}
     for _ in range(REPEATS):

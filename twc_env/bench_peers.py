@@ -1,7 +1,7 @@
-"""Our speed beside that of peers, in one run on one core: rates, slowest steps, workers, memory and start-up.
+"""Our speed and that of other simulators, in one run on one core: rates, slowest steps, workers, memory and start-up.
 
 Ours are whole episodes through the PettingZoo parallel API (`bench.OurRuns`). Repetitions alternate between all
-candidates, each figure is a median. Compare figures of one run only.
+simulators; each figure is a median. Compare figures of one run only.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from twc_env.world.floorplan import Floorplan
 Report = Callable[[str], None]
 
 WORLD_MAP, WORLD_ACCESS_POINTS = "gen:office:1000:1", 20
-"""Where the world alone is measured: some 200 walls; access points beyond that many are left out."""
+"""Building for the world without SLAM: about 200 walls; further access points are left out."""
 SLAM_MAP = "twin-02"
 ROBOTS, BEAMS = 3, 180
 PEERS = {"irsim": ("irsim", "IR-SIM", "ir-sim"), "mpe2": ("mpe2", "MPE2", "mpe2")}
 """Key -> module, name, package."""
 REPETITIONS = 5
 WORLD_STEPS, SLAM_STEPS, IRSIM_STEPS, MPE2_STEPS, PROBE_STEPS = 2000, 2000, 400, 3000, 1000
-"""How long each repetition is."""
+"""Steps of each repetition."""
 
 
 def bench_peers(report: Report = lambda _line: None) -> dict[str, Any]:
-    """All figures of the comparison as one flat object; a peer that is not installed has None."""
+    """All figures of the comparison in one dictionary; None for a simulator that is not installed."""
     with pinned_to_one_core():
         figures = _rates(report)
     figures |= bench_probes.probe(SLAM_MAP, PROBE_STEPS, report)
@@ -96,7 +96,7 @@ def _candidates(report: Report) -> dict[str, Callable[[int], Run]]:
 
 
 class IrsimRuns:
-    """IR-SIM without plots: three robots that drive circles among 20 boxes, each with a laser scanner; no mapping."""
+    """IR-SIM without plots: three robots with laser scanners drive circles among 20 boxes; no mapping."""
 
     def __init__(self, steps: int):
         import irsim
@@ -110,7 +110,7 @@ class IrsimRuns:
         self.once(0)
 
     def once(self, _seed: int) -> Run:
-        """Some hundred steps with a scan of every robot in each."""
+        """Time a few hundred steps, each with a scan per robot."""
         return _timed(self._steps, self._env.step, self._action)
 
     @property
@@ -152,7 +152,7 @@ class Mpe2Runs:
         self.once(0)
 
     def once(self, _seed: int) -> Run:
-        """Some thousand steps with fixed actions."""
+        """Time a few thousand steps with fixed actions."""
         return _timed(self._steps, self._env.step, {agent: 1 + k for k, agent in enumerate(self._env.agents)})
 
 
@@ -164,14 +164,14 @@ def _timed(steps: int, step: Callable[[Any], Any], action: Any) -> Run:
 
 
 def world_plan() -> Floorplan:
-    """The building in which the world alone is measured."""
+    """The building in which the world without SLAM is timed."""
     plan = load_map(WORLD_MAP)
     every = max(len(plan.access_points) // WORLD_ACCESS_POINTS, 1)
     return dataclasses.replace(plan, access_points=plan.access_points[::every][:WORLD_ACCESS_POINTS])
 
 
 def is_installed(peer: str, report: Report) -> bool:
-    """Whether a peer can be measured; says how to get it where not."""
+    """Whether a simulator is installed; if not, reports how to install it."""
     module, name, package = PEERS[peer]
     if importlib.util.find_spec(module) is not None:
         return True
@@ -181,7 +181,7 @@ def is_installed(peer: str, report: Report) -> bool:
 
 @contextlib.contextmanager
 def pinned_to_one_core() -> Iterator[None]:
-    """Keep this process on one core, where the system can."""
+    """Pin this process to one core, if the system supports it."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -195,7 +195,7 @@ def pinned_to_one_core() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without what a peer prints and logs while it starts."""
+    """Suppress what a simulator prints and logs while it starts."""
     logging.disable(logging.CRITICAL)
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):

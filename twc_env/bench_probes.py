@@ -1,6 +1,6 @@
-"""What a rate does not show, each in processes of its own: start-up, memory per environment, two workers.
+"""Measurements in separate processes: start-up time, memory per environment, two worker processes.
 
-`python -m twc_env.bench_probes PROBE ...` is one such process; it prints its figure.
+`python -m twc_env.bench_probes PROBE ...` runs one measurement and prints its figure.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _WARM_STARTS = 3
 _MEMORY_MAP, _MEMORY_ENVS = "gen:office:1000:{}", 4
 _ROUNDS = 21
 _COUNTING, _TURNS = "counting", 1_000_000
-"""Work that needs no memory, and its length: what two cores do of it is the most that they can do at once."""
+"""A task without memory access, and its length: its speed-up on two cores is the upper limit of this machine."""
 
 
 def probe(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
@@ -50,10 +50,10 @@ def probe(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
 
 
 def two_workers(map_name: str, steps: int, report: Report) -> dict[str, float | None]:
-    """workers2_speedup: steps per second of two worker processes at once over those of one. two_cores_ceiling: the same
-    of two that only count, which is what this machine gave two processes in that time. None on a single core.
+    """workers2_speedup: steps per second of two simultaneous worker processes over those of one. two_cores_ceiling: the
+    same for processes that only count, the most that this machine provided at that time. None on a single core.
 
-    Medians over many short rounds, in which the first works alone, then both, then the second alone.
+    Medians over many short rounds: the first worker alone, then both, then the second alone.
     """
     figures: dict[str, float | None] = {"workers2_speedup": None, "two_cores_ceiling": None}
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
@@ -78,20 +78,20 @@ def two_workers(map_name: str, steps: int, report: Report) -> dict[str, float | 
 
 
 def _rates(workers: list[subprocess.Popen], task: str) -> list[float]:
-    """How often in a second each of these workers does a task, each on its own core; all begin at once."""
+    """Rate [1/s] at which each of these workers does a task, each on its own core, started simultaneously."""
     _answers(workers, task)
     return [1.0 / seconds for seconds in _answers(workers, "go")]
 
 
 def _answers(workers: list[subprocess.Popen], word: str) -> list[Any]:
-    """What workers say to a word that all of them are told first."""
+    """Send a word to all workers, then read the answer of each."""
     try:
         for worker in workers:
             assert worker.stdin is not None
             worker.stdin.write(f"{word}\n")
             worker.stdin.flush()
         lines = [worker.stdout.readline() for worker in workers if worker.stdout is not None]
-    except BrokenPipeError:  # by that of our own output a command ends in peace
+    except BrokenPipeError:  # a broken pipe of our own output would end the command silently
         lines = [""]
     if not all(lines):
         raise RuntimeError("a worker of the probe came to an end: see its message above")
@@ -99,7 +99,7 @@ def _answers(workers: list[subprocess.Popen], word: str) -> list[Any]:
 
 
 def _end(worker: subprocess.Popen) -> None:
-    """Stop a worker, whether it waits, works or is gone."""
+    """Stop a worker, whatever its state."""
     worker.kill()
     worker.wait()
     for stream in (worker.stdin, worker.stdout):
@@ -109,7 +109,7 @@ def _end(worker: subprocess.Popen) -> None:
 
 
 def _start(arguments: list[str], environment: dict[str, str] | None = None) -> subprocess.Popen:
-    """A process of one thread that keeps bytecode, as Python does unless it is told not to."""
+    """Start a probe with one thread, which writes bytecode as usual."""
     inherited = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
     pinned = dict.fromkeys(_THREADS, "1")
     return subprocess.Popen(
@@ -130,8 +130,8 @@ def _run(arguments: list[str], environment: dict[str, str] | None = None) -> str
 
 
 def _first_step(map_name: str) -> list[float]:
-    """Wall and CPU seconds of this process from before the import to after the first step; then to where its helper is
-    done, if it had one, with the helper's CPU seconds.
+    """Wall and CPU seconds from before the import to the end of the first step; then to the end of the helper that
+    compiles kernels, if there is one, including its CPU seconds.
     """
     wall, cpu = time.perf_counter(), sum(os.times()[:4])
     import numpy as np
@@ -148,7 +148,7 @@ def _first_step(map_name: str) -> list[float]:
 
 
 def _memory_mb(steps: int) -> float:
-    """Resident memory that each further environment adds, in a building of its own, after an episode."""
+    """Resident memory [MB] of each further environment, each in another building, after an episode."""
     from twc_env.process_memory import resident_mb
 
     envs = [_played(_MEMORY_MAP.format(100), steps)]
@@ -171,8 +171,8 @@ def _played(map_name: str, steps: int) -> Any:
 
 
 def _worker(map_name: str, steps: int, core: int, hear: Iterator[str], say: Callable[[str], object]) -> None:
-    """Do each task that is heard, at the word after it: play the episode of a seed, or count. Says when it is ready,
-    then how many seconds it took."""
+    """For each task that is read (the seed of an episode, or counting): answer that it is ready, wait for the next line,
+    run it and answer with its duration [s]."""
     from twc_env.bench import record_actions
     from twc_env.config import EnvConfig, override
     from twc_env.exploration.environment import ExplorationEnv
@@ -203,7 +203,7 @@ def _count() -> int:
 
 
 def main(arguments: list[str]) -> None:
-    """One probe; the figure goes to standard output."""
+    """Run one probe; the figure goes to standard output."""
 
     def say(text: str) -> None:
         sys.stdout.write(text)

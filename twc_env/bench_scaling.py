@@ -1,4 +1,4 @@
-"""What a step of the world costs as walls, beams, robots and area grow, and how long large buildings take to begin."""
+"""Cost of a step of the world by number of walls, beams, robots and area, and reset times of large buildings."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from twc_env.maps import load_map
 from twc_env.world.floorplan import Floorplan
 
 WALL_PARTS = (1, 2, 4, 8)
-"""Each wall cut into so many: the same building with more walls."""
+"""Number of pieces that each wall is cut into: the same building with more walls."""
 BEAMS = (90, 180, 360, 720)
 ROBOT_COUNTS = (1, 3, 6, 12)
 AREAS_M2 = (250, 1000, 4000, 10_000)
 LARGE_MAP = "gen:office:10000:1"
 _RESETS = 3
 _PLAYS = 5
-"""The same episode is played so often; of each step the quickest counts, which a busy machine disturbs least."""
+"""Repetitions of the same episode; the fastest run of each step counts, to reduce the influence of other load."""
 
 
 def bench_scaling(steps: int = 500, report: Callable[[str], None] = lambda _line: None) -> list[dict[str, Any]]:
@@ -45,7 +45,7 @@ def bench_scaling(steps: int = 500, report: Callable[[str], None] = lambda _line
 
 
 def bench_large_reset(map_name: str = LARGE_MAP) -> dict[str, float]:
-    """Wall seconds to make a building of 10,000 m2 into an environment, and to reset that (median), all warm."""
+    """Wall seconds to generate a building of 10,000 m2, and to reset an environment in it (first, median), all warm."""
     config = override(EnvConfig(), {"map": map_name})
     ExplorationEnv(config=override(config, {"map": "gen:office:250:1"})).reset(seed=0)
     begin = time.perf_counter()

@@ -1,6 +1,6 @@
-"""Rows of evenly spaced samples of a grid that lies askew.
+"""Rows of evenly spaced samples of a rotated grid.
 
-Cell numbers are stepped in whole parts of a cell, so that a step is an addition and a shift, no conversion.
+Cell indices are stepped in fixed point, so that a step is an addition and a shift without conversion.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from twc_env.kernels import borrowing_kernel, kernel
 
 FIXED_BITS = 32
 FIXED_POINT = 2.0**FIXED_BITS
-"""Parts of a cell."""
+"""Fixed-point units per cell."""
 
 
 @kernel
 def span_inside(start, step, limit, count):
-    """First and last + 1 of the j in 0..count-1 with 0 <= start + j step < limit; whole numbers."""
+    """First and last + 1 of the j in 0..count-1 with 0 <= start + j step < limit; all integers."""
     if step == 0:
         return (0, count) if 0 <= start < limit else (0, 0)
     if step < 0:  # mirrored: limit - 1 - value grows with j
@@ -28,8 +28,9 @@ def span_inside(start, step, limit, count):
 
 @borrowing_kernel
 def number_row(width, row, column, row_step, column_step, count, numbers):
-    """Write to numbers (uint32) in which cells of a grid (rows, width) the first `count` samples from (row, column) on
-    lie, in fixed point; all of them lie in the grid.
+    """Write to numbers (uint32) the flat cell indices of `count` samples, all of which lie in the grid (rows, width).
+
+    The first sample is at (row, column), in fixed point.
     """
     bits, stride = np.uint64(FIXED_BITS), np.uint64(width)
     r, k, up, right = np.uint64(row), np.uint64(column), np.uint64(row_step), np.uint64(column_step)
@@ -43,9 +44,9 @@ def number_row(width, row, column, row_step, column_step, count, numbers):
 def number_square(width, firsts, row_step, column_step, room, numbers):
     """`number_row` for each row of a square of samples: numbers (size * size,); room: scratch, (6, size) uint32.
 
-    firsts (2, size): row and column of the first sample of each row. In every row the cells from the first sample on
-    are the same, or one more where the parts of a cell that were over make up a whole one with those of the first. So
-    they are worked out once, and 32 bits are enough for all the others.
+    firsts (2, size): row and column of the first sample of each row. Relative to the first sample, the cell indices are
+    the same in every row, or one more where the fractions of both add up to a cell. So they are computed once, and 32
+    bits are enough for all others.
     """
     bits, size, across, one = FIXED_BITS, firsts.shape[1], np.uint32(width), np.uint32(1)
     steps, row_parts, column_parts, starts, row_gaps, column_gaps = room[0], room[1], room[2], room[3], room[4], room[5]
@@ -74,9 +75,9 @@ def number_square(width, firsts, row_step, column_step, room, numbers):
 
 @borrowing_kernel
 def look_up(cells, numbers, count, levels):
-    """Write to levels the first `count` cells of these numbers; cells: a grid as one row.
+    """Write to levels the values of `count` cells with these numbers; cells: a grid as one row.
 
-    Two numbers are read at once, the first of them in the lower half. Unsigned, they index without a check.
+    Two numbers are read at once, the first in the lower half. Unsigned numbers index without a sign check.
     """
     even = count // 2 * 2
     pairs, bits, lower = numbers[:even].view(np.uint64), np.uint64(32), np.uint64(2**32 - 1)
@@ -90,9 +91,9 @@ def look_up(cells, numbers, count, levels):
 
 @borrowing_kernel
 def look_up_row(cells, width, row, column, row_step, column_step, count, numbers, levels):
-    """Write to levels the samples that `number_row` numbers; numbers: scratch, (count,) at least.
+    """Write to levels the values of the samples of `number_row`; numbers: scratch, at least (count,).
 
-    Where the samples lie is worked out first, for many of them at once.
+    All indices are computed before the look-ups, which lets the compiler vectorise them.
     """
     number_row(width, row, column, row_step, column_step, count, numbers)
     look_up(cells, numbers, count, levels)

@@ -1,4 +1,4 @@
-"""A class of one's own, in a file: FILE.py:CLASS wherever an agent, a place recogniser or a back end is named."""
+"""User-defined classes, named FILE.py:CLASS: agents, place recognisers and back ends."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from typing import Any
 from twc_env.errors import ConfigError
 
 _FOLDERS: set[Path] = set()
-"""Of the files read so far."""
+"""Folders of the files read so far."""
 
 
 def is_in_file(name: str) -> bool:
-    """Whether a name is that of a file and a class in it."""
+    """Whether a name has the form FILE.py:CLASS."""
     return ".py:" in name
 
 
 def class_in(name: str, needed: Sequence[str], remedy: str) -> Any:
-    """The class that FILE.py:CLASS names. What the file itself raises goes through.
+    """The class that FILE.py:CLASS names. Exceptions of the file itself are passed on.
 
-    `needed` are its methods and attributes, `remedy` what to do where one lacks. Raises ConfigError where one does, or
-    there is no such file, or no such class in it.
+    `needed` are the methods and attributes it must have, `remedy` the advice if one is missing. Raises ConfigError for
+    a missing file, class, method or attribute.
     """
     path, own = _file_of(name)
     found = getattr(_module(path), own, None)
@@ -40,7 +40,7 @@ def class_in(name: str, needed: Sequence[str], remedy: str) -> Any:
 
 
 def digest_of(name: str) -> str:
-    """Eight hex digits that change with the file and with any Python file beside it, which it may import."""
+    """Digest (eight hex digits) of the file and of all Python files in its folder, which it may import."""
     content = hashlib.sha256()
     for path in sorted(_file_of(name)[0].parent.glob("*.py")):
         content.update(f"{path.name}\n".encode() + path.read_bytes())
@@ -57,8 +57,8 @@ def _file_of(name: str) -> tuple[Path, str]:
 
 @cache
 def _module(path: Path) -> Any:
-    """The file as a module, read once; it may import what lies beside it, as a script may."""
-    for beside in path.parent.glob("*.py"):  # what has its name may lie beside another file, too
+    """The file as a module, loaded once; it can import the modules of its folder, as a script can."""
+    for beside in path.parent.glob("*.py"):  # another folder may hold a module of the same name
         known = getattr(sys.modules.get(beside.stem), "__file__", None)
         if known is not None and Path(known).parent in _FOLDERS - {path.parent}:
             del sys.modules[beside.stem]

@@ -1,4 +1,4 @@
-"""What the commands share: how they end, and what their arguments may be."""
+"""Shared parts of all commands: exit status, argument types, help, progress and tables."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from twc_env.file_lock import FileLock
 from twc_env.json_values import check_writable
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
-"""How writing fails where a place was fit to be written to before the work."""
+"""Errors when writing to a path that was writable before: no room, or a broken device."""
 
 SEEDS_MAX = 100_000
-"""Of a range on a command line."""
+"""Largest range of seeds on a command line."""
 LOG_INTERVAL_S = 60.0
 LINE_WIDTH = 110
 _progress = {"logged_s": time.monotonic(), "is_open": False}
@@ -33,11 +33,10 @@ _progress = {"logged_s": time.monotonic(), "is_open": False}
 
 
 def exit_status(command: Callable[[], int | None], remark: str = "interrupted") -> int:
-    """Run a command: 0 or what it gives when done, 130 when interrupted.
+    """Run a command. Returns 0 or its own status when done, 130 when interrupted.
 
-    2 after bad input, or where nothing more can be written (one line on stderr).
-    Who reads the output, as `head` does, may leave early, and letters that a terminal does not have are spelt out.
-    `remark` is what an interruption is answered with.
+    2 after bad input, or when output cannot be written (one line on stderr). A reader such as `head` may close the
+    output early, and characters that a terminal cannot show are escaped. `remark` is printed on interruption.
     """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by who started the command
@@ -76,9 +75,9 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
 
 
 def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
-    """Run what the arguments ask for, its --json looked at before; the exit status is that of `exit_status`.
+    """Run the command that the arguments name, after checking the path of --json; returns as `exit_status`.
 
-    A command's `run` gets its options; `when_interrupted`, where it has one, is its remark.
+    A command's `run` gets its options; `when_interrupted`, if set, is its remark.
     """
     options = parser.parse_args(arguments)
 
@@ -90,14 +89,14 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
 
 
 def _silence() -> None:
-    """Let what is still to be printed go nowhere: where it should have gone takes no more."""
+    """Discard further output: nobody reads it."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class Paragraphs(argparse.HelpFormatter):
-    """Help whose paragraphs are filled one by one; lines that begin with two spaces, as examples do, stay.
+    """Help in which each paragraph is filled; lines that begin with two spaces, such as examples, are kept.
 
-    The help of an option ends with its default value, unless it says a default itself.
+    The help of an option ends with its default value, unless its text states a default.
     """
 
     def _get_help_string(self, action: argparse.Action) -> str:
@@ -124,20 +123,20 @@ class Paragraphs(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """Of a program and all its commands: help is laid out in `Paragraphs`."""
+    """Parser of a program and of all its commands, with help as in `Paragraphs`."""
 
     def __init__(self, **settings: Any):
         super().__init__(**{"formatter_class": Paragraphs, **settings})
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """What a command does not know is refused by itself, which shows its own usage."""
+        """Unknown arguments are rejected by the command itself, which shows its own usage."""
         namespace, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return namespace, unknown
 
     def error(self, message: str) -> NoReturn:
-        """Refuse arguments, and say where it stands what may be given."""
+        """Reject arguments, and refer to the help."""
         super().error(f"{message}; {self.prog} --help says more")
 
 
@@ -231,7 +230,7 @@ def end_line() -> None:
 
 
 def aligned(rows: Sequence[dict[str, Any]]) -> str:
-    """Rows as the lines of a table, whose columns are the keys of the first."""
+    """Rows as a table of aligned columns, which are the keys of the first row."""
     if not rows:
         return "no rows"
     columns = list(rows[0])
@@ -249,7 +248,7 @@ def _cell(value: Any) -> str:
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
-    """Seeds of a list such as 0-3,7 -> (0, 1, 2, 3, 7). Raises ConfigError for others and for endless ranges."""
+    """Seeds of a list such as 0-3,7 -> (0, 1, 2, 3, 7). Raises ConfigError for other texts and huge ranges."""
     seeds: list[int] = []
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
@@ -263,7 +262,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder that `--out` names. Raises DataError where that is not possible."""
+    """Create the folder that `--out` names. Raises DataError if that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -272,9 +271,9 @@ def make_folder(folder: Path) -> None:
 
 @contextmanager
 def alone_in(folder: Path, patience_s: float = 60.0) -> Iterator[None]:
-    """Be the only command that writes to a folder, which is made; two at once would leave a mixture of their files.
+    """Lock a folder, which is created, so that two commands do not mix their files in it.
 
-    Raises DataError where another one does not end within `patience_s`, or the folder cannot be made.
+    Raises DataError if another command holds it for longer than `patience_s`, or if the folder cannot be created.
     """
     make_folder(folder)
     with FileLock(folder / ".lock").held(patience_s) as is_ours:

@@ -1,4 +1,4 @@
-"""Ctrl-C while a command's modules are still being read: one line, as later, instead of a traceback through them."""
+"""Ctrl-C while the modules of a command are being imported: one line instead of a traceback."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ _COMMANDS = ("twc_env.__main__", "agents.__main__", "training.__main__")
 
 
 def end_when_interrupted() -> None:
-    """Until `begin_work`, Ctrl-C ends a command of ours at once; all other programs get their KeyboardInterrupt."""
-    if threading.current_thread() is not threading.main_thread():  # only that one can set what signals do
+    """Until `begin_work`, Ctrl-C ends our commands at once; other programs get a KeyboardInterrupt."""
+    if threading.current_thread() is not threading.main_thread():  # only that thread can set signal handlers
         return
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
 
 
 def begin_work() -> None:
-    """From here on Ctrl-C raises KeyboardInterrupt again: there is work whose remains must be tidied up."""
+    """From now on Ctrl-C raises KeyboardInterrupt, so that a command can clean up."""
     if signal.getsignal(signal.SIGINT) is _end:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def is_loading() -> bool:
-    """Whether `python -m` is about to run a package, or runs a command of ours."""
+    """Whether `python -m` is starting a package or runs one of our commands."""
     name = getattr(getattr(sys.modules.get("__main__"), "__spec__", None), "name", None)
     return sys.argv[:1] == ["-m"] or name in _COMMANDS
 

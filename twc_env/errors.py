@@ -5,13 +5,13 @@ from collections.abc import Iterable
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """What ends a message about an unknown name: the nearest of those known, "" where none is near."""
+    """End of a message about an unknown name: the most similar known name, or "" if there is none."""
     near = difflib.get_close_matches(str(name), list(known), n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
 class TwcError(ValueError):
-    """Base of all errors that twc_env raises on bad input; always one line, whatever value it names."""
+    """Base class of all errors that twc_env raises on bad input; the message is always one line."""
 
     def __init__(self, message: object = ""):
         super().__init__(" ".join(line.strip() for line in str(message).splitlines()))
@@ -22,11 +22,11 @@ class ConfigError(TwcError):
 
 
 class ArgumentError(ConfigError, TypeError):
-    """A call has an argument that there is not; tools that try arguments, as TorchRL does, wait for a TypeError."""
+    """A call has an unknown argument; tools that probe arguments, such as TorchRL, expect a TypeError."""
 
 
 class MapError(TwcError):
-    """A floor plan cannot be read, or it describes no building a robot can explore."""
+    """A floor plan cannot be read, or describes no building that a robot can explore."""
 
 
 class DataError(TwcError):
@@ -34,7 +34,7 @@ class DataError(TwcError):
 
 
 class WorkerError(TwcError):
-    """A process that worked for this one has died."""
+    """A worker process has died."""
 
 
 class ActionError(TwcError):

@@ -1,4 +1,4 @@
-"""A lock that processes hold one at a time."""
+"""A lock file that one process holds at a time."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _TRIES, _LOOK_AGAIN_S = 100, 0.02
 
 
 class FileLock:
-    """The lock of a path, in a folder that exists. A process that has died holds nothing."""
+    """A lock at a path in an existing folder. It is released when the process that holds it dies."""
 
     def __init__(self, path: Path):
         self._path = path
         self._descriptor: int | None = None
 
     def take(self) -> bool | None:
-        """Whether this process holds it now; None where the system cannot tell."""
+        """Whether this process holds the lock now; None if the system does not support locks."""
         if sys.platform == "win32":
             return None
         if self._descriptor is not None:
@@ -41,12 +41,12 @@ class FileLock:
             if os.fstat(descriptor).st_nlink:
                 self._descriptor = descriptor
                 return True
-            os.close(descriptor)  # its holder gave it up in between: who comes next makes a file of the same name
+            os.close(descriptor)  # its holder has deleted the file in between: try again with a new one
         return None
 
     @contextlib.contextmanager
     def held(self, patience_s: float) -> Iterator[bool | None]:
-        """Wait for it so long at most; in here is what `take` gave last, and afterwards the next one may have it."""
+        """Wait for the lock at most `patience_s`; yields the last result of `take`, and releases the lock."""
         end = time.monotonic() + patience_s
         while (is_taken := self.take()) is False and time.monotonic() < end:
             time.sleep(_LOOK_AGAIN_S)
@@ -56,7 +56,7 @@ class FileLock:
             self.release()
 
     def release(self) -> None:
-        """Let the next one have it; who does not hold it does nothing."""
+        """Release the lock, if this process holds it."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
             with contextlib.suppress(OSError):

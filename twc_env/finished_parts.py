@@ -1,7 +1,6 @@
-"""Parts of a long computation, kept on disk: after an interruption it goes on where it stopped.
+"""Results of the parts of a long computation, kept on disk, so that an interrupted computation can continue.
 
-A part is taken again only when it was computed with the same settings by the same code: a row of yesterday's program
-must not stand beside one of today's.
+A result is reused only if it was computed with the same settings by the same code.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ from twc_env.json_values import check_folder, plain
 from twc_env.maps import bundled_folder
 
 SUFFIXES = (".py", ".json")
-"""Files that decide what is computed: code, measured tables and bundled maps."""
+"""Files that determine results: code, measured tables and bundled maps."""
 
 
 @cache
 def code_digest(*packages: str) -> str:
-    """Eight hex digits that change with any code or bundled data of twc_env and of the packages named."""
+    """Digest (eight hex digits) of all code and bundled data of twc_env and of the given packages."""
     folders = [Path(place) for name in ("twc_env", *packages) for place in _places(name)]
     content = hashlib.sha256()
     for folder in [*folders, bundled_folder()]:
@@ -43,9 +42,9 @@ def _places(package: str) -> Iterable[str]:
 
 
 class FinishedParts:
-    """A folder of finished parts, of one computation with one set of settings by one state of the code.
+    """A folder of finished parts of one computation, with one set of settings and one version of the code.
 
-    Raises DataError, before anything is computed, where nothing can be written.
+    Raises DataError, before anything is computed, if the folder cannot be written to.
     """
 
     def __init__(self, folder: Path, name: str, settings: Any, packages: tuple[str, ...] = ()):
@@ -56,21 +55,21 @@ class FinishedParts:
         self.of_other_code = sum(
             1 for other in folder.glob(f"{stem}-*") if other != self.folder for _ in other.glob("*.json")
         )
-        """Parts with the same settings that another state of the code left here; they are not taken."""
+        """Number of parts with the same settings that other code computed; they are not reused."""
 
     @property
     def remark(self) -> str | None:
-        """A sentence about what was not taken; None when there is nothing to say."""
+        """A sentence about parts that are not reused; None if there are none."""
         if not self.of_other_code:
             return None
         return f"{self.of_other_code} finished parts were computed by other code and are not taken; they are run again"
 
     def once(self, key: str, work: Callable[[], Any]) -> Any:
-        """What `work()` gives, as JSON gives it back; read from disk where an earlier run finished the same part."""
+        """The result of `work()` as JSON returns it; read from disk if an earlier run finished this part."""
         path = self.folder / (hashlib.sha256(key.encode()).hexdigest()[:16] + ".json")
         try:
             return json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):  # not there, or torn: run it
+        except (OSError, ValueError):  # missing or incomplete: compute it
             pass
         text = json.dumps(plain(work()))
         try:

@@ -16,7 +16,7 @@ def wrap_angle(angle_rad: ArrayLike):
 
 
 def wrap_one(angle_rad: float) -> float:
-    """`wrap_angle` of a plain number, without array functions."""
+    """`wrap_angle` of a single number, without array functions."""
     return (angle_rad + math.pi) % (2 * math.pi) - math.pi
 
 
@@ -66,7 +66,7 @@ def between(pose_m_a: ArrayLike, pose_m_b: ArrayLike) -> Array:
 
 
 def poses_along(motions: Array) -> Array:
-    """(n, 3) poses from (0, 0, 0) along motions (n - 1, 3), each seen from where the one before ended."""
+    """(n, 3) poses from (0, 0, 0) along motions (n - 1, 3), each in the frame of the pose before it."""
     heading = np.concatenate([[0.0], np.cumsum(motions[:, 2])])
     c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
     x = np.concatenate([[0.0], np.cumsum(c * motions[:, 0] - s * motions[:, 1])])
@@ -75,18 +75,18 @@ def poses_along(motions: Array) -> Array:
 
 
 def travelled_m(path: Array) -> Array:
-    """(n,) length of a path of positions (n, 2) or poses (n, 3) up to each of them."""
+    """(n,) path length up to each of the positions (n, 2) or poses (n, 3)."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1))])
 
 
 def points_along(path_m: Array, at_m: Array) -> Array:
-    """(k, 2) points of a path (n, 2) at lengths (k,) from its beginning."""
+    """(k, 2) points of a path (n, 2) at path lengths (k,) from its start."""
     travel = travelled_m(path_m)
     return np.column_stack([np.interp(at_m, travel, path_m[:, axis]) for axis in (0, 1)])
 
 
 def seen_from(information: Array, heading_rad: float) -> Array:
-    """Information (3, 3) on a pose along the axes of a frame, along the pose's own axes, with its heading in it."""
+    """Information matrix (3, 3) of a pose, rotated from the axes of a frame to the pose's own axes."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     turn = np.array((c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)).reshape(3, 3)
     return turn.T @ information @ turn
@@ -109,7 +109,7 @@ def beam_directions(beam_count: int) -> Array:
 
 
 def farthest_first(points: Array, count: int, first: int = 0) -> list[int]:
-    """Numbers of `count` of the points (n, 2), or of all: the first, then each as far as possible from those before."""
+    """Indices of up to `count` points (n, 2): `first`, then always the point farthest from all chosen ones."""
     chosen = [first]
     gaps = np.linalg.norm(points - points[first], axis=1)
     while len(chosen) < min(count, len(points)):
@@ -121,7 +121,7 @@ def farthest_first(points: Array, count: int, first: int = 0) -> list[int]:
 def align_rigidly(points_from: ArrayLike, points_to: ArrayLike) -> Array:
     """The pose (3,) that moves points_from (n, 2) onto points_to with least squared error (no scale, no mirror).
 
-    Well defined for any n >= 1: where the points fix no rotation (one point, or all equal) the rotation is 0.
+    Defined for any n >= 1: the rotation is 0 if the points do not determine it (one point, or all equal).
     """
     a, b = np.asarray(points_from, float), np.asarray(points_to, float)
     mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)

@@ -1,4 +1,4 @@
-"""Figures as JSON that any reader accepts: numpy's values as Python's, no NaN, and a place that was looked at."""
+"""Results as strict JSON: numpy values converted, no NaN, and output paths checked in advance."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numpy as np
 from twc_env.errors import DataError
 
 TERMINAL = Path("-")
-"""Instead of a file."""
+"""Path that stands for standard output."""
 
 
 def plain(value: Any) -> Any:
-    """The same with numpy's values turned into Python's, keys into text, and numbers that are not finite into None."""
+    """The value with numpy types converted to Python types, keys to text, and non-finite numbers to None."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (np.ndarray, np.generic)):
@@ -47,7 +47,7 @@ def write_json(path: Path | None, values: Any) -> None:
 
 
 def check_writable(path: Path | None) -> None:
-    """Raise DataError now where `write_json` could not write later, after hours of work perhaps. Makes nothing."""
+    """Raise DataError if `write_json` could not write to this path. Creates nothing."""
     if path is None or path == TERMINAL:
         return
     if path.is_dir():
@@ -58,7 +58,7 @@ def check_writable(path: Path | None) -> None:
 
 
 def check_folder(folder: Path | None) -> None:
-    """The same for a folder that will be written to; it need not be there yet."""
+    """Raise DataError if this folder, which need not exist, could not be written to. Creates nothing."""
     if folder is None:
         return
     place = _nearest(folder)
@@ -68,7 +68,7 @@ def check_folder(folder: Path | None) -> None:
 
 
 def _nearest(path: Path) -> Path:
-    """The path itself, or what there is of it."""
+    """The path itself, or its nearest ancestor that exists."""
     while not os.path.lexists(path) and path != path.parent:
         path = path.parent
     return path

@@ -1,8 +1,8 @@
-"""How kernels are compiled, with less to do than numba gives itself, and where they stand for later processes.
+"""Compilation of kernels, with less work than numba does by default, and their cache on disk.
 
-A kernel that another one calls becomes a *part* of that one. Numba makes machine code, an entry point for Python and a
-file of each part as well; here a part gets them once Python itself calls it. What is compiled stands in one file per
-kernel and signature, which is only ever put there whole. Of processes that need the same file at once one compiles.
+A kernel that is called by another one becomes a *part* of it. Numba also generates machine code, a Python entry point
+and a cache file for each part; here a part gets them only when Python calls it. There is one cache file per kernel and
+signature, written atomically. If several processes need the same file, one of them compiles it.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ _WAIT_MAX_S = 120.0
 
 
 class Part:
-    """Stands where numba keeps the entry point of a compiled kernel, for one that has none."""
+    """Placeholder for the entry point of a compiled kernel that has none."""
 
 
 class _KernelFlags(Flags):
-    """Numba's; the same for parts and whole kernels, so that both use the same of numba's own functions."""
+    """Compiler flags that compare equal for parts and whole kernels, so that both share numba's own functions."""
 
     _WRAPPERS = frozenset({"no_cpython_wrapper", "no_cfunc_wrapper", "no_compile"})
 
@@ -65,7 +65,7 @@ class _KernelFlags(Flags):
 
 
 class KernelCompiler(Compiler):
-    """Numba's compiler; what is to have no entry point becomes a part."""
+    """Numba's compiler; a function without a Python entry point becomes a part."""
 
     def __init__(self, typingctx, targetctx, library, args, return_type, flags, locals):
         flags = _KernelFlags(flags)
@@ -75,7 +75,7 @@ class KernelCompiler(Compiler):
         context.target = _KernelTarget
 
     def compile_extra(self, func):
-        """The result of compiling a function."""
+        """Compile a function."""
         codegen, flags = self.state.targetctx.codegen(), self.state.flags
         if flags.no_cpython_wrapper:
             flags.no_compile = True
@@ -94,11 +94,11 @@ class KernelDispatcher(CPUDispatcher):
         self._is_asked_by_kernel = False
 
     def enable_caching(self) -> None:
-        """What is compiled from now on stands on disk for later processes."""
+        """Keep what is compiled from now on on disk for later processes."""
         self._cache = KernelFiles(self.py_func)
 
     def get_call_template(self, args, kws):
-        """Numba asks for this while it compiles a caller."""
+        """Called by numba while it compiles a caller."""
         self._is_asked_by_kernel = True
         try:
             return super().get_call_template(args, kws)
@@ -106,7 +106,7 @@ class KernelDispatcher(CPUDispatcher):
             self._is_asked_by_kernel = False
 
     def compile(self, sig):
-        """The entry point for a signature; where a caller is being compiled, a part will do."""
+        """The entry point for a signature; a part is enough while a caller is being compiled."""
         with global_compiler_lock:
             is_part, self._is_asked_by_kernel = self._is_asked_by_kernel, False
             args = tuple(sigutils.normalize_signature(sig)[0])
@@ -122,13 +122,15 @@ class KernelDispatcher(CPUDispatcher):
                 return super().compile(sig)
 
     def add_overload(self, cres):
-        """Take in what was compiled or found on disk."""
+        """Register a compiled function, or one loaded from disk."""
         if cres.entry_point is None:
             cres = cres._replace(entry_point=Part())
             self.targetctx.insert_user_function(cres.entry_point, cres.fndesc, [cres.library])
             self.overloads[tuple(cres.signature.args)] = cres
             return
-        if cres.referenced_envs is None:  # just compiled: only now is there machine code that refers to its parts'
+        if (
+            cres.referenced_envs is None
+        ):  # just compiled: now there is machine code that refers to the environments of its parts
             for environment in cres._find_referenced_environments():
                 cres.library.codegen.set_env(environment.env_name, environment)
         super().add_overload(cres)
@@ -136,7 +138,7 @@ class KernelDispatcher(CPUDispatcher):
 
 @contextlib.contextmanager
 def _for_a_kernel() -> Iterator[None]:
-    """In here what numba has to compile is for a kernel."""
+    """Within this context numba compiles for a kernel."""
     if current_target() == _TARGET:
         yield
     else:
@@ -148,7 +150,7 @@ _TARGET = "twc_env kernel"
 
 
 class _KernelTarget(CPU):
-    """What is compiled for a kernel: of numba's own functions those that typing asks for become parts."""
+    """Target of kernels: those of numba's own functions that typing requests become parts."""
 
 
 def _part_of_numba(**options: Any):
@@ -161,29 +163,29 @@ jit_registry[_KernelTarget] = _part_of_numba
 
 
 class _OnlyReading:
-    """A place where numba looks for a folder, though nothing can be written there."""
+    """Makes a cache locator of numba accept a folder that is not writable."""
 
     def ensure_cache_path(self):
-        """It will not be written to."""
+        """The folder is not written to."""
 
 
 _READ_ONLY: tuple[Any, ...] = tuple(
     type(f"ReadOnly{place.__name__}", (_OnlyReading, place), {})
     for place in CompileResultCacheImpl._locator_classes[:2]
 )
-"""Where numba has been told to, and beside the source."""
+"""The folder of NUMBA_CACHE_DIR, and the one beside the source."""
 
 
 class _Places(CompileResultCacheImpl):
-    """Numba's, and where nothing can be written, what others may have left where it would have been."""
+    """Numba's cache locators, followed by read-only folders that another user may have filled."""
 
     _locator_classes = (*CompileResultCacheImpl._locator_classes, *_READ_ONLY)
 
 
 class KernelFiles(_Cache):
-    """Where the compiled signatures of one kernel stand: beside its source, or where numba has been told to.
+    """Cache files of the compiled signatures of one kernel: beside its source, or in NUMBA_CACHE_DIR.
 
-    Who may not write there, as users of one installation, takes what stands there and keeps the rest elsewhere.
+    A user who may not write there, as in a shared installation, reads that folder and keeps other files elsewhere.
     """
 
     def __init__(self, function: Any):
@@ -200,13 +202,13 @@ class KernelFiles(_Cache):
 
     @property
     def cache_path(self) -> str | None:
-        """The folder that files are put into; None where there is none."""
+        """The folder that files are written to, or None."""
         impl = self._impl
         return None if impl is None or isinstance(impl.locator, _READ_ONLY) else impl.locator.get_cache_path()
 
     @cached_property
     def _shared(self) -> Path | None:
-        """The folder of files that others left and this process may only read; None where it has its own."""
+        """The read-only folder of files of another user; None if this process can write there."""
         file = self._function.__code__.co_filename
         for place in _READ_ONLY:
             locator = place.from_function(self._function, file)
@@ -215,9 +217,9 @@ class KernelFiles(_Cache):
         return None
 
     def load_overload(self, sig, target_context):
-        """What stands on disk for a signature, or None.
+        """The compiled code of a signature on disk, or None.
 
-        Unlike numba's this does not load all that numba can compile: finished code needs its runtime alone.
+        Unlike numba's method this does not load all registries of numba: compiled code needs its runtime only.
         """
         path, impl = self._path(sig, target_context.codegen()), self._impl
         if path is None or impl is None:
@@ -230,7 +232,7 @@ class KernelFiles(_Cache):
         return impl.rebuild(target_context, content)
 
     def save_overload(self, sig, data):
-        """Put what was compiled on disk; what stands there of an earlier state of the sources goes."""
+        """Write compiled code to disk; files of earlier versions of the sources are deleted."""
         if data.entry_point is None:  # a part
             return
         path, impl = self._path(sig, data.codegen), self._impl
@@ -250,7 +252,7 @@ class KernelFiles(_Cache):
 
     @contextlib.contextmanager
     def reserved(self, sig, target_context) -> Iterator[None]:
-        """In here other processes do not compile this; who comes later waits, and finds it on disk."""
+        """Within this context other processes do not compile this; they wait and then find it on disk."""
         path = self._path(sig, target_context.codegen())
         if path is None or self.cache_path is None or path.exists():
             yield
@@ -279,25 +281,25 @@ class KernelFiles(_Cache):
         return list(Path(self.cache_path).glob(f"{glob.escape(self._impl.filename_base)}.*.*.nbc"))
 
     def enable(self) -> None:
-        """Read and write from now on."""
+        """Use the disk cache from now on."""
         self._is_enabled = True
 
     def disable(self) -> None:
-        """Neither read nor write from now on."""
+        """Do not use the disk cache from now on."""
         self._is_enabled = False
 
     def flush(self) -> None:
-        """Forget what stands on disk."""
+        """Delete the files on disk."""
         for path in self._all_files():
             path.unlink(missing_ok=True)
 
 
 _FOUNDATIONS: dict[int, tuple[str, dict[str, Any]]] = {}
-"""By the names of a file (which are kept: an identity is not to be used again)."""
+"""Digests by identity of the global namespace of a file, which is kept alive with it."""
 
 
 def _foundation(function: Any, impl: CompileResultCacheImpl | None = None) -> tuple[str, dict[str, Any]]:
-    """Digest of all that the kernels of a file may be made of: the file, and the kernels and constants it imports."""
+    """Digest of all that the kernels of a file depend on: the file, and the kernels and constants it imports."""
     names = function.__globals__
     if id(names) not in _FOUNDATIONS:
         digest = hashlib.sha256(repr((impl or CompileResultCacheImpl(function)).locator.get_source_stamp()).encode())

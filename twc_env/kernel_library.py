@@ -1,15 +1,15 @@
-"""The code of kernels on its way through LLVM."""
+"""Code libraries of kernels: how LLVM optimises them."""
 
 from __future__ import annotations
 
 from numba.core.codegen import JITCodeLibrary
 
 _TIDYING = 1
-"""LLVM's level for each function by itself; a whole kernel goes through all passes once more with what it calls."""
+"""LLVM's optimisation level for single functions; a whole kernel is optimised again together with its parts."""
 
 
 class KernelLibrary(JITCodeLibrary):
-    """The code of a kernel that Python calls."""
+    """Code of a kernel that Python calls."""
 
     def _optimize_functions(self, ll_module) -> None:
         ll_module.data_layout = self._codegen._data_layout
@@ -20,7 +20,7 @@ class KernelLibrary(JITCodeLibrary):
 
 
 class PartLibrary(KernelLibrary):
-    """The code of a part. It goes into that of its callers, is optimised there, and becomes machine code there only."""
+    """Code of a part. It is linked into its callers, and optimised and turned into machine code only there."""
 
     def _optimize_final_module(self) -> None:
         passes, builder = self._codegen._module_pass_manager(

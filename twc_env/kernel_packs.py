@@ -1,6 +1,6 @@
-"""What a kernel needs time and again, laid out once in memory as compiled code holds it: a call only gives the place.
+"""Arguments that a kernel needs repeatedly, laid out once in memory as compiled code reads them; calls pass a pointer.
 
-Nothing is compiled for that: arrays and tuples get the fields that numba's data models give them.
+This needs no compilation: arrays and tuples get the fields of numba's data models.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _NUMBERS: dict[Any, str] = {bool: "?", int: "q", float: "d"}
 
 
 class Lent(int):
-    """Arrays and numbers, in tuples, for borrowing kernels, which find them by `parts_of`. Keeps them in memory.
+    """Tuples of arrays and numbers for borrowing kernels, which get them by `parts_of`. Keeps the arrays alive.
 
-    A tuple inside of it holds not only truth values. Can be neither copied nor pickled: make it anew. To compiled code
-    it is the number of its place in memory: to ask an object for that takes twice as long as the rest of a call.
+    A tuple inside it must not consist of bools only. It can be neither copied nor pickled: make a new one. It is an int
+    that holds its own address, because reading an attribute would take twice as long as the rest of a call.
     """
 
     kind: Any
@@ -31,7 +31,7 @@ class Lent(int):
     _memory: ctypes.Array
 
     def __new__(cls, parts: tuple) -> Lent:
-        """Lay out these parts."""
+        """Lay out these parts in memory."""
         kind = kind_of(parts)
         if kind not in _LAYOUTS:
             layout = Struct(_layout_of(parts))
@@ -49,11 +49,11 @@ class Lent(int):
 
 
 _LAYOUTS: dict[Any, tuple[Struct, LentType]] = {}
-"""By the kinds of the parts."""
+"""Layouts by the kinds of the parts."""
 
 
 def kind_of(value: Any) -> Any:
-    """Equal for values of one type to numba, which takes much longer to tell the type itself."""
+    """A key that is equal for values of one numba type; much faster than `numba.typeof`."""
     if isinstance(value, np.ndarray):
         return value.dtype, value.ndim, value.flags.num
     if isinstance(value, tuple):
@@ -64,9 +64,9 @@ def kind_of(value: Any) -> Any:
 
 
 def _layout_of(value: Any) -> str:
-    """How compiled code holds a value, in the letters of `struct`.
+    """Layout of a value in compiled code, as a format of `struct`.
 
-    Of an array: two owners, which nobody asks for; numbers in all, bytes of each, place, shape and strides.
+    Fields of an array: two owners (unused), number of elements, bytes per element, address, shape and strides.
     """
     if isinstance(value, np.ndarray):
         return "PPnnP" + 2 * value.ndim * "n"
@@ -76,7 +76,7 @@ def _layout_of(value: Any) -> str:
 
 
 def _list_fields(value: Any, fields: list[Any]) -> None:
-    """What stands in these places."""
+    """Append the values of these fields."""
     if isinstance(value, np.ndarray):
         fields += 0, 0, value.size, value.itemsize, _place_of(value), *value.shape, *value.strides
     elif isinstance(value, tuple):
@@ -88,16 +88,16 @@ def _list_fields(value: Any, fields: list[Any]) -> None:
 
 def _place_of(array: Any) -> int:
     if array.size and array.flags.carray:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # much quicker, but it takes not all arrays
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # much faster, but not possible for all arrays
     return array.__array_interface__["data"][0]
 
 
 class LentType(types.Opaque):
-    """To numba, something `Lent`."""
+    """Numba type of `Lent`."""
 
     def __init__(self, parts: types.Type, size: int):
         self.parts, self.size = parts, size
-        super().__init__(f"place of {parts}")  # by this name kernels are found on disk
+        super().__init__(f"place of {parts}")  # the name is part of the key of the disk cache
 
 
 register_model(LentType)(models.OpaqueModel)
@@ -115,7 +115,7 @@ def _unbox_lent(_kind, value, context):
 
 @intrinsic
 def parts_of(_context, lent):
-    """What is `Lent`, in a borrowing kernel, where nobody counts who holds each of the parts."""
+    """The parts of a `Lent`, in a borrowing kernel, which does not count references."""
 
     def generate(context, builder, _signature, arguments):
         kind_in_memory = context.get_value_type(lent.parts)

@@ -1,7 +1,7 @@
-"""Compiled kernels: loops over arrays in the words of Python, as quick as in C.
+"""Compiled kernels: loops over arrays, written in Python and as fast as in C.
 
-How they are compiled and where they stand on disk: `twc_env.kernel_compiler`. A kernel may call kernels of other files
-and read constants that stand there, taken by `from module import name`; a change of any of them compiles it anew.
+`twc_env.kernel_compiler` compiles them and keeps them on disk. A kernel may call kernels of other files and read their
+constants, imported by `from module import name`; a change of any of them recompiles it.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from twc_env.kernel_packs import Lent, kind_of, parts_of
 
 __all__ = ["BindsAnew", "Lent", "borrowing_kernel", "bound", "kernel", "parts_of", "rebound"]
 NUMBA_MIN, NUMBA_MAX = (0, 62), (0, 68)
-"""Whose insides `kernel_compiler` knows. With another numba kernels are compiled anew in every process."""
+"""Versions of numba that `kernel_compiler` supports. With others, kernels are compiled in every process."""
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function at its first call; later processes read it from disk.
+    """Compile a function at its first call; later processes load it from disk.
 
-    Division by zero gives what numpy gives (infinity or NaN). There are no bounds checks: clamp every index.
+    Division by zero gives infinity or NaN, as in numpy. There are no bounds checks: clamp every index.
     """
     return _compiled(function)
 
 
 def borrowing_kernel(function: Callable[..., Any]) -> Any:
-    """The same for a function that only reads and fills the arrays it is given: it makes none, gets none from the
-    kernels it calls and returns none. Nothing then counts who holds an array, so that calls with many cost less. What
-    is `Lent` can be given to it.
+    """As `kernel`, for a function that only reads and fills its argument arrays: it allocates no array, gets none from
+    the kernels it calls and returns none. Without reference counting, calls with many arrays cost less. It accepts
+    `Lent` arguments.
     """
     return _compiled(function, _nrt=False)
 
@@ -44,8 +44,8 @@ def _compiled(function: Callable[..., Any], **others: bool) -> Any:
             raise TypeError(f"kernel {function.__name__}: import names from {value.__name__}, not the module")
     options = {"boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": True, **others}
     if not is_numba_known():
-        return njit(**options)(function)  # on disk numba alone could mistake an old state of the sources for this one
-    from twc_env.kernel_compiler import KernelDispatcher  # another numba may lack what this imports
+        return njit(**options)(function)  # numba's own disk cache misses changes of imported modules
+    from twc_env.kernel_compiler import KernelDispatcher  # imports internals that another numba may lack
 
     compiled = KernelDispatcher(function, targetoptions={"nopython": True, **options})
     compiled.enable_caching()
@@ -53,21 +53,20 @@ def _compiled(function: Callable[..., Any], **others: bool) -> Any:
 
 
 def is_numba_known() -> bool:
-    """Whether kernels stand on disk with this numba."""
+    """Whether kernels are kept on disk with this version of numba."""
     return NUMBA_MIN <= tuple(int(part) for part in numba.__version__.split(".")[:2]) <= NUMBA_MAX
 
 
 _ENTRIES: dict[Any, Callable[..., Any]] = {}
-"""Compiled code that was bound before, by kernel and kinds."""
+"""Compiled entry points that were bound before, by kernel and types of arguments."""
 
 
 def bound(function: Any, held: Any, *others: Any) -> Callable[..., Any]:
-    """A kernel with its first argument filled in, to be called with others of the same kinds as these.
+    """A kernel with its first argument bound, to be called with other arguments of the same types as these.
 
-    A kernel that is called by its name looks at the type of all that it is given, which takes longer than the call
-    itself, above all for a pack. This goes straight to the compiled code. Nothing is looked at then: arrays must be
-    contiguous in memory like the first ones, and may not be read-only where those were not.
-    Can be neither copied nor pickled, see `BindsAnew`.
+    A normal call of a kernel checks the types of all arguments, which takes longer than the call itself, above all for
+    tuples. This calls the compiled code directly, without checks: arrays must have the same memory layout as these, and
+    must be writable if these were. The result can be neither copied nor pickled, see `BindsAnew`.
     """
     values = held, *others
     kinds = function, kind_of(values)
@@ -77,12 +76,12 @@ def bound(function: Any, held: Any, *others: Any) -> Callable[..., Any]:
 
 
 def rebound(call: Any, held: Any) -> Any:
-    """What `bound` gave with another first argument of the same kind, for arrays that have grown; None stays None."""
+    """A result of `bound` with another first argument of the same type, for arrays that have grown; None stays None."""
     return None if call is None else partial(call.func, held)
 
 
 class BindsAnew:
-    """What derives from it keeps bound kernels, or None for want of them: its copies have None and bind their own."""
+    """Base class of objects that keep bound kernels (or None): their copies have None and bind their own."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: None if isinstance(value, partial) else value for name, value in self.__dict__.items()}

@@ -1,4 +1,4 @@
-"""Broken map files: cut, mistyped, NaN, huge, nested without end. Reading one may fail in one way only: MapError."""
+"""Malformed map files: truncated, wrong types, NaN, huge numbers, deep nesting. Reading one may only raise MapError."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from twc_env.world.generate import generate
 
 SECONDS_MAX = 1.0
 MEMORY_MAX_MB = 1000.0
-"""Reading a file that takes more of either is a fault."""
+"""Limits for reading one file; exceeding either is a fault."""
 
 _ODD_VALUES: tuple = (
     None, True, False, "", "x", "NaN", 0, -1, 1e308, -1e308, 10**400, 1e-320, float("nan"), float("inf"),
@@ -41,7 +41,7 @@ _ODD_LINES = (
 
 @dataclass(slots=True)
 class FuzzReport:
-    """What came of the mutated files."""
+    """Results of `fuzz_maps`."""
 
     count: int = 0
     refused: int = 0
@@ -49,13 +49,13 @@ class FuzzReport:
     slowest_s: float = 0.0
     slowest: str = ""
     grown_mb: float = float("nan")
-    """How far the mutated files raised the peak memory of the process; NaN where the system does not tell."""
+    """Increase of the peak memory of the process; NaN if the system does not report it."""
     escaped: list[str] = field(default_factory=list)
-    """Mutations that raised something else than MapError."""
+    """Mutations that raised an exception other than MapError."""
 
 
 def fuzz_maps(count: int, seed: int = 0) -> FuzzReport:
-    """Read `count` mutated files of all formats; equal seeds mutate equally."""
+    """Read `count` mutated files of all formats; equal seeds give the same files."""
     report = FuzzReport()
     random = random_stream(seed, "map-fuzz")
     with tempfile.TemporaryDirectory() as name:
@@ -83,7 +83,7 @@ def _read(path: Path, what: str, report: FuzzReport) -> None:
         report.refused += 1
         if "\n" in str(error):
             report.escaped.append(f"{what}: an error of several lines")
-    except Exception as error:  # whatever else gets out is the finding
+    except Exception as error:  # any other exception is a fault
         report.escaped.append(f"{what}: {type(error).__name__}: {str(error)[:100]}")
     elapsed = time.perf_counter() - start
     report.count += 1
@@ -92,7 +92,7 @@ def _read(path: Path, what: str, report: FuzzReport) -> None:
 
 
 def _samples(folder: Path) -> list[Path]:
-    """One sound file of every format; companions (pictures, floor_info.json) lie beside the mutated ones too."""
+    """One valid file of every format; companion files (pictures, floor_info.json) also lie beside the mutated ones."""
     plan = generate("office", 100, 0)
     (folder / "mutated").mkdir()
     write_floorplan(plan, folder / "native.json")
@@ -148,7 +148,7 @@ def _insert(raw: bytes, random: np.random.Generator) -> bytes:
 
 
 def _odd_text(raw: bytes, random: np.random.Generator) -> bytes:
-    """A number of the file replaced by a text that JSON may or may not allow there."""
+    """Replace a value of the file by a text that may not be valid JSON there."""
     words = raw.split(b",")
     at = int(random.integers(len(words)))
     words[at] = _ODD_TEXTS[int(random.integers(len(_ODD_TEXTS)))].encode()
@@ -191,7 +191,7 @@ def _odd_line(raw: bytes, random: np.random.Generator) -> bytes:
 
 
 def _somewhere(values, random: np.random.Generator):
-    """A random place in nested values: the list or table that holds it, and its key."""
+    """A random element of nested values: the list or dictionary that holds it, and its key."""
     holder, key = values, _key(values, random)
     while isinstance(holder[key], (list, dict)) and holder[key] and random.random() < 0.75:
         holder = holder[key]

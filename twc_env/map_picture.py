@@ -1,4 +1,4 @@
-"""A floor plan as a picture: walls, rooms, signs, access points and how strong the best signal is. Needs matplotlib."""
+"""A floor plan as a picture: walls, rooms, signs, access points and signal strength. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
 
 LABELS_MAX = 60
-"""With more rooms or signs than this, names are left out: they would lie on top of each other."""
+"""With more rooms or signs than this, names are left out, because they would overlap."""
 
 WIDTH_INCHES = 12.0
 POINTS_MAX = 0.75 * 72 * WIDTH_INCHES
-"""About what is left for the building's width beside scales and the colour bar."""
+"""Approximate width left for the building beside axis labels and colour bar."""
 _ROOM_POINTS, _CHARACTER_WIDTH = 6.0, 0.62
-"""Height of the letters in rooms, and how wide one is on average in heights."""
+"""Font size in rooms, and the average width of a letter as a share of it."""
 
 
 def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Path:
-    """Write the picture, its folder made; returns its path. MapError without matplotlib or where it cannot write."""
+    """Write the picture and create its folder; returns the path. Raises MapError without matplotlib, or on failure."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.collections import LineCollection, PolyCollection
@@ -33,7 +33,7 @@ def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Pa
     path = Path(path) if Path(path).suffix else Path(f"{path}.png")
     x0, y0, x1, y1 = plan.bounds_m
     width = WIDTH_INCHES
-    # The height follows the building; a legend and a colour bar need a few centimetres more.
+    # The height follows the building; legend and colour bar need a few centimetres more.
     figure = Figure(
         figsize=(width, float(np.clip(0.82 * width * (y1 - y0) / (x1 - x0), 3.0, 24.0)) + 1.0),
         dpi=110,
@@ -91,7 +91,7 @@ def _draw_signs(axes, plan: Floorplan) -> None:
 
 
 def name_rooms(axes, rooms: Sequence[Room], points_per_m: float) -> None:
-    """Write the rooms' names into them; a name that is wider than its room has a line for each word."""
+    """Write the names of rooms; a name that is wider than its room gets one line per word."""
     for room in rooms:
         corners = np.asarray(room.polygon_m)
         width_points = points_per_m * float(np.ptp(corners[:, 0]))
@@ -103,7 +103,7 @@ def name_rooms(axes, rooms: Sequence[Room], points_per_m: float) -> None:
 
 
 def name_sign(axes, text: str, place_m: Array, facing_rad: float, points: float = 9.0, **style) -> None:
-    """Write a sign's text before its face, over all lines; along walls at a slant: neighbours would overlap."""
+    """Write the text of a sign in front of it, above all lines; slanted along walls, to avoid overlaps."""
     from matplotlib.patheffects import withStroke
 
     u, v = np.cos(facing_rad), np.sin(facing_rad)

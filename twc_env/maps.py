@@ -69,13 +69,13 @@ def _drawn_by_code(name: str) -> Floorplan | None:
 
 
 def _file(name: str) -> tuple[Path | None, str | None]:
-    """A file and the level asked for; (None, None) when there is no such file."""
+    """A file and the requested level; (None, None) if there is no such file."""
     base, _, level = name.rpartition("#")
     for text, asked in ((name, None), (base, level)):
         try:
             if text and Path(text).is_file():
                 return Path(text), asked
-        except (OSError, ValueError):  # no file can have that name
+        except (OSError, ValueError):  # not a valid file name
             continue
     return None, None
 
@@ -83,7 +83,7 @@ def _file(name: str) -> tuple[Path | None, str | None]:
 def _is_folder(name: str) -> bool:
     try:
         return Path(name).is_dir() and bool(name)
-    except (OSError, ValueError):  # nothing can have that name
+    except (OSError, ValueError):  # not a valid file name
         return False
 
 
@@ -120,7 +120,7 @@ def _read_native(path: Path, modified: int) -> Floorplan:
 
 
 def _written(path: Path) -> tuple[int, ...]:
-    """When a file, and what may be read with it, was written last: the size of a floor, or the picture of a ROS map."""
+    """Modification times of a file and of its companions: the size of a floor, or the picture of a ROS map."""
     beside = [path.with_name("floor_info.json")]
     if path.suffix.lower() in (".yaml", ".yml"):
         beside = sorted(path.parent.glob("*.p[gn][mg]*"))

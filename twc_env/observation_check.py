@@ -1,4 +1,4 @@
-"""Whether observations keep their promises over long random play: in their spaces, never constant, no shared memory."""
+"""Check observations over long random episodes: inside their spaces, never constant, no shared memory."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ _SETTINGS = {
 
 @dataclass(slots=True)
 class ObservationReport:
-    """What was looked at and what was wrong."""
+    """What was checked, and the faults found."""
 
     steps: int = 0
     blocks: int = 0
     too_short: list[str] = field(default_factory=list)
     """Kinds of action that played no whole episode; a block that never changed is no fault there."""
     faults: list[str] = field(default_factory=list)
-    """Each fault once per block and kind of action."""
+    """Each fault is listed once per block and kind of action."""
 
 
 def check_observations(
     steps: int, seed: int = 0, report: Callable[[int, int], None] = lambda done, total: None
 ) -> ObservationReport:
-    """Play `steps` random steps, shared among the kinds of action, with every block on, in changing buildings."""
+    """Run `steps` random steps, divided among the kinds of action, with all blocks on, in changing buildings."""
     result = ObservationReport()
     for number, (kind, timing) in enumerate(ACTIONS):
         share = steps // len(ACTIONS) + (number < steps % len(ACTIONS))
@@ -84,7 +84,7 @@ def _check_kind(
 
 
 def random_actions(env: ExplorationEnv, infos: dict[str, dict[str, Any]], random: np.random.Generator) -> dict:
-    """For each agent an action drawn evenly from what its mask or space allows."""
+    """For each agent an action drawn uniformly from those that its mask or space allows."""
     actions: dict[str, Any] = {}
     for agent in env.agents:
         space = env.action_space(agent)
@@ -96,11 +96,11 @@ def random_actions(env: ExplorationEnv, infos: dict[str, dict[str, Any]], random
 
 
 def _look(env: ExplorationEnv, before: dict, now: dict, what: str, result: ObservationReport) -> set[str]:
-    """Note what is wrong with one step; gives the names of the blocks that changed."""
+    """Record the faults of one step; returns the names of the blocks that changed."""
     changed = set()
     arrays = [(agent, name, block) for agent, observation in now.items() for name, block in observation.items()]
     old = [block for observation in before.values() for block in observation.values()]
-    space = env.observation_space(env.possible_agents[0])  # all agents' is one
+    space = env.observation_space(env.possible_agents[0])  # the same for all agents
     assert isinstance(space, spaces.Dict)
     for number, (agent, name, block) in enumerate(arrays):
         result.blocks += 1

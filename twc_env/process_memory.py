@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def resident_mb() -> float:
-    """What it holds now on Linux, its peak so far elsewhere; NaN where the system does not tell."""
+    """Current resident memory on Linux, peak so far on other systems; NaN if the system does not report it."""
     status = Path("/proc/self/statm")
     if not status.exists():
         return peak_mb()
@@ -15,7 +15,7 @@ def resident_mb() -> float:
 
 
 def peak_mb() -> float:
-    """The most that it held so far; NaN where the system does not tell."""
+    """Peak resident memory so far; NaN if the system does not report it."""
     try:
         import resource
     except ImportError:

@@ -28,9 +28,9 @@ DIGITS = 3
 
 
 def write_page(run: Path, path: Path) -> Path:
-    """Make the page of a run folder from its trace.npz and report.json.
+    """Write the page of a run folder from its trace.npz and report.json.
 
-    Raises DataError when one of them is missing or broken, or the page cannot be written.
+    Raises DataError if one of them is missing or invalid, or the page cannot be written.
     """
     trace, report = read_trace(run / "trace.npz"), read_report(run / "report.json")
     with contradictions(run):
@@ -48,7 +48,7 @@ def write_page(run: Path, path: Path) -> Path:
 
 
 def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]:
-    """What the page's script reads, all of it plain."""
+    """The data for the script of the page, as plain Python values."""
     config: EnvConfig = from_dict(json.loads(str(trace["config"])))
     walls = trace["walls_m"].reshape(-1, 4)
     corners = trace["walls_m"].reshape(-1, 2)
@@ -81,7 +81,7 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
 
 
 def _signal(trace: dict[str, Array]) -> dict[str, Any]:
-    """Levels 1-255 over the span of the overlay, 0 where there is no floor."""
+    """Levels 1 to 255 over the range of the overlay, 0 where there is no floor."""
     low, high = SIGNAL_SPAN_DBM
     strength = trace["signal_dbm"]
     level = 1 + np.round(254 * np.clip((np.nan_to_num(strength, nan=low) - low) / (high - low), 0.0, 1.0))
@@ -103,7 +103,7 @@ def _base64(content: bytes) -> str:
 
 @contextmanager
 def contradictions(run: Path) -> Iterator[None]:
-    """Turn what goes wrong where a run folder's arrays do not fit together into a DataError."""
+    """Turn exceptions from inconsistent arrays of a run folder into DataError."""
     try:
         yield
     except TwcError:
@@ -114,12 +114,12 @@ def contradictions(run: Path) -> Iterator[None]:
 
 
 def read_trace(path: Path) -> dict[str, Array]:
-    """The arrays of a trace.npz. Raises DataError when it is missing, broken or of another format."""
+    """The arrays of a trace.npz. Raises DataError if it is missing, invalid or of another format."""
     return read_arrays(path, "trace", FORMAT, TRACE_KEYS, "`python -m agents explore --out RUN` writes one")
 
 
 def read_report(path: Path) -> dict[str, Any]:
-    """A report.json. Raises DataError when it is missing or broken."""
+    """A report.json. Raises DataError if it is missing or invalid."""
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

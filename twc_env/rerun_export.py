@@ -21,15 +21,15 @@ from twc_env.replay_page import contradictions, read_report, read_trace
 TRUE_WALL = (158, 164, 173)
 FLOOR_RGB, WALL_RGB = np.array([235, 238, 245]), np.array([60, 70, 90])
 _LIFT_M = 0.02
-"""Layers lie so far above one another, so that the viewer can tell which is on top."""
+"""Height between layers, so that the viewer draws them in order."""
 
 
 def write_rerun(run: Path, path: Path) -> Path:
-    """Make a recording (.rrd) of a run folder's trace.npz and report.json.
+    """Write a recording (.rrd) of the trace.npz and report.json of a run folder.
 
-    Time lines are `step` and `time`. Entities, all in the building frame [m]: `building/...` is true, `team/...` is
-    what the team believed at that time, `figures/...` are the figures over time.
-    Raises ConfigError where rerun-sdk is missing, DataError when a file is missing, broken or cannot be written.
+    Time lines are `step` and `time`. Entities, all in the building frame [m]: `building/...` is ground truth,
+    `team/...` the estimate at that time, `figures/...` metrics over time.
+    Raises ConfigError without rerun-sdk, DataError if a file is missing, invalid or cannot be written.
     """
     if importlib.util.find_spec("rerun") is None:
         raise ConfigError("--rerun needs rerun-sdk: run `pip install 'twc_env[rerun]'`, or choose --html")
@@ -61,7 +61,7 @@ def write_rerun(run: Path, path: Path) -> Path:
 
 
 def _blueprint(corners_m: Array) -> Any:
-    """Seen from above, north up, with the figures beside it."""
+    """View from above, north up, with the figures beside it."""
     from rerun import blueprint
 
     low, high = corners_m.min(axis=0), corners_m.max(axis=0)
@@ -86,7 +86,7 @@ def _blueprint(corners_m: Array) -> Any:
 
 
 def _log_building(rerun: Any, trace: dict[str, Array]) -> None:
-    """What does not change: true walls, signs, access points."""
+    """Static entities: true walls, signs, access points."""
     walls_m = _lifted(trace["walls_m"].reshape(-1, 2), 0).reshape(-1, 2, 3)
     rerun.log("building/walls", rerun.LineStrips3D(walls_m, colors=TRUE_WALL, radii=0.03), static=True)
     texts = json.loads(str(trace["sign_texts"]))
@@ -100,7 +100,7 @@ def _log_building(rerun: Any, trace: dict[str, Array]) -> None:
 
 
 def _cells_of(trace: dict[str, Array], moments: list[dict]) -> list[list[Array]]:
-    """Per moment and layer (rows, columns) uint8."""
+    """Per moment and layer, cells (rows, columns) uint8."""
     packed, first = trace["maps"].tobytes(), 0
     cells: list[list[Array]] = []
     ends = trace["map_ends"].tolist()[::-1]
@@ -129,7 +129,7 @@ def _log_moment(rerun: Any, moment: dict, cells: list[Array]) -> None:
 
 
 def _map_mesh(rerun: Any, layer: dict, kinds: Array, level: int) -> Any:
-    """The known cells of one group's map, laid on the building."""
+    """The known cells of the map of one group, in the building frame."""
     boxes, kind = rectangles(kinds)
     corners = boxes[:, [[0, 2], [1, 2], [1, 3], [0, 3]]].reshape(-1, 2)
     corners_m = np.asarray(layer["origin_m"]) + corners * layer["resolution_m"]
@@ -144,9 +144,8 @@ def _map_mesh(rerun: Any, layer: dict, kinds: Array, level: int) -> Any:
 
 
 def rectangles(kinds: Array) -> tuple[Array, Array]:
-    """Cut a grid's known cells into rectangles of one kind: (n, 4) first and end column, first and end row; (n,) kinds.
-
-    Runs of a row, joined with the same run of the next rows.
+    """Split the known cells of a grid into rectangles of one kind: (n, 4) first and end column, first and end row, and
+    (n,) kinds. Equal runs of consecutive rows are joined.
     """
     rows, columns = kinds.shape
     padded = np.zeros((rows, columns + 2), np.uint8)
@@ -166,7 +165,7 @@ def rectangles(kinds: Array) -> tuple[Array, Array]:
 
 
 def _log_robots(rerun: Any, trace: dict[str, Array], config: EnvConfig) -> None:
-    """Every step's true and estimated places, and the way so far as one line each."""
+    """True and estimated positions at every step, and both paths."""
     radius = config.dynamics.robot_radius_m
     for robot in range(config.robots):
         colour = COLOURS[robot % len(COLOURS)]
@@ -188,6 +187,6 @@ def _log_robots(rerun: Any, trace: dict[str, Array], config: EnvConfig) -> None:
 
 
 def _lifted(points_m: Array, level: float) -> Array:
-    """(k, 2) -> (k, 3) at the height of a layer."""
+    """Points (k, 2) as (k, 3) at the height of a layer."""
     points_m = np.asarray(points_m, float).reshape(-1, 2)
     return np.column_stack([points_m, np.full(len(points_m), level * _LIFT_M)])

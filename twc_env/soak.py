@@ -1,4 +1,4 @@
-"""Play for very long, in a new building each episode, and watch memory: `python -m twc_env soak`."""
+"""Long runs with a new building in every episode and memory monitoring: `python -m twc_env soak`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.process_memory import resident_mb
 
 WARM_UP_SHARE = 0.3
-"""Of all steps: caches of buildings fill in this time; growth is counted from its end on."""
+"""Share of all steps in which caches of buildings fill; memory growth is measured after it."""
 EPISODE_STEPS = 500
 
 
@@ -25,9 +25,9 @@ def soak(
     config: EnvConfig | None = None,
     report: Callable[[str, bool], None] = lambda line, is_last: None,
 ) -> dict:
-    """Play `steps` time steps in buildings of the training split; gives memory before and after, and what was seen.
+    """Run `steps` time steps in buildings of the training split; returns memory before and after, and counts.
 
-    Every exception is passed on with the seed of its episode in its notes.
+    An exception is re-raised with the seed of its episode in its notes.
     """
     config = override(config or EnvConfig(), {"max_cycles": EPISODE_STEPS})
     env = ExplorationEnv(config=config)

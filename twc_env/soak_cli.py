@@ -56,7 +56,7 @@ def _soak(options: argparse.Namespace) -> None:
 
 
 def _misuse(options: argparse.Namespace) -> None:
-    """Broken actions and a long look at observations. Raises TwcError with what was found."""
+    """Run the tests of malformed actions and of observations. Raises TwcError with the faults found."""
     from twc_env.action_fuzz import fuzz_actions
     from twc_env.observation_check import check_observations
 

@@ -19,19 +19,19 @@ _Record = TypeVar("_Record")
 
 
 def read_only(array: Array) -> Array:
-    """A view that cannot be written to. Those who fill or compute take the array itself: kernels know it at once."""
+    """A read-only view for users; the engine passes the array itself, whose type kernels recognise fastest."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 class _Team(Sequence[_Record]):
-    """Records that are made when the first of them is asked for."""
+    """Records that are created on first access."""
 
     __slots__ = ("_records",)
 
     is_stacked = True
-    """Told quicker than whether something is an instance of an abstract class's child."""
+    """A marker that is faster to check than `isinstance` with an abstract class."""
     _records: list[_Record] | None
 
     @abstractmethod
@@ -54,9 +54,9 @@ class WifiScans(NamedTuple):
     """The WiFi scans that robots completed in one step, concatenated."""
 
     robots: Array
-    """(k,) int64: whose each is."""
+    """(k,) int64: the robot of each scan."""
     macs: Array
-    """(k, most) int64, of which the first `counts` are heard; ascending."""
+    """(k, most) int64, ascending; only the first `counts` of a row are valid."""
     rssi_dbm: Array
     """(k, most) float64."""
     counts: Array
@@ -64,7 +64,7 @@ class WifiScans(NamedTuple):
 
     @classmethod
     def of(cls, scans: Sequence[WifiScan | None]) -> WifiScans:
-        """The scans of robots 0, 1, ..., where there are any; their ages are left out."""
+        """The scans of robots 0, 1, ... without None; ages are left out."""
         heard = [(robot, scan) for robot, scan in enumerate(scans) if scan is not None]
         counts = [len(scan.macs) for _, scan in heard]
         shape = len(heard), max(counts, default=0)
@@ -74,7 +74,7 @@ class WifiScans(NamedTuple):
         return cls(np.array([robot for robot, _ in heard], np.int64), macs, rssi_dbm, np.array(counts, np.int64))
 
     def each(self, robot_count: int) -> list[WifiScan | None]:
-        """One for each robot; None where it finished none."""
+        """One scan per robot; None for a robot that completed none."""
         scans: list[WifiScan | None] = [None] * robot_count
         for k, (robot, count) in enumerate(zip(self.robots.tolist(), self.counts.tolist(), strict=True)):
             scans[robot] = WifiScan(self.macs[k, :count], self.rssi_dbm[k, :count])
@@ -98,10 +98,10 @@ class TeamFrames(_Team[SensorFrame]):
         wifi: WifiScans | Sequence[WifiScan | None],
         signs: Sequence[tuple[SignReading, ...]],
     ):
-        """A row for each robot, with what the fields of `SensorFrame` mean; records show read-only views of them.
+        """One row per robot, as the fields of `SensorFrame`; records hold read-only views of the rows.
 
-        Arrays are of float64 and contiguous in memory. `scans` are those of `wifi` side by side; `may_repeat_readings`:
-        whether one of them may hold readings of before it, which those given side by side do not.
+        Arrays are float64 and contiguous. `scans` are those of `wifi` in arrays; `may_repeat_readings` says whether a
+        scan may hold readings of earlier sweeps (never if `wifi` is given as arrays).
         """
         self._records = None
         self.step, self.time_s = step, time_s
@@ -116,14 +116,14 @@ class TeamFrames(_Team[SensorFrame]):
 
     @property
     def wifi(self) -> Sequence[WifiScan | None]:
-        """The scan of each robot, where it finished one."""
+        """The scan of each robot, or None if it completed none."""
         if self._wifi is None:
             self._wifi = self.scans.each(len(self))
         return self._wifi
 
     @classmethod
     def of(cls, frames: Sequence[SensorFrame]) -> TeamFrames:
-        """Frames of one step, stacked; a row for each of them."""
+        """Frames of one step, stacked, one row per frame."""
         if isinstance(frames, TeamFrames):
             return frames
         team = cls(
@@ -153,21 +153,21 @@ class KnownSigns(_Team[KnownSign]):
     __slots__ = ("_tuple", "places_m", "texts")
 
     def __init__(self, texts: Sequence[str], places_m: Array):
-        """Each text and its place (k, 2) in the map frame; records show read-only views of these."""
+        """Texts and positions (k, 2) in the map frame; records hold read-only views of these."""
         self._records = None
         self._tuple: tuple[KnownSign, ...] | None = None
         self.texts, self.places_m = texts, places_m
 
     @classmethod
     def of(cls, signs: Sequence[KnownSign]) -> KnownSigns:
-        """The same signs side by side."""
+        """The signs in arrays."""
         if isinstance(signs, KnownSigns):
             return signs
         return cls([sign.text for sign in signs], np.array([sign.position_m for sign in signs]).reshape(-1, 2))
 
     @property
     def records(self) -> tuple[KnownSign, ...]:
-        """All of them, as `Belief.signs` has them."""
+        """All signs, as in `Belief.signs`."""
         if self._tuple is None:
             self._tuple = tuple(self)
         return self._tuple
@@ -180,11 +180,11 @@ class KnownSigns(_Team[KnownSign]):
 
 
 NOBODY = -2
-"""In place of a robot's number, or of the step in which it was heard."""
+"""Stands for no robot, or for no step of contact."""
 
 
 def nobody(robots: int) -> tuple[Array, Array, Array]:
-    """Mates, their poses and contact steps, as `TeamBeliefs` has them, of robots that know of no other."""
+    """Mates, their poses and contact steps, as in `TeamBeliefs`, of robots without any contact."""
     shape = robots, max(robots - 1, 0)
     return np.full(shape, NOBODY), np.zeros((*shape, 3)), np.full(shape, NOBODY)
 
@@ -204,11 +204,11 @@ class TeamBeliefs(_Team[Belief]):
         mate_poses: Array,
         contact_steps: Array,
     ):
-        """Arrays with a row for each robot, not written to afterwards; records show read-only views of them.
+        """Arrays with one row per robot, not modified afterwards; records hold read-only views of them.
 
         poses (robots, 3, 3): `pose_map_robot`, `pose_std` and `pose_odom`. mates (robots, robots - 1) int: the other
-        robots of the same map, then `NOBODY`; mate_poses (robots, robots - 1, 3): where these are. contact_steps
-        (robots, robots - 1) int: `Belief.contact_steps` of all other robots in their order; `NOBODY`: of none.
+        robots in the same map, then `NOBODY`; mate_poses (robots, robots - 1, 3): their poses. contact_steps
+        (robots, robots - 1) int: `Belief.contact_steps` of all other robots in order; `NOBODY`: no entry.
         """
         self._records = None
         self.poses, self.since_closure_m, self.grids = poses, since_closure_m, grids
@@ -256,7 +256,7 @@ class TeamBeliefs(_Team[Belief]):
 
 
 class _GivenBeliefs(TeamBeliefs):
-    """Beliefs that were made one by one before they were stacked."""
+    """Stacked beliefs that keep the records they were made of."""
 
     __slots__ = ()
 

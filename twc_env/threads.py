@@ -1,4 +1,4 @@
-"""One thread for each process that is started: matrix libraries that share cores wait for each other more than work."""
+"""Limit worker processes to one thread each: matrix libraries with several threads compete for the cores."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What the libraries below numpy and scipy read when they are loaded."""
+"""Environment variables that the matrix libraries of numpy and scipy read when they are loaded."""
 
 
 @contextlib.contextmanager

@@ -1,6 +1,6 @@
-"""Copies that are whole: arrays that lie in the memory of others still do so afterwards.
+"""Copies that preserve shared memory: views of an array are views of its copy.
 
-Python's own copies part a view from the array that it shows: what is then written to one is not seen in the other.
+Python's own copies detach a view from its array, so that writes to one no longer appear in the other.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from twc_env.errors import DataError
 
 
 class SharingPickler(pickle.Pickler):
-    """Keeps arrays that share memory sharing it."""
+    """Pickles arrays such that those that share memory still share it after loading."""
 
     def dump(self, value: Any) -> None:
-        """See `pickle.Pickler`. Raises DataError that names the part which cannot be copied."""
+        """See `pickle.Pickler`. Raises DataError that names the attribute that cannot be copied."""
         try:
             super().dump(value)
         except (TypeError, AttributeError, ValueError, pickle.PicklingError) as error:
@@ -32,7 +32,7 @@ class SharingPickler(pickle.Pickler):
 
     def reducer_override(self, value: Any) -> Any:
         """See `pickle.Pickler`."""
-        if isinstance(value, CopiedWhole):  # a part of something larger, with which it may share arrays
+        if isinstance(value, CopiedWhole):  # may share arrays with the object that holds it
             return object.__reduce_ex__(value, pickle.HIGHEST_PROTOCOL)
         if type(value) is not np.ndarray or not isinstance(value.base, np.ndarray) or value.dtype.hasobject:
             return NotImplemented
@@ -46,7 +46,7 @@ class SharingPickler(pickle.Pickler):
 
 
 class CopiedWhole:
-    """What derives from it is copied and pickled by `SharingPickler`."""
+    """Base class of objects that are copied and pickled by `SharingPickler`."""
 
     def __reduce_ex__(self, protocol: Any) -> tuple:
         buffer = io.BytesIO()
@@ -55,14 +55,14 @@ class CopiedWhole:
 
 
 def _part_of(whole: Array, dtype: np.dtype, shape: tuple, strides: tuple, offset: int, is_writeable: bool) -> Array:
-    """The view of an array that another array was."""
+    """A view of an array with the given layout."""
     part: Array = np.ndarray(shape, dtype, whole.reshape(-1, order="A").view(np.uint8), offset, strides)
     part.flags.writeable = is_writeable and whole.flags.writeable
     return part
 
 
 def _culprit(value: Any, place: str, seen: dict[int, Any]) -> str | None:
-    """Which part of a value that cannot be copied is to blame, as Class.attribute; `place` is that of the value."""
+    """Class.attribute of the part that makes a value uncopyable; `place` is that of the value itself."""
     is_whole = True
     for name, part in _parts(value):
         if _can_be_copied(part):
@@ -84,7 +84,7 @@ def _can_be_copied(value: Any) -> bool:
 
 
 def _parts(value: Any) -> Iterator[tuple[str, Any]]:
-    """What is copied with a value: its attributes by name, what it holds without one."""
+    """The parts that are copied with a value: attributes with their names, elements with an empty name."""
     if isinstance(value, (list, tuple, set, frozenset)):
         yield from (("", part) for part in value)
     elif isinstance(value, dict):
@@ -95,7 +95,7 @@ def _parts(value: Any) -> Iterator[tuple[str, Any]]:
             is_whole = isinstance(value, CopiedWhole)
             how = object.__reduce_ex__(value, protocol) if is_whole else value.__reduce_ex__(protocol)
             _, arguments, state, *items = (*how, None)[:5]
-        except Exception:  # it says itself that it cannot be copied
+        except Exception:  # it raises when copied
             return
         yield from (("", part) for part in arguments)
         for attributes in state if isinstance(state, tuple) else (state,):

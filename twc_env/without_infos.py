@@ -1,4 +1,4 @@
-"""A team without infos, for tools that take none that come and go (TorchRL)."""
+"""A wrapper with empty infos, for tools that require infos with fixed keys (TorchRL)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pettingzoo.utils import BaseParallelWrapper
 
 
 class WithoutInfos(BaseParallelWrapper):
-    """The environment inside, all infos empty; what it decides by (`action_mask`) stands in observations too."""
+    """The wrapped environment with empty infos; `action_mask` is also part of the observations."""
 
     def reset(self, seed: int | None = None, options: dict | None = None):
         """Begin an episode."""

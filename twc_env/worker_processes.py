@@ -1,4 +1,4 @@
-"""Many parts worked on by several processes at once; an interruption ends them all, without a word of theirs."""
+"""Run independent parts of a computation in worker processes; an interruption ends all of them silently."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from twc_env.threads import single_threaded
 
 
 def in_processes(work: Callable[[Any], Any], parts: Sequence, count: int) -> Iterator[tuple[int, Any]]:
-    """(k, work(parts[k])) as each is done, by `count` processes that start afresh and compute with one thread each.
+    """Yield (k, work(parts[k])) as each part is done, by `count` spawned processes with one thread each.
 
-    `work` and the parts must be picklable. Who leaves the loop, by Ctrl-C or an error, ends the processes, and so does
-    who dies in it. Raises DataError where one of them died. With a count of 1 or less this process does it all itself.
+    `work` and the parts must be picklable. Leaving the loop, also by Ctrl-C, an error or the death of this process,
+    ends the worker processes. Raises DataError if one of them died. With a count of 1 or less no process is started.
     """
     if count <= 1:
         yield from enumerate(map(work, parts))
@@ -43,7 +43,7 @@ def in_processes(work: Callable[[Any], Any], parts: Sequence, count: int) -> Ite
 
 
 def _end_with_parent() -> None:
-    """Let this process end where the one that started it was killed: nobody else would tell it to."""
+    """End this process when its parent process dies; it gets no signal then."""
     parent = multiprocessing.parent_process()
 
     def wait() -> None:
@@ -56,8 +56,8 @@ def _end_with_parent() -> None:
 
 @contextlib.contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
-    """Processes started in this block leave Ctrl-C, which reaches all of a terminal's, to the one that started them."""
-    if threading.current_thread() is not threading.main_thread():  # only that one can set what signals do
+    """Processes started in this block ignore Ctrl-C, which a terminal sends to all; their parent process handles it."""
+    if threading.current_thread() is not threading.main_thread():  # only that thread can set signal handlers
         yield
         return
     held = signal.signal(signal.SIGINT, signal.SIG_IGN)

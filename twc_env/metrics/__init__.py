@@ -1,4 +1,4 @@
-"""Numbers that say how good an episode was: plain arrays in, numbers out."""
+"""Metrics of an episode: plain arrays in, numbers out."""
 
 from twc_env.metrics.closures import ClosureScore, closures_are_correct, score_closures
 from twc_env.metrics.mapping import MapScore, correct_area_m2, floor_mask, recount_free, score_map

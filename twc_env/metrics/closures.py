@@ -1,4 +1,4 @@
-"""Which loop closures are right, and how many of the right ones were accepted."""
+"""Correctness of loop closures, and their precision and recall."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class ClosureScore:
     proposed: int
     accepted: int
     correct: int
-    """Accepted ones that are right."""
+    """Accepted closures that are correct."""
     precision: float
-    """Right share of the accepted; NaN when none was accepted."""
+    """Correct share of the accepted; NaN if none was accepted."""
     recall: float
-    """Accepted share of the right ones; NaN when none was right."""
+    """Accepted share of the correct ones; NaN if none was correct."""
 
 
 def closures_are_correct(measured: ArrayLike, true: ArrayLike) -> NDArray[np.bool_]:
-    """(...) whether measured poses (..., 3) of keyframes in others' frames are near the true ones (ends included).
+    """(...) bool: whether measured relative poses (..., 3) are within 0.5 m and 10 degrees of the true ones.
 
     Raises DataError for other shapes.
     """
@@ -42,9 +42,9 @@ def closures_are_correct(measured: ArrayLike, true: ArrayLike) -> NDArray[np.boo
 
 
 def score_closures(is_correct: ArrayLike, is_accepted: ArrayLike) -> ClosureScore:
-    """Precision and recall over all closures that were proposed and measured; both (k,) bool.
+    """Precision and recall over all closures that were proposed and measured; both arguments (k,) bool.
 
-    Raises DataError for others.
+    Raises DataError for other shapes.
     """
     is_correct, is_accepted = np.asarray(is_correct, bool), np.asarray(is_accepted, bool)
     if is_correct.ndim != 1 or is_correct.shape != is_accepted.shape:

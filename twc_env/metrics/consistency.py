@@ -1,4 +1,4 @@
-"""Whether robots know how far they may have gone astray: their errors beside the standard deviations they told."""
+"""Consistency of the pose uncertainty: actual errors and reported standard deviations."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from twc_env.geometry import between
 def errors_since_closure(
     believed: Array, true: Array, std: Array, since_closure_m: Array, map_version: Array
 ) -> tuple[Array, Array]:
-    """Errors (n, 3) along the map's axes of what robots believed of their way since a closure, and their std (n, 3).
+    """Errors (n, 3) of the estimated motion since a closure, along the axes of the map, and its reported std (n, 3).
 
     believed and true poses and std, all (samples, robots, 3); since_closure_m and map_version (samples, robots).
-    A way begins where a robot's path since its last closure is shorter than a sample before, and ends with the next
-    closure or where the map jumped. Position [m] and heading [rad], not aligned: both ends of a way lie in one map.
+    A motion starts at the sample where since_closure_m has decreased, and ends with the next closure or a jump of the
+    map. Position [m] and heading [rad], without alignment: both ends of a motion lie in one map.
     """
     errors, stds = [], []
     for robot in range(true.shape[1]):

@@ -1,7 +1,6 @@
-"""How right a map from signal is (papers.md K1, K2, K17-K19): walls crossed, free and wall overlap, calibration.
+"""Metrics of maps from signal strength (papers.md K1, K2, K17-K19): walls crossed, free and wall IoU, calibration.
 
-Maps hold 255 where free, 0 where wall and 127 where nothing is known, one cell per element, truth and estimate on the
-same grid.
+Maps hold 255 for free, 0 for wall and 127 for unknown cells; truth and estimate are on the same grid.
 """
 
 from __future__ import annotations
@@ -22,15 +21,15 @@ class StructureScore:
     """An estimated map of walls compared with the truth."""
 
     iou_free: float
-    """Eq. 11: cells known on both sides; what the estimate leaves unknown is excused, so read `coverage` with it."""
+    """Eq. 11, over cells known in both; it ignores cells that the estimate leaves unknown, so see `coverage` too."""
     iou_wall: float
-    """Walls met within one cell, no cell excused (`score_map`)."""
+    """IoU of walls within one cell, over all cells (`score_map`)."""
     coverage: float
-    """Share of the cells with a known truth of which the estimate says anything."""
+    """Share of the cells of known truth that the estimate knows."""
     mse: float
-    """Eq. 14 with maps from 0 to 1; times 65025 it is grey squared."""
+    """Eq. 14 with maps scaled to 0..1; times 65025 for grey values."""
     brier: float
-    """Mean squared error of the wall probability, cells known on both sides."""
+    """Mean squared error of the wall probability, over cells known in both."""
 
 
 def truth_map(free: Array, wall: Array) -> Array:
@@ -39,7 +38,7 @@ def truth_map(free: Array, wall: Array) -> Array:
 
 
 def score_structure(estimate: Array, truth: Array, probability: Array | None = None) -> StructureScore:
-    """Score an estimate (rows, columns) against the truth of the same shape; probability of a wall per cell, or NaN."""
+    """Score an estimate (rows, columns) against the truth; probability: of a wall per cell, NaN where unknown."""
     known = (estimate != UNKNOWN) & (truth != UNKNOWN)
     both = known & (estimate != WALL) & (truth != WALL)
     either = known & ((estimate != WALL) | (truth != WALL))
@@ -60,7 +59,7 @@ def score_structure(estimate: Array, truth: Array, probability: Array | None = N
 
 
 def reliability(probability: Array, is_wall: Array, bins: int = 10) -> tuple[Array, Array, Array]:
-    """(bins,) mean probability, share that are walls, and number, of cells whose probability falls into each tenth."""
+    """(bins,) mean probability, share of walls, and count of the cells in each bin of probability."""
     place = np.minimum((np.asarray(probability) * bins).astype(int), bins - 1)
     count = np.bincount(place, minlength=bins)
     with np.errstate(invalid="ignore"):
@@ -70,17 +69,17 @@ def reliability(probability: Array, is_wall: Array, bins: int = 10) -> tuple[Arr
 
 
 def calibration_error(probability: Array, is_wall: Array, bins: int = 10) -> float:
-    """Expected calibration error: mean gap between probability and share, weighted by number."""
+    """Expected calibration error: mean difference of probability and share of walls, weighted by count."""
     mean, share, count = reliability(probability, is_wall, bins)
     told = count > 0
     return float((np.abs(mean - share)[told] * count[told]).sum() / max(count.sum(), 1))
 
 
 def walls_crossed_in_raster(wall: Array, start_cell: Array, target_cells: Array, gap_cells: float = 0.0) -> Array:
-    """(targets,) walls on the line from a place (row, column) to each target (targets, 2), in cells and parts of them.
+    """(targets,) walls on the line from a start (row, column) to each target (targets, 2), in cells, not only whole ones.
 
-    A wall is a run of occupied cells, whatever its thickness (papers.md K1). Runs nearer than `gap_cells` are
-    one: a ray that grazes along the rough wall of a measured map crosses it once.
+    A wall is a run of occupied cells of any thickness (papers.md K1). Runs closer than `gap_cells` count once, because
+    a ray that grazes a rough wall of a measured map crosses it only once.
     """
     crossed = np.empty(len(target_cells), np.int64)
     start, targets = np.asarray(start_cell, float), np.ascontiguousarray(target_cells, float)
@@ -89,7 +88,7 @@ def walls_crossed_in_raster(wall: Array, start_cell: Array, target_cells: Array,
 
 
 def walls_crossed_map(wall: Array, free: Array, start_cell: Array) -> Array:
-    """(rows, columns) walls between a place (row, column) and every free cell, -1 elsewhere (papers.md K2)."""
+    """(rows, columns) walls between a start (row, column) and every free cell, -1 elsewhere (papers.md K2)."""
     cells = np.argwhere(free)
     k_map = np.full(wall.shape, -1, np.int64)
     k_map[tuple(cells.T)] = walls_crossed_in_raster(wall, start_cell, cells + 0.5)

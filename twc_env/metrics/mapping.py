@@ -1,4 +1,4 @@
-"""How much of the building a merged map shows rightly."""
+"""Metrics of merged maps: correctly mapped area, coverage and IoU."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.messages import BLOCK_SHAPE
 
 REACH_CELLS = 1e9
-"""Map and building lie at most so many cells apart: further, and steps in fixed point would overflow."""
+"""Largest distance of map and building in cells; beyond it, steps in fixed point would overflow."""
 
 BLOCK_ROWS, BLOCK_COLUMNS = BLOCK_SHAPE
 
@@ -27,13 +27,13 @@ class MapScore:
     correct_area_m2: float
     """Free floor that the map shows as free."""
     believed_area_m2: float
-    """All that the map shows as free, right or wrong."""
+    """Area that the map shows as free, correctly or not."""
     coverage_correct: float
     """Share of the building's explorable floor that the map shows as free."""
     map_iou: float
     """Intersection over union of the map's free area and the explorable floor."""
     wall_iou: float
-    """Intersection over union of walls, where a wall counts as met when it is at most one cell away."""
+    """Intersection over union of walls, with a tolerance of one cell."""
 
 
 def correct_area_m2(
@@ -42,7 +42,7 @@ def correct_area_m2(
 ) -> float:  # fmt: skip
     """Area of the explorable floor (truth_free) that the map shows as free; arguments as in `score_map`.
 
-    box: first row and column, end row and column of the cells that are looked at; None: all.
+    box: first row and column, end row and column of the cells to evaluate; None: all.
     """
     log_odds, truth_free = given_grid(log_odds, "log_odds"), given_grid(truth_free, "truth_free")
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
@@ -74,11 +74,11 @@ def score_map(
     above. pose_building_map (3,) places the map frame in the building. truth_free and truth_wall (H, W) bool with their
     corner at truth_origin_m in the building frame.
 
-    The centre of each true cell is looked up in the map. Walls are scored by the walls that border explorable floor:
-    with r the share of those that the map has within one cell, and p the share of the map's wall cells that have a true
-    wall within one cell, wall_iou = p r / (p + r - p r), which is the plain IoU when both hold exactly.
+    The centre of each true cell is looked up in the map. Only true walls that border explorable floor are scored: with
+    r the share of them that the map shows within one cell, and p the share of the map's wall cells with a true wall
+    within one cell, wall_iou = p r / (p + r - p r), which equals the IoU if both match exactly.
 
-    Raises DataError for grids and poses that cannot be meant.
+    Raises DataError for invalid grids and poses.
     """
     log_odds = given_grid(log_odds, "log_odds")
     truth_free, truth_wall = given_grid(truth_free, "truth_free"), given_grid(truth_wall, "truth_wall")
@@ -110,7 +110,7 @@ def _share(part: float, whole: float) -> float:
 
 
 def given_grid(values: ArrayLike, name: str) -> Array:
-    """(h, w). Raises DataError for what has another number of axes."""
+    """The values as an array (h, w). Raises DataError for another number of axes."""
     grid = np.asarray(values)
     if grid.ndim != 2:
         raise DataError(f"{name} must be a grid (rows, columns); got shape {grid.shape}")
@@ -118,14 +118,14 @@ def given_grid(values: ArrayLike, name: str) -> Array:
 
 
 def _near(row: float, column: float) -> tuple[float, float]:
-    """The same. Raises DataError for cells that are nowhere."""
+    """The arguments. Raises DataError for cells too far away or not finite."""
     if not (abs(row) < REACH_CELLS and abs(column) < REACH_CELLS):
         raise DataError(f"map and building must lie in one place; theirs are ({row:g}, {column:g}) cells apart")
     return row, column
 
 
 def _placed(pose_building_map, *resolutions_m: float) -> tuple[float, float, float]:
-    """The pose as numbers. Raises DataError for what is no pose, and for cells of no size."""
+    """The pose as numbers. Raises DataError for an invalid pose or cell size."""
     pose = np.asarray(pose_building_map, float)
     if pose.shape != (3,) or not min(resolutions_m) > 0.0:
         raise DataError(
@@ -151,7 +151,7 @@ def _sampling(pose_building_map: Array, origin_m, resolution_m, truth_origin_m, 
 
 
 def _sampling_back(pose_building_map: Array, origin_m, resolution_m, truth_origin_m, truth_resolution_m):
-    """The same for the centres of map cells in the true grid."""
+    """As `_sampling`, for the centres of map cells in the true grid."""
     x, y, heading = _placed(pose_building_map, resolution_m, truth_resolution_m)
     c, s = math.cos(heading), math.sin(heading)
     px, py = origin_m[0] + 0.5 * resolution_m, origin_m[1] + 0.5 * resolution_m
@@ -163,7 +163,7 @@ def _sampling_back(pose_building_map: Array, origin_m, resolution_m, truth_origi
 
 @kernel
 def _count_free(log_odds, box, row0, column0, step, truth_free):
-    """True free cells whose centre falls into a free cell in a box of the map; steps in fixed point."""
+    """Number of true free cells whose centre lies in a free cell of a box of the map; steps in fixed point."""
     columns = log_odds.shape[1]
     bottom, left, rows_above, columns_right = box[0], box[1], box[2] - box[0], box[3] - box[1]
     width = truth_free.shape[1]
@@ -183,7 +183,7 @@ def _count_free(log_odds, box, row0, column0, step, truth_free):
         row, column = r + first * dr + (bottom << FIXED_BITS), k + first * dk + (left << FIXED_BITS)
         look_up_row(cells, columns, row, column, dr, dk, last - first, numbers, levels)
         free = truth_free[i, first:last]
-        for j in range(last - first):  # apart from the look-ups, because many cells are compared at once
+        for j in range(last - first):  # separate from the look-ups, so that it is vectorised
             count += free[j] & (levels[j] < below)
     return count
 
@@ -208,9 +208,9 @@ def _look_up_floor(truth_free, row0, column0, step, mask):
 
 @borrowing_kernel
 def recount_free(log_odds, mask, touched, known, counts):
-    """Free cells of a map (h, w) on which a mask (h, w) lies, of which only blocks touched since are counted anew.
+    """Number of free cells of a map (h, w) under a mask (h, w); only blocks modified since the last call are recounted.
 
-    touched, known, counts (blocks, blocks): `GridMap.touched`, the same as of the last call, and how many there were.
+    touched, known, counts (blocks, blocks): `GridMap.touched`, its values at the last call, and the counts then.
     """
     total = 0
     for a in range(touched.shape[0]):
@@ -227,8 +227,8 @@ def recount_free(log_odds, mask, touched, known, counts):
 
 @borrowing_kernel
 def _count_row(levels, mask):
-    """Free cells under the mask, of so few that 16 bits hold their number."""
-    count = np.int16(0)  # as wide as the levels, so that most of them are compared and added at once
+    """Number of free cells under the mask, in a row short enough for 16 bits."""
+    count = np.int16(0)  # as wide as the levels, for the widest vectors
     for j in range(levels.shape[0]):
         count = np.int16(count + np.int16((levels[j] < np.int16(0)) & mask[j]))
     return np.int64(count)
@@ -236,9 +236,9 @@ def _count_row(levels, mask):
 
 @kernel
 def _count_met(walls, beside, row0, column0, step, others):
-    """(met, all) of the wall cells that border cells of `beside`; met: another wall is at most one cell away.
+    """(met, all) wall cells that border cells of `beside`; met: with a cell of `others` at most one cell away.
 
-    walls (k,): their numbers in a grid of the shape of `beside`.
+    walls (k,): flat indices in a grid of the shape of `beside`.
     """
     c, s = step[0], step[1]
     met, count = 0, 0
@@ -253,7 +253,7 @@ def _count_met(walls, beside, row0, column0, step, others):
 
 @kernel
 def _is_beside(cells, row, column):
-    """Whether this cell or one at most one away is true; none is outside of the cells."""
+    """Whether this cell or one of its neighbours is true; cells outside are false."""
     found = False
     for a in range(max(row - 1, 0), min(row + 2, cells.shape[0])):
         for b in range(max(column - 1, 0), min(column + 2, cells.shape[1])):

@@ -1,4 +1,4 @@
-"""Whether robots that share one map frame do so rightly."""
+"""Correctness of merges: whether robots that share a map frame agree on its true pose."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from twc_env.kernels import borrowing_kernel
 from twc_env.metrics.trajectory import turns_between
 
 WRONG_M, WRONG_RAD = 1.0, math.radians(10.0)
-"""Robots whose frames lie further apart than this, or are turned by more, are wrongly merged."""
+"""Robots whose implied frames differ by more than one of these are wrongly merged."""
 
 
 def implied_frames(estimated_poses: Array, true_poses: Array, robot_of: Array) -> Array:
-    """Where each robot's own path places the map frame in the building: (n, 3) poses `pose_building_map`.
+    """Poses `pose_building_map` (n, 3) of the map frame in the building implied by each robot's own path.
 
-    Both (k, 3): estimates in one map frame, truth in the building frame, of all robots together; robot_of (k,) says
-    whose each is, counted from 0. The heading is the mean heading difference, so that a robot that never moved has a
-    frame too. All frames of a perfect merge are equal.
+    Both (k, 3): estimates in one map frame and truth in the building frame, of all robots together; robot_of (k,) is
+    the robot of each, counted from 0. The heading is the mean heading difference, so that it is defined for a robot
+    that never moved. In a perfect merge all frames are equal.
     """
     estimated, true = np.asarray(estimated_poses, float), np.asarray(true_poses, float)
     if estimated.shape != true.shape or true.ndim != 2 or true.shape[1] != 3 or len(true) == 0:
@@ -38,7 +38,7 @@ def implied_frames(estimated_poses: Array, true_poses: Array, robot_of: Array) -
 
 @borrowing_kernel
 def find_frames(estimated, true, turns, robot_of, frames):
-    """`implied_frames`, written to frames (n, 3); turns as `turns_between` gives them."""
+    """Write `implied_frames` to frames (n, 3); turns as from `turns_between`."""
     for robot in range(frames.shape[0]):
         count = 0
         c = s = ex = ey = tx = ty = 0.0
@@ -59,11 +59,10 @@ def find_frames(estimated, true, turns, robot_of, frames):
 
 
 def wrong_pairs(poses_building_map: ArrayLike, centre_map_m: ArrayLike = (0.0, 0.0)) -> list[tuple[int, int]]:
-    """Pairs (i, j), i < j, of robots of one group that disagree where the map frame lies in the building.
+    """Pairs (i, j), i < j, of robots of one group that disagree about the pose of the map frame in the building.
 
-    poses_building_map (n, 3) as `implied_frames` gives them. Two frames agree when they put `centre_map_m` (2,), a
-    point amid the group's paths, at most WRONG_M apart and their headings at most WRONG_RAD. Raises DataError for
-    frames that are no finite poses.
+    poses_building_map (n, 3) as from `implied_frames`. Two frames agree if they place `centre_map_m` (2,), a point
+    amid the group's paths, at most WRONG_M apart, and differ by at most WRONG_RAD. Raises DataError for invalid poses.
     """
     frames, centre_m = np.asarray(poses_building_map, float), np.asarray(centre_map_m, float)
     if frames.ndim != 2 or frames.shape[1] != 3 or not np.isfinite(frames).all() or centre_m.shape != (2,):
@@ -79,7 +78,7 @@ def wrong_pairs(poses_building_map: ArrayLike, centre_map_m: ArrayLike = (0.0, 0
 
 @borrowing_kernel
 def find_wrong(frames, x, y, distance_max, angle_max, is_wrong):
-    """Mark the pairs (i, j), i < j, that disagree; gives how many they are."""
+    """Mark the pairs (i, j), i < j, that disagree; returns their number."""
     count = 0
     for i in range(frames.shape[0]):
         for j in range(i + 1, frames.shape[0]):

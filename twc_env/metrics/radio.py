@@ -1,6 +1,6 @@
-"""What a set of radio fingerprints says about its signals: path loss, wall loss, detection, spread, similarity.
+"""Statistics of radio fingerprints: path loss, wall loss, detection rate, spread, similarity.
 
-Plain arrays in, numbers out: the same functions judge measured and simulated surveys.
+Plain arrays in, numbers out: the same functions evaluate measured and simulated surveys.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ class PathLoss:
     power_at_1m_dbm: float
     exponent: float
     wall_loss_db: float
-    """NaN when walls were not given."""
+    """NaN without walls."""
     residual_std_db: float
 
 
 def fit_path_loss(distance_m: Array, rssi_dbm: Array, walls: Array | None = None) -> PathLoss:
-    """(k,) distances and strengths, and walls crossed where known."""
+    """Fit to (k,) distances and strengths, and optionally the walls crossed (k,)."""
     decades = 10 * np.log10(np.maximum(distance_m, DISTANCE_MIN_M))
     columns = [np.ones(len(decades)), -decades] + ([] if walls is None else [-np.asarray(walls, float)])
     design = np.column_stack(columns)
@@ -41,7 +41,7 @@ def fit_path_loss(distance_m: Array, rssi_dbm: Array, walls: Array | None = None
 
 
 def detection_rates(distance_m: Array, is_heard: Array, edges_m: Array) -> Array:
-    """(bands,) share heard of the pairs (k,) whose distance lies between neighbouring edges; NaN for empty bands."""
+    """(bands,) share heard of the pairs (k,) with a distance between consecutive edges; NaN for empty bands."""
     band = np.digitize(distance_m, edges_m) - 1
     inside = (band >= 0) & (band < len(edges_m) - 1)
     tried = np.bincount(band[inside], minlength=len(edges_m) - 1)
@@ -53,7 +53,7 @@ def detection_rates(distance_m: Array, is_heard: Array, edges_m: Array) -> Array
 def spread_at_points(point: Array, rssi_dbm: Array, heard_min: int) -> float:
     """Mean standard deviation [dB] of a transmitter over the scans (s, t) of one point, NaN where not heard.
 
-    `point` (s,) numbers the place of each scan; what was heard less than `heard_min` times there is left out.
+    `point` (s,) is the number of the point of each scan; transmitters heard fewer than `heard_min` times are left out.
     """
     spreads = []
     for place in np.unique(point):
@@ -81,9 +81,9 @@ def cosine_similarity(rssi_dbm: Array, offset_db: float = 100.0) -> Array:
 def distance_at_similarity(
     position_m: Array, similarity: Array, is_pair: Array, at: float, width: float = 0.05
 ) -> tuple[float, float]:
-    """Mean and standard deviation [m] of the distance of the pairs whose similarity lies within width/2 (papers.md R6).
+    """Mean and standard deviation [m] of the distance of pairs with a similarity within width/2 of `at` (papers.md R6).
 
-    Positions (s, 2), similarity and is_pair (s, s), of which the upper half counts. NaN with fewer than ten pairs.
+    Positions (s, 2); similarity and is_pair (s, s), of which the upper triangle counts. NaN for fewer than ten pairs.
     """
     first, second = np.nonzero(np.triu(is_pair & (np.abs(similarity - at) <= width / 2), 1))
     if len(first) < _PAIRS_MIN:

@@ -13,15 +13,15 @@ from twc_env.geometry import between, transform_points
 from twc_env.kernels import borrowing_kernel, kernel
 
 HEADING_LEVER_M = 1.0
-"""In `lay_map` an error of heading counts like one of position this far ahead."""
+"""In `lay_map` a heading error counts like the position error of a point this far ahead."""
 NO_TURNS = np.zeros((0, 2))
 
 
 def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
     """The rigid transform (3,) from estimated to true positions with the least squared error.
 
-    Both (..., 2) or (..., 3), of equal leading shape: all robots and steps count alike, so one rigid motion is found
-    for the team as a whole. Raises DataError for unequal shapes or no positions.
+    Both (..., 2) or (..., 3), of equal leading shape; all robots and steps have equal weight. Raises DataError for
+    unequal shapes or no positions.
     """
     pose = np.empty(3)
     align(*_position_pairs(estimated, true), NO_TURNS, pose)
@@ -29,10 +29,10 @@ def align_team(estimated: ArrayLike, true: ArrayLike) -> Array:
 
 
 def lay_map(estimated: ArrayLike, true: ArrayLike) -> Array:
-    """The pose (3,) that lays a map on the building, from estimated and true poses (..., 3) of the robots that drew it.
+    """The pose (3,) of a map frame in the building, from estimated and true poses (..., 3) of its robots.
 
-    As `align_team`, but headings count too, like points a metre ahead: a robot that has hardly moved says by its
-    heading, not by its few centimetres of way, how its map lies. After some metres both agree. Raises alike.
+    As `align_team`, but headings count too, like points one metre ahead: the rotation of a robot that has hardly moved
+    follows from its heading, not from a path of few centimetres. Raises the same errors.
     """
     estimated, true, pose = np.asarray(estimated, float), np.asarray(true, float), np.empty(3)
     _check_pairs(estimated, true)
@@ -61,7 +61,7 @@ def _measure_turns(estimated, true, turns):
 def align(a, b, turns, pose):
     """`geometry.align_rigidly` of points (n, 2), or of poses (n, 3) with the turns (n, 2) between their headings.
 
-    These are given as cosines and sines, and count like points HEADING_LEVER_M ahead; `NO_TURNS` count nothing.
+    Turns are cosines and sines, and count like points HEADING_LEVER_M ahead; `NO_TURNS`: positions only.
     """
     count = a.shape[0]
     ax = ay = bx = by = 0.0
@@ -87,7 +87,7 @@ def align(a, b, turns, pose):
 def absolute_trajectory_error_m(estimated: ArrayLike, true: ArrayLike, alignment: ArrayLike | None = None) -> float:
     """Root mean square distance between estimated and true positions after one rigid alignment (ATE).
 
-    Shapes as in `align_team`. `alignment` (3,) moves the estimate onto the truth; without it the best one is taken.
+    Shapes as in `align_team`. `alignment` (3,) moves the estimate onto the truth; default: the best one.
     """
     estimated_m, true_m = _position_pairs(estimated, true)
     if alignment is None:
@@ -99,9 +99,9 @@ def absolute_trajectory_error_m(estimated: ArrayLike, true: ArrayLike, alignment
 
 
 def end_point_error_m(estimated: ArrayLike, true: ArrayLike) -> float:
-    """Distance between the estimated and the true last position, both seen from the first pose (EPE, papers.md T18).
+    """Distance between the estimated and the true last position, both relative to the first pose (EPE, papers.md T18).
 
-    Both (t, 3). Where a path truly ends where it began this is the start-to-end gap that the paper prints.
+    Both (t, 3). If the true path is closed, this is the start-to-end gap that the paper prints.
     """
     estimated, true = np.asarray(estimated, float), np.asarray(true, float)
     if estimated.shape != true.shape or estimated.ndim != 2 or len(true) == 0 or true.shape[1] != 3:
@@ -120,10 +120,10 @@ def path_length_m(poses: ArrayLike) -> float:
 
 
 def stuck_share(true_poses: ArrayLike, window: int, radius_m: float) -> float:
-    """Share of the episode in which a robot got nowhere, of the robot for which it is largest.
+    """Share of the episode in which a robot made no progress, maximum over the robots.
 
-    true_poses (t, n, 2 or 3). A step counts when it lies in some stretch of `window` steps during which the robot never
-    was `radius_m` or more away from where it stood at the end of the stretch. Raises DataError for other shapes.
+    true_poses (t, n, 2 or 3). A step counts if it lies in some window of `window` steps during which the robot was never
+    `radius_m` or more away from its position at the end of the window. Raises DataError for other shapes.
     """
     poses = np.asarray(true_poses, float)
     if poses.ndim != 3 or poses.shape[2] not in (2, 3):
@@ -132,7 +132,7 @@ def stuck_share(true_poses: ArrayLike, window: int, radius_m: float) -> float:
     count = len(positions_m) - window
     if window < 1 or count < 1:
         return 0.0
-    starts_stuck = np.empty((count, positions_m.shape[1]), np.bool_)  # the stretch that begins at this step
+    starts_stuck = np.empty((count, positions_m.shape[1]), np.bool_)  # the window that begins at this step
     _find_stuck(positions_m, window, radius_m**2, starts_stuck)
     change = np.zeros((len(positions_m) + 1, positions_m.shape[1]), int)
     change[:count] += starts_stuck
@@ -158,7 +158,7 @@ def _check_pairs(estimated: Array, true: Array) -> None:
 
 @kernel
 def _find_stuck(positions, window, radius2, starts_stuck):
-    """Whether each robot stays near the end of the stretch of `window` steps that begins at each step."""
+    """Whether each robot stays near the end of the window of `window` steps that begins at each step."""
     for i in range(positions.shape[1]):
         for t in range(starts_stuck.shape[0]):
             x, y = positions[t + window, i, 0], positions[t + window, i, 1]

@@ -1,4 +1,4 @@
-"""How thick the walls of a map are: ghosts make them so."""
+"""Thickness of the walls of a map, which ghost walls increase."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from twc_env.geometry import transform_points
 from twc_env.metrics.mapping import given_grid
 
 STRETCH_M, SAMPLE_M = 0.25, 0.05
-"""Walls are known or not by stretches of the first length; the second is how finely they are sampled."""
+"""Length of the segments by which walls are known or not, and the spacing of samples on walls."""
 
 
 def wall_thickness_m(
     log_odds: Array, origin_m: Array, resolution_m: float, pose_building_map: Array, walls_m: Array,
     reach_m: float = 1.0, wall_above: int = 0,
 ) -> float:  # fmt: skip
-    """Mean width of what a map shows as wall, along the walls that it shows: ghosts make it grow (papers.md T21).
+    """Mean thickness of the walls that a map shows; ghost walls increase it (papers.md T21).
 
-    Each occupied cell belongs to the nearest true wall, if one is at most `reach_m` away; the area of these cells is
-    divided by the length of all stretches of wall that own one. walls_m (k, 2, 2) are segments in the building frame;
-    the other arguments as in `score_map`. A sharp map of thin walls gives one to two cells. NaN where no wall is shown.
+    Each occupied cell belongs to the nearest true wall within `reach_m`; the area of these cells is divided by the
+    length of all wall segments (STRETCH_M) that own a cell. walls_m (k, 2, 2) in the building frame; other arguments as
+    in `score_map`. A sharp map of thin walls gives one to two cells. NaN if no wall is shown.
     """
-    from scipy.spatial import cKDTree  # slow to import, and needed by this figure alone
+    from scipy.spatial import cKDTree  # slow to import, needed only here
 
     walls_m, log_odds = np.asarray(walls_m, float), given_grid(log_odds, "log_odds")
     if walls_m.ndim != 3 or walls_m.shape[1:] != (2, 2):
@@ -40,7 +40,7 @@ def wall_thickness_m(
 
 
 def _sampled_walls(walls_m: Array) -> tuple[Array, Array, Array]:
-    """Points along all walls (n, 2), the number of the stretch each is part of (n,), and the length it stands for."""
+    """Points along all walls (n, 2), the segment number of each (n,), and the wall length it represents (n,)."""
     begin, along = walls_m[:, 0], walls_m[:, 1] - walls_m[:, 0]
     length = np.hypot(along[:, 0], along[:, 1])
     counts = np.maximum(np.round(length / SAMPLE_M).astype(np.int64), 1)
