@@ -171,7 +171,7 @@ def _played(map_name: str, steps: int) -> Any:
 
 
 def _worker(map_name: str, steps: int, core: int, hear: Iterator[str], say: Callable[[str], object]) -> None:
-    """For each task that is read (the seed of an episode, or counting): answer that it is ready, wait for the next line,
+    """For each task that is read (the seed of an episode, or counting): answer that it is ready, await the next line,
     run it and answer with its duration [s]."""
     from twc_env.bench import record_actions
     from twc_env.config import EnvConfig, override

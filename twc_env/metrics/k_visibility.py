@@ -76,7 +76,7 @@ def calibration_error(probability: Array, is_wall: Array, bins: int = 10) -> flo
 
 
 def walls_crossed_in_raster(wall: Array, start_cell: Array, target_cells: Array, gap_cells: float = 0.0) -> Array:
-    """(targets,) walls on the line from a start (row, column) to each target (targets, 2), in cells, not only whole ones.
+    """Walls (targets,) on the line from a start (row, column) to each target (targets, 2), in fractional cells.
 
     A wall is a run of occupied cells of any thickness (papers.md K1). Runs closer than `gap_cells` count once, because
     a ray that grazes a rough wall of a measured map crosses it only once.

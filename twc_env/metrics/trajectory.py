@@ -122,8 +122,8 @@ def path_length_m(poses: ArrayLike) -> float:
 def stuck_share(true_poses: ArrayLike, window: int, radius_m: float) -> float:
     """Share of the episode in which a robot made no progress, maximum over the robots.
 
-    true_poses (t, n, 2 or 3). A step counts if it lies in some window of `window` steps during which the robot was never
-    `radius_m` or more away from its position at the end of the window. Raises DataError for other shapes.
+    true_poses (t, n, 2 or 3). A step counts if it lies in a window of `window` steps in which the robot stayed within
+    `radius_m` of its position at the end of the window. Raises DataError for other shapes.
     """
     poses = np.asarray(true_poses, float)
     if poses.ndim != 3 or poses.shape[2] not in (2, 3):
