@@ -13,7 +13,7 @@ from twc_env.exploration.team_alignment import team_error_m
 from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate, LoopClosure, SignObservation
 from twc_env.slam.device_offsets import DeviceOffsets
-from twc_env.slam.forgetting import TIES, Forgetting
+from twc_env.slam.forgetting import CLOSURES_KEPT, Forgetting
 from twc_env.slam.forgotten_paths import ForgottenPaths
 from twc_env.slam.graph_arrays import ODOMETRY
 from twc_env.slam.map_optimiser import MapOptimiser
@@ -241,8 +241,8 @@ def test_a_merge_of_a_map_that_forgot_is_undone_whole():
 def test_what_speaks_for_a_merge_stays_however_many_loose_closures_came_before(keyframe):
     mapper = TeamMapper(EnvConfig(), 2)
     mapper.update(0, [keyframe(robot, k, (k, 0.0, 0.0), float(k)) for robot in (0, 1) for k in range(80)])
-    graph, firm = mapper._graph, TIES
-    for k in range(TIES + 2):
+    graph, firm = mapper._graph, CLOSURES_KEPT
+    for k in range(CLOSURES_KEPT + 2):
         covariance = np.diag([0.01 if k == firm else 4.0, 0.01, 0.01])
         near = LoopCandidate((0, 1 + k), (1, 1 + k), np.zeros(3), "wifi")
         closure = LoopClosure(near, np.zeros(3), covariance, 1.0, "pending")

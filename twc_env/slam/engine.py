@@ -31,14 +31,15 @@ from twc_env.whole_copy import CopiedWhole
 
 MATCHED_STD_SHARE = 0.25
 """Actual drift of scan-matched paths as a share of their accumulated standard deviation. The latter is deliberately
-conservative, since closures are weighed against it."""
+conservative because closures are tested against it."""
 
 
 @borrowing_kernel
 def _believed_poses(held, poses_odom, mates, out, mate_poses):
-    """For each robot, into out (robots, 3, 3): its pose in the map, the standard deviation of that, its pose in odom.
+    """Write out (robots, 3, 3), of each robot pose in the map frame, its standard deviation and pose in the odom frame.
 
-    Also its teammates' poses in the map: current, or as of the last contact.
+    Writes mate_poses (robots, robots - 1, 3), too: the mates' poses in the map frame, current (central mapper) or as
+    of the last contact. poses_odom (robots, 3); mates (robots, robots - 1), negative where there is none.
     """
     poses_map_odom, std, std_share, are_heard_now, heard_poses = parts_of(held)
     for k in range(out.shape[0]):
@@ -59,13 +60,13 @@ def _believed_poses(held, poses_odom, mates, out, mate_poses):
 
 @lru_cache(maxsize=8)
 def _others_of(robots: int) -> Array:
-    """(robots, robots - 1) all the others of each robot."""
+    """(robots, robots - 1) indices of all other robots, for each robot."""
     return np.array([[r for r in range(robots) if r != k] for k in range(robots)], np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One map held by robots: a group of one mapper, and the robots that use it."""
+    """One map in use: a group of one mapper, and the robots that use it."""
 
     mapper: TeamMapper
     group: int
@@ -91,11 +92,11 @@ class CooperativeSlam(CopiedWhole):
             )
         robot_count = whole_number("robot_count", robot_count, 1)
         self._cues = None if config.slam.cues == CuesConfig() else config.slam.cues
-        """Those that it is to hear alone."""
+        """The enabled cues; None: all."""
         config = cues.restricted_config(config)
         self._front_ends = FrontEnds(config, robot_count)
         self.poses_odom = self._front_ends.poses_odom
-        """(robots, 3) front-end estimates of all robots, each in its own odom frame."""
+        """(robots, 3) front-end poses, each in the robot's odom frame."""
         self._beam_count = config.lidar.beam_count
         self._is_central = config.link.topology == "central"
         homes = [None] if self._is_central else range(robot_count)
@@ -108,8 +109,8 @@ class CooperativeSlam(CopiedWhole):
         everyone = np.ones((len(self.mappers), robot_count), bool)
         if not self._is_central:
             np.fill_diagonal(everyone, False)
-        self._all_in_touch = Contacts(everyone, everyone)
-        self._sensed: tuple[Sequence[int], Sequence[Array] | Array] = (
+        self._full_contact = Contacts(everyone, everyone)
+        self._latest_scans: tuple[Sequence[int], Sequence[Array] | Array] = (
             [0] * robot_count, [np.zeros(0)] * robot_count
         )  # fmt: skip
         """Step and scan of the latest frame of each robot."""
@@ -118,23 +119,23 @@ class CooperativeSlam(CopiedWhole):
         """As `TeamBeliefs.poses`."""
         self._poses_map_odom = np.zeros((robot_count, 3))
         self._since_closure_m, self._std = np.zeros(robot_count), np.zeros((robot_count, 3))
-        """Of each robot: path length since its last closure, and what the covariances on it add up to."""
-        self._scale_std = None if config.slam.cues.lidar else config.slam.odometry_filter.odometry_scale_std
+        """Of each robot: path length since its last closure, and the standard deviation accumulated on it."""
+        self._odometry_scale_std = None if config.slam.cues.lidar else config.slam.odometry_filter.odometry_scale_std
         self._mates, self._mate_poses, self._contact_steps = nobody(robot_count)
-        """As `TeamBeliefs` has them."""
+        """As in `TeamBeliefs`."""
         self._shapes = self._poses.shape, self._mate_poses.shape
-        self._heard_poses = np.zeros_like(self._mate_poses)
-        """Where each robot has its own mapper: where its mates were when they were heard of last."""
+        self._contact_poses = np.zeros_like(self._mate_poses)
+        """With one mapper per robot: poses of the mates as of the last contact."""
         self._maps: HeldMaps | None = None
-        """None: they are to be looked up anew."""
+        """Cache of `_look_up_maps`; None: outdated."""
         self._counts = [(-1, -1, -1, -1)] * len(self.mappers)
-        """The state of each mapper, see `TeamMapper.counts`, that these were taken from."""
+        """State of each mapper (`TeamMapper.counts`) at the last `_update_robots`."""
         self._views: tuple[list[int], list[View]] = [], []
-        """Which maps robots believe in, as of these counts of regroupings."""
+        """Cache of `views`, valid for these counts of regroupings."""
         self._run: Callable[..., None] | None = None
-        """`_believed_poses` of where the odom frames are."""
+        """`_believed_poses`, bound to the arrays of odom frames."""
         self._beliefs: TeamBeliefs | None = None
-        """Once asked for, until something changes."""
+        """Cache of `beliefs`; None: outdated."""
         radio = config.slam.k_visibility
         self._radio = RadioStructure(radio, config.slam.resolution_m, robot_count) if radio.enabled else None
 
@@ -156,7 +157,7 @@ class CooperativeSlam(CopiedWhole):
 
     @property
     def robots(self) -> list[RobotFrontEnd]:
-        """What each robot remembers for itself."""
+        """The front end of each robot."""
         return self._front_ends.robots
 
     @property
@@ -169,7 +170,7 @@ class CooperativeSlam(CopiedWhole):
         return self.mappers[0 if self._is_central else robot]
 
     def views(self) -> list[View]:
-        """Every map that some robot believes in."""
+        """All maps in use."""
         regroupings = [mapper.regroupings for mapper in self.mappers]
         if self._views[0] != regroupings:
             if self._is_central:
@@ -187,16 +188,16 @@ class CooperativeSlam(CopiedWhole):
         self._beliefs = None
         if not isinstance(frames, TeamFrames):
             check_frames(frames, self._clocks.times_s, self._beam_count)
-            frames = [self._clocks.told(frame, len(self._sensed[1][frame.robot]) == 0) for frame in frames]
+            frames = [self._clocks.told(frame, len(self._latest_scans[1][frame.robot]) == 0) for frame in frames]
         if self._cues is not None:
             frames = [cues.restricted_frame(frame, self._cues) for frame in frames]
         if isinstance(frames, TeamFrames):
-            self._sensed = [frames.step] * len(frames.signs), frames.ranges_m
+            self._latest_scans = [frames.step] * len(frames.signs), frames.ranges_m
         else:
-            steps, ranges_m = map(list, self._sensed)  # beliefs hold the old ones
+            steps, ranges_m = map(list, self._latest_scans)  # copies: earlier beliefs refer to the old lists
             for frame in frames:
                 steps[frame.robot], ranges_m[frame.robot] = frame.step, frame.ranges_m
-            self._sensed = steps, ranges_m
+            self._latest_scans = steps, ranges_m
         keyframes = self._front_ends.update(frames)
         self.poses_odom = self._front_ends.poses_odom
         if self._radio is not None:
@@ -208,30 +209,33 @@ class CooperativeSlam(CopiedWhole):
 
     def absorb(self, step: int, contacts: Contacts | None = None) -> None:
         """Exchange messages as the contacts of this step allow (None: all are in contact) and update the mappers."""
-        contacts = contacts or self._all_in_touch
+        contacts = contacts or self._full_contact
         self._listening.note(step, contacts.heard)
         deliveries = self._exchange.deliver(contacts, self._wanted)
         for number, mapper in enumerate(self.mappers):
             delivery = deliveries[number]
             if mapper.update(step, delivery.keyframes, delivery.scans):
-                self._relocate(number, mapper)
+                self._update_robots(number, mapper)
             if delivery.scans:
                 self._maps = None
-        self._locate()
+        self._update_poses()
 
-    def _locate(self) -> None:
-        """Where the robots are in the maps, by what their front ends say now."""
+    def _update_poses(self) -> None:
+        """Compute the poses in the map frames from the current front-end poses."""
         self._poses, self._mate_poses = np.empty(self._shapes[0]), np.empty(self._shapes[1])
         self._beliefs = None
         now = self.poses_odom, self._mates, self._poses, self._mate_poses
         if self._run is None:
-            std_share = MATCHED_STD_SHARE if self._scale_std is None else 1.0
-            held = self._poses_map_odom, self._std, std_share, self._is_central, self._heard_poses
+            std_share = MATCHED_STD_SHARE if self._odometry_scale_std is None else 1.0
+            held = self._poses_map_odom, self._std, std_share, self._is_central, self._contact_poses
             self._run = bound(_believed_poses, Lent(held), *now)
         self._run(*now)
 
-    def _relocate(self, number: int, mapper: TeamMapper) -> None:
-        """Take over what a mapper says of robots, where that has changed; beliefs hold what it said before."""
+    def _update_robots(self, number: int, mapper: TeamMapper) -> None:
+        """Update odom frames, drift and mates from a mapper that has changed.
+
+        Arrays that earlier beliefs refer to are replaced, not modified.
+        """
         counts, before = mapper.counts(), self._counts[number]
         if counts == before:
             return
@@ -240,23 +244,23 @@ class CooperativeSlam(CopiedWhole):
         everyone = self._front_ends.everyone
         robots = everyone if self._is_central else everyone[number : number + 1]
         mapper.locate(robots, _others_of(len(everyone)), (self._poses_map_odom, self._std, since_m, heard))
-        if self._scale_std is not None:
-            self._std[robots] = std_with_shared(self._std[robots], since_m[robots], self._scale_std)
+        if self._odometry_scale_std is not None:
+            self._std[robots] = std_with_shared(self._std[robots], since_m[robots], self._odometry_scale_std)
         if counts[1] != before[1] or not self._is_central:
-            self._find_mates(robots.tolist(), mapper)
+            self._update_mates(robots.tolist(), mapper)
         if counts[2:] != before[2:]:
             self._maps = None
         self._since_closure_m, self._contact_steps = since_m, heard
 
-    def _find_mates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
-        """Who shares the map of each of these robots."""
+    def _update_mates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
+        """Update the mates of these robots: those that share their map."""
         mates = self._mates.copy()
         for robot in robots:
             others = [mate for mate in mapper.groups[mapper.group_index(robot)].robots if mate != robot]
             mates[robot] = others + [NOBODY] * (mates.shape[1] - len(others))
             if not self._is_central:
                 for k, mate in enumerate(others):
-                    self._heard_poses[robot, k] = mapper.latest_pose_of(mate)
+                    self._contact_poses[robot, k] = mapper.latest_pose_of(mate)
         self._mates = mates
 
     def finish(self) -> None:
@@ -264,8 +268,8 @@ class CooperativeSlam(CopiedWhole):
         for number, mapper in enumerate(self.mappers):
             mapper.finish()
             mapper.update(self._listening.last_step, [])
-            self._relocate(number, mapper)
-        self._locate()
+            self._update_robots(number, mapper)
+        self._update_poses()
 
     def update(self, frames: Sequence[SensorFrame], contacts: Contacts | None = None) -> None:
         """`track` and `absorb` in one call.
@@ -291,31 +295,31 @@ class CooperativeSlam(CopiedWhole):
         return lines
 
     def belief(self, robot: int) -> Belief:
-        """What this robot knows now. Raises TwcError for an unknown robot."""
+        """Current belief of one robot. Raises TwcError for an unknown robot."""
         if not 0 <= robot < len(self.robots):
             raise TwcError(f"robots are 0 to {len(self.robots) - 1}; got {robot!r}")
         return self.beliefs()[robot]
 
     def beliefs(self) -> TeamBeliefs:
-        """What each robot knows now."""
+        """Current beliefs of all robots."""
         if self._beliefs is None:
             if self._maps is None or self._radio is not None:
                 self._maps = self._look_up_maps()
             self._beliefs = MapBeliefs(
                 self._poses, self._since_closure_m, self._maps, self._mates, self._mate_poses, self._contact_steps,
-                *self._sensed,
+                *self._latest_scans,
             )  # fmt: skip
         return self._beliefs
 
     def _look_up_maps(self) -> HeldMaps:
-        """The maps that the robots use."""
+        """Grid, signs, version and radio map of each robot."""
         rows: list[Any] = [None] * len(self.robots)
         for view in self.views():
             mapper, number = view.mapper, view.group
             group = mapper.groups[number]
             grid, signs = group.grid.snapshot(), mapper.signs_of(number)
             picture = None
-            if self._radio is not None:  # of all viewers' readings: with a mapper on each robot, of its own
+            if self._radio is not None:  # from the readings of the viewers: with one mapper per robot, its own only
                 poses = np.array([mapper.pose_map_odom(robot) for robot in view.viewers])
                 picture = self._radio.picture_of(view.viewers, poses, group.version)
             for robot in view.viewers:

@@ -1,4 +1,4 @@
-"""The filters of `odometry_filter` once more, on filterpy's ExtendedKalmanFilter: their oracle."""
+"""The filters of `odometry_filter` on filterpy's ExtendedKalmanFilter, as a reference implementation for tests."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from twc_env.slam.odometry_filter import (
 
 
 class FilterpyFilters:
-    """One filter per robot on filterpy; see `CompiledFilters`."""
+    """One filter per robot; interface of `CompiledFilters`."""
 
     def __init__(self, config: OdometryFilterConfig, count: int):
         self._config = config
@@ -39,7 +39,7 @@ class FilterpyFilters:
 
     @property
     def covariances(self) -> Array:
-        """(n, 5, 5)."""
+        """(n, 5, 5) state covariances."""
         return np.array([ekf.P for ekf in self._filters])
 
     def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
@@ -72,7 +72,7 @@ class FilterpyFilters:
                 )
 
     def anchor(self, robots: Array, is_new: Array) -> None:
-        """See the kernel of this name."""
+        """See the kernel of this name in `odometry_filter`."""
         for k in robots[is_new[robots]]:
             self._filters[k].P[:3] = self._filters[k].P[:, :3] = 0.0
 
@@ -90,7 +90,7 @@ class FilterpyFilters:
         ekf.Q = np.diag([moved_variance, moved_variance, turn_variance, bias_variance, 0.0])
         moved = ekf.x + np.array([mx, my, turn, 0.0, 0.0])
         ekf.predict()
-        ekf.x = moved  # filterpy's predict is linear; the motion is not
+        ekf.x = moved  # the motion model is nonlinear, filterpy's predict is linear
         ekf.update(
             np.array([turn_odometry - turn_rate_rad_s * dt_s]),
             HJacobian=lambda _x: np.array([[0.0, 0.0, 0.0, -dt_s, 0.0]]),

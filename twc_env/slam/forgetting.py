@@ -1,9 +1,9 @@
-"""What one mapper lets go of once its map is large: keyframes that tell nothing that others do not tell.
+"""Removal of redundant keyframes from a large map, so that its size is bounded by the building, not by time.
 
-The map of a building that is known well needs no more of them, however often robots pass: as in the pruning of laser
-scans for lifelong mapping (Kretzschmar and Stachniss 2012), but by place: a keyframe goes if another one of its robot
-that stays was taken nearby, with nothing in between, and the signs that it read were read often enough. So there are
-as many in the end as the building has room for. Robots are thinned each for itself, so that a merge can be undone.
+As in the pruning of laser scans for lifelong mapping (Kretzschmar and Stachniss 2012), but by position: a keyframe is
+forgotten if another one of the same robot that is kept was taken nearby with a free line of sight between them, and its
+signs have been read often enough by kept ones. Each robot's keyframes are thinned separately, so that a merge can still
+be undone.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from twc_env.geometry import compose
 from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam.team_graph import TeamGraph
 
-LATEST, TIES = 30, 12
-"""Of each robot so many of its latest keyframes, and of two robots' first accepted closures that are not loose, are
-never forgotten."""
+LATEST, CLOSURES_KEPT = 30, 12
+"""Never forgotten: this many latest keyframes of each robot, and the ends of this many first accepted closures, loose
+ones excluded, between each two robots."""
 SAME_PLACE_M = 1.0
-"""Keyframes this near see the same."""
+"""Distance within which another keyframe makes one redundant."""
 SAME_SIGN_M, VIEWS_ENOUGH = 1.0, 3
-"""A sign that was read so often within this need not be read there again."""
+"""A sign reading is redundant if the same robot's kept keyframes have this many readings within this distance."""
 
 
 @borrowing_kernel
 def _is_open(pose, ranges, other):
-    """Whether a scan (beams,) taken at a pose reaches as far as another place."""
+    """Whether the beam of a scan (beams,) taken at a pose towards another position reaches at least that far."""
     dx, dy = other[0] - pose[0], other[1] - pose[1]
     beams = ranges.shape[0]
     beam = int(math.floor((math.atan2(dy, dx) - pose[2]) * beams / (2 * math.pi) + 0.5)) % beams
@@ -39,7 +39,7 @@ def _is_open(pose, ranges, other):
 
 @borrowing_kernel
 def _adds_sign(places, first, end, before, robots, owner, robot, is_kept):
-    """Whether any of the signs from `first` to `end` was read too seldom, as far as that is kept, by its robot."""
+    """Whether any sign from first to end - 1 has fewer than `VIEWS_ENOUGH` readings in the robot's kept keyframes."""
     for k in range(first, end):
         views = 0
         for j in range(before):
@@ -52,11 +52,11 @@ def _adds_sign(places, first, end, before, robots, owner, robot, is_kept):
 
 @kernel
 def carriers_of(poses, scans, robots, may_go, sign_ends, sign_places):
-    """(nodes,) of each that may go and tells nothing new, which of those that stay tells it; -1 for those that stay.
+    """(nodes,) for each redundant node the kept node that makes it redundant (its carrier); -1 for nodes that are kept.
 
-    poses (nodes, 3) and scans (nodes, beams) in the order in which they came, robots (nodes,), may_go (nodes,) bool;
-    sign_places (signs, 2) in the map, those read at one node after those of the nodes before, which end at sign_ends
-    (nodes,).
+    poses (nodes, 3) and scans (nodes, beams) in order of arrival; robots (nodes,); may_go (nodes,) bool: nodes that may
+    be removed; sign_places (signs, 2): sign positions in the map frame, sorted by node; sign_ends (nodes,): end of each
+    node's range in them.
     """
     count = poses.shape[0]
     carriers, is_kept, owner = np.full(count, -1), np.ones(count, np.bool_), np.empty(sign_places.shape[0], np.int64)
@@ -81,61 +81,62 @@ def carriers_of(poses, scans, robots, may_go, sign_ends, sign_places):
     return carriers
 
 
-class Knower(Protocol):
-    """What holds things about keyframes by the graph's numbers or names."""
+class KeyframeUser(Protocol):
+    """A data structure that refers to keyframes by node index or key."""
 
     def forget(self, kept: Array) -> None:
-        """Let go of what is about keyframes that the graph holds no more; kept (k,): the old numbers of its nodes."""
+        """Remove keyframes that the graph no longer holds; kept (k,): the former indices of its nodes."""
 
 
 class Forgetting:
-    """Lets go of keyframes of one graph, and of what others know about them."""
+    """Removes redundant keyframes from one graph and from the data structures that refer to them."""
 
-    def __init__(self, graph: TeamGraph, knowers: Sequence[Knower]):
-        self._graph, self._knowers = graph, knowers
+    def __init__(self, graph: TeamGraph, users: Sequence[KeyframeUser]):
+        self._graph, self._users = graph, users
 
     def forget(self, robots: tuple[int, ...], end: int) -> Array:
-        """Let go of those nodes before `end` in the map of some robots that tell nothing that others do not.
+        """Remove the redundant nodes before index `end` in the map of these robots.
 
-        (k,): the nodes that stay, of all robots, by their numbers until now.
+        Returns the kept nodes (k,) of all robots by their former indices.
         """
         nodes = self._graph.nodes_of(robots)
         may_go = self._may_go(nodes, end) if end > 0 else np.zeros(len(nodes), bool)
         if not may_go.any():
             return np.arange(self._graph.node_count)
         poses, scans = self._graph.rows_of(nodes)
-        carriers = carriers_of(poses, scans, self._graph.robot_of_node[nodes], may_go, *self._sightings(nodes))
+        carriers = carriers_of(poses, scans, self._graph.robot_of_node[nodes], may_go, *self._sign_readings(nodes))
         gone = np.flatnonzero(carriers >= 0)
         if not len(gone):
             return np.arange(self._graph.node_count)
         kept = self._graph.forget(nodes[gone], nodes[carriers[gone]])
-        for knower in self._knowers:
-            knower.forget(kept)
+        for user in self._users:
+            user.forget(kept)
         return kept
 
     def _may_go(self, nodes: Array, end: int) -> Array:
-        """(k,) bool: which of some nodes may be forgotten: none from `end` on.
+        """(k,) bool: which of these nodes may be removed.
 
-        Nor each robot's first and latest and its last one with a closure. Nor those by which two robots were
-        first tied to each other, so that merges can still be judged and undone, or whose closures wait for a merge.
+        Kept are all from index `end` on, each robot's first and latest ones and its last one with a closure, the ends
+        of pending closures, and those of the first `CLOSURES_KEPT` closures between two robots, so that merges can
+        still be reviewed and undone.
         """
         graph = self._graph
         paths = map(graph.path_of, range(len(graph.keyframes)))
         stay = [node for own in paths for part in (own[:1], own[-LATEST:]) for node in part.tolist()]
         stay += graph.tied.tolist()
-        ties: dict[tuple[int, int], int] = {}
+        counts: dict[tuple[int, int], int] = {}
         for closure in graph.closures:
             ends = closure.candidate.target, closure.candidate.source
             pair = min(ends)[0], max(ends)[0]
-            speaks = closure.status == "accepted" and pair[0] != pair[1] and not closure.is_loose
-            is_tie = speaks and ties.get(pair, 0) < TIES
-            ties[pair] = ties.get(pair, 0) + is_tie
-            if is_tie or closure.status == "pending":
+            is_fixed = closure.status == "accepted" and pair[0] != pair[1] and not closure.is_loose
+            is_kept = is_fixed and counts.get(pair, 0) < CLOSURES_KEPT
+            counts[pair] = counts.get(pair, 0) + is_kept
+            if is_kept or closure.status == "pending":
                 stay += [graph.node(key) for key in ends]
         return (nodes < end) & ~np.isin(nodes, stay)
 
-    def _sightings(self, nodes: Array) -> tuple[Array, Array]:
-        """Where the signs of all nodes (k,) of some robots end, and their places, as `carriers_of` takes them."""
+    def _sign_readings(self, nodes: Array) -> tuple[Array, Array]:
+        """sign_ends (k,) and sign_places (signs, 2) of all nodes (k,) of some robots, as `carriers_of` takes them."""
         paths = [iter(path) for path in self._graph.keyframes]
         keyframes = [next(paths[robot]) for robot in self._graph.robot_of_node[nodes].tolist()]
         counts = [len(keyframe.signs) for keyframe in keyframes]

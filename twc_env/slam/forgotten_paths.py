@@ -1,4 +1,4 @@
-"""Where keyframes stand that a map holds no more: the whole path of a robot is known as long as it goes."""
+"""Poses of forgotten keyframes, so that a robot's complete trajectory stays available."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from numpy.typing import NDArray as Array
 from twc_env.geometry import between, compose
 
 _PLACE = np.dtype([("robot", "i4"), ("index", "i4"), ("step", "i4"), ("carrier", "i4"), ("pose", "f4", 3)])
-"""Whose keyframe it was, which and of which step; the node it moves with, and its pose in the frame of that."""
+"""Robot, keyframe index and step; carrier: the node to which the keyframe is attached; pose in the carrier's frame."""
 
 
 class ForgottenPaths:
-    """Each forgotten keyframe moves with one that is held, its carrier."""
+    """Forgotten keyframes, each rigidly attached to a node that is kept, its carrier."""
 
     def __init__(self) -> None:
         self._places = np.zeros(0, _PLACE)
@@ -21,9 +21,10 @@ class ForgottenPaths:
         return len(self._places)
 
     def add(self, keyframes: tuple[Array, Array, Array], nodes: Array, carrier_of: Array, poses: Array) -> None:
-        """Take in robots, indices and steps (k,) of keyframes whose nodes (k,) go.
+        """Add forgotten keyframes: their robots, indices and steps (k,), and their nodes (k,).
 
-        carrier_of (nodes,): which of those that stay carries each node, itself if it stays; poses (nodes, 3).
+        carrier_of (nodes,): the kept node that carries each node, itself if it is kept; poses (nodes, 3). Earlier
+        entries whose carrier is forgotten move to its carrier.
         """
         there = np.zeros(len(nodes), _PLACE)
         there["robot"], there["index"], there["step"] = keyframes
@@ -36,18 +37,19 @@ class ForgottenPaths:
         places["carrier"] = after
 
     def renumber(self, number_of: Array) -> None:
-        """The nodes (n,) have these numbers now."""
+        """Replace the node indices; number_of (n,): new index of each old one."""
         self._places["carrier"] = number_of[self._places["carrier"]]
 
     def steps_among(self, robot: int, held: Array, steps: Array) -> Array:
-        """(keyframes,) steps of a robot's whole path, from those of the keyframes that are held, by their indices."""
+        """(keyframes,) steps of a robot's complete path; steps (k,) of its keyframes in the graph, of indices held."""
         own = self._places[self._places["robot"] == robot]
         whole = np.empty(len(held) + len(own), steps.dtype)
         whole[held], whole[own["index"]] = steps, own["step"]
         return whole
 
     def poses_among(self, robot: int, held: Array, own_poses: Array, poses: Array) -> Array:
-        """(keyframes, 3) the same of poses; poses (nodes, 3) of all nodes."""
+        """(keyframes, 3) poses of a robot's complete path; own_poses (k, 3) of its keyframes in the graph, with indices
+        held; poses (nodes, 3) of all nodes."""
         own = self._places[self._places["robot"] == robot]
         whole = np.empty((len(held) + len(own), 3))
         whole[held], whole[own["index"]] = own_poses, compose(poses[own["carrier"]], own["pose"])

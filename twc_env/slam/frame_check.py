@@ -1,4 +1,4 @@
-"""Frames that come from outside are looked at before the kernels see them, which check nothing."""
+"""Validation of sensor frames from callers; the kernels behind it check nothing."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from twc_env.messages import SensorFrame, SignReading, WifiScan
 from twc_env.slam.given_fingerprints import fault_of_readings
 
 JUMP_MAX_M = 1000.0
-"""No robot moves further between two frames; who does counts in millimetres, or gives positions for motions."""
+"""Largest motion between two frames; larger values are in millimetres, or positions instead of motions."""
 TIME_MAX_S = 1e11
-"""Three thousand years; whose clock shows more counts in parts of a second."""
+"""Three thousand years; larger values are in fractions of a second."""
 RSSI_MAX_DBM = 30.0
-"""More than transmitters may send; shares of a hundred and strengths that lost their sign go beyond it."""
+"""Above the legal transmit power; percentages and RSSI without its sign exceed it."""
 
 
 def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int) -> None:
-    """Raise DataError for frames that the team cannot have sensed. A range may be infinite: no return.
+    """Raise DataError for invalid frames. A range may be infinite: no return.
 
-    times_s (robots,): of the last frame of each; minus infinity before the first.
+    times_s (robots,): time of each robot's previous frame, minus infinity before the first.
     """
     robot_count = len(times_s)
     if not isinstance(frames, Sequence) or not all(isinstance(frame, SensorFrame) for frame in frames):
@@ -43,7 +43,7 @@ def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int)
 
 
 def _kind(value: object) -> str:
-    """What was given instead of frames; their own text would fill a page."""
+    """Type of a wrong argument, for the error message; its repr could be very long."""
     held = {type(each).__name__: None for each in value} if isinstance(value, (list, tuple)) else {}
     return f"a {type(value).__name__}{' of ' + ', '.join(held) if held else ''}"
 
@@ -76,7 +76,7 @@ def _fault(frame: SensorFrame, beam_count: int) -> str | None:
 
 
 def _fault_of_time(frame: SensorFrame, last_s: float) -> str | None:
-    """Motion in no time would be left out, and in less than none, too."""
+    """Error if time does not advance between frames with motion: the filter would ignore that motion."""
     if frame.time_s < last_s or (frame.time_s == last_s and np.any(frame.odometry)):
         return f"is of {frame.time_s:g} s and its last one of {last_s:g} s: give frames in order, each with its time"
     return None

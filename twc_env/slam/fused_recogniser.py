@@ -1,4 +1,4 @@
-"""Places recognised by all cues, weighed as log-odds."""
+"""Place recogniser `fused`: the evidence of all cues, added as log-odds."""
 
 from __future__ import annotations
 
@@ -12,17 +12,20 @@ from twc_env.slam.sign_place import Sighting
 
 
 class FusedRecogniser:
-    """Text, radio, walls, neighbouring signs and the ways there, weighed together instead of against thresholds."""
+    """Proposes pairs of signs by the joint log-odds of text, radio, walls, neighbouring signs and paths.
+
+    The other recognisers compare each cue with its own threshold.
+    """
 
     name = "fused"
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
         self._config = config
         self.memory = PlaceMemory(range_max_m)
-        """What the evidence rests on."""
+        """Observed signs and their statistics, from which the evidence is computed."""
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
-        """See `Recogniser`; of each sign on another map the view whose radio signature fits best."""
+        """See `Recogniser`. For each known sign only the view with the most similar fingerprint is weighed."""
         best: dict[tuple[int, int], LoopCandidate] = {}
         places = self.memory.observe(keyframe)
         for sign, place in zip(keyframe.signs, places, strict=True):
@@ -42,7 +45,10 @@ class FusedRecogniser:
         self.memory.forget(is_held)
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
-        """Log-odds of the pair of signs that speaks most for one place; both keyframes must have been proposed."""
+        """Largest log-odds over pairs of signs of two keyframes, minus infinity without signs.
+
+        Both keyframes must have been passed to `propose`.
+        """
         pairs = [((target, a), (source, b)) for a in target.signs for b in source.signs]
         return max((self.memory.weigh(*pair).total for pair in pairs), default=-math.inf)
 
