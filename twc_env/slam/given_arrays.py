@@ -1,4 +1,4 @@
-"""Arrays that callers outside bring: looked at before the kernels see them, which check nothing."""
+"""Validation of arrays from callers; the kernels behind it check nothing."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _FLOAT = np.dtype(np.float64)
 
 
 def given_rows(values: ArrayLike, shape: tuple[int, ...], name: str, kind: Any = float, rows: str = "n") -> Array:
-    """(rows, *shape) of a kind, in C order; nothing at all counts as no rows.
+    """(rows, *shape) array of a dtype (kind), C-contiguous; an empty list counts as no rows.
 
-    Raises DataError where values are no numbers, have another shape, or lose by being turned into the kind.
+    Raises DataError if values are not numbers, have another shape, or are not whole numbers for `np.int64`.
     """
     try:
         given = np.asarray(values)
@@ -34,17 +34,17 @@ def given_rows(values: ArrayLike, shape: tuple[int, ...], name: str, kind: Any =
 
 
 def given_points(values: ArrayLike, name: str = "points") -> Array:
-    """(n, 2) finite. Raises DataError for others."""
+    """(n, 2) finite points. Raises DataError for others."""
     is_ready = _is_plain(values) and values.ndim == 2 and values.shape[1] == 2
     points: Array = np.asarray(values) if is_ready else given_rows(values, (2,), name)
     flat = points.reshape(-1)
-    if not math.isfinite(flat.dot(flat)) and not np.isfinite(points).all():  # the first takes a tenth of the time
+    if not math.isfinite(flat.dot(flat)) and not np.isfinite(points).all():  # the first test is ten times faster
         raise DataError(f"{name} must be finite; row {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
     return points
 
 
 def given_pose(values: ArrayLike, name: str) -> Array:
-    """(3,) finite. Raises DataError for others."""
+    """(3,) finite pose. Raises DataError for others."""
     pose: Array
     if _is_plain(values) and values.shape == (3,):
         pose = values
@@ -59,10 +59,10 @@ def given_pose(values: ArrayLike, name: str) -> Array:
 
 
 def plain(values: ArrayLike) -> Array:
-    """As kernels take it: itself where it is."""
+    """The values as a C-contiguous float64 array, without a copy if they already are one."""
     return values if _is_plain(values) else np.ascontiguousarray(values, float)
 
 
 def _is_plain(values: ArrayLike) -> TypeGuard[Array]:
-    """Whether kernels can take it as it is, of float64 and in C order: told sooner than it is converted."""
+    """Whether the value is a C-contiguous float64 array; faster than a conversion."""
     return type(values) is np.ndarray and values.dtype == _FLOAT and values.flags.c_contiguous

@@ -1,4 +1,4 @@
-"""Fingerprints that callers outside bring: looked at before they are compared, which trusts their order and length."""
+"""Validation of fingerprints from callers; comparisons rely on ascending addresses and equal lengths."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from twc_env.messages import Fingerprint
 
 
 def given_fingerprints(fingerprints: Sequence[Fingerprint], name: str = "fingerprint") -> tuple[Fingerprint, ...]:
-    """The same, of arrays. Raises DataError for what is none, or holds what no receiver hears."""
+    """The fingerprints, with arrays as fields. Raises DataError for invalid ones."""
     return tuple(given_fingerprint(each, f"{name} {k}") for k, each in enumerate(fingerprints))
 
 
 def given_fingerprint(fingerprint: Fingerprint, name: str = "the fingerprint") -> Fingerprint:
-    """The same, of arrays. Raises DataError as `given_fingerprints`."""
+    """The fingerprint, with arrays as fields. Raises DataError if it is invalid."""
     if not isinstance(fingerprint, Fingerprint):
         raise DataError(f"{name} is {fingerprint!r}: give an empty Fingerprint where nothing was heard")
     try:
@@ -32,7 +32,7 @@ def given_fingerprint(fingerprint: Fingerprint, name: str = "the fingerprint") -
 
 
 def fault_of_readings(macs: ArrayLike, rssi_dbm: ArrayLike) -> str | None:
-    """What is wrong with what a receiver is said to have heard; None where nothing is."""
+    """What is invalid about addresses and RSSI of one scan; None if nothing is."""
     macs = np.asarray(macs)
     if macs.ndim != 1 or macs.shape != np.shape(rssi_dbm):
         return f"addresses of shape {macs.shape} and strengths of {np.shape(rssi_dbm)}: one for each"

@@ -1,9 +1,9 @@
 """Scan matching without an initial guess: correlative, by branch and bound over all headings (Olson 2009,
 Hess 2016).
 
-The target's points become a field of scores; the source's points, turned to each heading, are shifted over it in whole
-cells. Boxes of shifts are bounded from above by fields of which each cell holds the largest score of a square that
-doubles from level to level, so the search finds the best lattice pose of all without visiting most of them.
+The target's points become a grid of scores. The source's points are rotated to each heading and shifted by whole cells.
+A box of shifts is bounded from above with a coarser grid, in which each cell holds the maximum of a square of cells
+whose side doubles from level to level. The search finds the best pose of the lattice and evaluates few of them.
 """
 
 from __future__ import annotations
@@ -20,28 +20,27 @@ from twc_env.slam.given_arrays import given_points
 
 CELL_M = 0.1
 BLUR_M = 0.3
-"""A point this far from a wall scores nothing; on it, FULL."""
+"""The score of a cell falls linearly from `FULL` at a target point to 0 at this distance."""
 FULL = 255
 BLUR_CELLS = int(BLUR_M / CELL_M)
 AROUND = np.hypot(*np.mgrid[-BLUR_CELLS : BLUR_CELLS + 1, -BLUR_CELLS : BLUR_CELLS + 1]) * CELL_M
 SCORES_AROUND = np.round(FULL * np.maximum(1.0 - AROUND / BLUR_M, 0.0)).astype(np.uint8)
-"""What cells around a point score: the less, the farther from it."""
+"""Scores of the cells around a point."""
 LEVELS = 5
-"""The largest box of shifts has 2^(LEVELS - 1) cells a side."""
+"""Levels of the score grid; the largest box of shifts has 2^(LEVELS - 1) cells a side."""
 POINTS_MAX = 160
-"""Of the source, so many points spread evenly are compared."""
+"""Largest number of source points that are compared, evenly spread."""
 
 POINTS_AT_ONCE = 16
-"""After so many it is asked whether the others can still make a difference."""
+"""After this many points the sum stops early if the rest cannot exceed the best score."""
 
 WINDOW_MAX_M = 1000.0
 REACH_MAX_M = 500.0
-"""A field of scores that reaches so far to all sides takes 500 MB."""
+"""A score grid that extends this far to all sides takes 500 MB."""
 
 WALL_STEP_M, WALL_RAD, SQUARE_SHARE_MIN = 0.5, 0.06, 0.5
-"""Neighbouring points so near each other lie on one wall; where walls meet at right angles, their direction is known up
-to so much and to quarter turns, and so large a part of all speaks for it: 1 where all are square, 0 where they run
-anyhow."""
+"""Largest distance of neighbouring points on one wall; tolerance of the wall directions, which are defined modulo 90
+degrees; and how dominant these directions must be (1: all walls are orthogonal, 0: no preference)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,11 +48,11 @@ class GlobalMatch:
     """The best pose of the lattice."""
 
     pose: Array
-    """(3,) of the source in the target's frame; right to about a cell, to be refined."""
+    """(3,) of the source in the target's frame; accurate to about one cell, to be refined."""
     score: float
     """Mean score of the points, in [0, 1]."""
     evaluated: int
-    """Boxes and poses that were looked at."""
+    """Number of boxes and poses evaluated."""
 
 
 def match_globally(
@@ -64,11 +63,10 @@ def match_globally(
     points_max: int = POINTS_MAX,
     lays_walls_along: bool = False,
 ) -> GlobalMatch | None:
-    """The pose of the source at which most of its points (n, 2) lie on the target's (m, 2), with no guess.
+    """Pose of the source points (n, 2) in the frame of the target points (m, 2) with the highest score.
 
-    Searched: every heading, or with `lays_walls_along` those of `headings_along_walls`, and every shift of at most
-    `window_m` along x and y. None when nothing scores `score_min`. Raises DataError for points or a window that cannot
-    be meant.
+    Searches all headings, or with `lays_walls_along` those of `headings_along_walls`, and all shifts of up to
+    `window_m` along x and y. None if no pose reaches `score_min`. Raises DataError for invalid points or settings.
     """
     target_points, source_points = given_points(target_points), given_points(source_points)
     for points in (target_points, source_points):
@@ -99,23 +97,23 @@ def match_globally(
 
 
 def thinned(points: Array, count_max: int = POINTS_MAX) -> Array:
-    """At most so many points, spread evenly over their order."""
+    """At most this many points, evenly spread over their order."""
     if len(points) <= count_max:
         return points
     return points[np.linspace(0, len(points) - 1, count_max).astype(np.int64)]
 
 
 def lattice_headings(points: Array) -> Array:
-    """(k,) headings all around, so near each other that points typically move by a cell from one to the next."""
+    """(k,) headings over the full circle, so close that points at the RMS range move by one cell between neighbours."""
     reach_m = max(float(np.sqrt(np.mean(np.sum(points**2, axis=1)))), 10 * CELL_M)
     count = math.ceil(2 * math.pi * reach_m / CELL_M)
     return (np.arange(count) - count // 2) * (2 * math.pi / count)
 
 
 def headings_along_walls(headings: Array, target_points: Array, source_points: Array) -> Array:
-    """Those of the headings at which most walls of the source run along or across most walls of the target.
+    """Those headings at which the walls of the source are parallel or orthogonal to the walls of the target.
 
-    All of them where one of the two has no such directions. Points are in the order of beams.
+    All headings if one of the two has no dominant wall directions. Points must be in the order of the beams.
     """
     (target_rad, target_share), (source_rad, source_share) = (
         _walls_run(np.ascontiguousarray(points, float), WALL_STEP_M) for points in (target_points, source_points)
@@ -129,7 +127,7 @@ def headings_along_walls(headings: Array, target_points: Array, source_points: A
 
 @kernel
 def _walls_run(points, step_max):
-    """The direction, up to quarter turns, along and across which the ways from point to point run; their share."""
+    """Dominant direction modulo 90 degrees of the segments between successive points, and how dominant it is [0, 1]."""
     across = along = total = 0.0
     for k in range(points.shape[0] - 1):
         dx, dy = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
@@ -143,7 +141,7 @@ def _walls_run(points, step_max):
 
 
 def score_fields(points: Array) -> tuple[Array, Array]:
-    """(LEVELS, rows, columns) uint8 and the corner (2,) [m]: level l holds the largest score of 2^l x 2^l cells."""
+    """(LEVELS, rows, columns) uint8 scores and the corner (2,) [m]; cells of level l hold the maximum of 2^l x 2^l."""
     margin = 2 ** (LEVELS - 1) + BLUR_CELLS + 1
     origin_m = np.floor(points.min(axis=0) / CELL_M) * CELL_M - margin * CELL_M
     columns, rows = (np.floor((points.max(axis=0) - origin_m) / CELL_M).astype(np.int64) + 1 + margin).tolist()
@@ -155,7 +153,7 @@ def score_fields(points: Array) -> tuple[Array, Array]:
 
 @kernel
 def _stamp(field, points, origin):
-    """Give cells around the points what they score."""
+    """Write the scores of the cells around the points."""
     rows, columns = field.shape
     reach = BLUR_CELLS
     for k in range(points.shape[0]):
@@ -170,7 +168,7 @@ def _stamp(field, points, origin):
 
 @kernel
 def _widen(fields):
-    """Fill the levels above the first."""
+    """Compute the levels above the first by maxima over doubling squares."""
     levels, rows, columns = fields.shape
     for level in range(1, levels):
         step = 1 << (level - 1)
@@ -186,7 +184,7 @@ def _widen(fields):
 
 @kernel
 def _sum(field, cells, row, column, held):
-    """Score of the cells (n, 2) of points, shifted; anything not above `held` where that is all that it can be."""
+    """Total score of the cells (n, 2) shifted by (row, column); stops early once it cannot exceed `held`."""
     rows, columns = field.shape
     total, rest = 0, FULL * cells.shape[0]
     for first in range(0, cells.shape[0], POINTS_AT_ONCE):
@@ -203,7 +201,7 @@ def _sum(field, cells, row, column, held):
 
 @kernel
 def _turn(points, heading, origin, cells):
-    """Cells (n, 2) of the points turned to a heading, not yet shifted."""
+    """Write the cells (n, 2) of the points rotated to a heading, without shift."""
     cosine, sine = math.cos(heading), math.sin(heading)
     for k in range(points.shape[0]):
         x = cosine * points[k, 0] - sine * points[k, 1] - origin[0]
@@ -213,10 +211,10 @@ def _turn(points, heading, origin, cells):
 
 @kernel
 def _branch_and_bound(fields, points, headings, origin, reach, score_min, best):
-    """Best score over all headings and shifts -reach..reach, and how many boxes were looked at; -1 below score_min.
+    """Best score over all headings and shifts -reach..reach (-1 if below score_min), and the number of evaluations.
 
-    Writes the number of the heading and the shift (columns, rows) to `best`. Depth first, the most promising box
-    first; a box that cannot beat what is held is dropped, whole.
+    Writes the heading's index and the shift (columns, rows) to `best`. Depth first, boxes with the highest bound
+    first; a box whose bound does not exceed the best score is pruned.
     """
     levels = fields.shape[0]
     top = levels - 1
@@ -263,7 +261,7 @@ def _branch_and_bound(fields, points, headings, origin, reach, score_min, best):
                     evaluated += 1
                     if value <= held:
                         continue
-                    at = depth  # the best of the four comes to lie on top
+                    at = depth  # insertion sort: the best of the four on top of the stack
                     while at > begin and stack[at - 1, 3] > value:
                         stack[at] = stack[at - 1]
                         at -= 1

@@ -1,4 +1,4 @@
-"""Nodes and edges of a pose graph in arrays that grow, each taken in by one compiled call."""
+"""Nodes and edges of a pose graph in growing arrays; each is added by one compiled call."""
 
 from __future__ import annotations
 
@@ -15,11 +15,15 @@ from twc_env.slam.relative_equations import wrapped
 from twc_env.slam.small_matrices import invert3, squared_error
 
 ODOMETRY = -1
+"""Closure number of odometry edges."""
 
 
 @borrowing_kernel
-def _put_node(node, previous, robot, step, travel, motion, covariance, poses, robots, steps, travels, strains):
-    """Write a node that lies one motion after the previous one (-1: it is the first of its robot)."""
+def _write_node(node, previous, robot, step, travel, motion, covariance, poses, robots, steps, travels, variances):
+    """Write a node at one motion (3,) from the previous one (-1: first of its robot, at the origin).
+
+    variances (nodes, 3): of x, y and heading accumulated along the robot's odometry.
+    """
     x = y = heading = 0.0
     if previous >= 0:
         c, s = math.cos(poses[previous, 2]), math.sin(poses[previous, 2])
@@ -30,12 +34,14 @@ def _put_node(node, previous, robot, step, travel, motion, covariance, poses, ro
     robots[node], steps[node], travels[node] = robot, step, travel
     across = 0.5 * (covariance[0, 0] + covariance[1, 1])
     for axis in range(3):
-        before = strains[previous, axis] if previous >= 0 else 0.0
-        strains[node, axis] = before + (across if axis < 2 else covariance[2, 2])
+        before = variances[previous, axis] if previous >= 0 else 0.0
+        variances[node, axis] = before + (across if axis < 2 else covariance[2, 2])
 
 
 @borrowing_kernel
-def _put_edge(edge, first, second, measurement, covariance, closure, is_used, ends, measured, information, kinds, used):
+def _write_edge(
+    edge, first, second, measurement, covariance, closure, is_used, ends, measured, information, kinds, used
+):
     ends[edge, 0], ends[edge, 1] = first, second
     for axis in range(3):
         measured[edge, axis] = measurement[axis]
@@ -44,15 +50,17 @@ def _put_edge(edge, first, second, measurement, covariance, closure, is_used, en
 
 
 @borrowing_kernel
-def _join(graph, edge, first, second, measurement, covariance, closure, is_used):
-    """Write an edge between any two nodes."""
+def _write_closure(graph, edge, first, second, measurement, covariance, closure, is_used):
+    """Write an edge between two nodes."""
     _, _, _, _, _, ends, measured, information, kinds, used, _, _, _, _, _ = parts_of(graph)
-    _put_edge(edge, first, second, measurement, covariance, closure, is_used, ends, measured, information, kinds, used)
+    _write_edge(
+        edge, first, second, measurement, covariance, closure, is_used, ends, measured, information, kinds, used
+    )
 
 
 @borrowing_kernel
 def _between(a, b, out):
-    """The pose of b in a."""
+    """Write the pose of b in the frame of a."""
     c, s = math.cos(a[2]), math.sin(a[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
     out[0], out[1] = c * dx + s * dy, c * dy - s * dx
@@ -69,29 +77,29 @@ def _misfit(graph, target, source, measured, covariance):
 
 
 @borrowing_kernel
-def _follow(graph, node, edge, robot, step, travel, pose_odom, motion, covariance):
-    """Write a robot's next node, and the edge of odometry that leads to it; whether there is one."""
+def _append_node(graph, node, edge, robot, step, travel, pose_odom, motion, covariance):
+    """Write a robot's next node and the odometry edge to it; False for its first node, which has no edge."""
     (
-        poses, robots, steps, travels, strains, ends, measured, information, kinds, used, rows, counts, tied,
+        poses, robots, steps, travels, variances, ends, measured, information, kinds, used, rows, counts, tied,
         latest_odom, _,
     ) = parts_of(graph)  # fmt: skip
     count = counts[robot]
     previous = rows[robot, count - 1] if count > 0 else np.int64(-1)
-    _put_node(node, previous, robot, step, travel, motion, covariance, poses, robots, steps, travels, strains)
+    _write_node(node, previous, robot, step, travel, motion, covariance, poses, robots, steps, travels, variances)
     rows[robot, count], counts[robot] = node, count + 1
     for axis in range(3):
         latest_odom[robot, axis] = pose_odom[axis]
     if previous < 0:
         tied[robot] = node
         return False
-    _put_edge(edge, previous, node, motion, covariance, ODOMETRY, True, ends, measured, information, kinds, used)
+    _write_edge(edge, previous, node, motion, covariance, ODOMETRY, True, ends, measured, information, kinds, used)
     return True
 
 
 @borrowing_kernel
 def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
     """See `GraphArrays.locate`."""
-    poses, _, steps, travels, strains, _, _, _, _, _, rows, counts, tied, latest_odom, _ = parts_of(graph)
+    poses, _, steps, travels, variances, _, _, _, _, _, rows, counts, tied, latest_odom, _ = parts_of(graph)
     for k in robots:
         for a in range(others.shape[1]):
             other = others[k, a]
@@ -109,7 +117,7 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
         poses_map_odom[k, 1] = poses[node, 1] + s * x + c * y
         poses_map_odom[k, 2] = wrapped(poses[node, 2] - pose_odom[2])
         for axis in range(3):
-            std[k, axis] = math.sqrt(max(strains[node, axis] - strains[first, axis], 0.0))
+            std[k, axis] = math.sqrt(max(variances[node, axis] - variances[first, axis], 0.0))
         since_m[k] = travels[node] - travels[first]
 
 
@@ -129,20 +137,20 @@ def _nearest(graph, robot, here, travel_max):
 
 
 @borrowing_kernel
-def _is_of_part(ends, is_inside, first, robot_of_node):
+def _is_in_subgraph(ends, is_inside, first, robot_of_node):
     a, b = ends[0], ends[1]
     return max(a, b) >= first and is_inside[robot_of_node[a]] and is_inside[robot_of_node[b]]
 
 
 @kernel
 def part_of(is_inside, first, robot_of_node, ends, measured, information, closure_of_edge, is_used):
-    """See `TeamGraph.part`; is_inside (robots,) bool."""
+    """See `TeamGraph.part`; is_inside (robots,) bool: robots whose keyframes belong to it."""
     is_kept = np.zeros(robot_of_node.shape[0], np.bool_)
     for n in range(first, robot_of_node.shape[0]):
         is_kept[n] = is_inside[robot_of_node[n]]
     edge_count = 0
     for e in range(ends.shape[0]):
-        if _is_of_part(ends[e], is_inside, first, robot_of_node):
+        if _is_in_subgraph(ends[e], is_inside, first, robot_of_node):
             is_kept[ends[e, 0]] = is_kept[ends[e, 1]] = True
             edge_count += 1
     local = np.full(robot_of_node.shape[0], -1)
@@ -159,7 +167,7 @@ def part_of(is_inside, first, robot_of_node, ends, measured, information, closur
             nodes[local[n]] = n
     k = 0
     for e in range(ends.shape[0]):
-        if not _is_of_part(ends[e], is_inside, first, robot_of_node):
+        if not _is_in_subgraph(ends[e], is_inside, first, robot_of_node):
             continue
         a, b = local[ends[e, 0]], local[ends[e, 1]]
         edges[k], inner[k, 0], inner[k, 1] = e, a, b
@@ -173,7 +181,7 @@ def part_of(is_inside, first, robot_of_node, ends, measured, information, closur
 
 
 class GraphArrays(BindsAnew):
-    """Row by row: nodes are keyframes in the order of their arrival, edges odometry and closures."""
+    """Nodes (keyframes in order of arrival) and edges (odometry and closures), one row each."""
 
     def __init__(self, robot_count: int, beam_count: int):
         self.node_count = self.edge_count = 0
@@ -186,7 +194,7 @@ class GraphArrays(BindsAnew):
         ]
         self._beam_count = beam_count
         self._scans: list[Array] = []
-        """(beams,) of each node: the keyframes' own, which the mappers of other robots hold too."""
+        """Scan (beams,) of each node: the array of its keyframe, shared with other mappers."""
         self._edge_rows: list[Array] = [
             np.zeros((ROOM, 2), np.int64),
             np.zeros((ROOM, 3)),
@@ -195,24 +203,24 @@ class GraphArrays(BindsAnew):
             np.zeros(ROOM, bool),
         ]
         self._rows = np.zeros((robot_count, ROOM), np.int64)
-        """The nodes of each robot, of which there are `_counts`."""
+        """(robots, room) nodes of each robot, the first `_counts` of each row."""
         self._counts = np.zeros(robot_count, np.int64)
         self.tied = np.zeros(robot_count, np.int64)
-        """(robots,) the node of each robot's last keyframe with a closure that is used; its first without any."""
+        """(robots,) node of each robot's last keyframe with an accepted closure; its first node without any."""
         self._latest_odom = np.zeros((robot_count, 3))
-        """Where each robot's odometry has its last keyframe."""
-        self._follow: Callable[..., bool] | None = None
-        self._join: Callable[..., None] | None = None
+        """(robots, 3) pose of each robot's last keyframe in its odom frame."""
+        self._append_node: Callable[..., bool] | None = None
+        self._write_closure: Callable[..., None] | None = None
         self._locate: Callable[..., None] | None = None
         self._nearest: Callable[..., tuple[int, float]] | None = None
         self._misfit: Callable[..., tuple[float, float, float]] | None = None
-        """The kernels of these names with all of this."""
+        """The kernels of these names, bound to the arrays at the first call."""
 
-    def _hold_grown(self) -> None:
-        """Some arrays are others now."""
+    def _rebind(self) -> None:
+        """Bind the kernels to the current arrays, after some were replaced."""
         held = self._all()
-        self._follow, self._locate = rebound(self._follow, held), rebound(self._locate, held)
-        self._nearest, self._join = rebound(self._nearest, held), rebound(self._join, held)
+        self._append_node, self._locate = rebound(self._append_node, held), rebound(self._locate, held)
+        self._nearest, self._write_closure = rebound(self._nearest, held), rebound(self._write_closure, held)
         self._misfit = rebound(self._misfit, held)
 
     def _all(self) -> Lent:
@@ -221,46 +229,46 @@ class GraphArrays(BindsAnew):
         return Lent((*self._node_rows, *self._edge_rows, *robots, room_for_poses))
 
     def add_node(self, keyframe: Keyframe) -> int:
-        """A keyframe, put where odometry leads from the robot's last one; gives its node."""
+        """Add a keyframe at the end of the robot's odometry; returns its node."""
         node = self.node_count
         if node == len(self._node_rows[0]):
             self._node_rows = [grown(rows) for rows in self._node_rows]
-            self._hold_grown()
+            self._rebind()
         width = self._rows.shape[1]
         if node >= width and self._counts[keyframe.robot] == width:
             self._rows = grown(self._rows.T).T.copy()
-            self._hold_grown()
+            self._rebind()
         self._make_room_for_edge()
         new = (
             node, self.edge_count, keyframe.robot, keyframe.step, keyframe.travel_m, keyframe.pose_odom,
             keyframe.motion, keyframe.motion_covariance,
         )  # fmt: skip
-        if self._follow is None:
-            self._follow = bound(_follow, self._all(), *new)
-        self.edge_count += self._follow(*new)
+        if self._append_node is None:
+            self._append_node = bound(_append_node, self._all(), *new)
+        self.edge_count += self._append_node(*new)
         self._scans.append(keyframe.ranges_m)
         self.node_count += 1
         return node
 
     def add_edge(self, ends: tuple[int, int], measured: Array, covariance: Array, closure: int, is_used: bool) -> None:
-        """A measured pose (3,) of the second end in the frame of the first; `closure` is the closure's number."""
+        """Add an edge: measured pose (3,) of the second end in the frame of the first; number of its closure."""
         self._make_room_for_edge()
         new = self.edge_count, *ends, measured, covariance, closure, is_used
-        if self._join is None:
-            self._join = bound(_join, self._all(), *new)
-        self._join(*new)
+        if self._write_closure is None:
+            self._write_closure = bound(_write_closure, self._all(), *new)
+        self._write_closure(*new)
         self.edge_count += 1
 
     def _make_room_for_edge(self) -> None:
         if self.edge_count == len(self._edge_rows[0]):
             self._edge_rows = [grown(rows) for rows in self._edge_rows]
-            self._hold_grown()
+            self._rebind()
 
     def _keep(self, kept: Array, edges: tuple[Array, Array, Array, Array, Array]) -> Array:
-        """Only some nodes (k,), ascending, which are numbered anew; gives these numbers by the old ones, -1 for others.
+        """Keep only nodes (k,), ascending, and renumber them; returns the new index of each old node, -1 if removed.
 
-        Each robot's first and last node and those in `tied` must be among them. edges: all that are left, by the old
-        numbers of their ends, as `ends`, `measured`, `information`, `closure_of_edge` and `is_used`.
+        Each robot's first and last node and those in `tied` must be among them. edges: the arrays `ends` (with old node
+        indices), `measured`, `information`, `closure_of_edge` and `is_used` of all remaining edges.
         """
         number_of = np.full(self.node_count, -1)
         number_of[kept] = np.arange(len(kept))
@@ -273,44 +281,44 @@ class GraphArrays(BindsAnew):
         self._scans = [self._scans[node] for node in kept.tolist()]
         self.node_count, self.edge_count = len(kept), len(edges[0])
         self._edge_rows = [only(rows, slice(None)) for rows in (number_of[edges[0]], *edges[1:])]
-        self._hold_grown()
+        self._rebind()
         return number_of
 
     def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
-        """Where some robots (k,) are in the maps of their groups; others (robots, robots - 1): all but each.
+        """Locate some robots (k,) in the maps of their groups; others (robots, robots - 1): the other robots of each.
 
-        Fills in their rows: where the odom frame lies (robots, 3); what may have gone astray since the last closure, or
-        without any since the start, by the front end's own covariances (robots, 3) [m, m, rad]; the path length since
-        then (robots,) [m]; and the step of the newest keyframe of each other robot (robots, robots - 1), -1 for none.
-        A robot without keyframes is its own map.
+        Writes the robots' rows of four arrays: odom frame in the map frame (robots, 3); standard deviation of the drift
+        since the last closure, or since the start, from the front end's covariances (robots, 3) [m, m, rad]; path
+        length since then (robots,) [m]; step of the newest keyframe of each other robot (robots, robots - 1), -1 for
+        none. For a robot without keyframes the first three are 0.
         """
         if self._locate is None:
             self._locate = bound(_locate, self._all(), robots, others, *into)
         self._locate(robots, others, *into)
 
     def misfit(self, target: int, source: int, measured: Array, covariance: Array) -> tuple[float, float, float]:
-        """How far a pose (3,) measured of one node in the frame of another lies from the estimate [m] and [rad], and
-        the squared error of that by its covariance (3, 3)."""
+        """Difference between a measured pose (3,) of the source node in the target's frame and the estimate: distance
+        [m], angle [rad], and squared Mahalanobis length by the covariance (3, 3)."""
         now = target, source, measured, covariance
         if self._misfit is None:
             self._misfit = bound(_misfit, self._all(), *now)
         return self._misfit(*now)
 
     def nearest(self, robot: int, node: int, travel_max_m: float = math.inf) -> tuple[int, float]:
-        """Which of the robot's nodes up to a path length is nearest to another node, and how far away it is [m].
+        """The robot's keyframe nearest to a node, as its position on the robot's path, and its distance [m].
 
-        (-1, inf) where there is none.
+        Only keyframes before a path length count; (-1, inf) if there is none.
         """
         if self._nearest is None:
             self._nearest = bound(_nearest, self._all(), robot, node, travel_max_m)
         return self._nearest(robot, node, travel_max_m)
 
     def rows_of(self, nodes: Array | slice) -> tuple[Array, Array]:
-        """Poses (k, 3) and scans (k, beams) of some nodes."""
+        """Poses (k, 3) and scans (k, beams) [m] of some nodes."""
         return self._node_rows[0][nodes], self._scans_at(nodes)
 
     def _scans_at(self, nodes: Array | slice) -> Array:
-        """(k, beams) of some nodes [m]."""
+        """Scans (k, beams) [m] of some nodes."""
         chosen = self._scans[nodes] if isinstance(nodes, slice) else [self._scans[node] for node in nodes.tolist()]
         if not chosen:
             return np.zeros((0, self._beam_count))
@@ -322,32 +330,32 @@ class GraphArrays(BindsAnew):
 
     @property
     def paths(self) -> tuple[Array, Array]:
-        """The nodes of each robot, ascending (robots, k), of which that many (robots,) count."""
+        """Nodes of each robot, ascending (robots, room), and how many there are of each (robots,)."""
         return self._rows, self._counts
 
     @property
     def poses(self) -> Array:
-        """(nodes, 3) of all keyframes, each in its group's map frame; may be written to."""
+        """(nodes, 3) pose of each keyframe in its group's map frame; may be written to."""
         return self._node_rows[0][: self.node_count]
 
     @property
     def robot_of_node(self) -> Array:
-        """(nodes,) whose keyframe each is."""
+        """(nodes,) robot of each keyframe."""
         return self._node_rows[1][: self.node_count]
 
     @property
     def step_of_node(self) -> Array:
-        """(nodes,) the step at which each was taken."""
+        """(nodes,) step of each keyframe."""
         return self._node_rows[2][: self.node_count]
 
     @property
     def travels_m(self) -> Array:
-        """(nodes,) path length of the robot up to each."""
+        """(nodes,) path length of the robot up to each keyframe."""
         return self._node_rows[3][: self.node_count]
 
     @property
     def ends(self) -> Array:
-        """(edges, 2) nodes."""
+        """(edges, 2) nodes of each edge."""
         return self._edge_rows[0][: self.edge_count]
 
     @property
@@ -357,7 +365,7 @@ class GraphArrays(BindsAnew):
 
     @property
     def information(self) -> Array:
-        """(edges, 3, 3)."""
+        """(edges, 3, 3) information matrix of each edge."""
         return self._edge_rows[2][: self.edge_count]
 
     @property
@@ -367,5 +375,5 @@ class GraphArrays(BindsAnew):
 
     @property
     def is_used(self) -> Array:
-        """(edges,) bool; may be written to."""
+        """(edges,) bool: accepted edges; may be written to."""
         return self._edge_rows[4][: self.edge_count]

@@ -1,9 +1,9 @@
-"""A pose graph without some of its nodes: odometry joined past them, closures handed to those that stay.
+"""Approximate marginalisation of nodes of a pose graph that keeps it sparse.
 
-Exact marginalisation would tie all neighbours of a node to each other. Kept is what joins them along the path, as by
-the trees of Kretzschmar and Stachniss (2012): odometry from one node that stays to the next, with the covariance of the
-whole stretch, and of the closures of the stretch the best for nodes at its ends that have few. What is said again of
-two nodes is put into one.
+Exact marginalisation would connect all neighbours of a removed node. As with the trees of Kretzschmar and Stachniss
+(2012), odometry edges along removed nodes are composed into one edge between kept nodes. Closures of removed nodes are
+transferred along odometry to the nearer kept node; the most precise ones are kept, for nodes with few closures.
+Closures between the same two nodes are fused.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from twc_env.slam.relative_equations import wrapped
 from twc_env.slam.small_matrices import invert3
 
 CLOSURES_MAX = 3
-"""A node that has so many closures takes over no other."""
+"""A closure is transferred only if one of its nodes has fewer closures than this."""
 LOOSE_M = 1.0
-"""A closure that is known no better than this where it is handed to says too little to be kept."""
+"""Transferred closures with a larger position standard deviation are dropped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
-    """Edges as `GraphArrays` has them."""
+    """Edges of a pose graph, in the arrays of `GraphArrays`."""
 
     ends: Array
     measured: Array
@@ -38,29 +38,29 @@ class Edges:
 
     @property
     def parts(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Its arrays, in the order of `GraphArrays`."""
+        """The arrays, in the order of `GraphArrays`."""
         return self.ends, self.measured, self.information, self.closure, self.is_used
 
     def numbered(self, number_of: Array) -> Edges:
-        """The same edges where closures have other numbers (closures,)."""
+        """The edges with renumbered closures; number_of (closures,): new number of each old one."""
         now = self.closure.copy()
         now[now != ODOMETRY] = number_of[now[now != ODOMETRY]]
         return replace(self, closure=now)
 
     def of(self, kept: Array) -> Edges:
-        """Some of the edges: (e,) bool or indices."""
+        """Subset of the edges: (e,) bool or indices."""
         return Edges(*(part[kept] for part in self.parts))
 
 
-_Ways = tuple[Array, Array, Array]
-"""From where a node that is gone can be found along odometry: (nodes,) the nearer end of the stretch that it was on, -1
-for nodes that stay; the motion (nodes, 3) from there; and its covariance (nodes, 3, 3), in the frame of the node that
-is gone, as for every way here."""
+_Offsets = tuple[Array, Array, Array]
+"""Where each removed node is relative to a kept one: (nodes,) the kept end of its odometry stretch with the smaller
+uncertainty, -1 for kept nodes; the relative pose (nodes, 3) of the removed node; its covariance (nodes, 3, 3). As for
+all motions in this file, the covariance is in the frame of the motion's end."""
 
 
 @borrowing_kernel
-def _turn(x, y, heading, covariance):
-    """Covariance (3, 3) of twists, in place, as seen from another frame, in which its own is at this pose."""
+def _transform_covariance(x, y, heading, covariance):
+    """Transform a twist covariance (3, 3), in place, to the frame in which its own frame has this pose (adjoint)."""
     c, s = math.cos(heading), math.sin(heading)
     for j in range(3):
         first, second, third = covariance[0, j], covariance[1, j], covariance[2, j]
@@ -71,11 +71,11 @@ def _turn(x, y, heading, covariance):
 
 
 @borrowing_kernel
-def _go_on(motion, covariance, further, further_covariance):
-    """Make a way, in place, the one that goes on by another."""
+def _compose_with(motion, covariance, further, further_covariance):
+    """Compose a motion and its covariance, in place, with a further motion."""
     c, s = math.cos(further[2]), math.sin(further[2])
     x, y = -c * further[0] - s * further[1], s * further[0] - c * further[1]
-    _turn(x, y, -further[2], covariance)
+    _transform_covariance(x, y, -further[2], covariance)
     for i in range(3):
         for j in range(3):
             covariance[i, j] += further_covariance[i, j]
@@ -87,27 +87,27 @@ def _go_on(motion, covariance, further, further_covariance):
 
 @borrowing_kernel
 def _reverse(motion, covariance):
-    """Make a way, in place, the one back."""
-    _turn(motion[0], motion[1], motion[2], covariance)
+    """Invert a motion and its covariance, in place."""
+    _transform_covariance(motion[0], motion[1], motion[2], covariance)
     c, s = math.cos(motion[2]), math.sin(motion[2])
     motion[0], motion[1] = -c * motion[0] - s * motion[1], s * motion[0] - c * motion[1]
     motion[2] = wrapped(-motion[2])
 
 
 @kernel
-def _agree(motion, covariance, other, other_covariance):
-    """Make a way, in place, the mean of itself and another one between the same nodes, each as it is known."""
-    says, other_says = np.empty((3, 3)), np.empty((3, 3))
-    invert3(covariance, says)
-    invert3(other_covariance, other_says)
-    invert3(says + other_says, covariance)
+def _fuse_with(motion, covariance, other, other_covariance):
+    """Fuse a motion, in place, with another one between the same nodes, weighted by information."""
+    information, other_information = np.empty((3, 3)), np.empty((3, 3))
+    invert3(covariance, information)
+    invert3(other_covariance, other_information)
+    invert3(information + other_information, covariance)
     c, s = math.cos(motion[2]), math.sin(motion[2])
     dx, dy = other[0] - motion[0], other[1] - motion[1]
     away, pull, step = np.empty(3), np.zeros(3), np.zeros(3)
     away[0], away[1], away[2] = c * dx + s * dy, c * dy - s * dx, wrapped(other[2] - motion[2])
     for i in range(3):
         for j in range(3):
-            pull[i] += other_says[i, j] * away[j]
+            pull[i] += other_information[i, j] * away[j]
     for i in range(3):
         for j in range(3):
             step[i] += covariance[i, j] * pull[j]
@@ -117,7 +117,7 @@ def _agree(motion, covariance, other, other_covariance):
 
 
 @borrowing_kernel
-def _spread_m2(covariance):
+def _variance_m2(covariance):
     return covariance[0, 0] + covariance[1, 1]
 
 
@@ -130,8 +130,8 @@ def _inverted(matrices):
 
 
 @kernel
-def _past(ends, measured, covariances, is_gone):
-    """The stretches of odometry between nodes that stay: their ends (k, 2) and ways; and `_Ways` of the other nodes."""
+def _bypass(ends, measured, covariances, is_gone):
+    """Odometry composed between kept nodes: ends (k, 2), motions, covariances; and the `_Offsets` of removed nodes."""
     count, edge_from = 0, np.full(is_gone.shape[0], -1)
     for e in range(ends.shape[0]):
         edge_from[ends[e, 0]] = e
@@ -145,7 +145,7 @@ def _past(ends, measured, covariances, is_gone):
         node, length = start, 0
         while edge_from[node] >= 0 and (node == start or is_gone[node]):
             edge = edge_from[node]
-            _go_on(whole[count], whole_covariances[count], measured[edge], covariances[edge])
+            _compose_with(whole[count], whole_covariances[count], measured[edge], covariances[edge])
             node = ends[edge, 1]
             if is_gone[node]:
                 passed[length] = node
@@ -154,93 +154,94 @@ def _past(ends, measured, covariances, is_gone):
         stretches[count, 0], stretches[count, 1] = start, node
         count += 1
         further[:], further_spread[:] = 0.0, 0.0
-        for k in range(length - 1, -1, -1):  # from the other end
+        for k in range(length - 1, -1, -1):  # backwards: relative to the stretch's other end, if that is more certain
             edge = edge_from[passed[k]]
             back[:], back_spread[:] = measured[edge], covariances[edge]
-            _go_on(back, back_spread, further, further_spread)
+            _compose_with(back, back_spread, further, further_spread)
             further[:], further_spread[:] = back, back_spread
-            if _spread_m2(back_spread) < _spread_m2(spreads[passed[k]]):
+            if _variance_m2(back_spread) < _variance_m2(spreads[passed[k]]):
                 _reverse(back, back_spread)
                 starts[passed[k]], motions[passed[k]], spreads[passed[k]] = node, back, back_spread
     return stretches[:count], whole[:count], whole_covariances[:count], starts, motions, spreads
 
 
 @kernel
-def _move(ends, measured, covariances, starts, motions, spreads):
-    """Make of closures, in place, ones of the nodes that stay, by `_Ways`; gives how loose each is then [m2]."""
+def _transfer(ends, measured, covariances, starts, motions, spreads):
+    """Transfer closures, in place, from removed to kept nodes by `_Offsets`; returns their position variances [m2]."""
     loose, back, back_spread = np.empty(ends.shape[0]), np.empty(3), np.empty((3, 3))
     for e in range(ends.shape[0]):
         i, j = ends[e, 0], ends[e, 1]
         if starts[i] >= 0:
             ends[e, 0] = starts[i]
             back[:], back_spread[:] = motions[i], spreads[i]
-            _go_on(back, back_spread, measured[e], covariances[e])
+            _compose_with(back, back_spread, measured[e], covariances[e])
             measured[e], covariances[e] = back, back_spread
         if starts[j] >= 0:
             ends[e, 1] = starts[j]
             back[:], back_spread[:] = motions[j], spreads[j]
             _reverse(back, back_spread)
-            _go_on(measured[e], covariances[e], back, back_spread)
-        loose[e] = _spread_m2(covariances[e])
+            _compose_with(measured[e], covariances[e], back, back_spread)
+        loose[e] = _variance_m2(covariances[e])
     return loose
 
 
 @kernel
-def _choose(order, own, pairs, ends, measured, covariances, counts):
-    """Which closures (e,) stay, of which the first `own` do: those that come after in this order, the best first, where
-    both nodes have few. Others between the same two nodes, which `pairs` (e,) numbers, are put into one, in place.
+def _select(order, own, pairs, ends, measured, covariances, counts):
+    """(e,) bool: closures to keep. The first `own`, between kept nodes, always are; the others, in this order, if one
+    of their nodes has fewer than `CLOSURES_MAX`.
 
-    counts (nodes,) of the closures at each node.
+    pairs (e,): index of each closure's pair of nodes; closures of a pair that has one already are fused into it, in
+    place. counts (nodes,): closures at each node, updated.
     """
-    stays, said = np.zeros(ends.shape[0], np.bool_), np.full(ends.shape[0], -1)
+    stays, fused_into = np.zeros(ends.shape[0], np.bool_), np.full(ends.shape[0], -1)
     for e in range(own):
-        stays[e], said[pairs[e]] = True, e
+        stays[e], fused_into[pairs[e]] = True, e
     for e in order:
-        i, j, other = ends[e, 0], ends[e, 1], said[pairs[e]]
-        if i == j or _spread_m2(covariances[e]) > LOOSE_M**2:
+        i, j, other = ends[e, 0], ends[e, 1], fused_into[pairs[e]]
+        if i == j or _variance_m2(covariances[e]) > LOOSE_M**2:
             continue
         if other >= 0:
             if ends[other, 0] != i:
                 _reverse(measured[e], covariances[e])
-            _agree(measured[other], covariances[other], measured[e], covariances[e])
+            _fuse_with(measured[other], covariances[other], measured[e], covariances[e])
         elif min(counts[i], counts[j]) < CLOSURES_MAX:
-            stays[e], said[pairs[e]] = True, e
+            stays[e], fused_into[pairs[e]] = True, e
             counts[i] += 1
             counts[j] += 1
     return stays
 
 
 def thinned(edges: Edges, is_gone: Array) -> Edges:
-    """The edges of the graph without the nodes that are gone (nodes,) bool.
+    """The edges of the graph after removal of nodes, is_gone (nodes,) bool.
 
-    Each robot's first and last node must stay.
+    Each robot's first and last node must be kept. Unused closures of removed nodes are dropped.
     """
     is_touched = is_gone[edges.ends].any(axis=1)
     is_odometry = edges.closure == ODOMETRY
-    joined, ways = _joined(edges.of(is_touched & is_odometry), is_gone)
-    is_tie = ~is_odometry & edges.is_used
-    ties = _handed(edges.of(is_tie & ~is_touched), edges.of(is_tie & is_touched), ways)
-    rest = edges.of(~is_touched & ~is_tie)
-    return Edges(*(np.concatenate(parts) for parts in zip(rest.parts, joined.parts, ties.parts, strict=True)))
+    joined, offsets = _joined_odometry(edges.of(is_touched & is_odometry), is_gone)
+    is_active = ~is_odometry & edges.is_used
+    closures = _transferred_closures(edges.of(is_active & ~is_touched), edges.of(is_active & is_touched), offsets)
+    rest = edges.of(~is_touched & ~is_active)
+    return Edges(*(np.concatenate(parts) for parts in zip(rest.parts, joined.parts, closures.parts, strict=True)))
 
 
-def _joined(edges: Edges, is_gone: Array) -> tuple[Edges, _Ways]:
-    """Odometry past the nodes that are gone, and where these are along it."""
-    ends, motions, covariances, *ways = _past(edges.ends, edges.measured, _inverted(edges.information), is_gone)
+def _joined_odometry(edges: Edges, is_gone: Array) -> tuple[Edges, _Offsets]:
+    """Odometry edges composed along removed nodes, and the `_Offsets` of these."""
+    ends, motions, covariances, *offsets = _bypass(edges.ends, edges.measured, _inverted(edges.information), is_gone)
     count = len(ends)
     joined = Edges(ends, motions, _inverted(covariances), np.full(count, ODOMETRY, np.int64), np.ones(count, bool))
-    return joined, (ways[0], ways[1], ways[2])
+    return joined, (offsets[0], offsets[1], offsets[2])
 
 
-def _handed(own: Edges, edges: Edges, ways: _Ways) -> Edges:
-    """Closures of nodes that stay, with what those of nodes that are gone say of them; and the best of these."""
+def _transferred_closures(own: Edges, edges: Edges, offsets: _Offsets) -> Edges:
+    """Closures between kept nodes (own), and the transferred ones that are kept."""
     count = len(own.ends)
     ends, measured = (np.concatenate(parts) for parts in ((own.ends, edges.ends), (own.measured, edges.measured)))
     covariances = _inverted(np.concatenate([own.information, edges.information]))
-    loose_m2 = _move(ends[count:], measured[count:], covariances[count:], *ways)
+    loose_m2 = _transfer(ends[count:], measured[count:], covariances[count:], *offsets)
     pairs = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)[1].ravel()
     order = count + np.argsort(loose_m2, kind="stable")
-    counts = np.bincount(own.ends.ravel(), minlength=len(ways[0]))
-    stays = _choose(order, count, pairs, ends, measured, covariances, counts)
+    counts = np.bincount(own.ends.ravel(), minlength=len(offsets[0]))
+    stays = _select(order, count, pairs, ends, measured, covariances, counts)
     numbers, is_used = np.concatenate([own.closure, edges.closure]), np.ones(len(ends), bool)
     return Edges(ends, measured, _inverted(covariances), numbers, is_used).of(stays)

@@ -1,4 +1,4 @@
-"""Room for rows of numbers that come one at a time."""
+"""Arrays with spare rows, for data that arrive row by row."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from numpy.typing import NDArray as Array
 from twc_env.kernels import kernel
 
 ROOM, SPARE = 1024, 64
-"""Rows to begin with, enough for a usual episode; and empty ones, at least, where only some are left."""
+"""Initial rows, enough for a typical episode; least number of spare rows after a removal."""
 READINGS_ROOM = 32 * ROOM
-"""Transmitters heard at all of these, to begin with."""
+"""Initial room for RSSI readings of all fingerprints."""
 MANY = 4096
-"""From so many rows on arrays grow by a quarter at a time."""
+"""Arrays of at least this many rows grow by a quarter at a time, smaller ones double."""
 
 
 def grown(rows: Array) -> Array:
-    """The rows, with empty ones behind them, to which the system gives memory once they are written to.
+    """A larger copy, the new rows zero.
 
-    As many again; a quarter where they are `MANY`, for it may have cleared old memory for them and give it at once.
+    Usually the operating system allocates memory for these only when they are written to. It may however reuse cleared
+    memory, which is allocated at once; large arrays therefore grow by a quarter only.
     """
     count = len(rows)
     out = np.zeros((2 * count if count < MANY else count + count // 4, *rows.shape[1:]), rows.dtype)
@@ -27,14 +28,14 @@ def grown(rows: Array) -> Array:
 
 
 def only(rows: Array, kept: Array | slice) -> Array:
-    """Some of the rows, by indices or bool, with as many empty ones behind them, `SPARE` at least."""
+    """Some of the rows (indices, bool or slice), followed by as many zero rows, `SPARE` at least."""
     chosen = rows[kept]
     return np.concatenate([chosen, np.zeros((max(len(chosen), SPARE), *rows.shape[1:]), rows.dtype)])
 
 
 @kernel
 def enlarged(values, size):
-    """The numbers, with as many places behind them as there are, or up to this size, of which nothing is known."""
+    """A copy of at least this size and twice the old one; the new elements are uninitialised."""
     bigger = np.empty(max(size, 2 * len(values)), values.dtype)
     bigger[: len(values)] = values
     return bigger

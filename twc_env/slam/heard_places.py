@@ -1,4 +1,4 @@
-"""What was heard at many places, side by side, so that a kernel can compare any two of them."""
+"""Fingerprints of many places in flat arrays, so that a kernel can compare any two of them."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from twc_env.slam.growing import READINGS_ROOM, grown
 
 
 class HeardPlaces:
-    """Fingerprints one behind the other; that of place k is from `starts[k]` on and ends before `starts[k + 1]`."""
+    """Concatenated fingerprints; that of place k has the rows `starts[k]` to `starts[k + 1] - 1`."""
 
     def __init__(self) -> None:
         self.macs, self.rssi_dbm = np.zeros(READINGS_ROOM, np.int64), np.zeros(READINGS_ROOM)
-        """(room,) of all places, and room for more."""
+        """(room,) readings of all places, followed by spare room."""
         self.starts = np.zeros(1, np.int64)
-        """(places + 1,)."""
+        """(places + 1,) first row of each place."""
 
     def add(self, fingerprints: Sequence[Fingerprint]) -> None:
-        """Append further places."""
+        """Append places."""
         if not fingerprints:
             return
         first = self.starts[-1]
