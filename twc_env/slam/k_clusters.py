@@ -1,4 +1,7 @@
-"""Walls between a router and each reading as published: smooth, cluster, read the cluster's rank (Eq. 1-3, K5, K6)."""
+"""The published estimate of the number of walls between a router and each reading (Eq. 1-3, papers.md K5, K6).
+
+RSSI along the path is smoothed and clustered by k-means; the rank of a reading's cluster is its number of walls.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ _K_MAX = 5
 
 
 def sliding_window(rssi_dbm: Array, width: int, median: bool = False) -> Array:
-    """(n,) readings of one router in the order of the path -> their running mean (or median); edges are padded."""
+    """(n,) running mean (or median) of readings (n,) of one router in path order; the edges are padded."""
     width = max(1, min(width, len(rssi_dbm)))
     padded = np.pad(np.asarray(rssi_dbm, float), (width // 2, width - 1 - width // 2), mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, width)
@@ -18,7 +21,10 @@ def sliding_window(rssi_dbm: Array, width: int, median: bool = False) -> Array:
 
 
 def k_means(values: Array, clusters: int, iterations: int = 100) -> Array:
-    """(clusters,) centroids of numbers, descending (C_0 strongest); starts at quantiles, an empty cluster stays."""
+    """(clusters,) k-means centroids of values (n,), descending (C_0 strongest).
+
+    Starts at quantiles; an empty cluster keeps its centroid.
+    """
     values = np.asarray(values, float)
     centroids = np.quantile(values, (np.arange(clusters) + 0.5) / clusters)
     for _ in range(iterations):
@@ -33,13 +39,13 @@ def k_means(values: Array, clusters: int, iterations: int = 100) -> Array:
 
 
 def predict_walls(values: Array, centroids: Array) -> Array:
-    """(n,) k of each value: how many thresholds t_k = (C_(k-1) + C_k) / 2 it does not exceed (Eq. 1 and 3)."""
+    """(n,) number of walls k of each value: thresholds t_k = (C_(k-1) + C_k) / 2 that it does not exceed (Eq. 1, 3)."""
     thresholds = (centroids[:-1] + centroids[1:]) / 2
     return (np.asarray(values)[:, None] <= thresholds).sum(axis=1)
 
 
 def silhouette_k(values: Array, k_max: int = _K_MAX) -> int:
-    """The largest k, 1 to k_max, whose clusters lie apart best (mean simplified silhouette)."""
+    """The largest number of walls, 1 to k_max, whose k + 1 clusters have the best mean simplified silhouette."""
     values = np.asarray(values, float)
     scores = []
     for k in range(1, k_max + 1):
@@ -49,5 +55,5 @@ def silhouette_k(values: Array, k_max: int = _K_MAX) -> int:
 
 
 def compensate_distance(rssi_dbm: Array, distance_m: Array, exponent: float) -> Array:
-    """Readings as if all were taken one metre from the router."""
+    """Readings normalised to a distance of one metre by a path loss exponent."""
     return rssi_dbm + 10.0 * exponent * np.log10(np.maximum(distance_m, _DISTANCE_MIN_M))

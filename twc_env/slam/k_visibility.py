@@ -22,28 +22,30 @@ from twc_env.slam.wall_candidates import WallCandidates, wall_candidates
 from twc_env.slam.wall_solver import WallSolver
 
 STANDOFF_M, _STANDOFF_ROUNDS = 0.3, 3
-"""First guess of how far walls are from the path; the walls between two tracks correct it, so often at the most."""
+"""Initial distance of walls from the path, and how often it is corrected at most (by walls between two tracks)."""
 _TRIES = (0, 1, None)
-"""Annealing can end in a poor optimum: it is tried with walls right of the path alone, left alone and on both sides,
-before all are let in, and from the signal as fitted as from a typical one; the best result counts."""
+"""Annealing can end in a local optimum. It is started several times: candidates on one side of the path are excluded
+at first (0, 1) or none are (None), from the fitted and (for 0 and 1) from a typical signal model. The result with the
+lowest energy is used."""
 _STANDOFF_SPREAD_MAX_M = 0.05
-"""With a larger spread the path does not keep its distance: walls that no ray has crossed are then left unknown."""
+"""With a larger standard deviation the distance to the walls is not constant, and walls that no ray crosses are left
+unknown."""
 GRID_CELLS_MAX = 25_000_000
 _BINS, _BIN_RANGE_M = 1000, (0.1, 0.3)
-"""A long path is cut into so many bins, of a length in this range: readings nearer than that tell the same."""
+"""Number of bins of a long path, and the range of their length: closer readings are redundant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Structure:
-    """What signal strength along one path says about the building."""
+    """Wall map estimated from signal strength along one path."""
 
     router_m: Array
-    """(routers, 2) given or estimated."""
+    """(routers, 2) given or estimated positions."""
     walls: Array
-    """(readings, routers) number of walls between each router and each reading, the most probable."""
+    """(readings, routers) most probable number of walls between each router and each reading."""
     candidates: WallCandidates
     probability: Array
-    """(pieces,) that each candidate is a wall."""
+    """(candidates,) probability that each is a wall."""
     grid: WallGrid
     wall_loss_db: float
 
@@ -58,9 +60,9 @@ def map_structure(
 ) -> Structure:
     """Map walls from readings (n, routers) [dBm], NaN where not heard, taken in order at positions (n, 2).
 
-    Routers (routers, 2) that are not given are located first. A corner of some cell of the grid comes to lie at
-    origin_m (2,). Raises DataError for what does not fit together, and for places so far apart that the grid would have
-    more than GRID_CELLS_MAX cells.
+    If router positions (routers, 2) are not given, they are estimated first. The grid is aligned so that a cell corner
+    lies at origin_m (2,). Raises DataError for inconsistent shapes, and if the grid would have more than GRID_CELLS_MAX
+    cells.
     """
     position_m = given_points(position_m, "positions")
     if router_m is not None:
@@ -105,7 +107,7 @@ def map_structure(
 
 
 def _check_grid(position_m: Array, router_m: Array | None, resolution_m: float) -> None:
-    """Raise DataError for a grid around these places that cannot be meant."""
+    """Raise DataError if the grid around these positions would be too large."""
     if not resolution_m > 0.0:
         raise DataError(f"resolution_m must be above 0; got {resolution_m!r}")
     places_m = position_m if router_m is None else np.concatenate([position_m, router_m])

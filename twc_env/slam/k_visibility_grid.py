@@ -12,29 +12,32 @@ from twc_env.slam.wall_candidates import WallCandidates
 
 FREE, UNKNOWN, WALL = 255, 127, 0
 BODY_RADIUS_M = 0.1
-"""What the robot's body has swept is free (rule 1)."""
+"""Cells swept by the robot's body are free (rule 1)."""
 _MARGIN_M = 1.0
 FREE_BELOW = 0.25
+"""Cells with a lower wall probability are free ..."""
 WALL_ABOVE = 0.4
+"""... those with a higher one walls."""
 _RAYS_MIN = 2
+"""Rays through a cell from which on it is known."""
 _GAP_MAX_M = 0.5
-"""Between neighbouring readings nearer than this, rays to every part of the path are as good as heard."""
+"""Between neighbouring readings closer than this, rays are interpolated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallGrid:
-    """What is known of each cell; row 0 is the lowest y."""
+    """Grid of wall probabilities; row 0 is the lowest y."""
 
     probability: Array
-    """(rows, columns) that the cell holds a wall; NaN where nothing is known."""
+    """(rows, columns) probability of a wall; NaN where unknown."""
     origin_m: Array
     """(2,) lower left corner of cell [0, 0]."""
     resolution_m: float
     rays: Array
-    """(rows, columns) rays through each cell."""
+    """(rows, columns) number of rays through each cell."""
 
     def classes(self) -> Array:
-        """(rows, columns) uint8: FREE, WALL, or UNKNOWN where it is neither surely enough."""
+        """(rows, columns) uint8: FREE, WALL, or UNKNOWN for probabilities in between."""
         known = np.nan_to_num(self.probability, nan=0.5 * (FREE_BELOW + WALL_ABOVE))
         return np.where(known < FREE_BELOW, FREE, np.where(known > WALL_ABOVE, WALL, UNKNOWN)).astype(np.uint8)
 
@@ -43,11 +46,12 @@ def cell_probabilities(
     position_m: Array, router_m: Array, is_heard: Array, candidates: WallCandidates, probability: Array,
     is_told: Array | None, standoff_m: float, resolution_m: float, origin_m: Array | None = None,
 ) -> WallGrid:  # fmt: skip
-    """Lay candidates with their probabilities (pieces,) on a grid; positions (bins, 2), is_heard (bins, routers).
+    """Draw wall candidates with their probabilities (candidates,) on a grid; positions (bins, 2), is_heard (bins,
+    routers). A cell corner lies at origin_m (2,).
 
-    is_told (pieces,) given: only pieces that rays have crossed are believed, and what lies between path and walls only
-    where rays pass. None: the path keeps its distance, so that all walls beside it are. A corner of some cell comes to
-    lie at origin_m (2,).
+    With is_told (candidates,) bool, only candidates crossed by rays count, and space between path and walls is known
+    only where rays pass. None: the distance between path and walls is constant; all candidates count, and the space
+    between path and walls is known.
     """
     everything = np.concatenate([position_m, router_m, candidates.ends_m[probability > 0.3].reshape(-1, 2)])
     corner = np.zeros(2) if origin_m is None else np.asarray(origin_m, float)
@@ -62,7 +66,7 @@ def cell_probabilities(
     ends = (candidates.ends_m - np.tile(low, 2)) / resolution_m
     seen = (rays >= _RAYS_MIN) | swept
     if is_told is None:
-        # Nearer to the path than the walls that it follows there is nothing else.
+        # There is nothing between the path and the walls beside it.
         beside = np.zeros((rows, columns), np.bool_)
         _sweep(beside, scaled, standoff_m / resolution_m - 0.5)
         _stamp(likely, ends, probability)
@@ -77,11 +81,14 @@ def cell_probabilities(
 
 
 def _filled(scaled: Array, is_heard: Array, gap_max: float) -> Array:
-    """(k, 2) places of a path (bins, 2), in cells, that heard the router, half a cell apart where neighbours did."""
+    """(k, 2) positions of a path (bins, 2), in cells, where the router was heard.
+
+    Between neighbours closer than gap_max that both heard it, positions half a cell apart are interpolated.
+    """
     steps = np.linalg.norm(np.diff(scaled, axis=0), axis=1)
     is_filled = is_heard[1:] & is_heard[:-1] & (steps <= gap_max)
     parts = [scaled[is_heard]]
-    for count in range(2, int(2 * gap_max) + 2):  # neighbours so far apart that the gap takes `count` steps
+    for count in range(2, int(2 * gap_max) + 2):  # neighbours between which `count` steps fit
         at = np.flatnonzero(is_filled & (np.ceil(2 * steps).astype(int) == count))
         share = (np.arange(1, count) / count)[None, :, None]
         parts.append((scaled[at, None] + share * (scaled[at + 1] - scaled[at])[:, None]).reshape(-1, 2))
@@ -90,7 +97,7 @@ def _filled(scaled: Array, is_heard: Array, gap_max: float) -> Array:
 
 @kernel
 def _count_rays(rays, ends, start):
-    """Add one to every cell that a ray start -> ends[i] passes; all in cells."""
+    """Add one to each cell on the rays from start (2,) to ends (n, 2), all in units of cells."""
     rows, columns = rays.shape
     for i in range(ends.shape[0]):
         dx, dy = ends[i, 0] - start[0], ends[i, 1] - start[1]
@@ -106,6 +113,7 @@ def _count_rays(rays, ends, start):
 
 @kernel
 def _sweep(swept, path, radius):
+    """Mark the cells whose centre is within a radius of the path (n, 2), in units of cells."""
     rows, columns = swept.shape
     for i in range(path.shape[0]):
         x, y = path[i, 0], path[i, 1]
@@ -117,7 +125,7 @@ def _sweep(swept, path, radius):
 
 @kernel
 def _stamp(likely, ends, probability):
-    """Cells whose centre lies within half a cell of a piece get its probability, the largest counts."""
+    """Write a segment's probability to cells whose centre is within half a cell of it; the largest one counts."""
     rows, columns = likely.shape
     for j in range(ends.shape[0]):
         x1, y1, x2, y2 = ends[j, 0], ends[j, 1], ends[j, 2], ends[j, 3]

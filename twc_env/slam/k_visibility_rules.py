@@ -1,6 +1,6 @@
 """Inverse k-visibility as published: dense inverse, rules, Eq. 4 and 5, and Algorithm 1 (papers.md K3, K7-K15).
 
-Where the paper leaves a choice open, it is an argument.
+Choices that the paper leaves open are settings.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ _EQUATIONS = {"literal": LITERAL, "mixture": MIXTURE}
 
 @dataclass(frozen=True, slots=True)
 class RuleSettings:
-    """What the paper leaves open."""
+    """Choices that the paper leaves open."""
 
     equation_4: str = "mixture"
     """"literal": exp(-(1/M)^2 d)/L on every segment; "mixture": one Gaussian per wall of the segment (K9)."""
     wall_from: float | None = None
-    """Least mu of a wall; below it a cell stays unknown. None: all that is seen across walls only is dark (rule 3)."""
+    """Least mu of a wall; cells below it stay unknown. None: all cells seen only through walls are walls (rule 3)."""
     with_outer_box: bool = True
     """Draw the bounding box of all free cells as outer wall (K8)."""
     step: int = 8
-    """Algorithm 1's sigma: how far one reading moves a cell."""
+    """Sigma of Algorithm 1: change of a cell's grey level by one reading."""
 
 
 def walls_from_k_map(k_map: Array, router_cell: Array) -> Array:
-    """(rows, columns) bool walls from the walls crossed in every cell, -1 where none can be told (Sec. IV, K3).
+    """(rows, columns) bool walls from the number of walls k between router and every cell, -1 unknown (Sec. IV, K3).
 
-    A cell holds a wall if the number changes there along the ray from the router: it lies between cells of k and more,
-    or is itself untold between them; both sides of a change count.
+    A cell is a wall if k increases there along the ray from the router. If unknown cells lie between the two values,
+    the first and the last of them are walls.
     """
     walls = np.zeros(k_map.shape, np.bool_)
     _mark_changes(np.ascontiguousarray(k_map), np.asarray(router_cell, float), walls, _room(router_cell, k_map.shape))
@@ -48,9 +48,9 @@ def map_by_rules(
     cells: Array, walls: Array, router_of: Array, router_cells: Array, shape: tuple[int, int],
     settings: RuleSettings | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Map from readings at cells (n, 2) as (row, column): classes (rows, columns) and mu, NaN where no wall was sought.
+    """Classes (rows, columns) and mu (rows, columns; NaN without estimate) from readings at cells (n, 2) (row, column).
 
-    walls (n,) is k of each reading towards router router_of (n,), standing at router_cells (routers, 2).
+    walls (n,): number of walls k between each reading and its router router_of (n,), at router_cells (routers, 2).
     """
     settings = settings or RuleSettings()
     free = np.zeros(shape, np.bool_)
@@ -78,9 +78,9 @@ def map_by_algorithm_1(
     cells: Array, walls: Array, rssi_dbm: Array, router_cells: Array, shape: tuple[int, int],
     settings: RuleSettings | None = None,
 ) -> Array:  # fmt: skip
-    """Algorithm 1, its misprints mended (K13): (rows, columns) grey levels, P(free) = level / 255.
+    """Algorithm 1 with its misprints corrected (K13): (rows, columns) grey levels, P(free) = level / 255.
 
-    The router in focus is the strongest one at each reading (n, routers); k is known at cells of the path only.
+    Uses the router with the strongest RSSI at each reading (n, routers); k is known only in cells of the path.
     """
     settings = settings or RuleSettings()
     levels = np.full(shape, UNKNOWN, np.int64)
@@ -95,12 +95,12 @@ def map_by_algorithm_1(
 
 
 def _room(*ends: ArrayLike) -> int:
-    """At least as many cells as a ray from one of these places to another passes."""
+    """Upper bound of the number of cells on a ray between two of these positions."""
     return 2 * int(sum(np.abs(end).max(initial=0) for end in ends)) + 8
 
 
 def _put_medians(known_k: Array, cells: Array, walls: Array) -> None:
-    """The median k of the readings in each cell of the grid."""
+    """Write the median k of the readings in each cell to known_k (rows, columns)."""
     inside = ((cells >= 0) & (cells < known_k.shape)).all(axis=1)
     cells, walls = cells[inside], walls[inside]
     order = np.lexsort((walls, cells[:, 1], cells[:, 0]))
@@ -111,6 +111,7 @@ def _put_medians(known_k: Array, cells: Array, walls: Array) -> None:
 
 
 def _draw_box(classes: Array, told: Array) -> None:
+    """Mark the bounding box of the known cells, one cell larger, as walls where it is not free."""
     rows, columns = np.nonzero(told)
     if len(rows) == 0:
         return
@@ -125,7 +126,7 @@ def _draw_box(classes: Array, told: Array) -> None:
 
 @kernel
 def _ray(start_row, start_column, row, column, path):
-    """Cells from a place to the centre of a cell, both included; how many."""
+    """Write the cells from a position to the centre of a cell, both included, to path; returns their number."""
     dr, dc = row + 0.5 - start_row, column + 0.5 - start_column
     steps = int(max(abs(dr), abs(dc)) * 2.0) + 1
     count = 0
@@ -153,7 +154,7 @@ def _apply_rules(cells, walls, router_of, routers, known_k, equation, free, mu, 
         count = _ray(routers[router, 0], routers[router, 1], cells[i, 0], cells[i, 1], path)
         if count < 3:
             continue
-        # Cut the ray at every cell of the path (Fig. 6), but not where that would make k fall again.
+        # Cut the ray at cells of the path with known k (Fig. 6), as long as k does not decrease.
         cuts[0], ks[0], found = 0, 0, 1
         for j in range(1, count - 1):
             if _inside(path, j, rows, columns):
@@ -174,7 +175,7 @@ def _apply_rules(cells, walls, router_of, routers, known_k, equation, free, mu, 
 
 @kernel
 def _add_walls(path, low, high, more, equation, mu, variance):
-    """Spread `more` walls over the cells between two cuts, and fuse with what is there (Eq. 4 and 5)."""
+    """Distribute `more` walls over the cells between two cuts, and fuse with their previous estimates (Eq. 4 and 5)."""
     rows, columns = mu.shape
     between = high - low - 1
     length = float(high - low)
@@ -246,7 +247,7 @@ def _mark_changes(k_map, router, walls, room):
                 if k < 0:
                     continue
                 if k > last_k:
-                    gap = j - last - 1  # untold cells in between are the wall itself
+                    gap = j - last - 1  # unknown cells in between: the wall itself
                     if gap > 0:
                         walls[path[last + 1, 0], path[last + 1, 1]] = True
                         walls[path[j - 1, 0], path[j - 1, 1]] = True

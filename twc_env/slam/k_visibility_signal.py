@@ -1,10 +1,10 @@
-"""How many walls lie between a router and each reading, from signal strength along a path (papers.md K24d).
+"""Number of walls between a router and each reading, from signal strength along a path (papers.md K24d).
 
-A hidden Markov model along the path whose state is the number of walls k and whose reading is
+A hidden Markov model along the path. Its state is the number of walls k; a reading is
 
-    rssi = power - 10 n log10(distance) - wall_loss k + noise,
+    rssi = power - 10 n log10(distance) - wall_loss k + noise.
 
-with power, n, wall_loss and noise estimated together with k by expectation maximisation, and the largest k by BIC.
+Expectation maximisation estimates power, n, wall_loss and noise together with k; BIC selects the largest k.
 """
 
 from __future__ import annotations
@@ -21,29 +21,31 @@ from twc_env.slam.path_bins import PathBins
 DISTANCE_MIN_M = 0.5
 K_MAX = 5
 _EXPONENT_PRIOR = (2.0, 0.4)
-"""Mean and standard deviation: indoors, with walls counted apart."""
+"""Mean and standard deviation of the path loss exponent indoors, without the loss of walls."""
 _WALL_LOSS_PRIOR_DB = (9.0, 2.5)
 _WALL_LOSS_MIN_DB = 7.0
-"""Walls that take less cannot be told from shadowing: several of them are counted as one."""
+"""Smaller losses cannot be distinguished from shadowing: several such walls count as one."""
 _WALL_LOSS_STARTS_DB = (5.0, 8.0, 12.0, 18.0)
 _STAY_M = 1.5
-"""Mean path length over which k stays what it is, for a walker along walls."""
+"""Mean path length between changes of k, for paths along walls."""
 _ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M, _ALIKE_SHARE = (0.6, 0.1), 20.0, 0.4
-"""Of transmitters of one make in a furnished flat, where echoes fill the rooms and a robot crosses them freely. Each
-further wall is in between for this share of the readings of one wall less: what it takes is hardly heard."""
+"""The same for identical transmitters in a furnished flat (multipath, robot moves freely), and the prior ratio of the
+probabilities of k + 1 and k walls: weak readings behind many walls are rarely received."""
 _JUMP_DECAY = 0.15
-"""How much rarer each further wall in one jump of k is."""
+"""Probability ratio of a change of k by one wall more."""
 _STEP_SHARE_MAX = 0.25
-"""Over steps up to this share of the mean path length k jumps once at most; longer ones are several of these."""
+"""Longest step, as a share of the mean path length, with at most one change of k; longer ones are subdivided."""
 _CORRELATION_M = 0.3
-"""Binned readings within this length count as one, for their shadowing is the same."""
+"""Binned readings within this length count as one: their shadowing is correlated."""
 _TYPICAL_EXPONENT, _TYPICAL_LOSS_DB, _TYPICAL_CLEAR = 1.6, 8.0, 0.9
+"""Of `typical_signal`: path loss exponent, wall loss, and the quantile of the distance-corrected level taken as the
+level without walls."""
 _NOISE_MIN_DB = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SignalFit:
-    """What one router's readings say about its signal and the walls."""
+    """Signal model of one router and the number of walls along the path."""
 
     power_at_1m_dbm: float
     exponent: float
@@ -51,9 +53,9 @@ class SignalFit:
     noise_db: float
     """Standard deviation of a binned reading around the model."""
     probability: Array
-    """(bins, k_max + 1) of each number of walls."""
+    """(bins, k_max + 1) probability of each number of walls."""
     log_likelihood: float
-    """Of all bins, correlated ones counted once, priors included."""
+    """Of all bins, correlated ones counted once, including priors."""
 
     @property
     def walls(self) -> Array:
@@ -62,7 +64,7 @@ class SignalFit:
 
 
 def fit_signal(bins: PathBins, router: int, router_m: Array) -> SignalFit:
-    """Estimate signal and walls for one router at a known place, with the largest k chosen by BIC.
+    """Fit the signal model and walls of one router at a known position (2,), with the largest k selected by BIC.
 
     Raises DataError when the router was heard in fewer than five bins.
     """
@@ -74,7 +76,7 @@ def fit_signal(bins: PathBins, router: int, router_m: Array) -> SignalFit:
 
 
 def typical_signal(bins: PathBins, router: int, router_m: Array) -> SignalFit:
-    """A start for those who estimate further: usual exponent and wall loss, power from the strongest readings."""
+    """Initial guess for further estimation: typical exponent and wall loss, power from the strongest readings."""
     rows, decades, level = _heard(bins, router, router_m)
     power = float(np.quantile(level + _TYPICAL_EXPONENT * decades, _TYPICAL_CLEAR))
     walls = np.clip(np.round((power - _TYPICAL_EXPONENT * decades - level) / _TYPICAL_LOSS_DB), 0, K_MAX).astype(int)
@@ -83,11 +85,11 @@ def typical_signal(bins: PathBins, router: int, router_m: Array) -> SignalFit:
 
 
 def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
-    """One fit for all routers (routers, 2) of one make: power, exponent and wall loss are shared."""
+    """Joint fit of identical routers at positions (routers, 2), with common power, exponent and wall loss."""
     parts = []
     for router, place in enumerate(np.asarray(router_m, float)):
         rows, decades, level = _heard(bins, router, place)
-        steps = np.diff(bins.travel_m[rows], prepend=-np.inf)  # nothing carries over
+        steps = np.diff(bins.travel_m[rows], prepend=-np.inf)  # infinite: independent of the previous router
         parts.append((rows, decades, level, steps))
     decades, level, steps = (np.concatenate([part[i] for part in parts]) for i in (1, 2, 3))
     tries = []
@@ -105,9 +107,10 @@ def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
 
 
 def locate_router(bins: PathBins, router: int) -> tuple[Array, SignalFit]:
-    """Where a router stands (2,), from signal alone (papers.md K24g): the place whose model explains the readings best.
+    """Maximum-likelihood position (2,) of a router from its readings (papers.md K24g), and the fit there.
 
-    Tried are places within 4 m of the strongest readings and 1 m around the path; the best is refined.
+    Grid search within 4 m of the strongest readings and 1 m of the path's bounding box, refined around the best.
+    Raises DataError as `fit_signal`, and if no position has a finite likelihood.
     """
     strongest = bins.position_m[np.argsort(np.nan_to_num(bins.rssi_dbm[:, router], nan=-200.0))[-5:]].mean(axis=0)
     low = np.maximum(bins.position_m.min(axis=0) - 1.0, strongest - 4.0)
@@ -129,7 +132,7 @@ def locate_router(bins: PathBins, router: int) -> tuple[Array, SignalFit]:
 
 
 def _heard(bins: PathBins, router: int, router_m: Array) -> tuple[Array, Array, Array]:
-    """Rows of the bins that heard a router at this place, their 10 log10 distance and their level."""
+    """Indices of the bins where a router at this position was heard, their 10 log10 distance and their RSSI."""
     rows = np.flatnonzero(np.isfinite(bins.rssi_dbm[:, router]))
     if len(rows) < 5:
         raise DataError(f"router {router} was heard in {len(rows)} places only; at least 5 are needed")
@@ -138,14 +141,14 @@ def _heard(bins: PathBins, router: int, router_m: Array) -> tuple[Array, Array, 
 
 
 def _everywhere(bins: PathBins, rows: Array, probability: Array) -> Array:
-    """(bins, k + 1) probabilities (rows, k + 1) of bins that heard a router, those that did not like the next one."""
+    """(bins, k + 1) from the probabilities (rows, k + 1) of bins that heard a router; others copy the next such bin."""
     return probability[np.clip(np.searchsorted(rows, np.arange(len(bins.position_m))), 0, len(rows) - 1)]
 
 
 def _fit(
     bins: PathBins, heard: tuple[Array, Array, Array], k_max: int, start_db: float, iterations: int = 25
 ) -> SignalFit:
-    """The model of one router from what `_heard` gives."""
+    """Model of one router from the output of `_heard`, starting at a wall loss."""
     rows, decades, level = heard
     steps = np.diff(bins.travel_m[rows], prepend=bins.travel_m[rows[0]])
     score, parameters, probability = _fitted(
@@ -170,11 +173,10 @@ def _fitted(
     decades: Array, level: Array, steps: Array, step_m: float, k_max: int, start_db: float,
     exponent_prior: tuple[float, float], stay_m: float, iterations: int, share: float = 1.0,
 ) -> tuple[float, Array, Array]:  # fmt: skip
-    """Log-likelihood, parameters (4,) and probability (n, k_max + 1) of each number of walls, of readings (n,).
+    """Log-likelihood, parameters (4,) and probability (n, k_max + 1) of each number of walls for readings (n,).
 
-    `share`: how often there is one wall more, beforehand.
-
-    Correlated readings say the same thing again: their likelihood is tempered to one per correlation length.
+    share: prior probability ratio of k + 1 and k walls. The likelihood of correlated readings is tempered to one
+    reading per correlation length.
     """
     power = float(np.quantile(level + exponent_prior[0] * decades, 0.9))
     parameters = np.array([power, exponent_prior[0], start_db if k_max else 0.0, 4.0])
@@ -190,7 +192,11 @@ def _fitted(
 def _expectation_maximisation(
     decades, level, steps, temper, iterations, has_walls, exponent_prior, stay, share, parameters, probability
 ):
-    """Baum-Welch with a regression as its M step; parameters (4,) power, exponent, wall loss, noise, in and out."""
+    """Baum-Welch whose M step is a robust regression (Student's t with four degrees of freedom).
+
+    parameters (4,): power, exponent, wall loss, noise, updated in place; writes probability (n, k_max + 1); returns the
+    log-likelihood.
+    """
     count, states = probability.shape
     log_emit = np.empty((count, states))
     forward = np.empty((count, states))
@@ -236,7 +242,10 @@ def _expectation_maximisation(
 
 @kernel
 def _forward_backward(log_emit, steps, stay, share, forward, probability):
-    """Posterior of each state (count, states); gives the log-likelihood. Before the first bin lies an endless way."""
+    """Write the posterior of each state (count, states); returns the log-likelihood.
+
+    The first bin has the stationary distribution as its prior.
+    """
     count, states = log_emit.shape
     transition = np.empty((states, states))
     backward = np.ones(states)
@@ -285,8 +294,12 @@ def _forward_backward(log_emit, steps, stay, share, forward, probability):
 
 @kernel
 def _transitions(step, stay, share, transition):
-    """How k changes over one step of the path: rarely, and by one wall more often than by two; to more walls the more
-    rarely, the smaller the share is (Metropolis et al. 1953). Over an endless step where it was does not matter."""
+    """Write the transition matrix of k over one step of the path; stay: mean path length between changes.
+
+    Changes by one wall are more likely than by two (`_JUMP_DECAY`). Changes to more walls are accepted with probability
+    share ** change (Metropolis et al. 1953), which makes the stationary distribution proportional to share ** k. For an
+    infinite step every row is that distribution.
+    """
     states = transition.shape[0]
     if np.isinf(step):
         shares = share ** np.arange(states)

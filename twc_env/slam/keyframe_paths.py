@@ -1,4 +1,4 @@
-"""Where on a robot's path a keyframe is, of which some may have been forgotten."""
+"""Position of a keyframe on a robot's path, from which earlier keyframes may have been forgotten."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _index = attrgetter("index")
 
 
 def place_on(path: Sequence[Keyframe], index: int) -> int:
-    """The place of the keyframe of this number among those of its robot, in order, that are held."""
+    """Position in a robot's path (its stored keyframes, in order) of the keyframe with this index."""
     if index < len(path) and path[index].index == index:
         return index
     return bisect_left(path, index, key=_index)

@@ -1,4 +1,4 @@
-"""Take a keyframe: from a robot's marked scan to what is remembered and drawn of it, in one compiled call."""
+"""Creation of a keyframe from a robot's tracked state, and its drawing into the local map, in one compiled call."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from twc_env.slam.wall_cells import LINES_MAX
 from twc_env.slam.wall_drawing import LINES, draw_scan, drawing_room
 
 MOTION_STD_MIN = (0.013, 0.013, 0.004)
-"""Nothing is ever known better than this from one keyframe to the next [m, m, rad]."""
+"""Least standard deviation of the motion between two keyframes [m, m, rad]."""
 
 
 @kernel
 def _measure_motion(last, pose, steps, length, variances, matched, motion, covariance):
-    """Where a pose (3,) lies in the frame of the last keyframe's, and the covariance of that, in its own frame.
+    """Write the motion (3,) from the last keyframe's pose to a pose, and its covariance (3, 3) in the pose's frame.
 
-    Odometry's variances grow with every step and every metre; the last match tells half of what it says of the pose.
+    Odometry variances grow with steps and path length. The information of the last match is counted half.
     """
     c, s = math.cos(last[2]), math.sin(last[2])
     dx, dy = pose[0] - last[0], pose[1] - last[1]
@@ -38,10 +38,10 @@ def _measure_motion(last, pose, steps, length, variances, matched, motion, covar
 
 @borrowing_kernel
 def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
-    """Fill the arrays of a keyframe of robot k, scan (beams,) and pose (3,), and draw it into the local map.
+    """Fill the arrays of a keyframe of robot k: scan (beams,), pose (3,), motion and its covariance; draw the scan.
 
-    Gives how many transmitters there are in the fingerprint, the length of the path, and whether the scan was drawn:
-    not where the robot has left the middle of its map, where that is full or where the numbers are not sound.
+    Returns the number of transmitters in the fingerprint, the path length, and whether the scan was drawn into the
+    local map. It is not if the robot has left the map's centre, if the map is full or if values are not finite.
     """
     (
         marked, discs, disc_counts, seen, following, travels, steps, information, last_poses, last_travels, variances,
@@ -74,28 +74,28 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
 
 
 class KeyframeTaker(BindsAnew):
-    """Takes the keyframes of all robots, each from where the tracker has it and from the scans it heard last."""
+    """Creates the keyframes of all robots from the tracker's poses, scans and recent WiFi readings."""
 
     def __init__(self, config: EnvConfig, tracker: Tracker):
         self._tracker, self._beams = tracker, config.lidar.beam_count
         count, noise, rule = len(tracker.poses_odom), config.slam.odometry_filter, config.slam.keyframe
         self._discs_seen, self._following = np.full((count, MEMORY, 4), np.inf), np.zeros(count, np.int64)
-        """Of each robot, see `unmark`."""
+        """Memory of static discs of each robot, see `unmark`."""
         self._last_travels_m = np.zeros(count)
         self.centres_m = np.zeros((count, 2))
-        """(n, 2) the middle of each robot's local map."""
+        """(robots, 2) centre of each robot's local map."""
         self._reach_m = max(0.5 * config.slam.local_map.size_m - config.lidar.range_max_m - 1.0, 1.0)
         self._variances = np.square([noise.position_std_m, noise.position_std_per_m, noise.turn_std_rad])
-        """Odometry's, of a step [m2], of a metre [m2] and of the turn in a step [rad2]."""
+        """Odometry variances: position per step [m2], position per metre [m2], turn per step [rad2]."""
         self._window = np.array([rule.fingerprint_window_s, rule.fingerprint_age_max_s, rule.fingerprint_detection_min])
         self._std_mode = STD_MODES[rule.std_mode]
         self._run: Callable[..., tuple[int, float, bool]] | None = None
-        """`_take` with all that it needs every time."""
+        """`_take`, bound to its constant arguments."""
 
     def take(
         self, robot: int, index: int, step: int, time_s: float, signs: tuple[SignObservation, ...]
     ) -> tuple[Keyframe, bool]:
-        """The robot's keyframe of this number, and whether it was drawn: not where its local map must move on first."""
+        """The robot's keyframe with this index, and whether it was drawn; if not, the local map must be moved first."""
         tracker = self._tracker
         scan, pose, motion, covariance = np.empty(self._beams), np.empty(3), np.empty(3), np.empty((3, 3))
         now = robot, time_s, tracker.poses_odom, tracker.radio.rings, scan, pose, motion, covariance
@@ -109,7 +109,7 @@ class KeyframeTaker(BindsAnew):
         return keyframe, is_drawn
 
     def _packed(self) -> Lent:
-        """What `_take` needs every time."""
+        """The constant arguments of `_take`."""
         tracker, fields = self._tracker, self._tracker.fields
         beams = tracker.marked_m.shape[1]
         parts = (

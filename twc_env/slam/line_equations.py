@@ -1,7 +1,7 @@
-"""What points say of a pose when each is to lie on the line of the wall nearest to it: Gauss-Newton's equations.
+"""Gauss-Newton normal equations of point-to-line scan matching: each point is matched to the line of the nearest wall.
 
-All is worked out for many points at once, in 32 bits: of 40 m that leaves a hundredth of a millimetre. The sums of
-every LANES-th point are kept apart and added up last, so that they do not depend on how many a processor takes at once.
+Vectorised, in single precision (resolution 0.01 mm at 40 m). The sums of every LANES-th point are kept separately and
+added at the end, so that results do not depend on the processor's vector width.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam.wall_cells import NO_WALL, distance_in, line_in
 
 LANES, POINTS = 16, 192
-"""Sums that are kept apart; and points that go through one loop before they go through the next."""
+"""Number of separate sums; number of points per block, each loop processes one block."""
 TERMS = 11
-"""What is summed: six entries of J^T w J, three of J^T w e, the weights and the points near walls."""
+"""Sums: six entries of J^T w J, three of J^T w e, the weights, and the points near walls."""
 _ONE, _NONE, _NOWHERE = np.float32(1.0), np.float32(0.0), np.float32(np.nan)
 ROBUST_SCALE_M = 0.08
-"""Residual at which a beam has lost half of its weight (Cauchy)."""
+"""Residual at which a point has half its weight (Cauchy)."""
 _INVERSE_SCALE = np.float32(1.0 / ROBUST_SCALE_M**2)
 
 
 @kernel
 def line_scratch():
-    """Room for what `normal_equations` works out on the way, row after row."""
+    """Scratch memory of `normal_equations`."""
     work, seen, sums = (
         np.zeros(6 * POINTS, np.float32), np.zeros(3 * POINTS, np.float32), np.zeros(TERMS * LANES, np.float32)
     )  # fmt: skip
@@ -34,9 +34,9 @@ def line_scratch():
 
 @borrowing_kernel
 def _place_points(points, x, y, c, s, inverse_m, height, width, work, places):
-    """Where points end up and, only turned, from where; and the numbers of their cells: 0 for all outside the field.
+    """Transform points (n, 2) to the field frame, and find their cells (flat index; 0 outside the field).
 
-    work: rows px, py, rx, ry, qx, qy; qy is NaN outside the field.
+    Writes the rows of work: points px, py; rotated rx, ry; transformed qx, qy, where qy is NaN outside the field.
     """
     count = points.shape[0]
     for j in range(count):
@@ -54,7 +54,7 @@ def _place_points(points, x, y, c, s, inverse_m, height, width, work, places):
 
 @borrowing_kernel
 def _look_up_lines(cells, lines, count, places, held, seen):
-    """The cells of these numbers, and the lines that they know: rows normal x, normal y, offset."""
+    """Write the values of these cells to held, and their lines to seen: rows normal x, normal y, offset."""
     for j in range(count):
         held[j] = cells[np.uint64(places[j])]
         line = lines[line_in(held[j])]
@@ -63,7 +63,7 @@ def _look_up_lines(cells, lines, count, places, held, seen):
 
 @borrowing_kernel
 def _add_terms(count, all_work, all_held, all_seen, distance_max, sums):
-    """Add to the rows of sums what each point contributes; count is a multiple of LANES."""
+    """Add the terms of each point to the rows of sums; count is a multiple of LANES."""
     for first in range(0, count, LANES):
         work, held, seen = all_work[first:], all_held[first:], all_seen[first:]
         for j in range(LANES):
@@ -90,9 +90,9 @@ def _add_terms(count, all_work, all_held, all_seen, distance_max, sums):
 
 @borrowing_kernel
 def normal_equations(cells, lines, origin, inverse_m, points, n, x, y, heading, distance_max, scratch, h):
-    """Sum J^T w J (h: 6 upper entries) and J^T w e (3 more) over points near walls; gives sum of w and number.
+    """Write J^T w J (6 upper entries) and J^T w e (3) over points near walls to h; returns sum of w and their number.
 
-    cells (rows, columns) and lines (n, 3): as `wall_drawing` draws them. scratch: as `line_scratch` makes it.
+    cells (rows, columns) and lines (n, 3) of a field as drawn by `wall_drawing`; scratch of `line_scratch`.
     """
     work, places, held, seen, sums = scratch
     height, width, flat = np.float32(cells.shape[0]), np.float32(cells.shape[1]), cells.reshape(-1)
@@ -115,7 +115,7 @@ def normal_equations(cells, lines, origin, inverse_m, points, n, x, y, heading, 
 
 @borrowing_kernel
 def _total(sums, row):
-    """One of the sums, over all LANES."""
+    """Sum of one row over all LANES."""
     total = 0.0
     for j in range(row * LANES, row * LANES + LANES // 4):
         total += np.float64(

@@ -1,4 +1,4 @@
-"""Lay points on a map of lines: point-to-line Gauss-Newton from a guess, brute force around it, and what they tell."""
+"""Scan matching of points to a field of lines: point-to-line Gauss-Newton, correlative search, and information."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from twc_env.slam.line_equations import ROBUST_SCALE_M, normal_equations
 from twc_env.slam.wall_cells import distance_in, line_in
 
 WEIGHT_MIN = 5.0
-"""With less than this sum of weights nothing was matched."""
+"""Least sum of weights of a match."""
 
 
 @borrowing_kernel
 def points_of(ranges, range_max, directions, points):
-    """End points of the beams that returned, in the robot frame; gives their number."""
+    """Write the end points of beams with a return, in the robot frame; returns their number."""
     n = 0
     for i in range(ranges.shape[0]):
         if 0.0 <= ranges[i] < range_max:
@@ -26,14 +26,14 @@ def points_of(ranges, range_max, directions, points):
 
 @borrowing_kernel
 def _of_place(h):
-    """The translation part of h with the heading left free: its entries xx, xy and yy."""
+    """Entries xx, xy and yy of the translation part of h with the heading marginalised out (Schur complement)."""
     t = max(h[5], 1e-9)
     return h[0] - h[2] * h[2] / t, h[1] - h[2] * h[4] / t, h[3] - h[4] * h[4] / t
 
 
 @borrowing_kernel
 def _weakest(h):
-    """How well that direction is fixed that is fixed least: the smallest eigenvalue."""
+    """Smallest eigenvalue of the translation part: the information along the least constrained direction."""
     a, b, d = _of_place(h)
     mean, half = 0.5 * (a + d), 0.5 * math.sqrt((a - d) ** 2 + 4 * b * b)
     return max(mean - half, 0.0)
@@ -41,7 +41,7 @@ def _weakest(h):
 
 @borrowing_kernel
 def weakest_direction(h):
-    """That direction, of unit length."""
+    """Unit vector of the least constrained direction of translation."""
     a, b, d = _of_place(h)
     angle = 0.5 * math.atan2(2 * b, a - d) + 0.5 * math.pi
     return math.cos(angle), math.sin(angle)
@@ -49,7 +49,7 @@ def weakest_direction(h):
 
 @borrowing_kernel
 def _solve3(h, damping):
-    """The step that the normal equations h (9,) ask for."""
+    """Damped Gauss-Newton step (x, y, heading) of the normal equations h (9,)."""
     a00, a01, a02, a11, a12, a22 = h[0] + damping, h[1], h[2], h[3] + damping, h[4], h[5] + damping
     g0, g1, g2 = h[6], h[7], h[8]
     m0, m1, m2 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
@@ -68,10 +68,10 @@ def refine_pose(
     cells, lines, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad,
     scratch, pose, h,
 ):  # fmt: skip
-    """Gauss-Newton from guess; steps along a direction that the walls do not fix are left out.
+    """Gauss-Newton from a guess (3,); no step is taken along a degenerate direction, which the walls do not constrain.
 
-    Writes the pose and the final h. Gives (sum of weights, points near walls, is_degenerate, sum of weights at the
-    guess).
+    Writes the pose (3,) and the last h (9,). Returns the sum of weights, the number of points near walls, whether the
+    match is degenerate, and the sum of weights at the guess.
     """
     pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
     total, near, begun = 0.0, 0, 0.0
@@ -101,6 +101,7 @@ def refine_pose(
 
 @borrowing_kernel
 def _score(cells, origin, inverse_m, points, n, stride, x, y, c, s):
+    """Sum over every stride-th point of a score that falls from 1 on a wall to 0 at 0.3 m from it."""
     height, width = cells.shape
     total = 0.0
     for i in range(0, n, stride):
@@ -116,7 +117,7 @@ def _score(cells, origin, inverse_m, points, n, stride, x, y, c, s):
 
 @borrowing_kernel
 def correlate(cells, origin, inverse_m, points, n, guess, window_m, window_rad, step_m, step_rad, stride, best):
-    """Brute force over a window around guess, nearest first; writes the best pose, gives its mean score in [0, 1]."""
+    """Exhaustive search in a window around a guess (3,); writes the best pose, returns its mean score in [0, 1]."""
     best_score = -1.0
     turns = int(window_rad / step_rad)
     moves = int(window_m / step_m)
@@ -136,7 +137,7 @@ def correlate(cells, origin, inverse_m, points, n, guess, window_m, window_rad, 
 
 @borrowing_kernel
 def share_near(cells, origin, inverse_m, points, n, pose, near_m):
-    """Share of the points within near_m of a wall."""
+    """Share of the points within near_m of a wall, with the points at a pose (3,)."""
     height, width = cells.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     count = 0
@@ -153,7 +154,7 @@ def share_near(cells, origin, inverse_m, points, n, pose, near_m):
 
 @borrowing_kernel
 def _weight_at(cells, lines, origin, inverse_m, x, y, distance_max):
-    """The weight that `normal_equations` gives to a point."""
+    """Weight of a point in `normal_equations`; 0 if no wall is near."""
     height, width = cells.shape
     qx, qy = x - origin[0], y - origin[1]
     if qx < 0.0 or qy < 0.0:
@@ -168,7 +169,7 @@ def _weight_at(cells, lines, origin, inverse_m, x, y, distance_max):
 
 @borrowing_kernel
 def won_and_lost(cells, lines, origin, inverse_m, points, n, before, after, distance_max):
-    """Sums of the weights that points gain, and of those that others lose, where the pose changes."""
+    """Total weight gained by points, and total weight lost by others, when the pose changes from before to after."""
     won = lost = 0.0
     c0, s0, c1, s1 = math.cos(before[2]), math.sin(before[2]), math.cos(after[2]), math.sin(after[2])
     for i in range(n):
@@ -184,7 +185,7 @@ def won_and_lost(cells, lines, origin, inverse_m, points, n, before, after, dist
 
 @borrowing_kernel
 def fill_information(h, degenerate, scale, out):
-    """Fill out (3, 3) with h / scale; where that is degenerate, emptied along its weakest direction."""
+    """Write the information h / scale to out (3, 3); if degenerate, with zero along the least constrained direction."""
     out[0, 0], out[0, 1], out[0, 2], out[1, 1], out[1, 2], out[2, 2] = h[0], h[1], h[2], h[3], h[4], h[5]
     out[1, 0], out[2, 0], out[2, 1] = h[1], h[2], h[4]
     for i in range(3):

@@ -1,7 +1,7 @@
-"""Motions that odometry alone has told, as along a corridor's axis: put right once more is known of its scale.
+"""Correction of odometry edges that scan matching did not constrain, as along a corridor, for a new odometry scale.
 
-A robot learns by what share its odometry reads too long where scans fix all directions, that is often only at the end
-of a way that it has gone by odometry. Its graph holds that way as it was believed when it was gone.
+A robot estimates the scale error of its odometry where scans constrain all directions, often only at the end of a
+stretch traversed by odometry alone. The graph holds the edges of that stretch with the scale known at the time.
 """
 
 from __future__ import annotations
@@ -12,21 +12,23 @@ from numpy.typing import NDArray as Array
 from twc_env.messages import Keyframe
 
 MOVED_M = 0.05
-"""What has been learned is put to use when it makes a robot's way so much longer or shorter."""
+"""Edges are corrected when the length of a robot's unconstrained path changes by more than this."""
 
 
 class LoneOdometry:
-    """Of each robot such motions, as edges of a graph, and the scale by which they stand there."""
+    """Graph edges of each robot with a part measured by odometry alone, and the scale applied to them."""
 
     def __init__(self, robot_count: int):
         self._edges: list[list[int]] = [[] for _ in range(robot_count)]
         self._read_m: list[list[tuple[float, float]]] = [[] for _ in range(robot_count)]
-        """What odometry read, along the axes of the keyframe at the end of each."""
+        """Raw odometry part of each edge, in the axes of the keyframe at its end."""
         self._applied: list[list[float]] = [[] for _ in range(robot_count)]
+        """Scale error already corrected in each edge."""
         self._length_m = [0.0] * robot_count
+        """Total raw odometry length of each robot's edges."""
 
     def add(self, keyframe: Keyframe, edge: int) -> None:
-        """Note a new keyframe, to which this edge leads."""
+        """Add the odometry edge to a new keyframe."""
         ahead, left = keyframe.by_odometry_m
         if ahead == left == 0.0:
             return
@@ -37,7 +39,10 @@ class LoneOdometry:
         self._length_m[robot] += float(np.hypot(*self._read_m[robot][-1]))
 
     def learned(self, robot: int, scale: float) -> tuple[Array, Array] | None:
-        """Edges (k,) and what is to be added to each [m], (k, 2), by the scale known now; None: too little."""
+        """Edges (k,) and corrections (k, 2) [m] for a scale error, in the axes of the keyframes at their ends.
+
+        None if the change is less than `MOVED_M`.
+        """
         if not self._edges[robot]:
             return None
         less = np.array(self._applied[robot]) - scale
@@ -47,7 +52,7 @@ class LoneOdometry:
         return np.array(self._edges[robot]), less[:, None] * np.array(self._read_m[robot])
 
     def clear(self) -> None:
-        """The edges are others now: what stands there stays."""
+        """Drop all edges, after the graph has renumbered them: their motions stay as they are."""
         for robot in range(len(self._edges)):
             self._edges[robot], self._read_m[robot], self._applied[robot] = [], [], []
             self._length_m[robot] = 0.0

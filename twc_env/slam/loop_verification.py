@@ -1,4 +1,4 @@
-"""Accept or refuse a loop candidate by laying its scans on each other."""
+"""Geometric verification of loop candidates by scan matching."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from twc_env.slam.point_matching import match_points
 from twc_env.slam.target_walls import Laid, TargetWalls
 
 STEP_M, STEP_RAD = 0.15, 0.05
-"""Grid of the correlative search; the refinement reaches further than one step."""
+"""Step of the correlative search; the refinement converges from further than one step."""
 SPACING_M = 0.9
-"""Of neighbouring keyframes, every one this far along the path joins the target's walls."""
+"""Path length between the neighbouring keyframes whose scans are used."""
 SIGN_STD, NEAR_STD, OPEN_STD = (0.2, 0.2, 0.1), (2.0, 2.0, 0.5), (50.0, 50.0, 0.5)
-"""What the candidate's guess itself is worth [m, m, rad]: a shared sign fixes a corridor's axis, nearness does not.
-Where the axis stays open nearness is worth nothing: many guesses are off by the same metres, all that two robots heard
-amiss or where the estimate had them, and would agree on these."""
+"""Prior standard deviation of the candidate's guess [m, m, rad]: from a shared sign, from proximity, and from proximity
+if the scans leave a direction unconstrained. A shared sign fixes the position along a corridor. Proximity does not: the
+errors of several guesses are correlated (same drift, same WiFi outliers), so wrong closures would be consistent."""
 SIGN_ALONE_STD = (0.12, 0.12, 0.1)
-"""What a shared sign measures where no scan is laid on another [m, m, rad]: on training buildings a true one errs by
-0.11, 0.13 and 0.085, those of one sign in common."""
+"""Standard deviation of a shared sign without scan matching [m, m, rad]. Measured on training buildings for pairs with
+one sign in common: 0.11, 0.13, 0.085."""
 ANYWHERE = ("wifi", "lidar")
-"""Recognisers that know the turn at best: their matches are searched for at every heading, within WIDE_WINDOW_M."""
+"""Recognisers whose guess contains at most a rotation: matches are searched at every heading within WIDE_WINDOW_M."""
 WIDE_WINDOW_M = 3.0
 MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
-"""Where nothing but WiFi says that two robots were at one place, their scans must fit by so much: of those that
-fit less, too many are of other places. A match that scores less does not get there."""
+"""For candidates from WiFi alone between robots that share no map: least overlap (below it too many are false), least
+score of the global matching (matches below it do not reach that overlap), and number of points it uses."""
 SIGN_INFORMATION, NEAR_INFORMATION = (
     np.stack([np.diag(1.0 / np.square(std)) for std in stds]) for stds in ((SIGN_STD, SIGN_STD), (NEAR_STD, OPEN_STD))
 )
-"""(2, 3, 3) of these, the second where the axis stays open."""
+"""(2, 3, 3) information of these, the second for matches that leave a direction unconstrained."""
 Path = Sequence[Keyframe]
-"""All keyframes of a robot, in order, that are held."""
+"""All stored keyframes of a robot, in order."""
 
 
 class LoopVerifier:
-    """Scan matching between two keyframes, each with its neighbours along the path."""
+    """Verifies candidates by matching the scans of two keyframes and their neighbours along the path."""
 
     def __init__(self, config: VerificationConfig, noise: OdometryFilterConfig, lidar: LidarConfig):
         self._config = config
@@ -55,13 +55,13 @@ class LoopVerifier:
         self._drawn: tuple[int, int] | None = None
 
     def forget(self) -> None:
-        """Draw the next target's walls anew, even if they are those of the last."""
+        """Drop the cached walls of the last target."""
         self._drawn = None
 
     def verify(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> LoopClosure:
-        """Match the source to the target's walls.
+        """Match the source's points to the target's walls.
 
-        Gives a closure with status "accepted" or "rejected" (and the reason); the back end may still refuse it.
+        Returns a closure with status "accepted" or "rejected" (and the reason); the back end may still reject it.
         """
         target, source = _ends(candidate, target_path, source_path)
         rule, points = self._config, self._points(source, source_path, SPACING_M)
@@ -78,7 +78,7 @@ class LoopVerifier:
         return LoopClosure(candidate, pose, covariance, overlap, status, reason)
 
     def is_fixed_by_walls(self, closure: LoopClosure, target_path: Path, source_path: Path, width_m: float) -> bool:
-        """Whether a closure would not be loose without all things narrower than so much: they may be robots."""
+        """Whether a closure is not loose even without objects narrower than width_m, which may be robots."""
         target, source = _ends(closure.candidate, target_path, source_path)
         self._draw_target(target, target_path)
         seen = _neighbours(source, source_path, min(self._config.cloud_reach_m, SPACING_M))
@@ -88,7 +88,7 @@ class LoopVerifier:
         return not is_loose(rest.covariance)
 
     def _match(self, candidate: LoopCandidate, target: Keyframe, target_path: Path, points: Array) -> Laid:
-        """Where the source's points (n, 2) fit the target."""
+        """Match of the source's points (n, 2) to the target."""
         priors = _priors(candidate)
         if self._config.method == "point-to-point":
             paired = match_points(self._points(target, target_path), points, candidate.guess)
@@ -109,7 +109,7 @@ class LoopVerifier:
         laid = self._walls.refine(points, guess, priors)
         if candidate.recogniser == MEETING:
             return laid
-        if laid.overlap < self._config.overlap_min or candidate.recogniser in ANYWHERE:  # the guess may be too far off
+        if laid.overlap < self._config.overlap_min or candidate.recogniser in ANYWHERE:  # guess may not converge
             better = self._search(candidate, target, target_path, points)
             searched = self._walls.refine(points, better, priors)
             if searched.overlap >= laid.overlap:
@@ -117,7 +117,7 @@ class LoopVerifier:
         return laid
 
     def compared(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
-        """(robot, keyframe index) of every scan that `verify` would look at."""
+        """(robot, keyframe index) of every scan that `verify` needs."""
         reach = self._config.cloud_reach_m
         target, source = _ends(candidate, target_path, source_path)
         near = _neighbours(target, target_path, reach)
@@ -131,7 +131,7 @@ class LoopVerifier:
         self._walls.draw(_neighbours(target, path, self._config.cloud_reach_m))
 
     def _search(self, candidate: LoopCandidate, target: Keyframe, target_path: Path, points: Array) -> Array:
-        """A better guess: from around the candidate's own, or from anywhere near where that says nothing."""
+        """A better guess: search around the candidate's guess, or globally for the recognisers of `ANYWHERE`."""
         rule = self._config
         if candidate.recogniser in ANYWHERE:
             target_points, is_hasty = self._points(target, target_path, SPACING_M), candidate.recogniser == "wifi"
@@ -141,15 +141,15 @@ class LoopVerifier:
         return self._walls.field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)[0]
 
     def _points(self, keyframe: Keyframe, path: Path, reach_m: float = math.inf) -> Array:
-        """(n, 2) what the keyframe and its neighbours within reach saw, in the keyframe's frame."""
+        """(n, 2) scan points of the keyframe and its neighbours within reach, in the keyframe's frame."""
         return self._walls.points(_neighbours(keyframe, path, min(self._config.cloud_reach_m, reach_m)))
 
 
 class SignVerifier:
-    """Takes a shared sign at its word: for robots without laser, which have nothing to check it by."""
+    """Accepts shared signs without verification, for robots without laser."""
 
     def verify(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> LoopClosure:
-        """The candidate's own guess as a measurement."""
+        """The candidate's guess as the measurement."""
         return LoopClosure(candidate, candidate.guess, np.diag(np.square(SIGN_ALONE_STD)), 0.0, "accepted")
 
     def compared(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
@@ -158,7 +158,7 @@ class SignVerifier:
 
 
 def _priors(candidate: LoopCandidate) -> Array:
-    """(2, 3, 3) information that the candidate's own guess is worth, see `closure_covariance`."""
+    """(2, 3, 3) prior information of the candidate's guess, see `closure_covariance`."""
     return NEAR_INFORMATION if candidate.sign_m is None else SIGN_INFORMATION
 
 
@@ -169,7 +169,7 @@ def _ends(candidate: LoopCandidate, target_path: Path, source_path: Path) -> tup
 
 
 def _neighbours(keyframe: Keyframe, path: Path, reach_m: float) -> list[Keyframe]:
-    """The keyframe first, then others of its robot within reach_m of path, about SPACING_M apart."""
+    """The keyframe, followed by others of its robot within reach_m of path length, at least SPACING_M apart."""
     chosen, here_m, place = [keyframe], keyframe.travel_m, place_on(path, keyframe.index)
     for way, places in ((-1.0, range(place - 1, -1, -1)), (1.0, range(place + 1, len(path)))):
         first_m = last_m = way * here_m

@@ -1,8 +1,8 @@
-"""Beams without a return that may have been lost, though a wall is there: nothing is seen through them.
+"""Treatment of beams without a return whose echo may have been lost (dropout).
 
-A scanner reads the same where nothing is in reach and where it lost an echo. Lost echoes are few in a row, openings
-show by many beams; so a run of few beams without a return counts as free up to the nearer of what stands beside it.
-Else the floor beyond each wall would count as seen, and nothing would ever say otherwise.
+A scanner gives the same reading if nothing is in range and if an echo is lost. Dropouts affect few neighbouring beams,
+openings many. A short run of beams without a return therefore counts as free only up to the nearer of the beams beside
+it. Otherwise the floor behind a wall would be marked free, and later scans would not correct it.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ import math
 from twc_env.kernels import borrowing_kernel
 
 CHANCE = 1e-4
-"""That in one scan a run of lost beams is as long as an opening must be."""
+"""Probability per scan that a run of dropouts is long enough to count as an opening."""
 NEAR_M = 1e-6
-"""Free up to there, where no beam returned at all: nothing is."""
+"""Range of all beams if none has a return and the scan is too short for an opening: nothing is marked free."""
 
 
 def opening_beams(beams: int, dropout_probability: float) -> int:
-    """Neighbouring beams without a return that make an opening; a run as long starts at one of `beams` by chance."""
+    """Number of neighbouring beams without a return that count as an opening: dropouts are that long with `CHANCE`."""
     if dropout_probability <= 0.0:
         return 1
     if dropout_probability >= 1.0:
@@ -28,8 +28,8 @@ def opening_beams(beams: int, dropout_probability: float) -> int:
 
 @borrowing_kernel
 def bridge(ranges, range_max, opening, is_lost, out):
-    """Write the scan to out, in which runs of fewer than `opening` beams without a return are as near as the nearer of
-    the beams beside them; is_lost (beams,) bool says which these are. Gives whether there are any."""
+    """Write the scan to out, with runs of fewer than `opening` beams without a return set to the nearer beam beside
+    them. Writes is_lost (beams,) bool, true for these beams; returns whether there are any."""
     beams = ranges.shape[0]
     first = -1
     for i in range(beams):
@@ -55,7 +55,7 @@ def bridge(ranges, range_max, opening, is_lost, out):
 
 @borrowing_kernel
 def mark_lost(is_lost, marked):
-    """Make lost beams negative: free up to there, but no wall."""
+    """Make lost beams negative: free up to that range, but no wall."""
     for i in range(marked.shape[0]):
         if is_lost[i]:
             marked[i] = -abs(marked[i])
