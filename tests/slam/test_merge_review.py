@@ -238,7 +238,7 @@ def test_the_last_merge_is_wrong_where_closures_pull_odometry_apart(recorded):
     for merge in team._review.merges:
         merge.due_step = 0
     assert team._review.wrong(200) is None
-    nodes = graph.part(robots)[0]
+    nodes = graph.subgraph(robots)[0]
     graph.place(nodes, graph.poses[nodes] * (1.4, 1.0, 1.0))
     for merge in team._review.merges:
         merge.due_step = 0

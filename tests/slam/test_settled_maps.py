@@ -132,8 +132,8 @@ def test_every_so_manyth_keyframe_lays_a_map_as_all_do(stride):
 def test_part_of_a_graph_has_all_edges_to_later_nodes_and_their_ends(team):
     graph, robots = team._graph, team.groups[0].robots
     first = len(graph.poses) // 2
-    everything, edges, whole, used = graph.part(robots)
-    nodes, later, part, is_used = graph.part(robots, first)
+    everything, edges, whole, used = graph.subgraph(robots)
+    nodes, later, part, is_used = graph.subgraph(robots, first)
     ends = everything[whole.edges]
     assert np.array_equal(later, edges[ends.max(axis=1) >= first])
     assert np.array_equal(nodes[part.edges], ends[ends.max(axis=1) >= first])

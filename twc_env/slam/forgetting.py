@@ -123,7 +123,7 @@ class Forgetting:
         graph = self._graph
         paths = map(graph.path_of, range(len(graph.keyframes)))
         stay = [node for own in paths for part in (own[:1], own[-LATEST:]) for node in part.tolist()]
-        stay += graph.tied.tolist()
+        stay += graph.last_closure_node.tolist()
         counts: dict[tuple[int, int], int] = {}
         for closure in graph.closures:
             ends = closure.candidate.target, closure.candidate.source

@@ -68,8 +68,8 @@ def _between(a, b, out):
 
 
 @borrowing_kernel
-def _misfit(graph, target, source, measured, covariance):
-    """See `GraphArrays.misfit`."""
+def _residual(graph, target, source, measured, covariance):
+    """See `GraphArrays.residual`."""
     poses, _, _, _, _, _, _, _, _, _, _, _, _, _, (expected, error, inverse) = parts_of(graph)
     _between(poses[target], poses[source], expected)
     _between(expected, measured, error)
@@ -80,8 +80,8 @@ def _misfit(graph, target, source, measured, covariance):
 def _append_node(graph, node, edge, robot, step, travel, pose_odom, motion, covariance):
     """Write a robot's next node and the odometry edge to it; False for its first node, which has no edge."""
     (
-        poses, robots, steps, travels, variances, ends, measured, information, kinds, used, rows, counts, tied,
-        latest_odom, _,
+        poses, robots, steps, travels, variances, ends, measured, information, kinds, used, rows, counts,
+        last_closure_node, latest_odom, _,
     ) = parts_of(graph)  # fmt: skip
     count = counts[robot]
     previous = rows[robot, count - 1] if count > 0 else np.int64(-1)
@@ -90,7 +90,7 @@ def _append_node(graph, node, edge, robot, step, travel, pose_odom, motion, cova
     for axis in range(3):
         latest_odom[robot, axis] = pose_odom[axis]
     if previous < 0:
-        tied[robot] = node
+        last_closure_node[robot] = node
         return False
     _write_edge(edge, previous, node, motion, covariance, ODOMETRY, True, ends, measured, information, kinds, used)
     return True
@@ -99,7 +99,9 @@ def _append_node(graph, node, edge, robot, step, travel, pose_odom, motion, cova
 @borrowing_kernel
 def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
     """See `GraphArrays.locate`."""
-    poses, _, steps, travels, variances, _, _, _, _, _, rows, counts, tied, latest_odom, _ = parts_of(graph)
+    poses, _, steps, travels, variances, _, _, _, _, _, rows, counts, last_closure_node, latest_odom, _ = parts_of(
+        graph
+    )
     for k in robots:
         for a in range(others.shape[1]):
             other = others[k, a]
@@ -109,7 +111,7 @@ def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
             for axis in range(3):
                 poses_map_odom[k, axis] = std[k, axis] = 0.0
             continue
-        node, first, pose_odom = rows[k, counts[k] - 1], tied[k], latest_odom[k]
+        node, first, pose_odom = rows[k, counts[k] - 1], last_closure_node[k], latest_odom[k]
         c, s = math.cos(pose_odom[2]), math.sin(pose_odom[2])
         x, y = -c * pose_odom[0] - s * pose_odom[1], s * pose_odom[0] - c * pose_odom[1]
         c, s = math.cos(poses[node, 2]), math.sin(poses[node, 2])
@@ -143,8 +145,8 @@ def _is_in_subgraph(ends, is_inside, first, robot_of_node):
 
 
 @kernel
-def part_of(is_inside, first, robot_of_node, ends, measured, information, closure_of_edge, is_used):
-    """See `TeamGraph.part`; is_inside (robots,) bool: robots whose keyframes belong to it."""
+def subgraph_of(is_inside, first, robot_of_node, ends, measured, information, closure_of_edge, is_used):
+    """See `TeamGraph.subgraph`; is_inside (robots,) bool: robots whose keyframes belong to it."""
     is_kept = np.zeros(robot_of_node.shape[0], np.bool_)
     for n in range(first, robot_of_node.shape[0]):
         is_kept[n] = is_inside[robot_of_node[n]]
@@ -205,7 +207,7 @@ class GraphArrays(BindsAnew):
         self._rows = np.zeros((robot_count, ROOM), np.int64)
         """(robots, room) nodes of each robot, the first `_counts` of each row."""
         self._counts = np.zeros(robot_count, np.int64)
-        self.tied = np.zeros(robot_count, np.int64)
+        self.last_closure_node = np.zeros(robot_count, np.int64)
         """(robots,) node of each robot's last keyframe with an accepted closure; its first node without any."""
         self._latest_odom = np.zeros((robot_count, 3))
         """(robots, 3) pose of each robot's last keyframe in its odom frame."""
@@ -213,7 +215,7 @@ class GraphArrays(BindsAnew):
         self._write_closure: Callable[..., None] | None = None
         self._locate: Callable[..., None] | None = None
         self._nearest: Callable[..., tuple[int, float]] | None = None
-        self._misfit: Callable[..., tuple[float, float, float]] | None = None
+        self._residual: Callable[..., tuple[float, float, float]] | None = None
         """The kernels of these names, bound to the arrays at the first call."""
 
     def _rebind(self) -> None:
@@ -221,10 +223,10 @@ class GraphArrays(BindsAnew):
         held = self._all()
         self._append_node, self._locate = rebound(self._append_node, held), rebound(self._locate, held)
         self._nearest, self._write_closure = rebound(self._nearest, held), rebound(self._write_closure, held)
-        self._misfit = rebound(self._misfit, held)
+        self._residual = rebound(self._residual, held)
 
     def _all(self) -> Lent:
-        robots = self._rows, self._counts, self.tied, self._latest_odom
+        robots = self._rows, self._counts, self.last_closure_node, self._latest_odom
         room_for_poses = np.empty(3), np.empty(3), np.empty((3, 3))
         return Lent((*self._node_rows, *self._edge_rows, *robots, room_for_poses))
 
@@ -267,8 +269,8 @@ class GraphArrays(BindsAnew):
     def _keep(self, kept: Array, edges: tuple[Array, Array, Array, Array, Array]) -> Array:
         """Keep only nodes (k,), ascending, and renumber them; returns the new index of each old node, -1 if removed.
 
-        Each robot's first and last node and those in `tied` must be among them. edges: the arrays `ends` (with old node
-        indices), `measured`, `information`, `closure_of_edge` and `is_used` of all remaining edges.
+        Each robot's first and last node and those in `last_closure_node` must be among them. edges: the arrays `ends`
+        (with old node indices), `measured`, `information`, `closure_of_edge` and `is_used` of all remaining edges.
         """
         number_of = np.full(self.node_count, -1)
         number_of[kept] = np.arange(len(kept))
@@ -276,7 +278,7 @@ class GraphArrays(BindsAnew):
             own = number_of[self._rows[robot, :count]]
             own = own[own >= 0]
             self._rows[robot, : len(own)], self._counts[robot] = own, len(own)
-        self.tied[:] = np.where(self._counts > 0, number_of[self.tied], 0)
+        self.last_closure_node[:] = np.where(self._counts > 0, number_of[self.last_closure_node], 0)
         self._node_rows = [only(rows, kept) for rows in self._node_rows]
         self._scans = [self._scans[node] for node in kept.tolist()]
         self.node_count, self.edge_count = len(kept), len(edges[0])
@@ -296,13 +298,13 @@ class GraphArrays(BindsAnew):
             self._locate = bound(_locate, self._all(), robots, others, *into)
         self._locate(robots, others, *into)
 
-    def misfit(self, target: int, source: int, measured: Array, covariance: Array) -> tuple[float, float, float]:
+    def residual(self, target: int, source: int, measured: Array, covariance: Array) -> tuple[float, float, float]:
         """Difference between a measured pose (3,) of the source node in the target's frame and the estimate: distance
         [m], angle [rad], and squared Mahalanobis length by the covariance (3, 3)."""
         now = target, source, measured, covariance
-        if self._misfit is None:
-            self._misfit = bound(_misfit, self._all(), *now)
-        return self._misfit(*now)
+        if self._residual is None:
+            self._residual = bound(_residual, self._all(), *now)
+        return self._residual(*now)
 
     def nearest(self, robot: int, node: int, travel_max_m: float = math.inf) -> tuple[int, float]:
         """The robot's keyframe nearest to a node, as its position on the robot's path, and its distance [m].

@@ -94,7 +94,7 @@ def map_structure(
     keeps_distance = not len(seen_m) or np.std(seen_m) <= _STANDOFF_SPREAD_MAX_M
     grid = cell_probabilities(
         bins.position_m, router_m, np.isfinite(bins.rssi_dbm), solver.candidates, solver.probability,
-        None if keeps_distance else solver.is_told, solver.assumed_standoff_m, resolution_m, origin_m,
+        None if keeps_distance else solver.is_crossed, solver.assumed_standoff_m, resolution_m, origin_m,
     )  # fmt: skip
     return Structure(
         router_m=router_m,

@@ -44,12 +44,12 @@ class WallGrid:
 
 def cell_probabilities(
     position_m: Array, router_m: Array, is_heard: Array, candidates: WallCandidates, probability: Array,
-    is_told: Array | None, standoff_m: float, resolution_m: float, origin_m: Array | None = None,
+    is_crossed: Array | None, standoff_m: float, resolution_m: float, origin_m: Array | None = None,
 ) -> WallGrid:  # fmt: skip
     """Draw wall candidates with their probabilities (candidates,) on a grid; positions (bins, 2), is_heard (bins,
     routers). A cell corner lies at origin_m (2,).
 
-    With is_told (candidates,) bool, only candidates crossed by rays count, and space between path and walls is known
+    With is_crossed (candidates,) bool, only candidates crossed by rays count, and space between path and walls is known
     only where rays pass. None: the distance between path and walls is constant; all candidates count, and the space
     between path and walls is known.
     """
@@ -65,7 +65,7 @@ def cell_probabilities(
     _sweep(swept, scaled, BODY_RADIUS_M / resolution_m)
     ends = (candidates.ends_m - np.tile(low, 2)) / resolution_m
     seen = (rays >= _RAYS_MIN) | swept
-    if is_told is None:
+    if is_crossed is None:
         # There is nothing between the path and the walls beside it.
         beside = np.zeros((rows, columns), np.bool_)
         _sweep(beside, scaled, standoff_m / resolution_m - 0.5)
@@ -73,8 +73,8 @@ def cell_probabilities(
         seen |= beside | (likely > 0.0)
     else:
         doubtful = np.zeros((rows, columns))
-        _stamp(likely, ends[is_told], probability[is_told])
-        _stamp(doubtful, ends[~is_told], probability[~is_told])
+        _stamp(likely, ends[is_crossed], probability[is_crossed])
+        _stamp(doubtful, ends[~is_crossed], probability[~is_crossed])
         seen &= swept | (doubtful <= likely)
     value = np.clip(np.where(swept, 0.02, likely), 0.02, 0.98)
     return WallGrid(np.where(seen, value, np.nan), low, resolution_m, rays)

@@ -110,9 +110,9 @@ def _put_medians(known_k: Array, cells: Array, walls: Array) -> None:
         known_k[tuple(rows[first])] = walls[order[(first + last) // 2]]
 
 
-def _draw_box(classes: Array, told: Array) -> None:
+def _draw_box(classes: Array, known: Array) -> None:
     """Mark the bounding box of the known cells, one cell larger, as walls where it is not free."""
-    rows, columns = np.nonzero(told)
+    rows, columns = np.nonzero(known)
     if len(rows) == 0:
         return
     top, bottom = min(rows.max() + 1, len(classes) - 1), max(rows.min() - 1, 0)

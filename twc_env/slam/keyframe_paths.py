@@ -11,7 +11,7 @@ from twc_env.messages import Keyframe
 _index = attrgetter("index")
 
 
-def place_on(path: Sequence[Keyframe], index: int) -> int:
+def path_position(path: Sequence[Keyframe], index: int) -> int:
     """Position in a robot's path (its stored keyframes, in order) of the keyframe with this index."""
     if index < len(path) and path[index].index == index:
         return index

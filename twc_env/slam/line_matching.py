@@ -168,7 +168,7 @@ def _weight_at(cells, lines, origin, inverse_m, x, y, distance_max):
 
 
 @borrowing_kernel
-def won_and_lost(cells, lines, origin, inverse_m, points, n, before, after, distance_max):
+def weight_changes(cells, lines, origin, inverse_m, points, n, before, after, distance_max):
     """Total weight gained by points, and total weight lost by others, when the pose changes from before to after."""
     won = lost = 0.0
     c0, s0, c1, s1 = math.cos(before[2]), math.sin(before[2]), math.cos(after[2]), math.sin(after[2])

@@ -13,10 +13,10 @@ from twc_env.messages import Keyframe, LoopCandidate, LoopClosure, is_loose
 from twc_env.slam.closure_covariance import closure_covariance
 from twc_env.slam.given_arrays import given_pose
 from twc_env.slam.global_matching import match_globally
-from twc_env.slam.keyframe_paths import place_on
+from twc_env.slam.keyframe_paths import path_position
 from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.point_matching import match_points
-from twc_env.slam.target_walls import Laid, TargetWalls
+from twc_env.slam.target_walls import TargetWalls, WallMatch
 
 STEP_M, STEP_RAD = 0.15, 0.05
 """Step of the correlative search; the refinement converges from further than one step."""
@@ -63,7 +63,7 @@ class LoopVerifier:
 
         Returns a closure with status "accepted" or "rejected" (and the reason); the back end may still reject it.
         """
-        target, source = _ends(candidate, target_path, source_path)
+        target, source = _keyframes_of(candidate, target_path, source_path)
         rule, points = self._config, self._points(source, source_path, SPACING_M)
         pose, covariance, overlap = self._match(candidate, target, target_path, points)
         is_meeting, reason = candidate.recogniser == MEETING, ""
@@ -79,47 +79,47 @@ class LoopVerifier:
 
     def is_fixed_by_walls(self, closure: LoopClosure, target_path: Path, source_path: Path, width_m: float) -> bool:
         """Whether a closure is not loose even without objects narrower than width_m, which may be robots."""
-        target, source = _ends(closure.candidate, target_path, source_path)
+        target, source = _keyframes_of(closure.candidate, target_path, source_path)
         self._draw_target(target, target_path)
         seen = _neighbours(source, source_path, min(self._config.cloud_reach_m, SPACING_M))
-        rest = self._walls.refine(
+        remaining = self._walls.refine(
             self._walls.points(seen, width_m), closure.pose_target_source, _priors(closure.candidate)
         )
-        return not is_loose(rest.covariance)
+        return not is_loose(remaining.covariance)
 
-    def _match(self, candidate: LoopCandidate, target: Keyframe, target_path: Path, points: Array) -> Laid:
+    def _match(self, candidate: LoopCandidate, target: Keyframe, target_path: Path, points: Array) -> WallMatch:
         """Match of the source's points (n, 2) to the target."""
         priors = _priors(candidate)
         if self._config.method == "point-to-point":
             paired = match_points(self._points(target, target_path), points, candidate.guess)
             information = paired.information(self._noise.match_std_m, self._noise.match_correlation)
-            return Laid(
+            return WallMatch(
                 paired.pose, closure_covariance(information, priors, float(paired.pose[2])), paired.inlier_ratio
             )
         guess = given_pose(candidate.guess, "guess")
         if candidate.recogniser == MEETING:
-            met = match_globally(
+            found = match_globally(
                 self._points(target, target_path, SPACING_M), points, WIDE_WINDOW_M, MEETING_SCORE_MIN,
                 MEETING_POINTS_MAX, lays_walls_along=True,
             )  # fmt: skip
-            if met is None:
-                return Laid(np.zeros(3), closure_covariance(np.zeros((3, 3)), priors, 0.0), 0.0)
-            guess = met.pose
+            if found is None:
+                return WallMatch(np.zeros(3), closure_covariance(np.zeros((3, 3)), priors, 0.0), 0.0)
+            guess = found.pose
         self._draw_target(target, target_path)
-        laid = self._walls.refine(points, guess, priors)
+        match = self._walls.refine(points, guess, priors)
         if candidate.recogniser == MEETING:
-            return laid
-        if laid.overlap < self._config.overlap_min or candidate.recogniser in ANYWHERE:  # guess may not converge
+            return match
+        if match.overlap < self._config.overlap_min or candidate.recogniser in ANYWHERE:  # may not converge
             better = self._search(candidate, target, target_path, points)
             searched = self._walls.refine(points, better, priors)
-            if searched.overlap >= laid.overlap:
+            if searched.overlap >= match.overlap:
                 return searched
-        return laid
+        return match
 
     def compared(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
         """(robot, keyframe index) of every scan that `verify` needs."""
         reach = self._config.cloud_reach_m
-        target, source = _ends(candidate, target_path, source_path)
+        target, source = _keyframes_of(candidate, target_path, source_path)
         near = _neighbours(target, target_path, reach)
         near += _neighbours(source, source_path, min(reach, SPACING_M))
         return [k.key for k in near]
@@ -134,8 +134,8 @@ class LoopVerifier:
         """A better guess: search around the candidate's guess, or globally for the recognisers of `ANYWHERE`."""
         rule = self._config
         if candidate.recogniser in ANYWHERE:
-            target_points, is_hasty = self._points(target, target_path, SPACING_M), candidate.recogniser == "wifi"
-            found = match_globally(target_points, points, WIDE_WINDOW_M, lays_walls_along=is_hasty)
+            target_points, along_walls = self._points(target, target_path, SPACING_M), candidate.recogniser == "wifi"
+            found = match_globally(target_points, points, WIDE_WINDOW_M, lays_walls_along=along_walls)
             return candidate.guess if found is None else found.pose
         window = rule.window_m, rule.window_rad
         return self._walls.field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)[0]
@@ -162,16 +162,16 @@ def _priors(candidate: LoopCandidate) -> Array:
     return NEAR_INFORMATION if candidate.sign_m is None else SIGN_INFORMATION
 
 
-def _ends(candidate: LoopCandidate, target_path: Path, source_path: Path) -> tuple[Keyframe, Keyframe]:
+def _keyframes_of(candidate: LoopCandidate, target_path: Path, source_path: Path) -> tuple[Keyframe, Keyframe]:
     """The two keyframes of a candidate."""
-    target, source = place_on(target_path, candidate.target[1]), place_on(source_path, candidate.source[1])
+    target, source = path_position(target_path, candidate.target[1]), path_position(source_path, candidate.source[1])
     return target_path[target], source_path[source]
 
 
 def _neighbours(keyframe: Keyframe, path: Path, reach_m: float) -> list[Keyframe]:
     """The keyframe, followed by others of its robot within reach_m of path length, at least SPACING_M apart."""
-    chosen, here_m, place = [keyframe], keyframe.travel_m, place_on(path, keyframe.index)
-    for way, places in ((-1.0, range(place - 1, -1, -1)), (1.0, range(place + 1, len(path)))):
+    chosen, here_m, position = [keyframe], keyframe.travel_m, path_position(path, keyframe.index)
+    for way, places in ((-1.0, range(position - 1, -1, -1)), (1.0, range(position + 1, len(path)))):
         first_m = last_m = way * here_m
         for k in places:
             other_m = way * path[k].travel_m

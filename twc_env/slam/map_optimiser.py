@@ -119,7 +119,7 @@ class MapOptimiser:
         robots = self._maps.groups[group].robots
         if self._is_refused_often(robots, self._graph.refused_count(robots)):
             return False
-        nodes, _, graph, is_used = self._graph.part(robots, first)
+        nodes, _, graph, is_used = self._graph.subgraph(robots, first)
         held = np.arange(np.searchsorted(nodes, first))
         result = robust_backend.second_thoughts(self._graph.poses[nodes], graph, is_used, self._config, held)
         if not np.array_equal(result.accepted, is_used):
@@ -133,7 +133,7 @@ class MapOptimiser:
 
     def _optimise_whole(self, group: int, is_thorough: bool, is_last: bool) -> None:
         robots = self._maps.groups[group].robots
-        nodes, edges, graph, is_used = self._graph.part(robots)
+        nodes, edges, graph, is_used = self._graph.subgraph(robots)
         if len(nodes) < 2:
             return
         fixed = bisect_left(nodes, self._graph.node((robots[0], 0))) if self._graph.keyframes[robots[0]] else 0

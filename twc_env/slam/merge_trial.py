@@ -42,7 +42,7 @@ class MergeTrials:
     def is_placed(self, a: tuple[int, ...], b: tuple[int, ...], proposal: MergeProposal) -> bool:
         """Whether it would be known where each robot of one map lies to each of the other, by all closures that agree
         with the map which the two make."""
-        nodes, _, graph, is_used = self._graph.part([*a, *b])
+        nodes, _, graph, is_used = self._graph.subgraph([*a, *b])
         poses, robot_of = self._graph.poses[nodes], self._graph.robot_of_node[nodes]
         poses[np.isin(robot_of, b)] = compose(proposal.pose_a_b, poses[np.isin(robot_of, b)])
         edges, measured, information = self._edges(nodes, self._graph.waiting.between(a, b))
@@ -74,7 +74,7 @@ class MergeTrials:
 
     def strayed(self, robots: Sequence[int]) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
         """The two sides of a map that nothing fixes to each other any more; None while all robots are placed."""
-        nodes, _, graph, is_used = self._graph.part(robots)
+        nodes, _, graph, is_used = self._graph.subgraph(robots)
         whose, robot_of = np.unique(self._graph.robot_of_node[nodes], return_inverse=True)
         share = (frame_stds(self._graph.poses[nodes], graph.of(is_used), robot_of) / PLACED).max(axis=-1)
         i, j = np.unravel_index(np.argmax(share), share.shape)

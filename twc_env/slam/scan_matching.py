@@ -26,7 +26,7 @@ from twc_env.slam.line_matching import (
     points_of,
     refine_pose,
     share_near,
-    won_and_lost,
+    weight_changes,
 )
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, distance_in, line_in
 from twc_env.slam.wall_drawing import BLOCK_CELLS, NOWHERE, draw_scans, drawing_room
@@ -89,7 +89,7 @@ def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, 
             start[0], start[1], start[2] = guess[0], guess[1], guess[2]
     is_clear = total - begun >= GAIN_MIN * n
     if is_clear:
-        won, lost = won_and_lost(cells, lines, origin, rule[1], points, n, guess, pose, rule[2])
+        won, lost = weight_changes(cells, lines, origin, rule[1], points, n, guess, pose, rule[2])
         is_clear = won - LOSS_WEIGHT * lost >= GAIN_MIN * n
     reach, reach_turned = (SLIP_MAX_M, SLIP_MAX_RAD) if is_clear else (INNOVATION_MAX_M, INNOVATION_MAX_RAD)
     jump_x, jump_y = pose[0] - guess[0], pose[1] - guess[1]

@@ -124,7 +124,7 @@ class _Kernels(NamedTuple):
     contradict: Callable[..., float]
 
 
-class Laid(NamedTuple):
+class WallMatch(NamedTuple):
     """Points laid on walls."""
 
     pose: Array
@@ -191,10 +191,10 @@ class TargetWalls:
             count = self._kernels(len(scan)).join(first.pose_odom, keyframe.pose_odom, scan, points, count)
         return points[:count]
 
-    def refine(self, points: Array, guess: Array, priors: Array) -> Laid:
+    def refine(self, points: Array, guess: Array, priors: Array) -> WallMatch:
         """Points (n, 2) laid on the walls from a guess (3,); priors: its own, see `closure_covariance`."""
         pose, covariance = np.empty(3), np.empty((3, 3))
-        return Laid(pose, covariance, self._kernels(self._beams).lay(points, guess, priors, pose, covariance))
+        return WallMatch(pose, covariance, self._kernels(self._beams).lay(points, guess, priors, pose, covariance))
 
     def contradiction(self, target: Keyframe, source: Keyframe, pose: Array) -> float:
         """The larger share of what one saw that the other saw through; pose (3,) of the source in the target."""

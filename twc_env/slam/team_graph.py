@@ -12,10 +12,10 @@ from numpy.typing import NDArray as Array
 from twc_env.geometry import between, compose, inverse
 from twc_env.messages import Keyframe, LoopClosure
 from twc_env.slam.forgotten_paths import ForgottenPaths
-from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays, part_of
+from twc_env.slam.graph_arrays import ODOMETRY, GraphArrays, subgraph_of
 from twc_env.slam.graph_thinning import Edges, thinned
-from twc_env.slam.keyframe_paths import place_on
-from twc_env.slam.lone_odometry import LoneOdometry
+from twc_env.slam.keyframe_paths import path_position
+from twc_env.slam.odometry_only import OdometryOnlyMotions
 from twc_env.slam.pose_graph import Graph
 from twc_env.slam.shared_errors import UNOWNED, shared_errors
 from twc_env.slam.sign_readings import SignReadings
@@ -56,7 +56,7 @@ class TeamGraph(GraphArrays):
         self._nodes: list[MutableSequence[int]] = [array("q") for _ in range(robot_count)]
         """Of each of these keyframes its node."""
         self._forgotten = ForgottenPaths()
-        self._lone_odometry = LoneOdometry(robot_count)
+        self._odometry_only = OdometryOnlyMotions(robot_count)
         self._readings = SignReadings(robot_count)
         self._edge_of_closure: dict[int, int] = {}
 
@@ -109,12 +109,12 @@ class TeamGraph(GraphArrays):
 
     def node(self, key: tuple[int, int]) -> int:
         """The node of a robot's keyframe, one that is held."""
-        return self._nodes[key[0]][place_on(self.keyframes[key[0]], key[1])]
+        return self._nodes[key[0]][path_position(self.keyframes[key[0]], key[1])]
 
     def keyframe(self, key: tuple[int, int]) -> Keyframe:
         """A robot's keyframe, one that is held."""
         path = self.keyframes[key[0]]
-        return path[place_on(path, key[1])]
+        return path[path_position(path, key[1])]
 
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
@@ -131,15 +131,15 @@ class TeamGraph(GraphArrays):
         self.keyframes[robot].append(keyframe)
         if keyframe.signs:
             self._readings.add(keyframe, node, self.poses)
-        self._lone_odometry.add(keyframe, self.edge_count - 1)
+        self._odometry_only.add(keyframe, self.edge_count - 1)
         return node
 
     def learn_scale(self, keyframe: Keyframe) -> bool:
         """Put right what odometry alone told by what a robot knows of it at this keyframe; whether anything was."""
-        learned = self._lone_odometry.learned(keyframe.robot, keyframe.odometry_scale[0])
-        if learned is None:
+        corrections = self._odometry_only.corrections(keyframe.robot, keyframe.odometry_scale[0])
+        if corrections is None:
             return False
-        edges, more_m = learned
+        edges, more_m = corrections
         c, s = np.cos(self.measured[edges, 2]), np.sin(self.measured[edges, 2])
         self.measured[edges, 0] += c * more_m[:, 0] - s * more_m[:, 1]
         self.measured[edges, 1] += s * more_m[:, 0] + c * more_m[:, 1]
@@ -165,7 +165,7 @@ class TeamGraph(GraphArrays):
         closure.status, closure.reason = "accepted", ""
         self.changes += 1
         for key in (closure.candidate.target, closure.candidate.source):
-            self.tied[key[0]] = max(self.tied[key[0]], self.node(key))
+            self.last_closure_node[key[0]] = max(self.last_closure_node[key[0]], self.node(key))
         self._tie(closure, True)
 
     def refuse(self, closure: LoopClosure, reason: str) -> None:
@@ -177,8 +177,8 @@ class TeamGraph(GraphArrays):
             self._tie(closure, False)
         self.changes += 1
         for key in (closure.candidate.target, closure.candidate.source):
-            if self.tied[key[0]] == self.node(key):
-                self.tied[key[0]] = self._last_tied(key[0])
+            if self.last_closure_node[key[0]] == self.node(key):
+                self.last_closure_node[key[0]] = self._last_tied(key[0])
 
     def _last_tied(self, robot: int) -> int:
         """The node of the robot's last keyframe with an accepted closure; its first without any."""
@@ -198,7 +198,7 @@ class TeamGraph(GraphArrays):
     def disagreement(self, closure: LoopClosure) -> tuple[float, float, float]:
         """How far a closure lies from the estimate [m] and [rad], and the squared error of that by its covariance."""
         target, source = self.node(closure.candidate.target), self.node(closure.candidate.source)
-        return self.misfit(target, source, closure.pose_target_source, closure.covariance)
+        return self.residual(target, source, closure.pose_target_source, closure.covariance)
 
     def closures_between(self, a: Sequence[int], b: Sequence[int], status: str) -> list[LoopClosure]:
         """Closures of one status with one end among robots a and the other among b; none that failed verification."""
@@ -234,7 +234,7 @@ class TeamGraph(GraphArrays):
         self._nodes[:] = [array("q", self.path_of(robot).tolist()) for robot in range(len(self.keyframes))]
         self._forgotten.renumber(number_of)
         self._readings.forget(carrier_of, number_of, poses)
-        self._lone_odometry.clear()
+        self._odometry_only.clear()
         self.changes += 1
         return kept
 
@@ -275,12 +275,12 @@ class TeamGraph(GraphArrays):
         self._readings.note_move()
         self.changes += 1
 
-    def part(self, robots: Sequence[int], first: int = 0) -> tuple[Array, Array, Graph, Array]:
+    def subgraph(self, robots: Sequence[int], first: int = 0) -> tuple[Array, Array, Graph, Array]:
         """Nodes (n,) and edges (e,) among some robots, these as a graph of their own, and which edges are used (e,).
 
         Of the nodes before `first` only those with edges to later ones, and none of the edges between them.
         """
-        nodes, edges, local, measured, information, is_closure, is_used = part_of(
+        nodes, edges, local, measured, information, is_closure, is_used = subgraph_of(
             self._are(robots), first, self.robot_of_node, self.ends, self.measured, self.information,
             self.closure_of_edge, self.is_used,
         )  # fmt: skip
@@ -298,7 +298,7 @@ class TeamGraph(GraphArrays):
 
     def strain(self, robots: Sequence[int]) -> tuple[float, int]:
         """Squared error of the odometry of some robots, and for how many closures that are used it pays that."""
-        nodes, _, graph, is_used = self.part(robots)
+        nodes, _, graph, is_used = self.subgraph(robots)
         squared = graph.squared_errors(self.poses[nodes])
         return float(squared[~graph.is_closure].sum()), int(np.count_nonzero(is_used & graph.is_closure))
 

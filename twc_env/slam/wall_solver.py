@@ -106,7 +106,7 @@ class WallSolver:
         return self.candidates.standoff_m[sure & (sure.sum() >= 8)]
 
     @property
-    def is_told(self) -> Array:
+    def is_crossed(self) -> Array:
         """(pieces,) bool: some ray crosses it, so that readings bear on it."""
         return np.diff(self._first) > 0
 

@@ -15,7 +15,7 @@ MOVED_M = 0.05
 """Edges are corrected when the length of a robot's unconstrained path changes by more than this."""
 
 
-class LoneOdometry:
+class OdometryOnlyMotions:
     """Graph edges of each robot with a part measured by odometry alone, and the scale applied to them."""
 
     def __init__(self, robot_count: int):
@@ -38,7 +38,7 @@ class LoneOdometry:
         self._applied[robot].append(scale)
         self._length_m[robot] += float(np.hypot(*self._read_m[robot][-1]))
 
-    def learned(self, robot: int, scale: float) -> tuple[Array, Array] | None:
+    def corrections(self, robot: int, scale: float) -> tuple[Array, Array] | None:
         """Edges (k,) and corrections (k, 2) [m] for a scale error, in the axes of the keyframes at their ends.
 
         None if the change is less than `MOVED_M`.
