@@ -13,13 +13,13 @@ from twc_env.exploration.team_alignment import team_error_m
 from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate, LoopClosure, SignObservation
 from twc_env.slam.device_offsets import DeviceOffsets
+from twc_env.slam.fixed_keyframes import FixedKeyframes
 from twc_env.slam.forgetting import CLOSURES_KEPT, Forgetting
 from twc_env.slam.forgotten_paths import ForgottenPaths
 from twc_env.slam.graph_arrays import ODOMETRY
 from twc_env.slam.map_optimiser import MapOptimiser
 from twc_env.slam.place_evidence import PlaceMemory
 from twc_env.slam.place_recognition import ProposalFilter
-from twc_env.slam.settled_maps import SettledMaps
 from twc_env.slam.sign_readings import SignReadings
 from twc_env.slam.team import TeamMapper
 
@@ -32,7 +32,7 @@ def started(steps=STEPS, forgets=True, **settings):
     env = parallel_env(config=override(EnvConfig(), {"max_cycles": steps, "map": "twin-02", **settings}))
     env.reset(seed=1)
     for mapper in env.episode.engine.mappers:
-        mapper.optimiser.settled_maps = SettledMaps(*SMALL, forgets)
+        mapper.optimiser.fixed_keyframes = FixedKeyframes(*SMALL, forgets)
     return env, wander(env, 1)
 
 
@@ -194,14 +194,14 @@ def test_peers_that_were_away_get_what_they_lack_and_each_forgets_for_itself():
 
 
 def test_mappers_of_large_maps_take_turns_with_what_takes_long(monkeypatch):
-    busy, run = [], MapOptimiser.optimise_soiled
+    busy, run = [], MapOptimiser.optimise_dirty
 
     def noting(self, step):
         if self._graph.arrived_count >= SMALL[0]:
             busy.append((self, step))
         run(self, step)
 
-    monkeypatch.setattr(MapOptimiser, "optimise_soiled", noting)
+    monkeypatch.setattr(MapOptimiser, "optimise_dirty", noting)
     env = before_the_end(1600, **{"link.topology": "peer"})
     for home, mapper in enumerate(env.episode.engine.mappers):
         steps = [step for who, step in busy if who is mapper.optimiser]

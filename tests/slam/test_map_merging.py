@@ -277,4 +277,4 @@ def test_places_heard_bit_by_bit_are_those_heard_at_once():
 @pytest.mark.parametrize("count", [1, 2, 5, 256])
 def test_the_middle_of_values_is_their_median(count):
     values = np.random.default_rng(count).normal(size=count)
-    assert map_merging._middle(values) == np.median(values)
+    assert map_merging._median(values) == np.median(values)

@@ -28,8 +28,8 @@ def say(count: int, pose_a_b: tuple, recogniser: str) -> list[LoopClosure]:
     return made
 
 
-def judge(doubts_sounds: bool = True) -> MergeJudge:
-    return MergeJudge(MergingConfig(), GRAPH, doubts_sounds=doubts_sounds)
+def judge(doubts_radio: bool = True) -> MergeJudge:
+    return MergeJudge(MergingConfig(), GRAPH, doubts_radio=doubts_radio)
 
 
 def place_said(closures: list[LoopClosure], others: int = 0):
@@ -71,7 +71,7 @@ def test_closures_that_hold_two_maps_together_speak_against_another_place_by_sou
 def test_signs_weigh_more_than_any_number_of_places_that_sound_alike(recogniser):
     sounds, signs = say(9, TRUE, recogniser), say(2, ELSEWHERE, "twc")
     assert judge().weight(sounds, (0,)) < judge().weight(signs, (0,))
-    assert judge(doubts_sounds=False).weight(sounds, (0,)) > judge(doubts_sounds=False).weight(signs, (0,))
+    assert judge(doubts_radio=False).weight(sounds, (0,)) > judge(doubts_radio=False).weight(signs, (0,))
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -81,9 +81,9 @@ def test_closures_that_leave_a_direction_open_have_no_say(axis):
         closure.covariance[axis, axis] = 4.0
     assert all(closure.is_loose for closure in loose)
     assert place_said(loose) is None
-    assert judge(doubts_sounds=False).proposal(loose, (0,)) is None
+    assert judge(doubts_radio=False).proposal(loose, (0,)) is None
     assert place_said(say(3, ELSEWHERE, "twc") + loose) == ELSEWHERE
-    assert judge(doubts_sounds=False).weight(loose, (0,)) == (0, 0, 0)
+    assert judge(doubts_radio=False).weight(loose, (0,)) == (0, 0, 0)
 
 
 @pytest.mark.parametrize(("before_m", "after_m", "may"), [(0.0, 2.0, False), (2.0, 0.0, True), (2.0, 4.0, True)])
@@ -107,6 +107,6 @@ def test_no_answer_is_believed_that_puts_ways_together_where_signs_read_otherwis
 def test_where_only_scans_are_compared_many_places_must_agree():
     deaf = MergeJudge(MergingConfig(wifi_check=False), GRAPH)
     few, enough = (deaf.proposal(say(count, TRUE, "lidar"), (0,)) for count in (7, 8))
-    assert not deaf.is_one_building((0,), (1,), few) and deaf.is_one_building((0,), (1,), enough)
+    assert not deaf.cues_confirm((0,), (1,), few) and deaf.cues_confirm((0,), (1,), enough)
     one_will_do = MergeJudge(MergingConfig(wifi_check=False, spread_min_m=0.0), GRAPH)
-    assert one_will_do.is_one_building((0,), (1,), few)
+    assert one_will_do.cues_confirm((0,), (1,), few)

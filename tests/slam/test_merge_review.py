@@ -270,7 +270,7 @@ def test_other_merges_of_a_group_that_fell_apart_speak_of_one_side_only(undone, 
     wrong = Merge((0,), (1,), due_step=9)
     fresh = MergeReview(review._rule, review._graph, review._maps, review._judge)
     fresh.merges = [wrong, Merge((0, 1), (2, 3), 20), Merge((2,), (3,), 30), Merge((4,), (5,), 40)]
-    fresh.forget(wrong, sides)
+    fresh.record_undone(wrong, sides)
     assert sorted((merge.a, merge.b) for merge in fresh.merges) == left
     assert fresh.undone_count == 1
 

@@ -50,7 +50,7 @@ def met(team, true_poses, count: int) -> list[LoopClosure]:
 def meet(team, true_poses, count: int = 5) -> None:
     for closure in met(team, true_poses, count):
         team._graph.add_closure(closure)
-        team._graph.let_wait([closure])
+        team._graph.set_pending([closure])
     team._retry_merges()
 
 
@@ -80,9 +80,9 @@ def test_where_nothing_is_known_of_how_robots_are_placed_they_stay_together(reco
     for now in frames[: MET_STEP + 1]:
         engine.update(now)
     meet(engine.team, true_poses)
-    assert engine.team._trials.strayed((0, 1)) is None
+    assert engine.team._trials.uncertain_split((0, 1)) is None
     monkeypatch.setattr(merge_trial, "frame_stds", lambda *_: np.full((2, 2, 2), np.nan))
-    assert engine.team._trials.strayed((0, 1)) is None
+    assert engine.team._trials.uncertain_split((0, 1)) is None
 
 
 def test_what_they_knew_of_each_other_waits_and_is_no_mistake(strayed):

@@ -10,8 +10,8 @@ from twc_env.messages import Fingerprint, Keyframe
 from twc_env.metrics.trajectory import absolute_trajectory_error_m
 from twc_env.slam import radio_slam
 from twc_env.slam.pose_graph import Graph
+from twc_env.slam.radio_constraints import RadioConstraints
 from twc_env.slam.radio_odometry import GROWTH, RadioOdometry
-from twc_env.slam.radio_ties import RadioTies
 
 SILENCE = Fingerprint(np.zeros(0, np.int64), np.zeros(0))
 
@@ -27,7 +27,7 @@ def keyframes(log) -> list[Keyframe]:
 
 def tied(log, has_laser: bool, is_last: bool = False) -> np.ndarray:
     """Poses (n, 3) of one robot that went along a log, tied every time that was due."""
-    ties, count = RadioTies(RadioSlamConfig(), 1, has_laser), len(log.fingerprints)
+    ties, count = RadioConstraints(RadioSlamConfig(), 1, has_laser), len(log.fingerprints)
     chain = np.column_stack([np.arange(count - 1), np.arange(1, count)])
     information = np.tile(np.diag([400.0, 400.0, 1e4]), (count - 1, 1, 1))
     poses = log.odometry[:1]

@@ -100,7 +100,7 @@ def test_the_error_of_a_straight_stretch_grows_with_its_length():
     _, motions = walk(np.zeros(200))
     graph, poses = graph_of([motions]), poses_along(motions)
     chains = Chains(graph, poses)
-    grown, bent = chains.grown(poses), chains.bent(poses)
+    grown, bent = chains.accumulated_covariance(poses), chains.shared_error_columns(poses)
     first, last = np.zeros(2, np.int64), np.array([50, 200])
     alone, shared = chains.stretch(grown, first, last), chains.stretch(grown, first, last, bent)
     length_m = STEP_M * last
@@ -119,7 +119,7 @@ def test_chains_err_as_their_covariance_says_however_long_they_are(steps):
         graph, poses = graph_of([motions]), poses_along(motions)
         chains = Chains(graph, poses)
         ends = np.array([0]), np.array([steps])
-        covariance = chains.stretch(chains.grown(poses), *ends, chains.bent(poses))[0]
+        covariance = chains.stretch(chains.accumulated_covariance(poses), *ends, chains.shared_error_columns(poses))[0]
         error = logarithm(compose(true[-1], inverse(poses[-1])))
         squared.append(error @ np.linalg.solve(covariance, error) / 3)
     assert 0.8 < np.mean(squared) < 1.25
@@ -130,9 +130,9 @@ def test_before_any_closure_is_believed_the_map_predicts_what_the_odometry_says(
     graph, poses = graph_of([motions], [(5, 45)], true), poses_along(motions)
     chains = Chains(graph, poses)
     prediction = MapPrediction(graph, chains, np.array([60]), 100)
-    prediction.look(poses, np.zeros(0, np.int64))
+    prediction.update(poses, np.zeros(0, np.int64))
     ends = np.array([5]), np.array([45])
-    expected = chains.stretch(chains.grown(poses), *ends, chains.bent(poses))
+    expected = chains.stretch(chains.accumulated_covariance(poses), *ends, chains.shared_error_columns(poses))
     assert prediction.drift(np.array([0])) == pytest.approx(expected, rel=1e-4, abs=1e-7)
 
 

@@ -177,7 +177,7 @@ class RadioSlamConfig(Checked):
     """SLAM from radio fingerprints (`twc_env.slam.radio_slam`)."""
 
     online: bool = False
-    """Add radio constraints to the pose graph of an episode (`slam.radio_ties`); always on without the laser cue."""
+    """Add radio constraints to the pose graph (`slam.radio_constraints`); always on without the laser cue."""
     weighting: str = choice("ours", "paper")
     """`paper` follows the publication literally: every similar pair has full weight, distances come from Eq. 3."""
     similarity: str = choice("shifted", "raw", "linear")

@@ -32,9 +32,18 @@ class Pairs:
         put = compose(poses[self.i], graph.measured[closures])
         claim = compose(put, inverse(poses[self.j]))
         noise = turned(adjoint(put), np.linalg.inv(graph.information[closures]))
-        bent = chains.bent(poses)
+        bent = chains.shared_error_columns(poses)
         bent = np.zeros((0, 3, 3)) if bent is None else bent
-        self._facts = (claim, adjoint(claim), noise, self.i, self.j, chains.step, chains.grown(poses), bent)
+        self._facts = (
+            claim,
+            adjoint(claim),
+            noise,
+            self.i,
+            self.j,
+            chains.step,
+            chains.accumulated_covariance(poses),
+            bent,
+        )
 
     def squared(self, a: Array, b: Array) -> Array:
         """(k,) squared Mahalanobis distances between closures a and b (k,): chi-squared, three degrees of freedom."""

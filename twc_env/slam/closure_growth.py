@@ -82,9 +82,9 @@ class ClosureGrowth:
         return self._accepted[self._group] & self._is_member_used
 
     def _predict(self) -> None:
-        self._map.look(self.poses, np.flatnonzero(self._used()))
+        self._map.update(self.poses, np.flatnonzero(self._used()))
         representatives = self._representative[self._accepted]
-        self._map.learn_scale(representatives[self._is_member_used[representatives]])
+        self._map.estimate_scale(representatives[self._is_member_used[representatives]])
 
     def _prior_odds(self, groups: Array, evidence: Array) -> Array:
         """(k,) prior log odds of undecided groups, separately for single closures and for larger groups.
@@ -184,7 +184,7 @@ class ClosureGrowth:
     def _revoke(self) -> bool:
         """Revoke closures by their leave-one-out error, and groups of which half fail; whether any failed."""
         used = np.flatnonzero(self._used())
-        failed = used[self._map.contradicted(used) > KEEP_GATE * self._map.gate_scale]
+        failed = used[self._map.leave_one_out_errors(used) > KEEP_GATE * self._map.gate_scale]
         if not len(failed):
             return False
         self._is_member_used[failed] = False
@@ -204,7 +204,7 @@ class ClosureGrowth:
         used = np.flatnonzero(self._used() & (self._size[self._group] == 1))
         if not len(used) or self._accepted.all():
             return
-        unchecked = used[self._map.checked_share(used) < UNCHECKED_BELOW]
+        unchecked = used[self._map.redundancy(used) < UNCHECKED_BELOW]
         if len(unchecked) > UNCHECKED_MAX:
             return
         for group in self._group[unchecked].tolist():
@@ -224,7 +224,7 @@ class ClosureGrowth:
             every = np.arange(len(closures))
             error, covariance = self._map.predicted(every)
             squared = squared_length(error, covariance)
-            squared[used] = self._map.contradicted(np.flatnonzero(used))
+            squared[used] = self._map.leave_one_out_errors(np.flatnonzero(used))
             evidence = self._map.evidence(error, covariance)
             loose = self._map.gate_scale
             proven = evidence + self._final_odds(evidence) > ODDS_LIKELY

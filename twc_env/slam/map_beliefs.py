@@ -1,4 +1,4 @@
-"""What robots believe who share maps: the records of `TeamBeliefs`, made where somebody asks for one of them."""
+"""The beliefs of robots that share maps. `Belief` records are built only when one is requested."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ _NO_PLACES.flags.writeable = False
 
 
 HeldMaps = tuple[list[GridMap], list[KnownSigns], list[int], list[RadioPicture | None]]
-"""The maps that robots believe in, of each robot the one of its group: cells, signs, version, and what radio drew."""
+"""Per robot, from the map of its group: occupancy grid, known signs, map version, radio structure (None without one).
+"""
 
 
 class MapBeliefs(TeamBeliefs):
-    """Arrays as in `TeamBeliefs`; the map of each robot, the step and the scan that it saw last."""
+    """Arrays as in `TeamBeliefs`, and per robot its group's map, last step and last scan [m]."""
 
     __slots__ = ("_maps", "_ranges_m", "_steps")
 
@@ -28,7 +29,7 @@ class MapBeliefs(TeamBeliefs):
         self, poses: Array, since_closure_m: Array, maps: HeldMaps, mates: Array, mate_poses: Array,
         contact_steps: Array, steps: Sequence[int], ranges_m: Sequence[Array] | Array,
     ):  # fmt: skip
-        # Instead of the parent's: made in every step.
+        # Replaces the parent's constructor: this object is built in every step.
         self._records, self._maps, self._steps, self._ranges_m = None, maps, steps, ranges_m
         self.poses, self.since_closure_m, self.grids, self.signs = poses, since_closure_m, maps[0], maps[1]
         self.mates, self.mate_poses, self.contact_steps = mates, mate_poses, contact_steps

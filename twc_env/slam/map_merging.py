@@ -1,9 +1,9 @@
-"""Decide when two groups of robots share one building well enough to be put into one frame.
+"""Test whether two groups of robots can be merged into one map frame.
 
-A closure between two groups says where one map lies in the other. One closure is no proof: rooms look alike and signs
-repeat. A merge needs several closures that agree, no walls of one map in the free space of the other, fingerprints that
-are as alike as the robots' own paths say fingerprints of one place are, and signs most of which read the same where the
-two maps would share a place (`signs_in_place`). Where no fingerprint speaks, one of these must hang nowhere else.
+An inter-group closure measures the transform between two maps. One closure is not enough, because rooms look alike and
+sign texts repeat. A merge needs several closures that agree on one transform, no walls of one map in the free space of
+the other, radio fingerprints as similar as the robots' own paths predict for one place, and signs that mostly read the
+same where the maps overlap (`signs_in_place`). Without any fingerprint, one sign must have a name read nowhere else.
 """
 
 from __future__ import annotations
@@ -22,51 +22,52 @@ from twc_env.slam.growing import enlarged
 from twc_env.slam.heard_places import HeardPlaces
 
 DRIFT_PER_M = 0.02
-"""Closures this far apart may disagree by this much more, per metre."""
+"""Allowed disagreement of two closures grows by this much per metre between their keyframes in map b."""
 WALL_LOG_ODDS, FREE_LOG_ODDS = 20, -12
-"""Cells counted as certain when two maps are compared."""
+"""Log-odds beyond which a cell counts as certain when two maps are compared."""
 KNOWN_MIN = 20
-"""Walls about which the other map must be certain."""
+"""Minimum number of certain wall cells that fall on certain cells of the other map."""
 CELLS_AT_ONCE = 32
-"""Most cells are no walls and are passed by the dozen."""
+"""Cells scanned per block; most blocks hold no wall and are skipped."""
 NEAR_CELLS = 3
-"""A wall so near to a wall of the other map does not stand in its free space."""
+"""A wall this many cells (Manhattan distance) from a wall of the other map is not in its free space."""
 SAME_PLACE_M = 1.2
-"""Fingerprints this near each other after a merge should be alike ..."""
+"""Two places of different groups closer than this after a merge must have similar fingerprints ..."""
 REFERENCE_M = (1.5, 3.5)
-"""... at least as alike as those of one robot at this distance."""
+"""... as similar as pairs of one robot at this distance range."""
 PAIRS_MIN, PLACES_MAX = 4, 150
-"""With fewer pairs nothing is concluded; of more places than twice that only some are compared with all others."""
+"""Minimum number of pairs for a decision; of more than twice PLACES_MAX places only every n-th is compared with all."""
 REFERENCE_SLACK = 1.1
 
 
 Weight = tuple[int, int, int]
-"""How much speaks for a place of a merge, the most telling first: signs that both sides read alike to the letter, signs
-at all, closures. Signs count that lie `spread_min_m` apart, and each once however often it was seen: where names follow
-one another, those of a room and of the next are nearly alike, and so are all that follow."""
+"""Weight of a merge hypothesis, compared lexicographically: distinct signs that both sides read identically, distinct
+signs, closures. Signs closer than `spread_min_m` count once, and each sign once however often it was seen: where names
+are numbered consecutively, the name of a room is similar to that of the next, and so are all names that follow."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeProposal:
-    """Where group b lies in the map of group a, and the closures that say so."""
+    """A transform from map b to map a and the closures that support it."""
 
     pose_a_b: Array
-    """(3,)."""
+    """(3,) pose of map b in map a."""
     support: Array
-    """(closures,) bool: which of the closures agree."""
+    """(closures,) bool: inliers among the given closures."""
     weight: Weight
     agreeing: tuple[LoopClosure, ...] = ()
-    """These, where whoever asked has them."""
+    """The inlier closures themselves, where the caller provides them."""
 
 
 def largest_agreement(
     targets: Array, sources: Array, measured: Array, signs_m: Array, is_read_alike: Array, config: MergingConfig
 ) -> MergeProposal | None:
-    """The pose of b in a for which most speaks; None while too few closures do or all stem from one sign.
+    """The merge hypothesis of largest weight; None with fewer than `closures_min` closures or support from one sign
+    only.
 
     targets (k, 3) keyframes in map a, sources (k, 3) in map b, measured (k, 3) source in the target's frame, signs_m
-    (k, 2) the sign behind each closure, in its own map, is_read_alike (k,) whether both read the same there. At least
-    two signs that lie apart must agree, since one may have a twin elsewhere.
+    (k, 2) position of each closure's sign in map a, is_read_alike (k,) bool whether both readings are identical. At
+    least two signs `spread_min_m` apart must agree, since a single sign may have a duplicate elsewhere.
     """
     if len(targets) < config.closures_min:
         return None
@@ -87,7 +88,7 @@ def largest_agreement(
 
 @kernel
 def _apart_m(pose, in_a, source):
-    """How far a keyframe of b, put into a by the pose (3,), stands from where its own closure has it."""
+    """Distance [m] between source keyframe (3,) transformed by `pose` (3,) and its position in a by its own closure."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] + c * source[0] - s * source[1] - in_a[0], pose[1] + s * source[0] + c * source[1] - in_a[1]
     return math.hypot(x, y)
@@ -97,7 +98,8 @@ def _apart_m(pose, in_a, source):
 def _heaviest_agreement(
     poses_a_b, in_a, sources, signs_m, is_read_alike, consistency_m, consistency_rad, spread_min_m, closures_min
 ):
-    """What agrees (n,) with the closure for which most speaks, and two parts of its weight; nothing: too little."""
+    """Inliers (n,) of the hypothesis of largest weight and the first two parts of that weight; empty if none
+    suffices."""
     count = poses_a_b.shape[0]
     rows, alike, heaviest_rows = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     heaviest = (0, 0, 0)
@@ -128,7 +130,7 @@ def _heaviest_agreement(
 
 @kernel
 def _lie_apart(signs_m, rows, apart_m):
-    """Whether any two of the chosen signs lie so far from each other."""
+    """Whether at least two of the chosen signs are `apart_m` or more from each other."""
     low_x = high_x = signs_m[rows[0], 0]
     low_y = high_y = signs_m[rows[0], 1]
     for k in rows:
@@ -146,7 +148,8 @@ def _lie_apart(signs_m, rows, apart_m):
 
 @kernel
 def count_places(signs_m, rows, apart_m):
-    """How many of the chosen signs, rows of (k, 2), lie so far from each other, those counted before first."""
+    """Number of chosen signs, rows of (k, 2), after greedy suppression of those closer than `apart_m` to a counted
+    one."""
     counted = np.empty(rows.shape[0], np.int64)
     count = 0
     for k in rows:
@@ -164,7 +167,7 @@ def count_places(signs_m, rows, apart_m):
 
 @kernel
 def _most_central(poses_a_b, in_a, sources, rows):
-    """Of the closures that agree (n,), the one from whose pose all of them stand least far in sum."""
+    """The inlier (of n) whose transform has the smallest sum of distances to all inliers."""
     best, least = rows[0], math.inf
     for i in rows:
         total = 0.0
@@ -176,13 +179,14 @@ def _most_central(poses_a_b, in_a, sources, rows):
 
 
 def weight_of(signs_m: Array, is_read_alike: Array, config: MergingConfig) -> Weight:
-    """What some closures weigh that stem from these signs (k, 2), read alike on both sides or not (k,)."""
+    """Weight of closures with these signs (k, 2) and identical-reading flags (k,)."""
     every, apart_m = np.arange(len(signs_m)), config.spread_min_m
     return count_places(signs_m, every[is_read_alike], apart_m), count_places(signs_m, every, apart_m), len(signs_m)
 
 
 def wall_contradiction(grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> float:
-    """Larger share of one map's certain walls that stand in the certain free space of the other, where both know."""
+    """Larger of the two shares of certain walls of one map in certain free space of the other, over the common known
+    area."""
     return max(
         _walls_in_free_space(grid_a, grid_b, pose_a_b),
         _walls_in_free_space(grid_b, grid_a, inverse(pose_a_b)),
@@ -199,7 +203,7 @@ def _walls_in_free_space(grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> f
 
 @kernel
 def _is_near_wall(log_odds, row, column):
-    """Whether a wall lies at most NEAR_CELLS steps up, down, left or right."""
+    """Whether a wall cell lies within NEAR_CELLS (Manhattan distance)."""
     for r in range(max(row - NEAR_CELLS, 0), min(row + NEAR_CELLS + 1, log_odds.shape[0])):
         reach = NEAR_CELLS - abs(r - row)
         for c in range(max(column - reach, 0), min(column + reach + 1, log_odds.shape[1])):
@@ -210,7 +214,7 @@ def _is_near_wall(log_odds, row, column):
 
 @kernel
 def _count_standing(walls, walls_origin, walls_cell, free, free_origin, free_cell, pose):
-    """Certain walls of one grid that stand in certain free space of the other, and all that it is certain about."""
+    """Certain walls of one grid in certain free space of the other, and those on any certain cell of it."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     standing = known = 0
     for i in range(walls.shape[0]):
@@ -237,7 +241,8 @@ def _count_standing(walls, walls_origin, walls_cell, free, free_origin, free_cel
 
 @kernel
 def _fingerprint_distance_db(macs, levels, starts, a, b, differences):
-    """Rms difference over shared transmitters after removing its mean (the two receivers' offset); NaN below three."""
+    """RMS difference [dB] over shared transmitters after removing the mean (receiver offset); NaN with fewer than
+    three."""
     count, total = 0, 0.0
     i, j = starts[a], starts[b]
     while i < starts[a + 1] and j < starts[b + 1]:
@@ -261,7 +266,7 @@ def _fingerprint_distance_db(macs, levels, starts, a, b, differences):
 
 @kernel
 def _compare_places(macs, levels, starts, places, positions, robots, travels, is_b):
-    """The distances of places brought together and of the yardstick's pairs."""
+    """Fingerprint distances [dB] of pairs that the merge brings together, and of the reference pairs."""
     together, reference = np.empty(256), np.empty(256)
     found = learned = longest = 0
     for i in range(positions.shape[0]):
@@ -298,11 +303,11 @@ def _compare_places(macs, levels, starts, places, positions, robots, travels, is
 def wifi_agrees(
     positions: Array, robots: Array, travels_m: Array, heard: HeardPlaces, places: Array, is_b: Array
 ) -> bool | None:  # fmt: skip
-    """Whether places that a merge would bring together sound alike; None while too few places can be compared.
+    """Whether places that a merge would bring together have similar fingerprints; None with too few pairs to compare.
 
     positions (k, 2) of all keyframes of both groups in the proposed common frame, robots (k,), travels_m (k,) path
-    length of each, what was heard at many, places (k,) which of these each is, is_b (k,) bool. The yardstick is learned
-    here and now: the median distance between fingerprints of one robot taken REFERENCE_M apart.
+    length of each, `heard` fingerprints, places (k,) index of each keyframe's fingerprint in it, is_b (k,) bool. The
+    reference is computed from the same data: the median distance of fingerprints of one robot taken REFERENCE_M apart.
     """
     together, reference = _compare_places(
         heard.macs, heard.rssi_dbm, heard.starts, places, np.ascontiguousarray(positions, float), robots, travels_m,
@@ -310,10 +315,10 @@ def wifi_agrees(
     )  # fmt: skip
     if len(together) < PAIRS_MIN or len(reference) < PAIRS_MIN:
         return None
-    return _middle(together) <= REFERENCE_SLACK * _middle(reference)
+    return _median(together) <= REFERENCE_SLACK * _median(reference)
 
 
-def _middle(values: Array) -> float:
-    """The median: numpy's own takes ten times as long where values are few."""
+def _median(values: Array) -> float:
+    """The median; numpy's own takes ten times as long for few values."""
     ascending = np.sort(values)
     return float(ascending[(len(values) - 1) // 2] + ascending[len(values) // 2]) / 2

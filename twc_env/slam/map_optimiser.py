@@ -1,4 +1,4 @@
-"""Optimising the maps of groups: when closures came, and as much of a map as may still move."""
+"""Schedules the optimisation of the groups' pose graphs and chooses which keyframes of a large map may move."""
 
 from __future__ import annotations
 
@@ -10,93 +10,93 @@ import numpy as np
 from twc_env.class_file import is_in_file
 from twc_env.config import PoseGraphConfig
 from twc_env.slam import robust_backend
+from twc_env.slam.fixed_keyframes import FixedKeyframes
 from twc_env.slam.forgetting import Forgetting
 from twc_env.slam.group_maps import GroupMaps
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.own_back_end import OwnBackEnd
-from twc_env.slam.radio_ties import RadioTies
-from twc_env.slam.settled_maps import SettledMaps
+from twc_env.slam.radio_constraints import RadioConstraints
 from twc_env.slam.team_graph import TeamGraph
 
 PATIENCE_PERIODS = 16
-"""An optimisation for which nothing is urgent waits for so many others."""
+"""A group with only non-urgent new closures is optimised after this many periods."""
 REFUSED_MIN = 3
-"""From so many refused closures on, and half as many again each time, all of a map are weighed anew."""
+"""All closures of a map are re-evaluated at this many rejections, and again each time that number grows by half."""
 
 
 class MapOptimiser:
-    """Optimises what one mapper's graph holds of each group, and draws its map anew where that shows."""
+    """Optimises the subgraph of each group and redraws its map where poses changed."""
 
     def __init__(
-        self, config: PoseGraphConfig, graph: TeamGraph, maps: GroupMaps, judge: MergeJudge, radio: RadioTies | None,
-        forgetting: Forgetting | None,
+        self, config: PoseGraphConfig, graph: TeamGraph, maps: GroupMaps, judge: MergeJudge,
+        radio: RadioConstraints | None, forgetting: Forgetting | None,
     ):  # fmt: skip
-        """radio: what radio says of the whole path; forgetting: for large maps. Both None where there is none.
+        """radio: radio constraints on whole paths; forgetting: thinning of large maps. None where not used.
 
-        Raises ConfigError for a back end of one's own that there is not.
+        Raises ConfigError if the config names a custom back end that does not exist.
         """
         if is_in_file(config.robust):
             OwnBackEnd(config)
         self._config, self._graph, self._maps, self._judge = config, graph, maps, judge
         self._radio, self._forgetting = radio, forgetting
         self._may_hold_poses = radio is None and config.robust == "ours"
-        self.settled_maps = SettledMaps()
-        """What becomes of large maps, and from when on they are large."""
+        self.fixed_keyframes = FixedKeyframes()
+        """Which keyframes of large maps are held fixed, and from what size on a map is large."""
         self._unthinned: dict[tuple[int, ...], int] = {}
-        """Robots of large maps that are to be thinned, and the first node there that must stay."""
-        self._refused_heard: dict[tuple[int, ...], int] = {}
-        """How many closures of a group were refused when all of them were last weighed anew."""
-        self._soiled: set[int] = set()
-        """Groups, by their first robot, with closures that came since the last optimisation."""
+        """Robots of large maps that are to be thinned -> the first node that must be kept."""
+        self._refused_before: dict[tuple[int, ...], int] = {}
+        """Robots of a group -> number of rejected closures when all were last re-evaluated."""
+        self._dirty: set[int] = set()
+        """Groups with closures added since the last optimisation, each by its first robot."""
         self._last_step = 0
         self.due_step = math.inf
-        """From when on the groups with new closures are optimised: the later, if none of these is urgent."""
+        """First step at which dirty groups are optimised; later if none of their closures is urgent."""
 
-    def soil(self, group: int, is_urgent: bool) -> None:
-        """A closure came into a group's map; it is urgent where the estimate does not meet it."""
-        self._soiled.add(self._maps.groups[group].robots[0])
+    def mark_dirty(self, group: int, is_urgent: bool) -> None:
+        """Mark a group as dirty: a closure was added. It is urgent if the estimate does not satisfy it yet."""
+        self._dirty.add(self._maps.groups[group].robots[0])
         periods = 1 if is_urgent else PATIENCE_PERIODS
         self.due_step = min(self.due_step, self._last_step + periods * self._config.period_steps)
 
     @property
     def is_map_large(self) -> bool:
-        """Whether so many keyframes came that what takes long is spread over steps."""
-        return self.settled_maps.is_large(self._graph.arrived_count)
+        """Whether enough keyframes have arrived that expensive work is spread over steps."""
+        return self.fixed_keyframes.is_large(self._graph.arrived_count)
 
-    def optimise_soiled(self, step: int) -> None:
-        """Optimise all groups with new closures."""
+    def optimise_dirty(self, step: int) -> None:
+        """Optimise all dirty groups."""
         self._last_step = step
-        for group in sorted({self._maps.group_of[robot] for robot in self._soiled}):
+        for group in sorted({self._maps.group_of[robot] for robot in self._dirty}):
             self.optimise(group)
-        self._settle()
+        self._clear_dirty()
 
     def finish(self) -> None:
-        """Optimise all groups for good (end of an episode or log)."""
+        """Optimise all groups thoroughly (end of an episode or log)."""
         for group in range(len(self._maps.groups)):
             self.optimise(group, is_thorough=True)
-        self._settle()
+        self._clear_dirty()
 
-    def _settle(self) -> None:
-        """All groups have been optimised."""
-        self._soiled.clear()
+    def _clear_dirty(self) -> None:
+        """Clear the dirty flags after all groups were optimised."""
+        self._dirty.clear()
         self.due_step = math.inf
 
-    def unsettle(self) -> None:
-        """Robots came to share a map or no longer do: all of it may move."""
-        self.settled_maps.forget()
+    def reset_fixed(self) -> None:
+        """Robots started or stopped sharing a map: no keyframe is held fixed."""
+        self.fixed_keyframes.reset()
         self._unthinned.clear()
 
     def optimise(self, group: int, is_thorough: bool = False) -> None:
-        """Optimise a group's map, of a large one the part that may still move; thoroughly: all of any."""
+        """Optimise a group's map; of a large map only the part that may move, unless `is_thorough`."""
         robots, count, arrived = self._maps.groups[group].robots, self._graph.node_count, self._graph.arrived_count
         may_hold = self._may_hold_poses and not is_thorough
-        first = self.settled_maps.first_movable(robots, count, arrived) if may_hold else 0
+        first = self.fixed_keyframes.first_movable(robots, count, arrived) if may_hold else 0
         if first > 0 and self._optimise_latest(group, first):
-            self.settled_maps.note(robots, count, is_whole=False)
+            self.fixed_keyframes.record_optimised(robots, count, is_whole=False)
             return
         self._optimise_whole(group, is_thorough, is_last=is_thorough)
-        self.settled_maps.note(robots, count, is_whole=True)
-        end = self.settled_maps.first_unsettled(robots, count, arrived)
+        self.fixed_keyframes.record_optimised(robots, count, is_whole=True)
+        end = self.fixed_keyframes.thinning_end(robots, count, arrived)
         if self._forgetting is not None and not is_thorough and end > 0:
             self._unthinned[robots] = end
 
@@ -106,22 +106,23 @@ class MapOptimiser:
         return len(self._unthinned) > 0
 
     def forget(self) -> None:
-        """Thin such a map: in another step, for both take long."""
+        """Thin one such map. Done in a separate step, because optimising and thinning both take long."""
         if self._forgetting is None or not self._unthinned:
             return
         robots, end = self._unthinned.popitem()
         kept = self._forgetting.forget(robots, end)
         self._unthinned = {others: int(np.searchsorted(kept, first)) for others, first in self._unthinned.items()}
-        self.settled_maps.note_thinned(robots, kept)
+        self.fixed_keyframes.record_thinned(robots, kept)
 
     def _optimise_latest(self, group: int, first: int) -> bool:
-        """Optimise the nodes from `first` on and leave the others; False where closures should be weighed anew."""
+        """Optimise the nodes from `first` on, others held fixed; False if closures should be re-evaluated in the whole
+        map."""
         robots = self._maps.groups[group].robots
         if self._is_refused_often(robots, self._graph.refused_count(robots)):
             return False
         nodes, _, graph, is_used = self._graph.subgraph(robots, first)
         held = np.arange(np.searchsorted(nodes, first))
-        result = robust_backend.second_thoughts(self._graph.poses[nodes], graph, is_used, self._config, held)
+        result = robust_backend.refit_closures(self._graph.poses[nodes], graph, is_used, self._config, held)
         if not np.array_equal(result.accepted, is_used):
             return False
         self._graph.place(nodes, result.poses)
@@ -129,7 +130,7 @@ class MapOptimiser:
         return True
 
     def _is_refused_often(self, robots: tuple[int, ...], refused: int) -> bool:
-        return refused >= max(REFUSED_MIN, 1.5 * self._refused_heard.get(robots, 0))
+        return refused >= max(REFUSED_MIN, 1.5 * self._refused_before.get(robots, 0))
 
     def _optimise_whole(self, group: int, is_thorough: bool, is_last: bool) -> None:
         robots = self._maps.groups[group].robots
@@ -146,7 +147,7 @@ class MapOptimiser:
             ),
         )  # fmt: skip
         if is_thorough:
-            self._refused_heard[robots] = refused
+            self._refused_before[robots] = refused
         self._graph.mark(edges, result.accepted, {r.edge: r.reason for r in result.rejections})
         poses = result.poses
         if self._radio is not None:

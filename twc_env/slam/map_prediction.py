@@ -1,4 +1,4 @@
-"""What the map so far says about each closure: where it should lie, how surely, and how likely what it claims is."""
+"""Predicts each closure from the map: expected transform, its covariance, and the likelihood of the measurement."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from twc_env.slam.shared_errors import UNOWNED
 from twc_env.slam.twists import adjoint, logarithm, squared_length, turned
 
 MEDIAN_SQUARED = 2.366
-"""Median of chi squared with three degrees of freedom."""
+"""Median of chi-squared with three degrees of freedom."""
 TAIL = 5.0
-"""Degrees of freedom of Student's t: real odometry errs more than its covariance says."""
+"""Degrees of freedom of Student's t: real odometry errors exceed their covariance."""
 SCALE_GROUPS = 30
-"""Closures that must have been believed before the covariances' common scale is half learnt."""
+"""Number of accepted closures at which the common covariance scale has half of its weight."""
 SCALE_MIN, SCALE_MAX, GATE_SCALE_MIN = 0.05, 10.0, 0.5
 KEYS_MAX = 500
-"""Poses whose joint covariance is kept; those between lie on the odometry from the one before."""
+"""Maximum number of poses in the joint covariance; others are linked by odometry to the key pose before them."""
 LEVERAGE_MIN = 0.2
-"""Least share of its own noise that a closure's residual is taken to keep after the fit."""
+"""Lower bound of the share of a closure's own noise that remains in its residual after the fit."""
 
 
 class MapPrediction:
-    """Joint covariance of the key poses (world twists) under odometry and the closures that are used."""
+    """Joint covariance of key poses (as world-frame twists) given odometry and the closures in use."""
 
     def __init__(self, graph: Graph, chains: Chains, closures: Array, keys_max: int):
         self._graph, self._chains, self._closures = graph, chains, closures
@@ -38,7 +38,7 @@ class MapPrediction:
         self._key_of, self._keys = self._choose_keys(keys_max)
         self._poses = np.zeros((len(chains.step), 3))
         self.scale = 1.0
-        """How much larger squared errors are than the covariances say."""
+        """Ratio of squared errors to what the covariances predict."""
 
     def _choose_keys(self, keys_max: int) -> tuple[Array, Array]:
         order, step = np.array(self._chains.order), self._chains.step
@@ -52,10 +52,13 @@ class MapPrediction:
         key_of[order] = np.cumsum(is_key) - 1
         return key_of, order[is_key]
 
-    def look(self, poses: Array, used: Array) -> None:
-        """Predict from these poses (n, 3) and the used closures (k,) indices into the closures."""
+    def update(self, poses: Array, used: Array) -> None:
+        """Recompute the prediction from poses (n, 3) and the used closures (k,), indices into `closures`."""
         self._poses = poses
-        self._grown, self._bent = self._chains.grown(poses), self._chains.bent(poses)
+        self._accumulated, self._shared = (
+            self._chains.accumulated_covariance(poses),
+            self._chains.shared_error_columns(poses),
+        )
         keys, count = self._keys, len(self._keys)
         size = count + int(self._chains.owner.max(initial=UNOWNED)) + 1
         hessian = np.zeros((size, 3, size, 3))
@@ -64,10 +67,12 @@ class MapPrediction:
             if step[keys[k]] == 0:
                 hessian[k, :, k] += np.eye(3) * (1e8 if k == 0 else 1e-1)
         follows = np.flatnonzero(chain[keys[1:]] == chain[keys[:-1]])
-        weight = np.linalg.inv(self._chains.stretch(self._grown, keys[follows], keys[follows + 1]) + 1e-12 * np.eye(3))
+        weight = np.linalg.inv(
+            self._chains.stretch(self._accumulated, keys[follows], keys[follows + 1]) + 1e-12 * np.eye(3)
+        )
         _add_edges(hessian, follows, follows + 1, weight)
-        if self._bent is not None:
-            owner, bends = self._chains.owner[keys[follows + 1]], np.diff(self._bent[keys], axis=0)[follows]
+        if self._shared is not None:
+            owner, bends = self._chains.owner[keys[follows + 1]], np.diff(self._shared[keys], axis=0)[follows]
             _add_shared(hessian, follows, count, owner, weight, bends)
         if len(used):
             i, j = self._i[used], self._j[used]
@@ -77,51 +82,52 @@ class MapPrediction:
         extent = np.ptp(poses[:, :2], axis=0) + 1.0
         self._log_volume = math.log(extent[0] * extent[1] * 2 * math.pi / 8)
 
-    def learn_scale(self, speakers: Array) -> None:
-        """Learn from used closures how much smaller or larger errors are than their covariances say."""
+    def estimate_scale(self, speakers: Array) -> None:
+        """Estimate from used closures (k,) how far squared errors exceed their covariances; shrunk towards 1 for
+        few."""
         self.scale = 1.0
         if len(speakers):
-            ratio = max(float(np.median(self.contradicted(speakers))) / MEDIAN_SQUARED, 1e-3)
+            ratio = max(float(np.median(self.leave_one_out_errors(speakers))) / MEDIAN_SQUARED, 1e-3)
             share = len(speakers) / (len(speakers) + SCALE_GROUPS)
             self.scale = min(max(ratio**share, SCALE_MIN), SCALE_MAX)
 
     @property
     def gate_scale(self) -> float:
-        """By how much gates on squared errors are widened."""
+        """Factor by which gates on squared errors are widened."""
         return max(self.scale, GATE_SCALE_MIN)
 
     def own_noise(self, closures: Array) -> Array:
-        """(k, 3, 3) covariance of the closures' measurements as world twists."""
+        """(k, 3, 3) measurement covariance of closures as world-frame twists."""
         return turned(self._claimed(closures), self._noise[closures])
 
     def drift(self, closures: Array) -> Array:
-        """(k, 3, 3) covariance of the map's own prediction between the keys at the closures' ends."""
+        """(k, 3, 3) covariance of the map's prediction between the key poses of the closures' ends."""
         a, b = self._key_of[self._i[closures]], self._key_of[self._j[closures]]
         cross = self._joint[a, :, b]
         return self._joint[a, :, a] + self._joint[b, :, b] - cross - np.swapaxes(cross, 1, 2)
 
     def predicted(self, closures: Array) -> tuple[Array, Array]:
-        """Error (k, 3) of closures as world twists, and the covariance (k, 3, 3) of prediction and measurement."""
+        """Error (k, 3) of closures as world-frame twists and covariance (k, 3, 3) of prediction plus measurement."""
         i, j = self._i[closures], self._j[closures]
         z = self._graph.measured[self._closures[closures]]
         error = logarithm(compose(compose(self._poses[i], z), inverse(self._poses[j])))
         same = (self._chains.chain[i] == self._chains.chain[j]) & (self._key_of[i] == self._key_of[j])
-        stretch = self._chains.stretch(self._grown, i, j, self._bent)
+        stretch = self._chains.stretch(self._accumulated, i, j, self._shared)
         off = np.where(same[:, None, None], stretch, self._off_key(i) + self._off_key(j))
         return error, self.drift(closures) + off + self.own_noise(closures)
 
     def evidence(self, error: Array, covariance: Array) -> Array:
-        """(k,) log of Student's t density against a place drawn from the whole building.
+        """(k,) log ratio of Student's t density to a uniform density over the building.
 
-        Drift beyond the building's size says nothing against a closure.
+        The peak is bounded below, so that drift larger than the building is no evidence against a closure.
         """
         squared = squared_length(error, covariance) / self.scale
         scale = math.lgamma((TAIL + 3) / 2) - math.lgamma(TAIL / 2) - 1.5 * math.log(TAIL * math.pi * self.scale)
         peak = scale - 0.5 * np.linalg.slogdet(covariance)[1] + self._log_volume
         return np.maximum(peak, 0.5) - (TAIL + 3) / 2 * np.log1p(squared / TAIL)
 
-    def contradicted(self, used: Array) -> Array:
-        """(k,) squared error of used closures against what all others say."""
+    def leave_one_out_errors(self, used: Array) -> Array:
+        """(k,) squared error of each used closure against the prediction of all others."""
         drift = self.drift(used)
         edges = self._closures[used]
         residual = pose_graph.residuals(self._poses, self._graph.edges[edges], self._graph.measured[edges])
@@ -134,14 +140,15 @@ class MapPrediction:
         plain = self._graph.squared_errors(self._poses)[edges]
         return np.where(plain < GATE * min(self.scale, 1.0), np.minimum(squared, GATE * GATE_SCALE_MIN), squared)
 
-    def checked_share(self, used: Array) -> Array:
-        """(k,) how much of used closures' own noise the fit leaves in their residuals, in the direction with most."""
+    def redundancy(self, used: Array) -> Array:
+        """(k,) share of a used closure's own noise left in its residual, in the direction where it is largest."""
         own = self.own_noise(used)
         root = np.linalg.inv(np.linalg.cholesky(own))
         return np.linalg.eigvalsh(turned(root, own - self.drift(used)))[:, -1]
 
     def joint_of(self, closures: Array, covariance: Array) -> Array:
-        """(k, 3, k, 3) covariance of the predictions of several closures, `covariance` (k, 3, 3) on its diagonal."""
+        """(k, 3, k, 3) joint covariance of several closures' predictions, with `covariance` (k, 3, 3) on the
+        diagonal."""
         a, b = self._key_of[self._i[closures]], self._key_of[self._j[closures]]
         count = len(closures)
         joint = np.zeros((count, 3, count, 3))
@@ -152,16 +159,16 @@ class MapPrediction:
         return joint
 
     def _off_key(self, nodes: Array) -> Array:
-        return self._chains.stretch(self._grown, self._keys[self._key_of[nodes]], nodes, self._bent)
+        return self._chains.stretch(self._accumulated, self._keys[self._key_of[nodes]], nodes, self._shared)
 
     def _claimed(self, closures: Array) -> Array:
-        """(k, 3, 3) from the frame where a closure puts its second pose into the world frame, for twists."""
+        """(k, 3, 3) adjoint from the frame of each closure's measured second pose to the world frame."""
         return adjoint(compose(self._poses[self._i[closures]], self._graph.measured[self._closures[closures]]))
 
 
 def _inverse(matrix: Array) -> Array:
-    """Of a positive definite matrix."""
-    from scipy.linalg.lapack import dpotrf, dpotri  # a tenth of a start's time, and not needed in it
+    """Inverse of a positive definite matrix by Cholesky factorisation."""
+    from scipy.linalg.lapack import dpotrf, dpotri  # imported here: a tenth of the start-up time, not needed there
 
     factor, _ = dpotrf(matrix.T, lower=0, overwrite_a=1)
     lower = np.tril(dpotri(factor, lower=0, overwrite_c=1)[0].T)
@@ -184,8 +191,10 @@ def _add_edges(hessian, a, b, weight):
 
 
 def _add_shared(hessian: Array, a: Array, first: int, owner: Array, weight: Array, bends: Array) -> None:
-    """Add to (n, 3, n, 3) that edges a - a + 1 (k,) with information (k, 3, 3) are bent (k, 3, 3) by errors of their
-    owners (k,), whose rows begin at `first`, each of one standard deviation."""
+    """Add to (n, 3, n, 3) how shared errors change the edges a - a + 1 (k,) with information (k, 3, 3).
+
+    bends (k, 3, 3): change by one standard deviation of the error of owner (k,). Rows of the owners start at `first`.
+    """
     for row in range(first, len(hessian)):
         hessian[row, :, row] += np.eye(3)
     says = np.swapaxes(bends, 1, 2) @ weight

@@ -1,8 +1,8 @@
-"""Find the beams that met a team mate: mates move, so they must neither be matched nor drawn as walls.
+"""Find beams that hit a team mate, so that they are neither matched nor mapped as walls.
 
-Robots are discs of a known radius. A run of neighbouring beams, nearer than what lies on both sides of it, whose end
-points lie on such a disc is taken for one; far away, where too few beams meet a disc to see its shape, any thing as
-narrow as a disc is.
+Robots are discs of known radius. A run of neighbouring beams that is nearer than the readings on both sides and whose
+end points lie on such a disc is classified as a robot. At long range, where too few beams hit to test the shape, any
+object as narrow as a disc is.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ import numpy as np
 from twc_env.kernels import borrowing_kernel, kernel
 
 STEP_MAX_M = 0.15
-"""Neighbouring beams on one disc differ by less than this ..."""
+"""Maximum range difference of neighbouring beams on one disc [m]."""
 BACKGROUND_MIN_M = 0.25
-"""... and what lies beside it is further away by more than this."""
+"""Minimum range jump to the background on both sides [m]."""
 SHAPE_TOLERANCE_M = 0.035
 FEW_BEAMS = 4
-"""With fewer beams than this the shape is not judged."""
+"""Below this number of beams the shape is not tested."""
 DISCS_MAX = 32
-"""In one scan."""
+"""Maximum number of discs recorded per scan."""
 STILL_M, STILL_S, STILL_TRAVEL_M = 0.2, 5.0, 2.0
-"""A disc met again this near after so long, from that much further along the path, stands there for good."""
+"""A disc seen again within STILL_M after STILL_S, from STILL_TRAVEL_M further along the path, is static."""
 NO_RETURN_M = 1e6
-"""In place of infinity."""
+"""Replaces infinite ranges."""
 MEMORY = 100
-"""Discs that a robot remembers, so that a pillar as wide as a robot is drawn after all: it never moves."""
+"""Discs that a robot remembers, to recognise a static pillar as wide as a robot, which is then mapped."""
 
 
 @borrowing_kernel
@@ -44,9 +44,10 @@ def _is_disc(ranges, directions, first, count, cx, cy, radius):
 
 @borrowing_kernel
 def mark_mates(ranges, range_max, radius, directions, is_jump, jumps, out, discs):
-    """Write the marked scan to out and a row (x, y, first beam, beams) for each disc; gives how many there are.
+    """Copy the scan to `out` with beams on discs negated, write (x, y, first beam, beams) per disc; returns their
+    number.
 
-    radius is that of a robot; 0 marks nothing. is_jump (beams,) bool and jumps (beams + 1,) int64 are room to work in.
+    radius: of a robot [m]; 0 marks nothing. is_jump (beams,) bool and jumps (beams + 1,) int64 are work arrays.
     """
     beams = ranges.shape[0]
     step = 2 * math.pi / beams
@@ -91,10 +92,10 @@ def mark_mates(ranges, range_max, radius, directions, is_jump, jumps, out, discs
 
 @borrowing_kernel
 def unmark(scan, discs, pose, seen, following, travel, time):
-    """Make the beams (beams,) on discs (k, 4) that stood still for long, seen from more than one place, walls again.
+    """Restore the beams (beams,) on discs (k, 4) that stayed in place long enough, seen from different places.
 
-    discs: as `mark_mates` has them; seen (MEMORY, 4): x and y in the odom frame, travel and time when first seen there,
-    infinite before. Of these the row `following`, the oldest, is overwritten next; gives the one after.
+    discs: as written by `mark_mates`; seen (MEMORY, 4): x, y in the odom frame, travel [m] and time [s] of the first
+    sighting, infinite where unused. `following` is the row to overwrite next (ring buffer); returns the next one.
     """
     beams = scan.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -117,9 +118,9 @@ def unmark(scan, discs, pose, seen, following, travel, time):
 
 @kernel
 def without_narrow(ranges_m, width_m):
-    """A scan (beams,) in which things narrower than so much, with more room on both sides, are marked as mates are.
+    """A scan (beams,) with beams on objects narrower than `width_m`, with free space on both sides, negated.
 
-    Whatever their shape, and if they stood still for long: one may be a robot that waits.
+    Neither the shape nor how long the object stood still is tested: it may be a waiting robot.
     """
     beams, marked, count = ranges_m.shape[0], ranges_m.copy(), 0
     ranges, jumps = np.empty(beams), np.empty(beams + 1, np.int64)

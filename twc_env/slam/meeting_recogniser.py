@@ -1,4 +1,4 @@
-"""Places of robots that share no map, recognised by WiFi alone: they meet before both have read the same signs."""
+"""Place recognition by WiFi alone between robots that share no map, before both have read a common sign."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from twc_env.slam.place_cues import rssi_cue
 from twc_env.slam.sign_table import RadioRule, SignTable
 
 MEETING = "meeting"
-"""The name of such candidates."""
+"""`LoopCandidate.recogniser` of these candidates."""
 STEP_M, SILENT_STEP_M = 1.0, 3.0
-"""Places are remembered, and compared, this often along a path; compared so often where none sounded alike."""
+"""Path length between stored places, and between queries while no similar place was found [m]."""
 SHARED_MIN = 10
-"""Places that hear fewer transmitters alike are not compared: those of two or three access points tell too little, and
-where rooms repeat, scans that fit by chance agree with each other."""
+"""Minimum number of shared transmitters. Two or three access points carry too little information, and in buildings with
+repeated rooms, scans that match by chance are consistent with each other."""
 CANDIDATES_MAX = 3
-"""Of a keyframe so many places, those that sound most alike, are tried; of a robot whose last match was refused one."""
+"""Maximum candidates per keyframe, most similar first; only one per robot whose last match was rejected."""
 REST_M, RESTS_MAX = 2.0, 4
-"""Two robots of which a match is refused are not compared until they have gone so far, together; after the next one in
-a row twice as far, and so on up to so many."""
+"""After a rejected match, a pair of robots is skipped until both together have travelled REST_M; the distance doubles
+with each further rejection in a row, RESTS_MAX at most."""
 ANY_TEXT, NOT_READ = 0, ""
-"""The table of signs takes all places for such at which one sign was read."""
+"""`SignTable` is reused with one dummy text for all places."""
 
 
 class MeetingRecogniser:
-    """Compares a keyframe with the places of robots in other maps; robots of one map cost next to nothing."""
+    """Compares keyframes with places of robots in other maps. Robots of one map are skipped at almost no cost."""
 
     def __init__(self, config: PlaceRecognitionConfig, robot_count: int):
         self._config, self._robots = config, range(robot_count)
         self._places: list[Keyframe] = []
-        """About STEP_M apart along each robot's path; the first of them are the rows of the table."""
+        """Places about STEP_M apart along each robot's path; the first `_row_count` are rows of the table."""
         self._table = SignTable()
         self._row_count = 0
         self._radio = RadioRule.of(config)
         self._last_m, self._compared_from_m = [-math.inf] * robot_count, [-math.inf] * robot_count
-        """Of each robot the path to its last place, and to where it is compared again."""
+        """Per robot: path length at its last stored place, and from which it is compared again [m]."""
         self._refused: dict[tuple[int, int], tuple[int, float]] = {}
-        """Of two robots how many matches were refused in a row, and the sum of their paths until which they rest."""
+        """Pair of robots -> rejections in a row, and the sum of path lengths until which the pair is skipped [m]."""
 
     def propose(self, keyframe: Keyframe, mates: Collection[int]) -> list[LoopCandidate]:
-        """Candidates between this keyframe and earlier ones of robots that are not its mates; it is remembered."""
+        """Candidates between this keyframe and stored places of robots other than `mates`; stores the keyframe."""
         robot = keyframe.robot
         if keyframe.travel_m - self._last_m[robot] < STEP_M:
             return []
@@ -87,7 +87,7 @@ class MeetingRecogniser:
         return refused is not None and self._last_m[a] + self._last_m[b] < refused[1]
 
     def note(self, closure: LoopClosure) -> None:
-        """What has become of a candidate: where matches are refused, its two robots are compared less often."""
+        """Record the result of geometric verification: after a rejection the pair is compared less often."""
         a, b = _pair(closure.candidate.target[0], closure.candidate.source[0])
         if closure.status == "accepted":
             self._refused.pop((a, b), None)

@@ -1,4 +1,4 @@
-"""The evidence for and against putting two groups of robots into one map."""
+"""Evidence for and against merging the maps of two groups of robots."""
 
 from __future__ import annotations
 
@@ -22,42 +22,42 @@ from twc_env.slam.sign_table import MISSING_AFTER_S
 from twc_env.slam.signs_in_place import SignsRead, count_shared, hang_apart
 from twc_env.slam.team_graph import TeamGraph
 
-OTHERS_WEIGHT = 2
-"""Where places count that only sound alike, more than `closures_min` closures must agree, and so many more for each
-that does not: along rows of shelves scans fit each other a shelf aside, too."""
+DISAGREEING_WEIGHT = 2
+"""With radio-only closures, more than `closures_min` must agree, plus this many for each that disagrees: along rows of
+shelves, scans also match one shelf further."""
 SCANS_ALONE_MIN = 8
-"""So many places, `spread_min_m` apart, must agree where neither names nor sounds are compared: rooms and whole wings
-look alike."""
+"""Where neither signs nor fingerprints are compared, places this many, `spread_min_m` apart, must agree: rooms and
+whole wings of a building look alike."""
 
 
-Answer = tuple[Sequence[LoopClosure], Array]
-"""What the back end believes of a map, and where it puts the nodes (n, 3)."""
+Solution = tuple[Sequence[LoopClosure], Array]
+"""Accepted closures of a solution and its node poses (n, 3)."""
 
 
 class MergeJudge:
-    """Asks closures, fingerprints and walls about a merge of robots `a` with robots `b`."""
+    """Evaluates a merge of robots `a` with robots `b` by closures, fingerprints, signs and walls."""
 
-    def __init__(self, config: MergingConfig, graph: TeamGraph, spares_deaf: bool = False, doubts_sounds: bool = False):
-        """doubts_sounds: robots are also compared where places only sound alike, which takes more of such to agree."""
-        self._rule, self._graph, self._spares_deaf, self._doubts_sounds = config, graph, spares_deaf, doubts_sounds
+    def __init__(self, config: MergingConfig, graph: TeamGraph, spares_deaf: bool = False, doubts_radio: bool = False):
+        """doubts_radio: radio-only closures are in use (`meets_by_wifi`), and a merge needs more of them."""
+        self._rule, self._graph, self._spares_deaf, self._doubts_sounds = config, graph, spares_deaf, doubts_radio
         self._heard = HeardPlaces()
-        """What was heard at each node, as far as anybody asked."""
+        """Fingerprints of the nodes, added on demand."""
         self._read = SignsRead()
 
     def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int], others: int = 0) -> MergeProposal | None:
-        """Where the robots that are not in `a` lie in the map of `a`, by closures between the two.
+        """The merge hypothesis from closures between `a` and other robots: pose of the others' map in the map of `a`.
 
-        Loose closures have no say: places that sound alike may lie metres apart. By those of signs alone where places
-        that only sound alike are doubted and too few of all agree, or too many disagree: the rest of the closures, and
-        so many others that hold the two together elsewhere.
+        Loose closures are ignored: their two places may be metres apart. With `doubts_radio`, only closures by signs
+        are used unless enough of all closures agree; closures that disagree and the `others` accepted ones elsewhere
+        raise that number.
         """
         closures = [c for c in closures if not c.is_loose]
-        by_signs = [c for c in closures if not _is_by_sound(c)] if self._doubts_sounds else closures
+        by_signs = [c for c in closures if not _is_radio_only(c)] if self._doubts_sounds else closures
         count, count_min = len(closures), self._rule.closures_min
-        if len(by_signs) < count and count - OTHERS_WEIGHT * others > count_min:
+        if len(by_signs) < count and count - DISAGREEING_WEIGHT * others > count_min:
             found = self._agreement(closures, a)
             agree = 0 if found is None else np.count_nonzero(found.support)
-            if agree - OTHERS_WEIGHT * (count - agree + others) > count_min:
+            if agree - DISAGREEING_WEIGHT * (count - agree + others) > count_min:
                 return found
         return self._agreement(by_signs, a)
 
@@ -67,42 +67,43 @@ class MergeJudge:
         found = map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
         return found and replace(found, agreeing=tuple(itertools.compress(closures, found.support)))
 
-    def may_replace(self, robots: Sequence[int], nodes: Array, before: Answer, after: Answer) -> bool:
-        """Whether `after` may be believed instead of `before` in the map of robots, which these nodes (n,) are.
+    def may_replace(self, robots: Sequence[int], nodes: Array, before: Solution, after: Solution) -> bool:
+        """Whether solution `after` may replace `before` in the map of these robots, whose nodes (n,) are given.
 
-        What is won must outweigh the loss: counting closures is not enough where few signs were seen often, or rows of
-        names are taken for the next ones. And it must not put ways together where signs read otherwise.
+        The weight of newly accepted closures must reach that of lost ones: their number is not sufficient where few
+        signs were seen often or consecutive names are confused. No new pair of robots may disagree on most of its
+        shared signs.
         """
         held, now = ({closure.number for closure in answer[0]} for answer in (before, after))
         lost = self.weight([c for c in before[0] if c.number not in now], robots)
         if self.weight([c for c in after[0] if c.number not in held], robots) < lost:
             return False
-        return self._at_odds(robots, nodes, after[1]) <= self._at_odds(robots, nodes, before[1])
+        return self._disagreeing_pairs(robots, nodes, after[1]) <= self._disagreeing_pairs(robots, nodes, before[1])
 
-    def _at_odds(self, robots: Sequence[int], nodes: Array, poses: Array) -> set[tuple[int, int]]:
-        """Pairs of robots most of whose shared signs read otherwise where poses (n, 3) put these nodes (n,)."""
+    def _disagreeing_pairs(self, robots: Sequence[int], nodes: Array, poses: Array) -> set[tuple[int, int]]:
+        """Pairs of robots that disagree on most of their shared signs with these nodes (n,) at poses (n, 3)."""
         everywhere = self._graph.poses.copy()
         everywhere[nodes] = poses
         whose, texts, places = self._read_by(robots, everywhere)
         pairs = ((pair, np.isin(whose, pair)) for pair in itertools.combinations(robots, 2))
-        return {pair for pair, own in pairs if _read_otherwise(texts[own], places[own], whose[own] == pair[1])}
+        return {pair for pair, own in pairs if _texts_disagree(texts[own], places[own], whose[own] == pair[1])}
 
     def weight(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> Weight:
-        """How much some closures say for the place that they give other robots in the map of robots `a`; loose ones
-        nothing."""
+        """Weight of closures for the transform between robots `a` and others; loose closures have none."""
         closures = [c for c in closures if not c.is_loose]
         if not closures:
             return 0, 0, 0
         *_, signs, alike = self._as_a_to_b(closures, a)
         if self._doubts_sounds:
-            alike &= np.array([not _is_by_sound(c) for c in closures])
+            alike &= np.array([not _is_radio_only(c) for c in closures])
         return map_merging.weight_of(signs, alike, self._rule)
 
     def _as_a_to_b(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> tuple[Array, Array, Array, Array, Array]:
-        """Keyframe poses in a, in b, the measured pose of the latter in the former (k, 3), the signs in a (k, 2).
+        """Keyframe poses in a and in b, measured pose of the latter in the former (k, 3 each), sign positions in a (k,
+        2).
 
-        And whether both sides read these alike (k,). A sign is placed by the keyframe of a, so that signs are compared
-        in one frame.
+        And whether both readings are identical (k,). Signs are placed from the keyframe of a, so that all are in one
+        frame.
         """
         poses, node = self._graph.poses, self._graph.node
         in_a, in_b, measured, signs = [], [], [], []
@@ -119,13 +120,15 @@ class MergeJudge:
         alike = np.array([closure.candidate.is_read_alike for closure in closures])
         return np.array(in_a), np.array(in_b), np.array(measured), np.array(signs), alike
 
-    def is_one_building(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
-        """Whether places that the merge brings together sound alike.
+    def cues_confirm(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
+        """Whether radio confirms the merge; without radio comparison, sign names or enough distinct places must.
 
-        Where none are compared by radio, or one side never heard anything and may so: whether both read one name of
-        its own, should texts have been compared, or scans of many places fit.
+        Radio is not compared if switched off, or (`spares_deaf`) if one side never received anything. Then
+        `names_agree` is required if texts were compared, and SCANS_ALONE_MIN places if only scans were.
         """
-        is_heard = self._rule.wifi_check and not (self._spares_deaf and (self._are_deaf(a) or self._are_deaf(b)))
+        is_heard = self._rule.wifi_check and not (
+            self._spares_deaf and (self._heard_nothing(a) or self._heard_nothing(b))
+        )
         if is_heard:
             return self.radio_agrees(a, b, proposal.pose_a_b) is True
         compared = [closure.candidate for closure in proposal.agreeing]
@@ -134,13 +137,13 @@ class MergeJudge:
         is_read = not any(math.isnan(candidate.text_similarity) for candidate in compared)
         return not is_read or self.names_agree(a, b, proposal.pose_a_b)
 
-    def _are_deaf(self, robots: Sequence[int]) -> bool:
+    def _heard_nothing(self, robots: Sequence[int]) -> bool:
         paths = [self._graph.keyframes[robot] for robot in robots]
         is_late = any(path[-1].time_s >= MISSING_AFTER_S for path in paths if path)
         return is_late and not any(len(keyframe.fingerprint.macs) for path in paths for keyframe in path)
 
     def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
-        """Whether places that the merge brings together sound alike; None while too few can be compared."""
+        """Whether places that the merge brings together have similar fingerprints; None with too few pairs."""
         members, graph = [*a, *b], self._graph
         paths = [graph.path_of(robot) for robot in members]
         nodes, count_a = np.concatenate(paths), sum(map(len, paths[: len(a)]))
@@ -156,17 +159,17 @@ class MergeJudge:
         )
 
     def forget(self, _: Array) -> None:
-        """Keyframes have been forgotten."""
+        """Drop caches after keyframes were removed (`TeamGraph.forget`)."""
         self._heard = HeardPlaces()
         self._read.clear()
 
     def signs_disagree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
-        """Whether of the places with signs that the merge brings together more read otherwise than alike."""
+        """Whether of the sign places that the merge brings together more read differently than identically."""
         robots, texts, places = self._read_by((*a, *b), self._poses_with(b, pose_a_b))
-        return _read_otherwise(texts, places, np.isin(robots, b))
+        return _texts_disagree(texts, places, np.isin(robots, b))
 
     def names_agree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
-        """Whether enough of the places that the merge brings together bear one name that nobody read elsewhere."""
+        """Whether enough places that the merge brings together have one name that was read nowhere else."""
         robots, texts, places = self._read_by(range(len(self._graph.keyframes)), self._poses_with(b, pose_a_b))
         are_tried = np.isin(robots, (*a, *b))
         are_told = are_tried & ~hang_apart(texts, places[:, :2], np.where(are_tried, 0, robots + 1))[texts]
@@ -174,16 +177,14 @@ class MergeJudge:
         return same >= self._rule.signs_read_alike_min
 
     def _poses_with(self, b: Sequence[int], pose_a_b: Array) -> Array:
-        """(n, 3) of all nodes, those of `b` in the map of `a`."""
+        """(n, 3) poses of all nodes, with those of `b` transformed to the map of `a`."""
         poses, nodes = self._graph.poses.copy(), self._graph.nodes_of(b)
         poses[nodes] = compose(pose_a_b, poses[nodes])
         return poses
 
     def _read_by(self, robots: Iterable[int], poses: Array) -> tuple[Array, Array, Array]:
-        """All readings of some robots, where all nodes are at poses (n, 3).
-
-        (k,) whose, (k,) numbers of their texts, (k, 3) where they hang and face.
-        """
+        """All readings of some robots, with nodes at poses (n, 3): robot (k,), text number (k,), pose of each sign (k,
+        3)."""
         whose, texts, places = [], [], []
         for robot in robots:
             at, numbers, local = self._read.by(robot, self._graph.keyframes[robot])
@@ -193,7 +194,7 @@ class MergeJudge:
         return np.concatenate(whose), np.concatenate(texts), np.concatenate(places)
 
     def _heard_everywhere(self) -> HeardPlaces:
-        """What was heard at each node."""
+        """Fingerprints of all nodes."""
         graph, heard = self._graph, self._heard
         known = len(heard)
         new = [iter(path[bisect_left(graph.path_of(r), known) :]) for r, path in enumerate(graph.keyframes)]
@@ -201,7 +202,8 @@ class MergeJudge:
         return heard
 
     def overlap(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, reach_m: float) -> list[tuple[int, int]]:
-        """(robot, keyframe index) of the keyframes of each side that the merge would put near one of the other."""
+        """(robot, keyframe index) of keyframes of either side that the merge would put within `reach_m` of the other
+        side."""
         names = [[(r, k.index) for r in side for k in self._graph.keyframes[r]] for side in (a, b)]
         poses = [np.concatenate([self._graph.poses_of(r) for r in side]) for side in (a, b)]
         apart = poses[0][:, None, :2] - compose(pose_a_b, poses[1])[None, :, :2]
@@ -215,16 +217,16 @@ class MergeJudge:
         ]
 
     def walls_disagree(self, grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> bool:
-        """Whether too many walls of one map stand in the free space of the other."""
+        """Whether more than `contradiction_max` of one map's walls lie in free space of the other."""
         return map_merging.wall_contradiction(grid_a, grid_b, pose_a_b) > self._rule.contradiction_max
 
 
-def _read_otherwise(texts: Array, places: Array, is_b: Array) -> bool:
-    """Whether of the places that two sides share more read otherwise than alike; arguments as of `count_shared`."""
+def _texts_disagree(texts: Array, places: Array, is_b: Array) -> bool:
+    """Whether of the shared sign places more read differently than identically; arguments as in `count_shared`."""
     same, other = count_shared(texts, places, is_b)
     return other > same
 
 
-def _is_by_sound(closure: LoopClosure) -> bool:
-    """Whether its two places were only heard to be alike: no text was compared."""
+def _is_radio_only(closure: LoopClosure) -> bool:
+    """Whether the closure comes from fingerprints alone, without comparing text."""
     return closure.candidate.recogniser in ("wifi", MEETING)

@@ -1,9 +1,9 @@
-"""Second thoughts about merges: what has come to light since two groups were put into one map.
+"""Re-evaluates merges after new evidence and reports those that are wrong.
 
-A merge is looked at again after some time, then after twice that time and so on, and whenever closures that contradict
-it have become more. It is wrong when nothing holds it together any more, when more speaks for another place than for
-this one, or closures agree on one that radio and walls confirm while they do not confirm this one, or when walls or
-radio, now that more has been seen, speak against it.
+A merge is re-evaluated after FIRST_STEPS, then after twice that and so on, and whenever more closures contradict it. It
+is wrong if no accepted closure supports it any more; if rejected closures have more weight for another transform, or
+agree on one that radio and walls confirm while they do not confirm the present one; or if walls or radio, with more
+data, contradict it.
 """
 
 from __future__ import annotations
@@ -24,53 +24,53 @@ from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.team_graph import TeamGraph
 
 FIRST_STEPS = 50
-"""A merge is looked at again after so many steps, then after twice as many, and so on."""
+"""Steps until the first re-evaluation; the interval doubles each time."""
 WALLS_SLACK = 2.0
-"""A standing merge may contradict walls by so much more than a new one."""
+"""An existing merge may contradict walls by this factor more than a new one."""
 SAME_PLACE_M = 2.0
-"""A merge that puts a robot this near where an undone one had put it is nearly the same."""
+"""A merge hypothesis this near an undone one counts as the same [m]."""
 STRAIN_MIN, STRAIN_SHARE = 16.27, 0.5
-"""A merge is wrong where odometry must err by more than 99.9 % of chi squared for one closure, and by more than this
-share of what all closures that are used leave free, three each: more than right maps of training buildings pay, less
-than a wrong one did, where a false closure and a true one pulled."""
-IN_PLACE = np.zeros(3)
+"""A merge is wrong if the odometry residuals exceed STRAIN_MIN (99.9 % of chi-squared, 3 degrees of freedom: one
+closure) and STRAIN_SHARE of the degrees of freedom of all used closures, three each. Correct maps of training buildings
+stay below; one wrong map, with a false and a true closure in conflict, was above."""
+IDENTITY = np.zeros(3)
 
 
 @dataclass(slots=True)
 class Merge:
-    """Two groups that became one."""
+    """A merge of two groups."""
 
     a: tuple[int, ...]
     b: tuple[int, ...]
     due_step: int
     interval_steps: int = FIRST_STEPS
     refusals_seen: int = 0
-    """Closures that had been refused at the last look."""
+    """`TeamGraph.refusals` at the last re-evaluation."""
 
 
 class MergeReview:
-    """Remembers the merges of one mapper and says which of them are wrong, and why."""
+    """Records the merges of one mapper and reports which are wrong, and why."""
 
     def __init__(self, config: MergingConfig, graph: TeamGraph, maps: GroupMaps, judge: MergeJudge):
         self._rule, self._graph, self._maps, self._judge = config, graph, maps, judge
         self.merges: list[Merge] = []
         self._next_step, self._refusals_seen = 0, 0
-        """When the first of them is due, and closures that had been refused when `wrong` last found nothing."""
+        """Step at which the first merge is due, and `TeamGraph.refusals` when `wrong` last found nothing."""
         self._undone: list[tuple[int, int, Array]] = []
-        """Two robots that were torn apart, and where the odom frame of the second had been put in that of the first."""
+        """Undone merges: two robots, and the pose of the second's odom frame in the first's."""
 
     @property
     def undone_count(self) -> int:
-        """Merges undone so far."""
+        """Number of merges undone."""
         return len(self._undone)
 
-    def note(self, a: tuple[int, ...], b: tuple[int, ...], step: int) -> None:
-        """Two groups became one."""
+    def record_merge(self, a: tuple[int, ...], b: tuple[int, ...], step: int) -> None:
+        """Record a merge of two groups."""
         self.merges.append(Merge(a, b, step + FIRST_STEPS))
         self._next_step = min(self._next_step, step + FIRST_STEPS)
 
     def closures_needed(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> int:
-        """Agreeing closures that a merge needs: twice as many for every time that nearly the same one was undone."""
+        """Agreeing closures that a merge needs: doubled for each time that nearly the same merge was undone."""
         again = 0
         for i, j, before in self._undone:
             if (i in a and j in b) or (i in b and j in a):
@@ -81,21 +81,21 @@ class MergeReview:
 
     @property
     def due_step(self) -> float:
-        """The first step at which `wrong` may find anything, as far as is known now."""
+        """First step at which `wrong` can find anything, as known now."""
         if not self.merges or not self._rule.undo:
             return math.inf
         return self._next_step if self._graph.refusals == self._refusals_seen else 0
 
     def wrong(self, step: int, one_by_one: bool = False) -> tuple[Merge, str] | None:
-        """The first merge that turns out to be wrong, and why; None while all stand.
+        """The first merge found wrong and the reason; None if all stand.
 
-        one_by_one: look at one merge whose time has come, and at the others the next time.
+        one_by_one: re-evaluate only one due merge per call.
         """
         for merge in self.merges:
             is_due = step >= merge.due_step
             why = self._objection(merge, step)
             if why:
-                self._next_step = step  # the others have not been looked at
+                self._next_step = step  # the others were not re-evaluated
                 return merge, why
             if is_due and one_by_one:
                 self._next_step = step
@@ -104,33 +104,31 @@ class MergeReview:
         self._refusals_seen = self._graph.refusals
         return None
 
-    def forget(self, merge: Merge, sides: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
-        """A merge is undone and its group falls into two sides, see `part`: remember what it said."""
+    def record_undone(self, merge: Merge, sides: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+        """Record that a merge was undone and its group split into `sides`."""
         self.merges.remove(merge)
-        self.part(sides)
+        self.split(sides)
         i, j = merge.a[0], merge.b[0]
         self._undone.append((i, j, between(self._graph.pose_map_odom(i), self._graph.pose_map_odom(j))))
 
-    def part(self, sides: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
-        """A group falls into two sides: of its merges each keeps what it holds together there."""
-        self.merges = [part for merge in self.merges for part in _parts(merge, sides)]
+    def split(self, sides: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+        """A group is split into two sides: replace its merges by their remainders within each side."""
+        self.merges = [part for merge in self.merges for part in _split_merge(merge, sides)]
 
     def sides(self, merge: Merge) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """All robots of the merged group on the two sides of a merge; who came later stands where most ties lead.
-
-        Loose ones count between those who have no others.
-        """
+        """Partition a merged group into the two sides of a merge. Robots that joined later go to the side with more
+        accepted closures to them; loose closures only break ties."""
         group = self._maps.groups[self._maps.group_of[merge.a[0]]].robots
         a, b = list(merge.a), list(merge.b)
         rest = [r for r in group if r not in a and r not in b]
         while rest:
-            ties = [(self._ties(r, a), self._ties(r, b)) for r in rest]
+            ties = [(self._accepted_counts(r, a), self._accepted_counts(r, b)) for r in rest]
             first = max(range(len(rest)), key=lambda k: max(ties[k]))
             (a if ties[first][0] >= ties[first][1] else b).append(rest.pop(first))
         return tuple(sorted(a)), tuple(sorted(b))
 
-    def _ties(self, robot: int, others: Sequence[int]) -> tuple[int, int]:
-        """Closures between a robot and others that are believed: those that are not loose, and all."""
+    def _accepted_counts(self, robot: int, others: Sequence[int]) -> tuple[int, int]:
+        """Numbers of accepted closures between a robot and others: those that are not loose, and all."""
         closures = self._graph.closures_between((robot,), others, "accepted")
         return sum(not closure.is_loose for closure in closures), len(closures)
 
@@ -153,21 +151,22 @@ class MergeReview:
         rival = self._judge.proposal(rejected, a, len(supporters)) if is_news else None
         if rival is not None and self._is_better(rival, a, b, supporters):
             return f"{rival.support.sum()} closures agree on another place, {len(supporters)} on this one"
-        return self._speaks_against(a, b) if is_due else ""
+        return self._map_objection(a, b) if is_due else ""
 
     def _latest(self, robots: Sequence[int]) -> Merge | None:
-        """The last merge of a group: before it the map was sound."""
+        """The most recent merge of a group; only this one can have introduced the strain."""
         return next((merge for merge in reversed(self.merges) if merge.a[0] in robots), None)
 
     def _is_strained(self, robots: Sequence[int]) -> bool:
-        """Whether the closures that are used in the map of these robots contradict each other by way of odometry."""
+        """Whether used closures of these robots contradict each other through odometry (see STRAIN_MIN)."""
         squared, count = self._graph.strain(robots)
         return squared > max(STRAIN_MIN, STRAIN_SHARE * 3 * count)
 
     def _is_better(
         self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: Sequence[LoopClosure]
     ) -> bool:
-        """Whether walls and radio allow another place, and signs, or radio and walls, prefer it to this one."""
+        """Whether walls and radio allow the rival transform, and signs, or radio and walls, prefer it to the present
+        one."""
         grids, there = self._grids(a, b), rival.pose_a_b
         heard = self._judge.radio_agrees(a, b, there) if self._rule.wifi_check else None
         if heard is False or self._judge.walls_disagree(*grids, there):
@@ -175,15 +174,15 @@ class MergeReview:
         if rival.weight > self._judge.weight(supporters, a):
             return True
         return heard is True and (
-            self._judge.walls_disagree(*grids, IN_PLACE) or not self._judge.radio_agrees(a, b, IN_PLACE)
+            self._judge.walls_disagree(*grids, IDENTITY) or not self._judge.radio_agrees(a, b, IDENTITY)
         )
 
-    def _speaks_against(self, a: Sequence[int], b: Sequence[int]) -> str:
-        """What walls and radio say."""
-        share = wall_contradiction(*self._grids(a, b), IN_PLACE)
+    def _map_objection(self, a: Sequence[int], b: Sequence[int]) -> str:
+        """Why walls or radio contradict the merge; empty if they do not."""
+        share = wall_contradiction(*self._grids(a, b), IDENTITY)
         if share > self._rule.contradiction_max * WALLS_SLACK:
             return f"{share:.0%} of the walls of one lie in the free space of the other"
-        if self._rule.wifi_check and self._judge.radio_agrees(a, b, IN_PLACE) is False:
+        if self._rule.wifi_check and self._judge.radio_agrees(a, b, IDENTITY) is False:
             return "places that it brings together sound different"
         return ""
 
@@ -192,8 +191,8 @@ class MergeReview:
         return self._maps.known_grid(a, group), self._maps.known_grid(b, group)
 
 
-def _parts(merge: Merge, sides: tuple[tuple[int, ...], ...]) -> list[Merge]:
-    """What is left of a merge where its group fell apart; the merge itself where it is of another group."""
+def _split_merge(merge: Merge, sides: tuple[tuple[int, ...], ...]) -> list[Merge]:
+    """The remainders of a merge after its group was split; the merge itself if it belongs to another group."""
     if set(merge.a + merge.b).isdisjoint(sum(sides, ())):
         return [merge]
     parts = []

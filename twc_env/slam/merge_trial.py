@@ -1,8 +1,7 @@
-"""Maps of several groups tried as one: for robots without laser, whose merges no scans fix.
+"""Trial optimisation of merged maps, for robots without laser, whose merges no scan match constrains.
 
-There odometry bends a map by more than closures are off, and all that two maps say of each other is heard only when
-they are optimised together. That shows how surely the robots lie to each other (`frame_covariance`): they share a map
-while that is known.
+Without laser, odometry distorts a map more than closures deviate, and the information of all inter-map closures only
+shows in a joint optimisation. Its covariance between robots (`frame_covariance`) decides whether they share a map.
 """
 
 from __future__ import annotations
@@ -22,26 +21,26 @@ from twc_env.slam.pose_graph import GATE, Graph, residuals, squared_errors
 from twc_env.slam.robust_backend import revise
 from twc_env.slam.team_graph import TeamGraph
 
-PLACED = np.array([0.5, math.radians(5.0)])
-"""Standard deviations [m, rad] to which robots must be fixed to each other to share a map: half of what makes a merge
-wrong."""
-STRAYED_SHARE = 1.4
-"""Robots of one map that are less sure by so much are taken apart."""
+STD_MAX = np.array([0.5, math.radians(5.0)])
+"""Maximum standard deviation [m, rad] of the relative pose of robots that are merged: half of the error at which a
+merge counts as wrong."""
+SPLIT_RATIO = 1.4
+"""Robots of one map are split where the standard deviation exceeds this multiple of STD_MAX."""
 NEAR_M, NEAR_RAD = 1.4, 0.35
-"""Closures between two maps are believed at first where they lie this near to what a proposal says."""
+"""Inter-map closures are initially accepted within this distance of the proposed transform."""
 AGREEING_SHARE = 0.5
-"""So many of the closures that a proposal stems from must agree with the map that is made of all."""
+"""Share of the proposal's closures that must be inliers of the jointly optimised map."""
 
 
 class MergeTrials:
-    """Tries maps of one mapper's groups."""
+    """Trial optimisations for the groups of one mapper."""
 
     def __init__(self, config: PoseGraphConfig, graph: TeamGraph):
         self._config, self._graph = config, graph
 
-    def is_placed(self, a: tuple[int, ...], b: tuple[int, ...], proposal: MergeProposal) -> bool:
-        """Whether it would be known where each robot of one map lies to each of the other, by all closures that agree
-        with the map which the two make."""
+    def is_well_constrained(self, a: tuple[int, ...], b: tuple[int, ...], proposal: MergeProposal) -> bool:
+        """Whether the joint optimisation with all consistent closures determines every pose of a robot of `a` relative
+        to one of `b` to within STD_MAX."""
         nodes, _, graph, is_used = self._graph.subgraph([*a, *b])
         poses, robot_of = self._graph.poses[nodes], self._graph.robot_of_node[nodes]
         poses[np.isin(robot_of, b)] = compose(proposal.pose_a_b, poses[np.isin(robot_of, b)])
@@ -61,10 +60,10 @@ class MergeTrials:
             return False
         whose, robot_of = np.unique(robot_of, return_inverse=True)
         across = np.ix_(np.isin(whose, a), np.isin(whose, b))
-        return bool((frame_stds(tried.poses, graph.of(tried.accepted), robot_of)[across] < PLACED).all())
+        return bool((frame_stds(tried.poses, graph.of(tried.accepted), robot_of)[across] < STD_MAX).all())
 
     def _edges(self, nodes: Array, closures: Sequence[LoopClosure]) -> tuple[Array, Array, Array]:
-        """Closures as edges between some nodes (n,), ascending: ends (k, 2), poses (k, 3), information (k, 3, 3)."""
+        """Closures as edges between nodes (n,), ascending: ends (k, 2), transforms (k, 3), information (k, 3, 3)."""
         ends = [[self._graph.node(c.candidate.target), self._graph.node(c.candidate.source)] for c in closures]
         return (
             np.searchsorted(nodes, np.array(ends, np.int64).reshape(-1, 2)),
@@ -72,13 +71,14 @@ class MergeTrials:
             np.linalg.inv(np.array([closure.covariance for closure in closures]).reshape(-1, 3, 3)),
         )
 
-    def strayed(self, robots: Sequence[int]) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
-        """The two sides of a map that nothing fixes to each other any more; None while all robots are placed."""
+    def uncertain_split(self, robots: Sequence[int]) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
+        """Partition of a group whose relative pose is no longer determined; None while all robots are well
+        constrained."""
         nodes, _, graph, is_used = self._graph.subgraph(robots)
         whose, robot_of = np.unique(self._graph.robot_of_node[nodes], return_inverse=True)
-        share = (frame_stds(self._graph.poses[nodes], graph.of(is_used), robot_of) / PLACED).max(axis=-1)
+        share = (frame_stds(self._graph.poses[nodes], graph.of(is_used), robot_of) / STD_MAX).max(axis=-1)
         i, j = np.unravel_index(np.argmax(share), share.shape)
-        if not share[i, j] >= STRAYED_SHARE:
+        if not share[i, j] >= SPLIT_RATIO:
             return None
         is_i = share[i] <= share[j]
         return tuple(whose[is_i].tolist()), tuple(whose[~is_i].tolist())

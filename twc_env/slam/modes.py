@@ -1,4 +1,4 @@
-"""Which engine runs inside the environment: one name of `slam.mode`, one class."""
+"""The SLAM engine for each value of `slam.mode`."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ Engine = CooperativeSlam | DeadReckoning
 
 
 def make_engine(config: EnvConfig, robot_count: int) -> Engine:
-    """The engine that the config asks for, at the start of an episode."""
+    """A new engine as configured, for the start of an episode."""
     return DeadReckoning(config, robot_count) if config.slam.mode == "off" else CooperativeSlam(config, robot_count)

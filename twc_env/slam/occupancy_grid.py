@@ -1,4 +1,4 @@
-"""Log-odds cells of what scans saw, which grow with it: free below 0, wall above 0, unknown at 0."""
+"""Occupancy grid of log-odds cells that grows with the observed area: below 0 free, above 0 wall, 0 unknown."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from twc_env.slam.scan_folding import BLOCK_COLUMNS, BLOCK_ROWS, folding_room, i
 from twc_env.slam.sparse_scans import SparseScans
 
 ROUNDING_M = 1e-9
-"""A box that ends so close to the grid's end may lie outside once the grid has grown elsewhere."""
+"""A box that ends this close to the grid's border may lie outside after the grid has grown on another side."""
 CELLS_MAX = 2**31
-"""4 GB; robots whose map needs more are not where they are said to be."""
+"""4 GB of cells; a map that needs more comes from wrong poses."""
 NOWHERE_M = (math.inf, math.inf, -math.inf, -math.inf)
-"""A box that holds nothing: left, bottom, right and top end."""
+"""An empty box: left, bottom, right, top."""
 
 
 class OccupancyGrid(BindsAnew):
-    """Log-odds cells that grow with what is seen."""
+    """A log-odds grid that grows on demand."""
 
     PADDING_M = 6.0
 
@@ -35,33 +35,34 @@ class OccupancyGrid(BindsAnew):
         self._room = folding_room(self._sparse.beam_count, int(2 * range_max_m / resolution_m) + 8)
         self._reached_m = np.zeros(4)
         self._run: Callable[..., bool] | None = None
-        """`integrate_many` with all of this."""
+        """`integrate_many` bound to the arrays of this grid."""
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all cells."""
         self.log_odds = np.zeros((0, 0), np.int16)
         self.origin_m = np.zeros(2)
         self._kinds = np.zeros((0, 0), np.uint8)
         self._touched, self._numbers = np.zeros((0, 0), np.int64), np.zeros(1, np.int64)
-        """As `GridMap.touched`; how often scans were folded in."""
+        """As `GridMap.touched`; the number of integrated scans."""
         self._boxes_m = np.array([NOWHERE_M] * 2)
-        """The box of all cells, and of those that scans can have touched."""
+        """Bounding boxes [m] of all cells, and of cells that scans may have touched."""
         self._snapshot: GridMap | None = None
         self._rebind()
 
     def take_over(self, other: OccupancyGrid) -> None:
-        """Be what another grid is now."""
+        """Copy the state of another grid."""
         self.log_odds, self.origin_m = other.log_odds.copy(), other.origin_m.copy()
         self._kinds, self._touched, self._numbers = other._kinds.copy(), other._touched.copy(), other._numbers.copy()
         self._boxes_m, self._snapshot = other._boxes_m.copy(), None
         self._rebind()
 
     def integrate(self, poses: Array, scans: Array) -> None:
-        """Fold in scans (k, beams) [m] taken at poses (k, 3); a negative range is free up to there without a wall.
+        """Integrate scans (k, beams) [m] taken at poses (k, 3); a negative range marks free space up to it, without a
+        wall.
 
-        Raises DataError for poses that are not finite, or so far apart that there is no room for the cells between, or
-        that these cannot be told apart.
+        Raises DataError for poses that are not finite, or so large or far apart that no grid can hold the cells between
+        them.
         """
         if len(poses) == 0:
             return
@@ -82,13 +83,13 @@ class OccupancyGrid(BindsAnew):
         )
 
     def _fold_in(self, poses: Array, scans: Array) -> bool:
-        """Whether the scans could be folded in: not where they touch more than there are cells."""
+        """Integrate; returns False, with nothing changed, if the scans reach beyond the grid."""
         if self._run is None:
             self._run = bound(integrate_many, self._packed(), poses, scans)
         return self._run(poses, scans)
 
     def _packed(self) -> Lent:
-        """What `integrate_many` needs every time."""
+        """The constant arguments of `integrate_many`."""
         parts = (
             self.log_odds, self._kinds, self._touched, self._numbers, self._boxes_m, 1.0 / self.resolution_m,
             self._sparse.directions, self.range_max_m, self._reached_m, self._room,
@@ -96,12 +97,12 @@ class OccupancyGrid(BindsAnew):
         return Lent(parts)
 
     def _rebind(self) -> None:
-        """Some of the arrays are others now."""
+        """Update the bound kernel after arrays were replaced."""
         if self._run is not None:
             self._run = rebound(self._run, self._packed())
 
     def snapshot(self) -> GridMap:
-        """A read-only view of the cells as they are now; valid until the next `integrate`."""
+        """A read-only view of the current cells; valid until the next `integrate`."""
         if self._snapshot is None:
             views = self.log_odds.view(), self.origin_m.view(), self._kinds.view(), self._touched.view()
             for view in views:
@@ -110,7 +111,7 @@ class OccupancyGrid(BindsAnew):
         return self._snapshot
 
     def known_box(self) -> tuple[int, int, int, int]:
-        """First row and column, end row and column of the box of cells outside which nothing is known."""
+        """First row and column, end row and column of the bounding box of known cells."""
         left, bottom, right, top = self._boxes_m[1].tolist()
         if left > right:
             return 0, 0, 0, 0
@@ -124,7 +125,7 @@ class OccupancyGrid(BindsAnew):
         )
 
     def _grow(self, low_m: Array, high_m: Array) -> None:
-        """Make the grid hold the box low_m..high_m too, with some room to spare, on the sides that need it."""
+        """Enlarge the grid to contain the box low_m..high_m, with padding on the sides that grow."""
         (rows, columns), cell, ends = self.log_odds.shape, self.resolution_m, []
         for low, high, old_low, count in zip(
             low_m.tolist(), high_m.tolist(), self.origin_m.tolist(), (columns, rows), strict=True
@@ -145,7 +146,7 @@ class OccupancyGrid(BindsAnew):
             (x, y) = self.origin_m.tolist()
             r, c = round(y / cell - bottom), round(x / cell - left)
             grown[r : r + rows, c : c + columns] = self.log_odds
-            note_kinds(grown, r - 1, c - 1, r + rows, c + columns, kinds)  # squares at the old border are others now
+            note_kinds(grown, r - 1, c - 1, r + rows, c + columns, kinds)  # squares at the old border changed
         self.log_odds, self._kinds, self._snapshot = grown, kinds, None
         self._touched = np.zeros((-(-shape[0] // BLOCK_ROWS), -(-shape[1] // BLOCK_COLUMNS)), np.int64)
         self.origin_m = np.array([left * cell, bottom * cell])

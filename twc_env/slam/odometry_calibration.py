@@ -1,7 +1,7 @@
-"""What an optimised path says about the odometry it was made of: its errors that stay the same all along.
+"""Estimate systematic odometry errors from an optimised path.
 
-Wheels of unequal size curl every metre by the same angle, and turns are read too large or too small by one factor:
-over a kilometre this outweighs all noise, and a few numbers undo it.
+Unequal wheels add the same angle per metre (curl), and turns are over- or underestimated by one factor. Over a
+kilometre these errors outweigh all noise, and a few parameters correct them.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from numpy.typing import NDArray as Array
 from twc_env.geometry import between, poses_along, wrap_angle
 
 PIECE = 20
-"""Motions summed before they are compared: single ones are mostly noise."""
+"""Motions summed before comparison, since single ones are mostly noise."""
 CURL_STD_RAD_M, TURN_STD = 0.03, 0.2
-"""How large the errors may be before anything is known."""
+"""Prior standard deviations of curl [rad/m] and turn error [share]."""
 NOISE_RAD = 0.05
-"""Heading noise over one metre that the comparison expects."""
+"""Expected heading noise over one metre."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,15 +28,15 @@ class Motions:
     motion: Array
     turned_rad: Array
     bent: Array | None = None
-    """(2, n - 1, 3) how motions change with a curl [rad/m] and with a share of turns. None: both turn the robot at the
-    end of each motion, which is straight."""
+    """(2, n - 1, 3) derivative of motions with respect to curl [rad/m] and turn error (share). None: the motions are
+    straight and both errors turn the robot at their end."""
 
     def __len__(self) -> int:
         return len(self.motion)
 
     @property
     def causes(self) -> Array:
-        """(2, n - 1, 3) as `bent`."""
+        """(2, n - 1, 3) derivatives as `bent`."""
         if self.bent is not None:
             return self.bent
         causes = np.zeros((2, *self.motion.shape))
@@ -45,21 +45,21 @@ class Motions:
 
     @property
     def length_m(self) -> Array:
-        """(n - 1,)."""
+        """(n - 1,) [m]."""
         return np.hypot(self.motion[:, 0], self.motion[:, 1])
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Errors that stay the same all along a path."""
+    """Systematic errors that are constant along a path."""
 
     scale: float = 1.0
     curl_rad_m: float = 0.0
     turn: float = 0.0
-    """Share of each turn that is missing."""
+    """Missing share of each turn."""
 
     def applied(self, motions: Motions) -> Motions:
-        """The motions without these errors."""
+        """The motions with these errors removed."""
         curl, turn = motions.causes
         more = self.curl_rad_m * curl + self.turn * turn
         motion = motions.motion + more
@@ -68,7 +68,7 @@ class Calibration:
         return Motions(motion, motions.turned_rad + more[:, 2], motions.bent)
 
     def then(self, other: Calibration) -> Calibration:
-        """Both, this one first."""
+        """Composition: this calibration, then the other."""
         return Calibration(
             self.scale * other.scale,
             self.curl_rad_m * (1.0 + other.turn) + other.curl_rad_m * self.scale,
@@ -77,7 +77,7 @@ class Calibration:
 
 
 def between_places(steps: Motions, places: Array) -> Motions:
-    """The motions between some poses of a chain, by their numbers (k,) from 0 on, and how constant errors bend them."""
+    """Motions between chosen poses (k,) of a chain, ascending from 0, with their derivatives by the constant errors."""
     poses = poses_along(steps.motion)
     starts, ends = poses[places[:-1]], poses[places[1:]]
     motion_of = np.repeat(np.arange(len(starts)), np.diff(places))
@@ -90,7 +90,7 @@ def between_places(steps: Motions, places: Array) -> Motions:
 
 
 def calibration(motions: Motions, poses: Array) -> Calibration:
-    """The scale, curl and turn factor that poses show against the beginning of odometry."""
+    """Scale, curl and turn error by least squares from optimised poses and the odometry of the same first part."""
     corrected = between(poses[:-1], poses[1:])
     length, fitted = motions.length_m, len(corrected)
     travel_m = length[:fitted].sum()
@@ -105,5 +105,5 @@ def calibration(motions: Motions, poses: Array) -> Calibration:
 
 
 def calibrated(motions: Motions, poses: Array) -> Motions:
-    """The odometry with the constant errors taken out that poses show against its beginning."""
+    """The odometry corrected by the errors estimated from `poses`, which cover its first part."""
     return calibration(motions, poses).applied(motions)

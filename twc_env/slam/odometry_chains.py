@@ -1,4 +1,4 @@
-"""The odometry of a pose graph: one chain of poses per robot, and how uncertain each stretch of it is."""
+"""The odometry chains of a pose graph, one per robot, with the covariance between any two poses of a chain."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twc_env.slam.twists import adjoint, turned
 
 
 class Chains:
-    """The odometry: which chain each pose is on, where, and the covariance of every stretch."""
+    """Per pose: chain, position in the chain, and accumulated covariance."""
 
     def __init__(self, graph: Graph, poses: Array):
         count = len(poses)
@@ -24,7 +24,7 @@ class Chains:
                 following[a], edge[a], has_previous[b] = b, e, True
         self.chain, self.step = np.full(count, -1), np.zeros(count, np.int64)
         self.order: list[int] = []
-        self.edge_before = np.full(count, -1)  # the odometry edge that leads to each pose
+        self.edge_before = np.full(count, -1)  # odometry edge that ends at each pose
         for start in [*np.flatnonzero(~has_previous), *range(count)]:
             node, step = int(start), 0
             while node >= 0 and self.chain[node] < 0:
@@ -38,14 +38,14 @@ class Chains:
         self._measured = graph.measured
         self._bends: Array | None = None
         self.owner = np.full(count, UNOWNED)
-        """(n,) whose odometry leads to each pose, as of `SharedErrors`."""
+        """(n,) owner of the odometry edge that ends at each pose, as in `SharedErrors`."""
         if graph.shared is not None:
             self._bends = graph.shared.bends[np.maximum(self.edge_before, 0)]
             self._bends[self.edge_before < 0] = 0.0
             self.owner = np.where(self.edge_before < 0, UNOWNED, graph.shared.owner[np.maximum(self.edge_before, 0)])
 
     def dead_reckoning(self, poses: Array) -> Array:
-        """Poses that follow the odometry exactly from each chain's first pose."""
+        """Poses integrated from odometry alone, starting at each chain's first pose."""
         out = poses.copy()
         before = -1
         for node in self.order:
@@ -55,24 +55,24 @@ class Chains:
             before = node
         return out
 
-    def grown(self, poses: Array) -> Array:
-        """(n, 3, 3) covariance of each pose against its chain's first by the noise of single motions, as world twists;
-        stretches are differences."""
+    def accumulated_covariance(self, poses: Array) -> Array:
+        """(n, 3, 3) accumulated covariance of independent motion noise up to each pose, as world-frame twists; the
+        covariance between two poses of a chain is their difference."""
         return self._summed(turned(adjoint(poses), self._covariance))
 
-    def bent(self, poses: Array) -> Array | None:
-        """(n, 3, 3) how shared errors of one standard deviation move each pose against its chain's first, as world
-        twists; stretches are differences. None where there are none."""
+    def shared_error_columns(self, poses: Array) -> Array | None:
+        """(n, 3, 3) displacement of each pose by shared errors of one standard deviation, accumulated as world-frame
+        twists; differences as above. None without shared errors."""
         return None if self._bends is None else self._summed(adjoint(poses) @ self._bends)
 
     def _summed(self, steps: Array) -> Array:
-        """Sums of what each pose adds (n, 3, 3), over all chains one after the other: differences in one are used."""
+        """Cumulative sums of (n, 3, 3) over all chains in sequence; only differences within one chain are used."""
         out, order = np.empty_like(steps), np.array(self.order)
         out[order] = np.cumsum(steps[order], axis=0)
         return out
 
-    def stretch(self, grown: Array, a: Array, b: Array, bent: Array | None = None) -> Array:
-        """(k, 3, 3) covariance of the odometry between poses a and b of one chain each; with shared errors if given."""
+    def stretch(self, accumulated: Array, a: Array, b: Array, shared: Array | None = None) -> Array:
+        """(k, 3, 3) covariance of odometry between poses a and b of one chain each, with shared errors if given."""
         sign = np.where(self.step[a] > self.step[b], -1.0, 1.0)
-        noise = (grown[b] - grown[a]) * sign[:, None, None]
-        return noise if bent is None else noise + turned(bent[b] - bent[a], np.eye(3))
+        noise = (accumulated[b] - accumulated[a]) * sign[:, None, None]
+        return noise if shared is None else noise + turned(shared[b] - shared[a], np.eye(3))

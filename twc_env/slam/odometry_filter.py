@@ -1,11 +1,11 @@
-"""Fuse odometry, gyro and scan matching: an extended Kalman filter over (x, y, heading, gyro bias, odometry's scale).
+"""Extended Kalman filter that fuses odometry, gyro and scan matching: x, y, heading, gyro bias, odometry scale error.
 
-The scale is what odometry reads too long, as a share. It is learned where scans fix all directions, and carries a robot
-through corridors where they do not. How much a step says of it, and how far it may be off, is told by the running mean
-of the readings: one that is long by chance would otherwise weigh more, or less, than one that is short, and the scale
-be learned wrongly (errors in variables).
+The scale error is the share by which odometry reads too long. It is learned where scan matching constrains all
+directions and used in corridors where it does not. Its Jacobian and the motion noise use a running mean of the
+readings: with the reading itself, a step that is long by chance would get another weight than a short one, which biases
+the scale (errors in variables).
 
-The same equations stand in `filterpy_filter`: the oracle that these are tested against, an option of the log tools.
+`filterpy_filter` has the same equations: the reference in tests, and an option of the log tools.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ if TYPE_CHECKING:
     from twc_env.slam.filterpy_filter import FilterpyFilters
 
 LATEST_SHARE = 0.2
-"""Weight of the latest reading in the mean of the readings before a step."""
+"""Weight of the latest reading in the running mean of readings."""
 INFORMATION_MIN = 1e-6
-"""Added to a match's information, so that a direction it does not fix has a variance at all."""
+"""Added to a match's information, so that it is invertible in unconstrained directions."""
 UNTOLD_SHARE = 1e-6
-"""A direction that a match leaves open has no information, but for rounding."""
+"""Eigenvalue ratio below which a direction counts as unconstrained (rounding errors)."""
 
 
 @kernel
 def motion_noise(dx, dy, config):
-    """Variances of one step's motion: along x and y alike, and of the heading."""
+    """Variance of one step's motion along x and y (equal) [m^2] and of its heading [rad^2]."""
     length = math.sqrt(dx * dx + dy * dy)
     return config[1] ** 2 + config[0] ** 2 * length, config[2] ** 2
 
 
 @borrowing_kernel
 def predict_state(x, p, odometry, turn_rate, dt, config):
-    """Move by odometry with the gyro's heading; then learn the gyro's bias from the odometry's turn.
+    """Predict with odometry and the gyro's heading; then update the gyro bias with the odometry's turn.
 
-    x (7,) and p (5, 5), see `CompiledFilters`, are changed in place. config: position_std_per_m,
-    position_std_m, turn_std_rad, odometry_turn_std_rad, gyro_bias_walk_rad_s, match_gate.
+    x (7,) and p (5, 5), see `CompiledFilters`, are changed in place. config: position_std_per_m, position_std_m,
+    turn_std_rad, odometry_turn_std_rad, gyro_bias_walk_rad_s, match_gate.
     """
     turn = (turn_rate - x[3]) * dt
     c, s = math.cos(x[2]), math.sin(x[2])  # odometry is given in the robot frame of the last frame
@@ -89,8 +89,7 @@ def predict_state(x, p, odometry, turn_rate, dt, config):
 def update_state(x, p, pose, information, gate):
     """Linear update of x (7,) and p (5, 5) with a measured pose (3,) and its information (3, 3).
 
-    Gives whether it was done: a pose that is further from the prediction than `gate` (squared, by the covariance of
-    their difference) changes nothing.
+    Returns False and changes nothing if the squared Mahalanobis distance of the innovation exceeds `gate`.
     """
     work = np.empty((5, 5, 5))
     r, s, inverse, gain, old = work[0], work[1], work[2], work[3], work[4]
@@ -125,7 +124,8 @@ def update_state(x, p, pose, information, gate):
 
 @kernel
 def open_direction(information):
-    """Whether a match leaves a direction of the place open, as a corridor its axis, and that direction, of length 1."""
+    """Whether the information (3, 3) leaves a direction of the position unconstrained (a corridor's axis), and its unit
+    vector."""
     a, b, d = information[0, 0], information[0, 1], information[1, 1]
     mean, half = 0.5 * (a + d), 0.5 * math.sqrt((a - d) ** 2 + 4.0 * b * b)
     if not (mean > 0.0 and mean - half <= UNTOLD_SHARE * mean):
@@ -136,10 +136,11 @@ def open_direction(information):
 
 @kernel
 def part_from_untold(p, information):
-    """Where a match leaves a direction open, nothing else is told by how far the robot has come along it.
+    """Remove the correlation of the unconstrained direction of a match with the rest of the state, in place in p (5,
+    5).
 
-    Walls that fix it again further on stand where the robot believes that it is. They would seem to confirm all that it
-    went by to get there, odometry's scale above all. Changes p (5, 5) in place.
+    Walls that constrain that direction later are mapped at the believed position. A match with them would seem to
+    confirm everything used to get there, above all the odometry scale.
     """
     is_open, ahead, left = open_direction(information)
     if not is_open:
@@ -161,9 +162,9 @@ def part_from_untold(p, information):
 
 @kernel
 def believe_match(x, p, pose, information, gate, is_clear):
-    """`update_state`; and a pose that contradicts the prediction is believed where it `is_clear`: the robot slipped.
+    """`update_state`; an innovation beyond the gate is still used where the match `is_clear`: the robot slipped.
 
-    What was slipped is then as unknown as it is long. Gives whether the pose is believed.
+    The covariance is then inflated by the outer product of the slip. Returns whether the match was used.
     """
     part_from_untold(p, information)
     if update_state(x, p, pose, information, gate):
@@ -179,7 +180,7 @@ def believe_match(x, p, pose, information, gate, is_clear):
 
 
 def process_values(config: OdometryFilterConfig) -> Array:
-    """(6,) what `predict_state` and `update_state` take from the settings."""
+    """(6,) parameters of `predict_state` and `update_state` from the config."""
     return np.array(
         [
             config.position_std_per_m,
@@ -194,10 +195,11 @@ def process_values(config: OdometryFilterConfig) -> Array:
 
 @kernel
 def motion_covariance(variance, heading, matched, std_min, out):
-    """Write the covariance (3, 3) of the motion since the last keyframe to a pose with this heading, in its own frame.
+    """Write to `out` (3, 3) the covariance of the motion since the last keyframe, in the frame of the pose with this
+    heading.
 
-    variance (3,): odometry's, gathered on the way; matched (3, 3): information of the pose now, in the odom frame
-    (zeros when nothing was matched); std_min (3,): nothing is known better than this.
+    variance (3,): accumulated odometry noise; matched (3, 3): information of the current pose in the odom frame (zeros
+    if not matched); std_min (3,): lower bound.
     """
     c, s = math.cos(heading), math.sin(heading)
     information, turned = np.zeros((3, 3)), np.empty((3, 3))
@@ -233,10 +235,10 @@ def _update_all(states, covariances, robots, poses, information, is_matched, is_
 
 @borrowing_kernel
 def anchor(covariances, robots, is_new):
-    """Whoever of these robots (k,) `is_new` (n,) stands, from now on, where it is by definition.
+    """Fix the current pose of those robots (k,) that have a new keyframe (`is_new` (n,)): zero its covariance.
 
-    Where nothing but odometry tells of poses, what is learned later of the gyro's bias would move all of the way gone:
-    a motion between two places would take in what the whole way before them was off.
+    Without scan matching, a later correction of the gyro bias would otherwise move the whole past path, and the motion
+    between two keyframes would include the error of the way before them.
     """
     for k in robots:
         if is_new[k]:
@@ -246,35 +248,33 @@ def anchor(covariances, robots, is_new):
 
 
 def first_covariance(config: OdometryFilterConfig) -> Array:
-    """(5, 5) before a robot has moved."""
+    """(5, 5) initial covariance."""
     return np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2, config.odometry_scale_std**2])
 
 
 class CompiledFilters:
-    """One filter per robot, all in one compiled call: those of the hot path."""
+    """One filter per robot, all updated in one compiled call."""
 
     believes_scans = True
 
     def __init__(self, config: OdometryFilterConfig, count: int):
         self.noise = process_values(config)
         self.states = np.zeros((count, 7))
-        """(n, 7) x [m], y [m], heading [rad], gyro bias [rad/s] in its odom frame, by what share odometry reads too
-        long, and the running mean of how far it reads ahead and to the left [m]; the heading is not wrapped."""
+        """(n, 7) x [m], y [m], heading [rad] (not wrapped), gyro bias [rad/s] in the odom frame, odometry scale error
+        (share), and the running mean of the forward and left readings [m]."""
         self.covariances = np.tile(first_covariance(config), (count, 1, 1))
         """(n, 5, 5)."""
 
     def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
-        """Move these robots (k,) by one frame: odometry (k, 3), gyro (k,) and time since the last one (k,).
-
-        Where no time has passed nothing moves.
-        """
+        """Predict robots (k,) by one frame: odometry (k, 3), gyro (k,) and time since the last frame (k,); no-op at
+        zero time."""
         _predict_all(self.states, self.covariances, robots, odometry, turn_rates_rad_s, dts_s, self.noise)
 
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
-        """Correct these robots (k,) where they were matched (n,).
+        """Update the robots (k,) that are matched (n,).
 
-        poses (n, 3) measured by scan matching, their information (n, 3, 3) may be singular. Who was not corrected,
-        since the match contradicts the prediction and is not a clear one (n,), is marked as not matched.
+        poses (n, 3) by scan matching with information (n, 3, 3), which may be singular. is_matched is cleared for
+        robots whose match exceeds the gate and is not clear (n,).
         """
         _update_all(self.states, self.covariances, robots, poses, information, is_matched, is_clear, self.noise[5])
 
@@ -284,18 +284,18 @@ class CompiledFilters:
 
 
 class OdometryAlone(CompiledFilters):
-    """Believes odometry as it is; for perfect odometry (`slam.oracle`)."""
+    """Ignores scan matches; for perfect odometry (`slam.oracle`)."""
 
     believes_scans = False
 
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
-        """What scans say is left out."""
+        """Does nothing."""
 
 
 def make_filters(
     config: OdometryFilterConfig, count: int, believes_scans: bool = True
 ) -> CompiledFilters | FilterpyFilters:
-    """One filter per robot, of the kind that `config.backend` names."""
+    """One filter per robot, of the type that `config.backend` names."""
     if not believes_scans:
         return OdometryAlone(config, count)
     if config.backend == "filterpy":

@@ -1,4 +1,4 @@
-"""A back end from a file of one's own, whose answers are looked at before the engine takes them."""
+"""A pose-graph back end loaded from a user's file, with checks of its output."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from twc_env.slam.pose_graph import Graph
 
 
 class OwnBackEnd:
-    """The class that `robust` names as FILE.py:CLASS, made of the settings, anew for each optimisation."""
+    """The class that `robust` names as FILE.py:CLASS, constructed from the config anew for each optimisation."""
 
     def __init__(self, config: PoseGraphConfig):
-        """Raises ConfigError where there is no such class, or it has no `solve`."""
+        """Raises ConfigError if the class does not exist or has no `solve`."""
         remedy = "a back end has solve(poses, edges, measured, information, is_closure, fixed)"
         self._file = config.robust
         self._own = class_in(self._file, ("solve",), remedy)(config)
 
     def solve(self, poses: Array, graph: Graph, fixed: int) -> tuple[Array, Array]:
-        """Poses (n, 3) and which edges were believed (e,), odometry always. Raises DataError for what is neither."""
+        """Poses (n, 3) and accepted edges (e,) bool, with odometry always accepted. Raises DataError for malformed
+        output."""
         answer = self._own.solve(poses.copy(), *(part.copy() for part in graph.parts), fixed)
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise DataError(f"{self._file} must answer with poses and which edges it believes; got {answer!r}")

@@ -1,4 +1,4 @@
-"""A place recogniser from a file of one's own, whose candidates are looked at before the engine takes them."""
+"""A place recogniser loaded from a user's file, with checks of its candidates."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from twc_env.messages import Keyframe, LoopCandidate
 
 
 class OwnRecogniser:
-    """The class that `recogniser` names as FILE.py:CLASS, made of the settings and the scanner's range [m]."""
+    """The class that `recogniser` names as FILE.py:CLASS, constructed from the config and the scanner's range [m]."""
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
-        """Raises ConfigError where there is no such class, or it lacks what a `Recogniser` has."""
+        """Raises ConfigError if the class does not exist or lacks a method of `Recogniser`."""
         remedy = "a place recogniser has what twc_env.slam.place_recognition.Recogniser names"
         self._file = config.recogniser
         self._own = class_in(self._file, ("name", "propose", "forget"), remedy)(config, range_max_m)
         self.name: str = self._own.name
         self._known: dict[tuple[int, int], Keyframe] = {}
-        """Keyframes that it has been shown and that are held, by robot and index."""
+        """Keyframes passed to it that are still held, by robot and index."""
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
-        """See `Recogniser`. Raises DataError for what are no candidates, and for those with another name or source, a
-        target that is no earlier keyframe, or no pose as guess."""
+        """See `Recogniser`. Raises DataError for malformed candidates: wrong type, name or source, a target that is no
+        earlier keyframe, or a guess that is no finite pose."""
         proposed = self._own.propose(keyframe, skipped_robots)
         if not isinstance(proposed, Sequence) or not all(isinstance(each, LoopCandidate) for each in proposed):
             raise DataError(f"{self._file} must propose a list of LoopCandidate; got {proposed!r}")

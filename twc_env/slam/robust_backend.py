@@ -1,8 +1,8 @@
 """Robust pose-graph optimisation: which closures to accept, with a reason for every rejected one.
 
-Modes (`PoseGraphConfig.robust`): `plain` accepts all (TWC-SLAM), `dcs` and `cauchy` weigh by residual, `gnc` anneals
+Modes (`PoseGraphConfig.robust`): `plain` accepts all (TWC-SLAM), `dcs` and `cauchy` weight by residual, `gnc` anneals
 truncated least squares (Yang 2020), `pcm` keeps the largest pairwise consistent set (Mangelson 2018), `ours` grows the
-map outwards from the most certain closures (`closure_growth`); FILE.py:CLASS is your own (docs/library.md).
+inlier set from the most certain closures (`closure_growth`); FILE.py:CLASS is a custom back end (docs/library.md).
 """
 
 from __future__ import annotations
@@ -28,14 +28,15 @@ from twc_env.slam.pose_graph import GATE, Graph, NormalEquations
 from twc_env.slam.shared_errors import SharedErrors
 
 REVOKED_ABOVE, RETURNS_BELOW = 12.5, 5.5
-"""Squared errors above which a closure is taken back, and below which it returns; far apart: none flickers."""
+"""Squared errors above which a closure is rejected and below which it is accepted again; the gap gives hysteresis."""
 ROUNDS_MAX, ANNEALING_MAX = 3, 100
 FEW_REFUSED = 2
-"""With more refused closures than this, `ours` weighs all from the start, which takes some twenty times as long."""
+"""Above this many rejected closures, `ours` selects all closures from scratch, which takes about twenty times as long.
+"""
 EPISODE_STEP_M, EPISODE_STEP_RAD = 0.03, 0.006
-"""Inside an episode a step below both ends an optimisation: the next would be ten times shorter."""
+"""Inside an episode, an optimisation stops below this step: the next would be ten times smaller."""
 EPISODE_KEYS_MAX = 80
-"""Poses of which `ours` keeps the joint covariance inside an episode, where a step must not take long."""
+"""Key poses of `ours` inside an episode, to bound the time of a step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +49,7 @@ class Rejection:
 
 @dataclass(frozen=True, slots=True)
 class BackendResult:
-    """Poses (n, 3), accepted (e,) bool (always true for odometry), and the rejected closures in the order of their
-    edges."""
+    """Poses (n, 3), accepted edges (e,) bool (always true for odometry), and the rejected closures in edge order."""
 
     poses: Array
     accepted: Array
@@ -60,20 +60,20 @@ def revise(
     poses: Array, graph: Graph, is_used: Array, config: PoseGraphConfig, fixed: int = 0, is_thorough: bool = False,
     may_replace: Callable[[BackendResult, BackendResult], bool] = lambda before, after: True,
 ) -> BackendResult:  # fmt: skip
-    """Optimise inside an episode: warm, from the closures used so far (e,), with second thoughts about each of them.
+    """Incremental optimisation inside an episode: starts from `poses` and the closures used so far (e,).
 
-    `ours` fits what is used with dynamic covariance scaling, takes back what the fit contradicts and takes in again
-    what has come to agree with it. When `is_thorough`, all closures are also weighed from the start, which replaces the
-    running answer if it believes more of them and `may_replace`, asked with both, agrees.
-    Where few are refused, an answer that believes more must believe nearly all: then the fit begins once more where
-    every one is believed. The other modes judge all closures anew each time.
+    `ours` refits the used closures with dynamic covariance scaling, rejects those the fit contradicts and accepts
+    rejected ones that now agree (`refit_closures`). When `is_thorough`, it also selects closures from scratch; that
+    solution is returned if it accepts more of them and `may_replace(running, new)` agrees. With at most FEW_REFUSED
+    rejections the second solution starts from a fit of all closures instead. The other modes solve from scratch each
+    time.
     """
     if config.robust != "ours":
         return solve(poses, *graph.parts, config, fixed, shared=graph.shared)
-    result = second_thoughts(poses, graph, is_used, config, fixed)
+    result = refit_closures(poses, graph, is_used, config, fixed)
     if is_thorough and not result.accepted.all():
         if len(result.rejections) <= FEW_REFUSED:
-            afresh = _all_together(result, graph, config, fixed)
+            afresh = _refit_from_all(result, graph, config, fixed)
         else:
             afresh = solve(result.poses, *graph.parts, config, fixed, EPISODE_KEYS_MAX, graph.shared)
         if afresh.accepted.sum() > result.accepted.sum() and may_replace(result, afresh):
@@ -81,20 +81,20 @@ def revise(
     return result
 
 
-def _all_together(result: BackendResult, graph: Graph, config: PoseGraphConfig, fixed: int) -> BackendResult:
-    """Second thoughts that begin where all closures pull alike, with the refused ones that agree with all others."""
+def _refit_from_all(result: BackendResult, graph: Graph, config: PoseGraphConfig, fixed: int) -> BackendResult:
+    """Refit that starts from a least-squares fit of all closures and accepts rejected ones that agree with it."""
     equations = NormalEquations(graph.edges, graph.measured, graph.information, len(result.poses), fixed, graph.shared)
     poses = equations.minimise(result.poses, np.ones_like, config.iterations_max, EPISODE_STEP_M, EPISODE_STEP_RAD)
     fits = equations.squared_errors(poses) < RETURNS_BELOW
-    return second_thoughts(poses, graph, result.accepted | fits, config, fixed)
+    return refit_closures(poses, graph, result.accepted | fits, config, fixed)
 
 
-def second_thoughts(
+def refit_closures(
     poses: Array, graph: Graph, is_used: Array, config: PoseGraphConfig, fixed: int | Array
 ) -> BackendResult:
-    """The running answer of `ours`: fitted anew, less what the fit contradicts, with what agrees with it again.
+    """Refit the used closures, reject those the fit contradicts and accept those that agree with it again.
 
-    fixed: a pose that is held where it is, or several (k,).
+    fixed: index of the pose held fixed, or several (k,).
     """
     used = is_used | ~graph.is_closure
     equations = NormalEquations(graph.edges, graph.measured, graph.information, len(poses), fixed, graph.shared)
@@ -112,7 +112,7 @@ def second_thoughts(
 
 @kernel
 def _weights_of_used(squared, is_closure, used, scale):
-    """(edges,) dynamic covariance scaling of closures that are used; odometry always 1."""
+    """(edges,) dynamic covariance scaling weight of used closures; odometry always 1, unused closures 0."""
     weight = np.empty(squared.shape[0])
     for e in range(squared.shape[0]):
         root = min(1.0, 2 * scale / (scale + squared[e])) if is_closure[e] else 1.0
@@ -122,7 +122,7 @@ def _weights_of_used(squared, is_closure, used, scale):
 
 @borrowing_kernel
 def _reconsider(squared, is_closure, used):
-    """Drop used closures that the fit contradicts and take in those that agree with it; whether there were any."""
+    """Reject used closures above REVOKED_ABOVE, accept unused ones below RETURNS_BELOW; returns whether any changed."""
     is_changed = False
     for e in range(squared.shape[0]):
         if is_closure[e] and (squared[e] > REVOKED_ABOVE if used[e] else squared[e] < RETURNS_BELOW):
@@ -177,7 +177,7 @@ def solve(
 
 
 def _check(poses: Array, graph: Graph, fixed: int, is_inverted: bool) -> None:
-    """Raise DataError for a graph that the kernels, which check nothing, must not see."""
+    """Raise DataError for a graph that is invalid input to the kernels, which check nothing."""
     lengths = {len(part) for part in graph.parts}
     if poses.ndim != 2 or poses.shape[1] != 3 or len(lengths) != 1:
         raise DataError(f"a graph has poses (n, 3) and as many measurements as edges; got {poses.shape} and {lengths}")
@@ -191,7 +191,8 @@ def _check(poses: Array, graph: Graph, fixed: int, is_inverted: bool) -> None:
 
 
 def _check_information(information: Array, is_inverted: bool) -> None:
-    """Raise DataError where information (e, 3, 3) is that of no measurement, or has no inverse where one is needed."""
+    """Raise DataError unless information (e, 3, 3) is symmetric and positive semidefinite (definite if it is
+    inverted)."""
     largest = np.abs(information).max(axis=(1, 2), initial=0.0)
     is_odd = np.abs(information - information.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0) > 1e-6 * largest
     least = np.linalg.eigvalsh(information).min(axis=1, initial=np.inf)
@@ -213,7 +214,7 @@ def _weighed(graph: Graph, poses: Array, config: PoseGraphConfig, fixed: int) ->
 
 
 def _graduated(graph: Graph, poses: Array) -> tuple[Array, Array]:
-    """Truncated least squares that begins convex and hardens in steps, odometry known good (Yang 2020, Eq. 14-15)."""
+    """Graduated non-convexity with truncated least squares, odometry assumed outlier-free (Yang 2020, Eq. 14-15)."""
     poses = graph.fit(poses, np.ones(len(graph.edges)), 30)
     largest = graph.squared_errors(poses)[graph.is_closure].max()
     weight = np.ones(len(graph.edges))

@@ -1,4 +1,4 @@
-"""One mapper of the team: keyframes of all robots in, merged maps and corrected poses out."""
+"""One mapper of the team. Input: keyframes of all robots; output: merged maps and corrected poses."""
 
 from __future__ import annotations
 
@@ -16,79 +16,78 @@ from twc_env.slam.map_optimiser import MapOptimiser
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import MergeReview
 from twc_env.slam.merge_trial import MergeTrials
-from twc_env.slam.radio_ties import RadioTies
+from twc_env.slam.radio_constraints import RadioConstraints
 from twc_env.slam.team_graph import TeamGraph
 from twc_env.team_messages import KnownSigns
 
 URGENT_SQUARED_ERROR = 1.0
-"""A closure that the estimate already meets this well is not urgent."""
+"""A closure whose squared error in the present estimate is below this is not urgent."""
 DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
-"""A closure inside one map may disagree with the present estimate by this much."""
-MORE_PART = 16
-"""Of the closures between two maps that were no case for a merge, this part must come anew for another try."""
-BACKLOG_PART = 32
-"""Of many candidates that wait this part is verified in a step, so that they do not become ever more."""
+"""Maximum deviation of an intra-map closure from the present estimate."""
+RETRY_SHARE = 16
+"""After a failed merge attempt, the number of closures must grow by one in this many before the next one."""
+BACKLOG_SHARE = 32
+"""Of many queued candidates, one in this many is verified per step, so that the queue does not grow without bound."""
 RETRY_STEPS = 50
-"""Merges that lacked evidence are tried again this often, whether or not another closure came."""
+"""Interval at which merges without sufficient evidence are retried, whether or not closures arrived."""
 OVERLAP_REACH_M = 5.0
-"""Where scans come on request, keyframes this near the other group's are asked for theirs before a merge."""
+"""With scans on request, scans of keyframes this near the other group's are requested before a merge."""
 
 
 class TeamMapper:
     """Place recognition, loop closure, map merging and joint optimisation over the keyframes of all robots.
 
-    `home` is the robot it runs on, whose scans it has at once; None for the one mapper of a central topology.
+    `home` is the robot that runs this mapper, whose scans are available at once; None for the single central mapper.
     """
 
     def __init__(self, config: EnvConfig, robot_count: int, home: int | None = None):
         self._config, self._on_request = config.slam, config.link.scan_on_request
         self._turns, self._turn = (1, 0) if home is None else (robot_count, home)
-        """Of so many steps the one in which this mapper, and no other, has second thoughts about merges and does what
-        takes long with large maps."""
+        """Mappers take turns: only one per step re-evaluates merges and does the expensive work of large maps."""
         scale_std = None if config.slam.cues.lidar else config.slam.odometry_filter.odometry_scale_std
         keeps_refused = config.slam.pose_graph.robust == "ours"
         self._graph = TeamGraph(robot_count, config.lidar.beam_count, keeps_refused, scale_std)
         self._maps = GroupMaps(config, self._graph, home, robot_count)
         self.groups: list[Group] = self._maps.groups
-        """Robots that share a map."""
+        """Groups of robots that share a map."""
         self.keyframes: list[list[Keyframe]] = self._graph.keyframes
-        """Of each robot, as far as they have arrived and are not forgotten."""
+        """Per robot, keyframes that have arrived and were not removed."""
         self.closures: list[LoopClosure] = self._graph.closures
-        """The closures that were verified, with what became of them, but those between keyframes that are forgotten."""
+        """Verified closures with their status, except those between removed keyframes."""
         self.wanted: Collection[tuple[int, int]] = self._maps.wanted
-        """(robot, keyframe index) of scans to ask for, as they are now."""
+        """(robot, keyframe index) of scans to request."""
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
         places = config.slam.place_recognition
         self._judge = MergeJudge(config.slam.merging, self._graph, places.spares_missing_cues, places.meets_by_wifi)
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
-        self._radio = RadioTies(radio, robot_count, config.slam.cues.lidar) if radio.online else None
+        self._radio = RadioConstraints(radio, robot_count, config.slam.cues.lidar) if radio.online else None
         forgetting = None
-        if self._radio is None and not self._on_request:  # else something looks back at all keyframes
+        if self._radio is None and not self._on_request:  # both need all keyframes later
             forgetting = Forgetting(self._graph, (self._search, self._judge, self._maps))
         self._trials = None if config.slam.cues.lidar else MergeTrials(config.slam.pose_graph, self._graph)
         self.optimiser = MapOptimiser(
             config.slam.pose_graph, self._graph, self._maps, self._judge, self._radio, forgetting
         )
-        """When the maps of groups are optimised, and how much of them."""
-        self._no_case: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
-        """Two groups, by their robots, and how many closures between them were no case for a merge when last tried."""
-        self._unplaced: set[tuple[tuple[int, ...], tuple[int, ...]]] = set()
-        """Two groups whose closures agreed and did not fix where their robots lie: tried again from time to time."""
+        """Schedules the optimisation of the groups' maps."""
+        self._tried_counts: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
+        """Two groups, by their robots -> number of closures between them at the last failed merge attempt."""
+        self._uncertain: set[tuple[tuple[int, ...], tuple[int, ...]]] = set()
+        """Two groups whose closures agree but do not determine the relative pose; retried every RETRY_STEPS."""
         self._seeks_closures = config.slam.oracle != "poses"
         self._given_starts: Array | None = None
         self._step = self._last_retried_step = 0
         self._due_step: float = 0
-        self._settled = -1
-        """Before this step, and while the graph has changed so often, there is nothing to do if nothing arrives."""
+        self._idle_changes = -1
+        """Without new messages there is nothing to do before `_due_step` while `TeamGraph.changes` has this value."""
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], KnownSigns]] = {}
 
     def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> bool:
-        """Take in keyframes and wanted scans; verify, merge and optimise as far as this step's budget goes.
+        """Add keyframes and requested scans; verify, merge and optimise within this step's budget.
 
-        Whether there was anything to do.
+        Returns whether there was anything to do.
         """
-        if step < self._due_step and self._graph.changes == self._settled and not keyframes and not scans:
+        if step < self._due_step and self._graph.changes == self._idle_changes and not keyframes and not scans:
             self._step = step
             return False
         if scans:
@@ -97,16 +96,16 @@ class TeamMapper:
         for keyframe in keyframes:
             self._maps.add(keyframe, self._graph.add_keyframe(keyframe))
             if self._graph.learn_scale(keyframe):
-                self.optimiser.soil(self.group_index(keyframe.robot), True)
+                self.optimiser.mark_dirty(self.group_index(keyframe.robot), True)
             if self._seeks_closures:
                 self._search.propose(keyframe)
             if self._radio is not None and self._radio.add(keyframe):
-                self.optimiser.soil(self.group_index(keyframe.robot), True)
+                self.optimiser.mark_dirty(self.group_index(keyframe.robot), True)
         if self._given_starts is not None:
             self._merge_given(self._given_starts)
         self._step = step
         if self._search.waiting_count:
-            backlog = max(self._config.verification.backlog_per_step, self._search.waiting_count // BACKLOG_PART)
+            backlog = max(self._config.verification.backlog_per_step, self._search.waiting_count // BACKLOG_SHARE)
             for _ in range(backlog):
                 if not self._verify_one():
                     break
@@ -117,102 +116,101 @@ class TeamMapper:
         if step - self._last_retried_step >= RETRY_STEPS or (scans and not self.wanted):
             self._last_retried_step = step
             if self._trials is not None and self._given_starts is None:
-                self._part_strayed(self._trials)
+                self._split_uncertain(self._trials)
             self._retry_merges()
         if is_turn and self.optimiser.may_forget:
             self.optimiser.forget()
         elif is_turn and step >= self.optimiser.due_step:
-            self.optimiser.optimise_soiled(step)
+            self.optimiser.optimise_dirty(step)
         self._graph.end_step()
-        self._due_step, self._settled = self._next_due_step(), self._graph.changes
+        self._due_step, self._idle_changes = self._next_due_step(), self._graph.changes
         return True
 
     def _next_due_step(self) -> float:
-        """The first step with anything to do even if nothing arrives."""
+        """The first step with anything to do if no message arrives."""
         if self._search.waiting_count or self._given_starts is not None or self.optimiser.may_forget:
             return self._step + 1
         return min(self._review.due_step, self._last_retried_step + RETRY_STEPS, self.optimiser.due_step)
 
     def give_starts(self, poses: Array) -> None:
-        """Tell the mapper where all robots started (robots, 3), in any one frame: an oracle, for comparison only."""
-        self._given_starts, self._settled = poses, -1
+        """Oracle for comparison: set the start poses of all robots (robots, 3), in any common frame."""
+        self._given_starts, self._idle_changes = poses, -1
 
     def finish(self) -> None:
-        """Work off everything that still waits (end of an episode or log)."""
+        """Process all queued work (end of an episode or log)."""
         while self._verify_one():
             pass
         self._retry_merges()
         self.optimiser.finish()
-        self._settled = -1
+        self._idle_changes = -1
 
     @property
     def regroupings(self) -> int:
-        """Grows whenever robots come to share a map or no longer do."""
+        """Counter of merges and splits."""
         return self._maps.regroupings
 
     def counts(self) -> tuple[int, int, int, int]:
-        """How often a keyframe arrived, poses moved or a closure was judged; robots came together or fell apart; a map
-        came to lie elsewhere or was drawn anew; a text was read that may change what signs are known."""
+        """Change counters: keyframes added, poses moved or closures evaluated; merges and splits; maps redrawn or
+        grown; sign texts read that may change the known signs."""
         return self._graph.changes, self._maps.regroupings, self._maps.changes, sum(self._graph.sign_news)
 
     @property
     def merges_undone(self) -> int:
-        """How many merges turned out to be wrong and were taken back."""
+        """Number of merges found wrong and undone."""
         return self._review.undone_count
 
     def group_index(self, robot: int) -> int:
-        """Which of `groups` the robot belongs to."""
+        """Index into `groups` of the robot's group."""
         return self._maps.group_of[robot]
 
     def poses_of(self, robot: int) -> Array:
-        """(keyframes, 3) of one robot in its group's map frame, with those that are forgotten."""
+        """(keyframes, 3) poses of one robot in its group's map frame, including removed keyframes."""
         return self._graph.poses_of(robot)
 
     @property
     def nodes(self) -> tuple[Array, Array, Array, Array]:
-        """Of all keyframes as they arrived: poses (n, 3) in the maps of their groups, and steps (n,). Then, of each
-        robot, which of them are its own (robots, k), of which that many (robots,) count.
+        """All keyframes held, in order of arrival: poses (n, 3) in their groups' map frames, and steps (n,).
 
-        Of a map that has become large without those that are forgotten.
+        Then node indices per robot (robots, k) and how many of each row are valid (robots,).
         """
         graph = self._graph
         return graph.poses, graph.step_of_node, *graph.paths
 
     def latest_pose_of(self, robot: int) -> Array:
-        """(3,) of the robot's newest keyframe in its group's map frame."""
+        """(3,) pose of the robot's newest keyframe in its group's map frame."""
         return self._graph.latest_pose_of(robot)
 
     def keyframe_steps(self, robot: int) -> Array:
-        """(keyframes,) the step at which each was taken."""
+        """(keyframes,) step at which each was taken."""
         return self._graph.steps_of(robot)
 
     def scans_of(self, robot: int) -> tuple[Array, list[Array]]:
-        """Steps (k,) and scans (beams,) [m] of the keyframes that are held."""
+        """Steps (k,) and scans (beams,) [m] of the keyframes held."""
         return self._graph.step_of_node[self._graph.path_of(robot)], self._graph.scans_of(robot)
 
     @property
     def closures_verified(self) -> int:
-        """How many closures were verified, with those that are forgotten."""
+        """Number of closures verified, including those of removed keyframes."""
         return self._graph.closures_verified
 
     def pose_map_odom(self, robot: int) -> Array:
-        """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
+        """(3,) pose of the robot's odom frame in its group's map frame; identity for a robot without keyframes."""
         return self._graph.pose_map_odom(robot)
 
     def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
-        """Where some robots are in the maps of their groups, see `GraphArrays.locate`."""
+        """Poses of robots in the maps of their groups, see `GraphArrays.locate`."""
         self._graph.locate(robots, others, into)
 
     def grid_of(self, group: int) -> GridMap:
-        """The merged map of a group, as it is now."""
+        """The current merged map of a group."""
         return self.groups[group].grid.snapshot()
 
     def known_box_of(self, group: int) -> tuple[int, int, int, int]:
-        """First row and column, end row and column of the part of a group's map in which anything is known."""
+        """First row and column, end row and column of the bounding box of known cells of a group's map."""
         return self.groups[group].grid.known_box()
 
     def signs_of(self, group: int) -> KnownSigns:
-        """The texts read by a group, each once per place."""
+        """The sign texts read by a group, each once per place."""
         robots, version = self.groups[group].robots, self.groups[group].version
         news = self._graph.sign_news
         key = (sum([news[r] for r in robots]), version) if len(robots) > 1 else (news[robots[0]], version)
@@ -228,7 +226,7 @@ class TeamMapper:
     # --- closures ---
 
     def _verify_one(self) -> bool:
-        """Verify one candidate and act on it; False when none waits."""
+        """Verify one queued candidate and process the closure; False if the queue is empty."""
         closure = self._search.next_closure()
         if closure is None:
             return False
@@ -238,7 +236,7 @@ class TeamMapper:
             if a == b:
                 self._judge_inside_map(closure)
             else:
-                self._graph.let_wait([closure])
+                self._graph.set_pending([closure])
                 self._try_merge(a, b, is_patient=True)
         return True
 
@@ -246,7 +244,7 @@ class TeamMapper:
         return self.group_index(closure.candidate.target[0]), self.group_index(closure.candidate.source[0])
 
     def _judge_inside_map(self, closure: LoopClosure) -> None:
-        """Take a closure of one map unless it contradicts the estimate by more than drift can explain."""
+        """Accept a closure within one map unless it deviates from the estimate by more than drift explains."""
         away, turned, squared = self._graph.disagreement(closure)
         travel = self._travel_between(closure.candidate)
         if away > DRIFT_BASE_M + DRIFT_PER_M * travel or turned > DRIFT_RAD:
@@ -254,10 +252,10 @@ class TeamMapper:
             return
         self._graph.accept(closure)
         self._search.note_accepted(closure)
-        self.optimiser.soil(self._groups_of(closure)[0], squared > URGENT_SQUARED_ERROR)
+        self.optimiser.mark_dirty(self._groups_of(closure)[0], squared > URGENT_SQUARED_ERROR)
 
     def _travel_between(self, candidate: LoopCandidate) -> float:
-        """Path length over which drift could have gathered: between the keyframes, or since the robots' last tie."""
+        """Path length [m] for the drift bound: between keyframes of one robot; a constant for two robots."""
         (target, _), (source, _) = candidate.target, candidate.source
         if target == source:
             first, last = self._graph.keyframe(candidate.target), self._graph.keyframe(candidate.source)
@@ -267,27 +265,27 @@ class TeamMapper:
     # --- merging ---
 
     def _try_merge(self, a: int, b: int, is_patient: bool = False) -> bool:
-        """Put group b into the map of group a if enough speaks for it and nothing against; whether it was done.
+        """Merge group b into the map of group a if all tests pass; returns whether it was done.
 
-        When `is_patient`, nothing is asked before enough closures have come since the last try.
+        is_patient: skip the attempt unless enough closures have been added since the last one.
         """
         if not self._config.merging.enabled:
             return False
         robots_a, robots_b = self.groups[a].robots, self.groups[b].robots
         pending = self._graph.waiting.between(robots_a, robots_b)
-        tried = self._no_case.get((robots_a, robots_b), 0)
-        if is_patient and tried < len(pending) < tried + tried // MORE_PART:
+        tried = self._tried_counts.get((robots_a, robots_b), 0)
+        if is_patient and tried < len(pending) < tried + tried // RETRY_SHARE:
             return False
-        if is_patient and (robots_a, robots_b) in self._unplaced:
+        if is_patient and (robots_a, robots_b) in self._uncertain:
             return False
-        self._no_case[robots_a, robots_b] = len(pending)
+        self._tried_counts[robots_a, robots_b] = len(pending)
         proposal = self._judge.proposal(pending, robots_a)
         if proposal is None:
             return False
         pose_a_b = proposal.pose_a_b
         if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, pose_a_b):
             return False
-        if not self._judge.is_one_building(robots_a, robots_b, proposal):
+        if not self._judge.cues_confirm(robots_a, robots_b, proposal):
             return False
         if self._judge.signs_disagree(robots_a, robots_b, pose_a_b):
             return False
@@ -296,35 +294,37 @@ class TeamMapper:
         grids = self._maps.known_grid(robots_a, a), self._maps.known_grid(robots_b, b)
         if self._judge.walls_disagree(*grids, pose_a_b):
             return False
-        if self._trials is not None and not self._trials.is_placed(robots_a, robots_b, proposal):
-            self._unplaced.add((robots_a, robots_b))
+        if self._trials is not None and not self._trials.is_well_constrained(robots_a, robots_b, proposal):
+            self._uncertain.add((robots_a, robots_b))
             return False
         self._maps.merge(a, b, pose_a_b)
-        self.optimiser.unsettle()
-        self._review.note(robots_a, robots_b, self._step)
+        self.optimiser.reset_fixed()
+        self._review.record_merge(robots_a, robots_b, self._step)
         merged = self.group_index(robots_a[0])
-        self.optimiser.soil(merged, True)
+        self.optimiser.mark_dirty(merged, True)
         for closure in pending:
             self._judge_inside_map(closure)
         self.optimiser.optimise(merged, is_thorough=self._trials is not None)
         return True
 
     def _merge_given(self, starts: Array) -> None:
-        """Put all groups that have been heard of into one; the frame of a group is where its first robot started."""
+        """Merge all groups that have keyframes, by the given start poses. A group's frame is its first robot's
+        start."""
         known = [g for g, group in enumerate(self.groups) if any(self.keyframes[r] for r in group.robots)]
         for b in reversed(known[1:]):
             first, second = self.groups[known[0]].robots[0], self.groups[b].robots[0]
             self._maps.merge(known[0], b, between(starts[first], starts[second]))
 
     def _retry_merges(self) -> None:
-        """Try all groups with pending closures: new keyframes, walls or merges may have made the case for them."""
+        """Try to merge all groups with pending closures, since new keyframes, walls or merges may be sufficient
+        evidence."""
         while True:
             pairs = {tuple(sorted(map(self.group_index, robots))) for robots in self._graph.waiting.pairs()}
             if not any(self._try_merge(a, b) for a, b in sorted(pairs)):
                 return
 
     def _undo_wrong_merge(self) -> None:
-        """Take a group apart where its merge turned out to be wrong; its closures do not speak for a merge again."""
+        """Undo a merge found wrong and split its group. Its accepted closures are rejected and do not vote again."""
         found = self._review.wrong(self._step, self.optimiser.is_map_large)
         if found is None:
             return
@@ -333,31 +333,31 @@ class TeamMapper:
         rivals = self._graph.closures_between(a, b, "rejected")
         for closure in self._graph.closures_between(a, b, "accepted"):
             self._graph.refuse(closure, f"the merge it spoke for was undone: {why}")
-        self._graph.let_wait(rivals)
-        self._review.forget(merge, (a, b))
-        self._take_apart(a, b)
+        self._graph.set_pending(rivals)
+        self._review.record_undone(merge, (a, b))
+        self._split_group(a, b)
         self._retry_merges()
 
-    def _part_strayed(self, trials: MergeTrials) -> None:
-        """Take groups apart whose robots have gone so far since their closures that these fix them no more.
+    def _split_uncertain(self, trials: MergeTrials) -> None:
+        """Split groups whose relative poses have become too uncertain since their last closures.
 
-        The closures wait for others, with which they do.
+        The closures become pending; together with new ones they may support a merge again.
         """
         for robots in [group.robots for group in self.groups if len(group.robots) > 1]:
-            sides = trials.strayed(robots)
+            sides = trials.uncertain_split(robots)
             if sides is None:
                 continue
             closures = self._graph.closures_between(*sides, "accepted")
             for closure in closures:
-                self._graph.refuse(closure, "its robots have strayed")
-            self._graph.let_wait(closures)
-            self._review.part(sides)
-            self._take_apart(*sides)
+                self._graph.refuse(closure, "the relative pose of its robots became too uncertain")
+            self._graph.set_pending(closures)
+            self._review.split(sides)
+            self._split_group(*sides)
 
-    def _take_apart(self, a: tuple[int, ...], b: tuple[int, ...]) -> None:
-        """Two sides of a group have maps of their own again."""
+    def _split_group(self, a: tuple[int, ...], b: tuple[int, ...]) -> None:
+        """Split a group into two, each with a map of its own."""
         self._maps.split(self.group_index(a[0]), (a, b))
-        self.optimiser.unsettle()
+        self.optimiser.reset_fixed()
         self._search.forget_closures_of(a + b)
         for side in (a, b):
             self.optimiser.optimise(self.group_index(side[0]))

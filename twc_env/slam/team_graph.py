@@ -154,7 +154,7 @@ class TeamGraph(GraphArrays):
         if closure.status == "pending":
             self.waiting.add([closure])
 
-    def let_wait(self, closures: Sequence[LoopClosure]) -> None:
+    def set_pending(self, closures: Sequence[LoopClosure]) -> None:
         """Noted closures between two maps wait for others that agree with them."""
         for closure in closures:
             closure.status, closure.reason = "pending", "waits for closures that agree"

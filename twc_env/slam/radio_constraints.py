@@ -32,7 +32,7 @@ FAR_M = 1e5
 """Path length put between two robots: whatever one visits is another visit."""
 
 
-class RadioTies:
+class RadioConstraints:
     """What was heard at the places of all robots, and the ties that follow from it."""
 
     def __init__(self, config: RadioSlamConfig, robot_count: int, has_laser: bool):

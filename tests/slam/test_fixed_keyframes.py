@@ -11,8 +11,8 @@ from twc_env.config import EnvConfig, override
 from twc_env.exploration import map_judge
 from twc_env.geometry import compose
 from twc_env.slam import sign_readings
+from twc_env.slam.fixed_keyframes import GROWN, LARGE_FROM, MOVABLE, FixedKeyframes
 from twc_env.slam.map_optimiser import MapOptimiser
-from twc_env.slam.settled_maps import GROWN, LARGE_FROM, MOVABLE, SettledMaps
 
 TEAM, ODD_TEAM = (0, 1), (0, 2)
 
@@ -22,7 +22,7 @@ def episode(steps, settled=(), **settings):
     env = parallel_env(config=override(EnvConfig(), {"max_cycles": steps, **settings}))
     env.reset(seed=0)
     for mapper in env.episode.engine.mappers:
-        mapper.optimiser.settled_maps = SettledMaps(*settled)
+        mapper.optimiser.fixed_keyframes = FixedKeyframes(*settled)
     for action in wander(env, 0):
         env.step(action)
     return env.episode.engine
@@ -40,33 +40,33 @@ def team(walked):
 
 
 def test_small_maps_and_those_never_optimised_move_as_a_whole():
-    maps = SettledMaps()
+    maps = FixedKeyframes()
     assert maps.first_movable(TEAM, 10 * LARGE_FROM) == 0
-    maps.note(TEAM, LARGE_FROM - 2, is_whole=True)
+    maps.record_optimised(TEAM, LARGE_FROM - 2, is_whole=True)
     assert maps.first_movable(TEAM, LARGE_FROM - 1) == 0
 
 
 def test_large_maps_move_as_a_whole_as_often_as_they_have_grown_by_a_share():
-    maps, wholes = SettledMaps(), 0
+    maps, wholes = FixedKeyframes(), 0
     for count in range(LARGE_FROM, 16 * LARGE_FROM):
         first = maps.first_movable(TEAM, count)
         wholes += first == 0
-        maps.note(TEAM, count, is_whole=first == 0)
+        maps.record_optimised(TEAM, count, is_whole=first == 0)
         assert first == 0 or first == count - 1 - MOVABLE
     assert wholes == 1 + int(np.log(16) / np.log(GROWN))
 
 
 def test_what_came_since_the_last_optimisation_may_move_however_much_it_is():
-    maps = SettledMaps()
-    maps.note(TEAM, 8 * LARGE_FROM, is_whole=True)
+    maps = FixedKeyframes()
+    maps.record_optimised(TEAM, 8 * LARGE_FROM, is_whole=True)
     assert maps.first_movable(TEAM, 9 * LARGE_FROM) == 8 * LARGE_FROM - MOVABLE
 
 
 def test_maps_of_others_and_merged_maps_are_not_settled():
-    maps = SettledMaps()
-    maps.note(TEAM, LARGE_FROM, is_whole=True)
+    maps = FixedKeyframes()
+    maps.record_optimised(TEAM, LARGE_FROM, is_whole=True)
     assert maps.first_movable(ODD_TEAM, LARGE_FROM + 1) == 0
-    maps.forget()
+    maps.reset()
     assert maps.first_movable(TEAM, LARGE_FROM + 1) == 0
 
 
