@@ -168,6 +168,9 @@ class MergingConfig(Checked):
     """Maximum share of one map's walls that lie in the other's free space."""
     wifi_check: bool = True
     """Check all fingerprints that a merge would bring together against the variation along each robot's own path."""
+    sightings_check: bool = True
+    """Check that robots see each other's bodies in laser scans when and where a merge implies it; needs robots that
+    move at the same time (`slam.keyframe.mask_mates`, laser cue)."""
     undo: bool = True
     """Re-examine merges as evidence accumulates, and undo those found to be wrong."""
 

@@ -105,6 +105,10 @@ class GroupMaps:
         self.wanted.update(dict.fromkeys(missing))
         return len(missing) > 0
 
+    def have_scans(self, nodes: Array) -> Array:
+        """(k,) bool: for each of these nodes whether this mapper has its scan."""
+        return self._has_scan[nodes]
+
     def known_grid(self, robots: Sequence[int], group: int) -> GridMap:
         """Map of the received scans of some robots of a group, in the group's map frame."""
         if not self._on_request and len(robots) == len(self.groups[group].robots):

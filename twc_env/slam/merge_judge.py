@@ -18,6 +18,7 @@ from twc_env.slam import map_merging
 from twc_env.slam.heard_places import HeardPlaces
 from twc_env.slam.map_merging import MergeProposal, Weight
 from twc_env.slam.meeting_recogniser import MEETING
+from twc_env.slam.robot_sightings import RobotSightings
 from twc_env.slam.sign_table import MISSING_AFTER_S
 from twc_env.slam.signs_in_place import SignsRead, count_shared, hang_apart
 from twc_env.slam.team_graph import TeamGraph
@@ -37,9 +38,17 @@ Solution = tuple[Sequence[LoopClosure], Array]
 class MergeJudge:
     """Evaluates a merge of robots `a` with robots `b` by closures, fingerprints, signs and walls."""
 
-    def __init__(self, config: MergingConfig, graph: TeamGraph, spares_deaf: bool = False, doubts_radio: bool = False):
+    def __init__(
+        self,
+        config: MergingConfig,
+        graph: TeamGraph,
+        spares_deaf: bool = False,
+        doubts_radio: bool = False,
+        sightings: RobotSightings | None = None,
+    ):
         """doubts_radio: radio-only closures are in use (`meets_by_wifi`), and a merge needs more of them."""
         self._rule, self._graph, self._spares_deaf, self._doubts_sounds = config, graph, spares_deaf, doubts_radio
+        self._sightings = sightings
         self._heard = HeardPlaces()
         """Fingerprints of the nodes, added on demand."""
         self._read = SignsRead()
@@ -123,14 +132,17 @@ class MergeJudge:
     def cues_confirm(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
         """Whether radio confirms the merge; without radio comparison, sign names or enough distinct places must.
 
-        Radio is not compared if switched off, or (`spares_deaf`) if one side never received anything. Then
-        `names_agree` is required if texts were compared, and SCANS_ALONE_MIN places if only scans were.
+        Radio is not compared if switched off, or (`spares_deaf`) if one side never received anything. Then robots must
+        have seen each other as the merge implies (`robot_sightings`), or `names_agree` is required if texts were
+        compared, and SCANS_ALONE_MIN places if only scans were.
         """
         is_heard = self._rule.wifi_check and not (
             self._spares_deaf and (self._heard_nothing(a) or self._heard_nothing(b))
         )
         if is_heard:
             return self.radio_agrees(a, b, proposal.pose_a_b) is True
+        if self._sightings is not None and self._sightings.count(a, b, proposal.pose_a_b).confirm:
+            return True
         compared = [closure.candidate for closure in proposal.agreeing]
         if self._rule.spread_min_m > 0.0 and all(candidate.sign_m is None for candidate in compared):
             return proposal.weight[1] >= SCANS_ALONE_MIN
@@ -215,6 +227,10 @@ class MergeJudge:
             for name, n in zip(side, is_near, strict=True)
             if n
         ]
+
+    def sightings_contradict(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
+        """Whether robots saw through the places where the merge puts others at that time (`robot_sightings`)."""
+        return self._sightings is not None and self._sightings.count(a, b, pose_a_b).contradict
 
     def walls_disagree(self, grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> bool:
         """Whether more than `contradiction_max` of one map's walls lie in free space of the other."""

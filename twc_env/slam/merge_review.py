@@ -184,6 +184,8 @@ class MergeReview:
             return f"{share:.0%} of the walls of one lie in the free space of the other"
         if self._rule.wifi_check and self._judge.radio_agrees(a, b, IDENTITY) is False:
             return "places that it brings together sound different"
+        if self._judge.sightings_contradict(a, b, IDENTITY):
+            return "robots saw through the places where it puts others"
         return ""
 
     def _grids(self, a: Sequence[int], b: Sequence[int]) -> tuple[GridMap, GridMap]:

@@ -17,6 +17,7 @@ from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import MergeReview
 from twc_env.slam.merge_trial import MergeTrials
 from twc_env.slam.radio_constraints import RadioConstraints
+from twc_env.slam.robot_sightings import RobotSightings
 from twc_env.slam.team_graph import TeamGraph
 from twc_env.team_messages import KnownSigns
 
@@ -58,7 +59,10 @@ class TeamMapper:
         """(robot, keyframe index) of scans to request."""
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
         places = config.slam.place_recognition
-        self._judge = MergeJudge(config.slam.merging, self._graph, places.spares_missing_cues, places.meets_by_wifi)
+        sightings = RobotSightings(config, self._graph, self._maps)
+        self._judge = MergeJudge(
+            config.slam.merging, self._graph, places.spares_missing_cues, places.meets_by_wifi, sightings
+        )
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
         radio = config.slam.radio_slam
         self._radio = RadioConstraints(radio, robot_count, config.slam.cues.lidar) if radio.online else None
@@ -290,6 +294,8 @@ class TeamMapper:
         if self._judge.signs_disagree(robots_a, robots_b, pose_a_b):
             return False
         if self._on_request and self._maps.ask_for(self._judge.overlap(robots_a, robots_b, pose_a_b, OVERLAP_REACH_M)):
+            return False
+        if self._judge.sightings_contradict(robots_a, robots_b, pose_a_b):
             return False
         grids = self._maps.known_grid(robots_a, a), self._maps.known_grid(robots_b, b)
         if self._judge.walls_disagree(*grids, pose_a_b):
