@@ -44,6 +44,28 @@ def test_a_way_along_a_corridor_is_as_long_as_odometry_reads_it(scan, walls, wid
     assert np.mean(shares) == pytest.approx(1.0, abs=0.007)
 
 
+def _behind_a_mate(scan, walls, seed, length_m=14.0):
+    """How far a robot seems to go along a corridor, as a share, while another one drives close ahead of it."""
+    random, ends = np.random.default_rng(seed), FrontEnds(override(_config(180, 0.01), {"robots": 2}), 2)
+    corridor = walls((-LENGTH_M, -1.0), (LENGTH_M, -1.0), (LENGTH_M, 1.0), (-LENGTH_M, 1.0))
+    around = 0.2 * np.array([(np.cos(a), np.sin(a)) for a in np.arange(0.0, 2 * np.pi, np.pi / 12)])
+    true = np.zeros(3)
+    for step in range(round(length_m / STEP_M) + 1):
+        motion = np.array([STEP_M, 0.0, 0.0]) * (step > 0)
+        true = compose(true, motion)
+        apart_m = max(2.0 - 0.02 * step, 0.5)
+        mate = walls(*(true[:2] + [apart_m, 0.0] + around).tolist())
+        seen_m = scan(np.concatenate([corridor, mate]), true)
+        seen_m[seen_m < 10.0] += random.normal(0, 0.01, np.count_nonzero(seen_m < 10.0))
+        read = motion + random.normal(0, 1, 3) * (0.002, 0.001, 0.005) * (step > 0)
+        ends.update([SensorFrame(0, step, 0.1 * step, read, 0.0, seen_m, None, ())])
+    return ends.poses_odom[0, 0] / length_m
+
+
+def test_another_robot_does_not_hold_one_back_in_a_corridor(scan, walls):
+    assert [_behind_a_mate(scan, walls, seed) for seed in range(4)] == pytest.approx(np.ones(4), abs=0.01)
+
+
 def _driven(length_m, too_long, scan, walls, beams=180):
     """Keyframes of a robot that drives a corridor of 2 m up to its end and half of the end's view back."""
     corridor = walls((-LENGTH_M, -1.0), (length_m, -1.0), (length_m, 1.0), (-LENGTH_M, 1.0))

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from twc_env.kernels import borrowing_kernel
 from twc_env.slam.line_equations import ROBUST_SCALE_M, normal_equations
 from twc_env.slam.wall_cells import distance_in, line_in
 
 WEIGHT_MIN = 5.0
 """Least sum of weights of a match."""
+ACROSS_MIN = 0.7
+"""A wall fixes a direction if the component of its unit normal along it is at least this large."""
 
 
 @borrowing_kernel
@@ -45,6 +49,41 @@ def weakest_direction(h):
     a, b, d = _of_place(h)
     angle = 0.5 * math.atan2(2 * b, a - d) + 0.5 * math.pi
     return math.cos(angle), math.sin(angle)
+
+
+@borrowing_kernel
+def is_held_by_wall(cells, lines, origin, inverse_m, points, n, pose, distance_max, h, width_min_m):
+    """Whether a wall this wide, neighbouring points (n, 2) on lines across it, fixes the weakest direction of h.
+
+    Narrower things may be robots, or what the map holds of one that has left.
+    """
+    vx, vy = weakest_direction(h)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    low, high = math.inf, -math.inf
+    for i in range(n):
+        rx, ry = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
+        nx, ny, away = _line_at(cells, lines, origin, inverse_m, pose[0] + rx, pose[1] + ry, distance_max)
+        if abs(away) <= distance_max and abs(nx * vx + ny * vy) >= ACROSS_MIN:
+            aside = vx * ry - vy * rx
+            low, high = min(low, aside), max(high, aside)
+            if high - low >= width_min_m:
+                return True
+        else:
+            low, high = math.inf, -math.inf
+    return False
+
+
+@borrowing_kernel
+def _line_at(cells, lines, origin, inverse_m, x, y, distance_max):
+    """Normal of the line nearest to a point, and the point's signed distance from it; 0, 0, inf if none is near."""
+    height, width = cells.shape
+    qx, qy = x - origin[0], y - origin[1]
+    row, column = int(math.floor(qy * inverse_m)), int(math.floor(qx * inverse_m))
+    if not (0 <= row < height and 0 <= column < width) or distance_in(cells[row, column]) > distance_max:
+        return 0.0, 0.0, math.inf
+    line = lines[line_in(cells[row, column])]
+    nx, ny = np.float64(line[0]), np.float64(line[1])
+    return nx, ny, nx * qx + ny * qy - line[2]
 
 
 @borrowing_kernel
@@ -155,15 +194,7 @@ def share_near(cells, origin, inverse_m, points, n, pose, near_m):
 @borrowing_kernel
 def _weight_at(cells, lines, origin, inverse_m, x, y, distance_max):
     """Weight of a point in `normal_equations`; 0 if no wall is near."""
-    height, width = cells.shape
-    qx, qy = x - origin[0], y - origin[1]
-    if qx < 0.0 or qy < 0.0:
-        return 0.0
-    column, row = int(qx * inverse_m), int(qy * inverse_m)
-    if row >= height or column >= width or distance_in(cells[row, column]) > distance_max:
-        return 0.0
-    line = lines[line_in(cells[row, column])]
-    away = line[0] * qx + line[1] * qy - line[2]
+    _, _, away = _line_at(cells, lines, origin, inverse_m, x, y, distance_max)
     return 1.0 / (1.0 + away * away / ROBUST_SCALE_M**2) if abs(away) <= distance_max else 0.0
 
 

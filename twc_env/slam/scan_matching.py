@@ -23,11 +23,13 @@ from twc_env.slam.line_matching import (
     WEIGHT_MIN,
     correlate,
     fill_information,
+    is_held_by_wall,
     points_of,
     refine_pose,
     share_near,
     weight_changes,
 )
+from twc_env.slam.odometry_filter import open_direction
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, distance_in, line_in
 from twc_env.slam.wall_drawing import BLOCK_CELLS, NOWHERE, draw_scans, drawing_room
 
@@ -53,6 +55,9 @@ FIT_MIN = 0.75
 """A scan that fits less well (mean weight of a beam) is also laid on the map all around the prediction, ..."""
 SEARCH_M, SEARCH_RAD, SEARCH_STEP_M, SEARCH_STEP_RAD, SEARCH_BEAMS = 0.6, 0.36, 0.15, 0.06, 45
 """... so far, in such steps, and with about so many beams. That is one step of a thousand."""
+WALL_MARGIN_M = 0.3
+"""A direction that the last match left open is fixed again only by a wall that is wider than a robot by this much:
+otherwise robots, and what the map holds of one that has left, would fix a corridor's axis for some time."""
 
 
 @borrowing_kernel
@@ -64,6 +69,7 @@ def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, 
     share of the beams that returned which end near walls.
     """
     points, h, start, scratch = room
+    was_open, _, _ = open_direction(information)
     n = points_of(scan, rule[0], directions, points)
     start[0], start[1], start[2] = guess[0], guess[1], guess[2]
     begun = held = total = 0.0
@@ -87,6 +93,15 @@ def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, 
             break
         else:
             start[0], start[1], start[2] = guess[0], guess[1], guess[2]
+    if (
+        was_open
+        and total >= WEIGHT_MIN
+        and not (degenerate or is_held_by_wall(cells, lines, origin, rule[1], points, n, pose, rule[2], h, rule[6]))
+    ):
+        total, near, degenerate, _ = refine_pose(
+            cells, lines, origin, rule[1], points, n, guess, rule[2], int(rule[5]), math.inf, TRACKING_STOP_M,
+            TRACKING_STOP_RAD, scratch, pose, h,
+        )  # fmt: skip
     is_clear = total - begun >= GAIN_MIN * n
     if is_clear:
         won, lost = weight_changes(cells, lines, origin, rule[1], points, n, guess, pose, rule[2])
@@ -254,14 +269,15 @@ class LineField(BindsAnew):
 class LineFields:
     """One field per robot in common memory, so that all their scans are matched in one compiled call."""
 
-    def __init__(self, count: int, rule: LocalMapConfig, lidar: LidarConfig, variance_m2: float):
+    def __init__(self, count: int, rule: LocalMapConfig, lidar: LidarConfig, variance_m2: float, robot_radius_m: float):
         """variance_m2: the squared error of one beam, times how many beams count as one."""
         storage = field_storage(rule.size_m, rule.resolution_m, count)
         self.cells, self.lines, self.origins_m, self.drawn = storage
         self.inverse_m, self.range_max_m = 1.0 / rule.resolution_m, lidar.range_max_m
         self.range_noise_std_m = lidar.range_noise_std_m
         searched = rule.match_distance_max_m, rule.degenerate_share, variance_m2, rule.match_iterations_max
-        self.rule = np.array([lidar.range_max_m, self.inverse_m, *searched])
+        wall_min_m = 2 * robot_radius_m + WALL_MARGIN_M
+        self.rule = np.array([lidar.range_max_m, self.inverse_m, *searched, wall_min_m])
         """What `match_scan` goes by."""
         self.each = [
             LineField(rule.size_m, rule.resolution_m, lidar.range_max_m, lidar.range_noise_std_m, part)

@@ -134,7 +134,8 @@ class Tracker(BindsAnew):
         noise, beams, rule = config.slam.odometry_filter, config.lidar.beam_count, config.slam.keyframe
         self._filters = make_filters(noise, count, config.slam.oracle != "poses")
         variance_m2 = noise.match_std_m**2 * noise.match_correlation
-        fields = LineFields(count, config.slam.local_map, config.lidar, variance_m2)
+        robot_radius_m = config.dynamics.robot_radius_m
+        fields = LineFields(count, config.slam.local_map, config.lidar, variance_m2, robot_radius_m)
         self.fields = fields
         """The local maps of all robots."""
         self.poses_odom = np.zeros((count, 3))
@@ -157,7 +158,7 @@ class Tracker(BindsAnew):
         self._has_been_alone = [False] * count
         """Whether each robot has ever gone by odometry alone."""
         masks = rule.mask_mates and config.robots > 1
-        mate_radius_m = config.dynamics.robot_radius_m if masks else 0.0
+        mate_radius_m = robot_radius_m if masks else 0.0
         opening = opening_beams(beams, config.lidar.dropout_probability)
         self._marking = (beam_directions(beams), opening, mate_radius_m, self.marked_m, self.discs, self.disc_counts)
         for_mates = np.empty(beams, bool), np.empty(beams + 1, np.int64)
