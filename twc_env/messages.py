@@ -116,6 +116,8 @@ class Keyframe:
     signs: tuple[SignObservation, ...]
     """Texts read since the last keyframe."""
     fingerprint: Fingerprint
+    team_step: int = -1
+    """The engine's step when the frame came in: comparable between robots, unlike `step`; -1: unknown."""
     by_odometry_m: tuple[float, float] = (0.0, 0.0)
     """The part of `motion` left unconstrained by scan matching, as along a corridor, in this keyframe's axes."""
     odometry_scale: tuple[float, float] = (0.0, 0.0)

@@ -39,7 +39,7 @@ def sightings(other_steps=None, have_scans=True, is_seen=True, config=None) -> R
     scans = [scan(between(a, b)[:2] if is_seen else None) for a, b in both_ways]
     graph = SimpleNamespace(
         poses=poses,
-        step_of_node=np.concatenate(steps),
+        keyframes=[[SimpleNamespace(team_step=step) for step in own] for own in steps],
         path_of=lambda robot: np.arange(COUNT) + COUNT * robot,
         rows_of=lambda nodes: (poses[nodes], np.array([scans[node] for node in nodes]).reshape(-1, BEAMS)),
     )
@@ -73,6 +73,13 @@ def test_the_other_robot_is_interpolated_between_its_keyframes():
 def test_robots_that_were_there_at_other_times_say_nothing():
     later = 10 * np.arange(COUNT) + 10_000
     assert sightings(later).count([0], [1], START_B) == Sightings(0, 0)
+
+
+@pytest.mark.parametrize("steps", [np.full(COUNT, 10 * COUNT - 10), np.full(COUNT, -1)])
+def test_frames_of_one_robot_after_those_of_another_say_nothing(steps):
+    """A log given robot by robot: all of the second come in after the last step of the first; or steps are unknown."""
+    wrong = compose(np.array([0.0, -3.0, 0.0]), START_B)
+    assert sightings(steps).count([0], [1], wrong) == Sightings(0, 0)
 
 
 def test_only_scans_that_have_come_are_looked_at():

@@ -198,7 +198,7 @@ class CooperativeSlam(CopiedWhole):
             for frame in frames:
                 steps[frame.robot], ranges_m[frame.robot] = frame.step, frame.ranges_m
             self._latest_scans = steps, ranges_m
-        keyframes = self._front_ends.update(frames)
+        keyframes = self._front_ends.update(frames, self._listening.last_step + 1)
         self.poses_odom = self._front_ends.poses_odom
         if self._radio is not None:
             for frame in frames:

@@ -93,9 +93,12 @@ class KeyframeTaker(BindsAnew):
         """`_take`, bound to its constant arguments."""
 
     def take(
-        self, robot: int, index: int, step: int, time_s: float, signs: tuple[SignObservation, ...]
+        self, robot: int, index: int, steps: tuple[int, int], time_s: float, signs: tuple[SignObservation, ...]
     ) -> tuple[Keyframe, bool]:
-        """The robot's keyframe with this index, and whether it was drawn; if not, the local map must be moved first."""
+        """The robot's keyframe with this index, and whether it was drawn; if not, the local map must be moved first.
+
+        steps: the robot's own step number and the engine's.
+        """
         tracker = self._tracker
         scan, pose, motion, covariance = np.empty(self._beams), np.empty(3), np.empty(3), np.empty((3, 3))
         now = robot, time_s, tracker.poses_odom, tracker.radio.rings, scan, pose, motion, covariance
@@ -104,8 +107,9 @@ class KeyframeTaker(BindsAnew):
         heard, travel_m, is_drawn = self._run(*now)
         fingerprint, alone = tracker.radio.latest(heard), tracker.take_by_odometry(robot)
         keyframe = Keyframe(
-            robot, index, step, time_s, pose, motion, covariance, travel_m, scan, signs, fingerprint, *alone
-        )
+            robot, index, steps[0], time_s, pose, motion, covariance, travel_m, scan, signs, fingerprint, steps[1],
+            *alone,
+        )  # fmt: skip
         return keyframe, is_drawn
 
     def _packed(self) -> Lent:

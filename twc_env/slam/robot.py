@@ -41,19 +41,22 @@ class FrontEnds:
         self.robots = [RobotFrontEnd(config, field) for field in self._tracker.fields.each]
         """What each robot remembers for itself."""
 
-    def update(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
-        """Take in at most one frame per robot; gives a keyframe of each that came to a new place."""
+    def update(self, frames: Sequence[SensorFrame], team_step: int = -1) -> list[Keyframe]:
+        """Take in at most one frame per robot; gives a keyframe of each that came to a new place.
+
+        team_step: the engine's step, see `Keyframe`.
+        """
         if isinstance(frames, TeamFrames):
-            return self.update_together(frames)
+            return self.update_together(frames, team_step)
         together: dict[tuple[int, float], list[SensorFrame]] = {}
         for frame in frames:  # of robots whose clocks may differ, as in recordings
             together.setdefault((frame.step, frame.time_s), []).append(frame)
         keyframes = []
         for some in together.values():
-            keyframes += self.update_together(TeamFrames.of(some), np.array([frame.robot for frame in some]))
+            keyframes += self.update_together(TeamFrames.of(some), team_step, np.array([frame.robot for frame in some]))
         return keyframes
 
-    def update_together(self, frames: TeamFrames, robots: Array | None = None) -> list[Keyframe]:
+    def update_together(self, frames: TeamFrames, team_step: int = -1, robots: Array | None = None) -> list[Keyframe]:
         """The same for frames of one time; robots (k,): whose they are, None for everyone's."""
         tracker, robots = self._tracker, self.everyone if robots is None else robots
         tracker.update(robots, frames)
@@ -65,12 +68,12 @@ class FrontEnds:
         if not tracker.has_arrived:
             return []
         is_new = tracker.is_new
-        return [self._take_keyframe(k, frames.step, frames.time_s) for k in robots.tolist() if is_new[k]]
+        return [self._take_keyframe(k, (frames.step, team_step), frames.time_s) for k in robots.tolist() if is_new[k]]
 
-    def _take_keyframe(self, k: int, step: int, time_s: float) -> Keyframe:
+    def _take_keyframe(self, k: int, steps: tuple[int, int], time_s: float) -> Keyframe:
         robot = self.robots[k]
         signs = robot.signs_seen_from(self._tracker.poses_odom[k])
-        keyframe, is_drawn = self._taker.take(k, robot.taken, step, time_s, signs)
+        keyframe, is_drawn = self._taker.take(k, robot.taken, steps, time_s, signs)
         robot.remember(keyframe)
         if not is_drawn:
             self._taker.centres_m[k] = keyframe.pose_odom[:2]

@@ -1,10 +1,11 @@
 """Test a merge hypothesis by whether the robots see each other where and when it says that they should.
 
-All keyframes have the time step at which they were taken. A merge hypothesis therefore predicts, for each keyframe of
-one robot, where the robots of the other group stood at that step relative to its scan. If one stood within range, the
-scan must contain a robot-sized object there (`mate_detection` stores such beams as negative ranges). If instead the
-beams pass through the predicted place, the hypothesis is wrong; if robots are seen in many places as predicted, rooms
-that look alike cannot explain it. Needs robots that explore at the same time, and no identification of a robot.
+All keyframes have the engine's step at which they were taken (`Keyframe.team_step`). A merge hypothesis therefore
+predicts, for each keyframe of one robot, where the robots of the other group stood at that step relative to its scan.
+If one stood within range, the scan must contain a robot-sized object there (`mate_detection` stores such beams as
+negative ranges). If instead the beams pass through the predicted place, the hypothesis is wrong; if robots are seen in
+many places as predicted, rooms that look alike cannot explain it. Needs robots that explore at the same time, and no
+identification of a robot.
 """
 
 from __future__ import annotations
@@ -61,18 +62,21 @@ class Sightings(NamedTuple):
 def _predict(poses, steps, other_poses, other_steps, reach_m):
     """The keyframes of a robot (n,) at whose step another one stood within reach, and where (k, 2) in their frames.
 
-    poses (n, 3) and other_poses (m, 3) in one frame, steps (n,) and (m,) ascending. The other robot is interpolated
-    between its keyframes.
+    poses (n, 3) and other_poses (m, 3) in one frame, steps (n,) and (m,) ascending, negative if unknown. The other
+    robot is interpolated between its keyframes. Keyframes of one robot with the same step came in belatedly: such a
+    step says nothing.
     """
     chosen, places = np.empty(poses.shape[0], np.int64), np.empty((poses.shape[0], 2))
     count = after = 0
     for k in range(poses.shape[0]):
+        if steps[k] < 0 or (k > 0 and steps[k] == steps[k - 1]):
+            continue
         while after < other_steps.shape[0] and other_steps[after] < steps[k]:
             after += 1
         if after == other_steps.shape[0]:
             break
         before = after if other_steps[after] == steps[k] else after - 1
-        if before < 0:
+        if before < 0 or (after + 1 < other_steps.shape[0] and other_steps[after + 1] == other_steps[after]):
             continue
         dx, dy = other_poses[after, 0] - other_poses[before, 0], other_poses[after, 1] - other_poses[before, 1]
         if math.hypot(dx, dy) > GAP_MAX_M:
@@ -139,7 +143,7 @@ class RobotSightings:
             poses = compose(pose_a_b, poses)
         else:
             other_poses = compose(pose_a_b, other_poses)
-        steps = graph.step_of_node
-        chosen, places = _predict(poses, steps[nodes], other_poses, steps[others], self._reach_m)
+        steps, other_steps = (np.array([k.team_step for k in graph.keyframes[r]], np.int64) for r in (watcher, other))
+        chosen, places = _predict(poses, steps, other_poses, other_steps, self._reach_m)
         is_here = self._maps.have_scans(nodes[chosen])
         return _count(graph.rows_of(nodes[chosen][is_here])[1], places[is_here], self._radius_m)
