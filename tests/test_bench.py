@@ -7,11 +7,11 @@ import pytest
 
 from twc_env import bench_peers, bench_probes, bench_scaling
 from twc_env.__main__ import main
-from twc_env.bench import OurRuns
+from twc_env.bench import OurRuns, Run
 from twc_env.config import EnvConfig
 from twc_env.maps import load_map
 
-TINY = {"REPETITIONS": 2, "WORLD_STEPS": 12, "SLAM_STEPS": 12}
+TINY = {"REPETITIONS": 2, "EPISODES": 1, "WORLD_STEPS": 12, "SLAM_STEPS": 12}
 NUMBERS = {
     "world_env_steps_per_s", "slam_env_steps_per_s", "world_env_steps_per_cpu_s", "slam_env_steps_per_cpu_s",
     "slam_step_p99_ms",
@@ -45,6 +45,31 @@ def test_the_comparison_has_its_keys_whether_peers_are_installed_or_not(monkeypa
     captured = capsys.readouterr()
     assert "walls  206    206    20             61.5" in captured.out
     assert "irsim is missing" in captured.err and "1/2 world" in captured.err
+
+
+def test_peers_are_measured_beside_each_episode_and_compared_within_a_repetition(monkeypatch):
+    played, slowness = [], iter([1.0] * 3 + [3.0] * 3 + [1.0] * 3)  # of the machine, which slows down for a while
+    now = [1.0]
+
+    def candidate(name: str, cpu_s: float):
+        def once(seed: int) -> Run:
+            played.append((name, seed))
+            if name == "world":
+                now[0] = next(slowness)
+            taken_s = (1 + seed) * cpu_s * now[0]
+            return Run(10, 2.0 * taken_s, taken_s, 0.1 * seed, np.full(10, taken_s / 10))
+
+        return once
+
+    names = {"world": 1.0, "slam": 2.0, "irsim": 30.0}
+    monkeypatch.setattr(bench_peers, "REPETITIONS", 3)
+    monkeypatch.setattr(bench_peers, "EPISODES", 3)
+    monkeypatch.setattr(bench_peers, "_candidates", lambda _: {name: candidate(name, s) for name, s in names.items()})
+    figures = bench_peers._rates(lambda _: None)
+    assert played == [(name, seed) for seed in [0, 1, 2] * 3 for name in names]
+    assert figures["world_over_irsim"] == pytest.approx(30.0) and figures["slam_over_irsim"] == pytest.approx(15.0)
+    assert figures["slam_over_mpe2"] is None and figures["slam_team_ate_m"] == 0.1
+    assert figures["slam_env_steps_per_s"] == pytest.approx(30 / 24) and figures["episodes"] == 3
 
 
 def test_a_peer_that_is_not_installed_is_named_with_the_command_that_installs_it(monkeypatch):

@@ -1,13 +1,15 @@
 """Our speed and that of other simulators, in one run on one core: rates, slowest steps, workers, memory and start-up.
 
-Ours are whole episodes through the PettingZoo parallel API (`bench.OurRuns`). Repetitions alternate between all
-simulators; each figure is a median. Compare figures of one run only.
+Ours are whole episodes through the PettingZoo parallel API (`bench.OurRuns`). Each repetition plays the same episodes,
+and after each episode a part of the peers' steps, so that a core that slows down for some seconds slows all candidates.
+Each figure is a median over repetitions, also each ratio. Compare figures of one run only.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 import importlib.util
 import io
 import logging
@@ -36,9 +38,10 @@ SLAM_MAP = "twin-02"
 ROBOTS, BEAMS = 3, 180
 PEERS = {"irsim": ("irsim", "IR-SIM", "ir-sim"), "mpe2": ("mpe2", "MPE2", "mpe2")}
 """Key -> module, name, package."""
-REPETITIONS = 5
-WORLD_STEPS, SLAM_STEPS, IRSIM_STEPS, MPE2_STEPS, PROBE_STEPS = 2000, 2000, 400, 3000, 1000
-"""Steps of each repetition."""
+REPETITIONS, EPISODES = 5, 5
+"""Repetitions, and episodes of each, with the seeds 0, 1, ..."""
+WORLD_STEPS, SLAM_STEPS, IRSIM_STEPS, MPE2_STEPS, PROBE_STEPS = 2000, 2000, 200, 1500, 1000
+"""Steps of an episode; of the peers, steps after each of our episodes; steps of an episode of a probe."""
 
 
 def bench_peers(report: Report = lambda _line: None) -> dict[str, Any]:
@@ -53,8 +56,12 @@ def _rates(report: Report) -> dict[str, Any]:
     candidates = _candidates(report)
     runs: dict[str, list[Run]] = {name: [] for name in candidates}
     for repetition in range(REPETITIONS):
-        for name, once in candidates.items():
-            runs[name].append(once(repetition))
+        parts: dict[str, list[Run]] = {name: [] for name in candidates}
+        for seed in range(EPISODES):
+            for name, once in candidates.items():
+                parts[name].append(once(seed))
+        for name, own in parts.items():
+            runs[name].append(Run.joined(own))
             report(f"{repetition + 1}/{REPETITIONS} {name:<6} {runs[name][-1].rate:>9,.0f} env-steps/s")
     figures: dict[str, Any] = {}
     for name in ("world", "slam", *PEERS):
@@ -63,14 +70,16 @@ def _rates(report: Report) -> dict[str, Any]:
             figures[f"{name}_env_steps_per_{suffix}"] = statistics.median(values) if values else None
     for ours in ("world", "slam"):
         for peer in PEERS:
-            theirs = figures[f"{peer}_env_steps_per_cpu_s"]
-            figures[f"{ours}_over_{peer}"] = figures[f"{ours}_env_steps_per_cpu_s"] / theirs if theirs else None
+            pairs = zip(runs[ours], runs.get(peer, []), strict=False)
+            ratios = [own.cpu_rate / other.cpu_rate for own, other in pairs]
+            figures[f"{ours}_over_{peer}"] = statistics.median(ratios) if ratios else None
     slowest = [np.percentile(run.step_s, 99) for run in runs["slam"] if run.step_s is not None]
     plan = world_plan()
     return figures | {
         "slam_step_p99_ms": 1e3 * statistics.median(slowest),
         "slam_team_ate_m": statistics.median(run.team_ate_m for run in runs["slam"]),
         "repetitions": REPETITIONS,
+        "episodes": EPISODES,
         "robots": ROBOTS,
         "beams": BEAMS,
         "world_map": WORLD_MAP,
@@ -157,6 +166,7 @@ class Mpe2Runs:
 
 
 def _timed(steps: int, step: Callable[[Any], Any], action: Any) -> Run:
+    gc.collect()
     cpu, wall = time.process_time(), time.perf_counter()
     for _ in range(steps):
         step(action)
