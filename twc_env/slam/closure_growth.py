@@ -97,8 +97,9 @@ class ClosureGrowth:
             clipped = np.clip(evidence[kind], -50, 50)
             accepted = np.count_nonzero(self._accepted[(self._size == 1) == is_single])
             share = overall = 0.5
+            against = np.exp(-clipped)
             for _ in range(20):
-                true = (1 / (1 + np.exp(-clipped) * (1 - share) / share)).sum()
+                true = (1 / (1 + against * (1 - share) / share)).sum()
                 overall = (accepted + true + PRIOR_COUNTS[0]) / (accepted + len(clipped) + sum(PRIOR_COUNTS))
                 share = (true + PRIOR_GROUPS * overall) / (len(clipped) + PRIOR_GROUPS)
             out[kind] = math.log(share / (1 - share))
@@ -146,12 +147,13 @@ class ClosureGrowth:
         not reached.
         """
         members, chosen, total = [seed], seed, float(odds[seed])
-        k = np.arange(len(error))
+        is_outside = np.ones(len(error), bool)
         for _ in range(JOINT_SIZE_MAX - 1):
             gain = joint[:, :, chosen] @ np.linalg.inv(joint[chosen, :, chosen])  # (count, 3, 3)
             error = error - gain @ error[chosen]
             joint = joint - np.tensordot(gain, joint[chosen], axes=(2, 0))
-            rest = np.setdiff1d(k, members)
+            is_outside[chosen] = False
+            rest = np.flatnonzero(is_outside)
             if not len(rest):
                 break
             now = self._map.evidence(error[rest], joint[rest, :, rest]) + prior[rest]

@@ -197,10 +197,20 @@ def _add_shared(hessian: Array, a: Array, first: int, owner: Array, weight: Arra
     """
     for row in range(first, len(hessian)):
         hessian[row, :, row] += np.eye(3)
-    says = np.swapaxes(bends, 1, 2) @ weight
-    for k in np.flatnonzero(owner >= 0).tolist():
-        row = first + owner[k]
-        hessian[row, :, row] += says[k] @ bends[k]
-        for key, sign in ((a[k] + 1, -1.0), (a[k], 1.0)):
-            hessian[row, :, key] += sign * says[k]
-            hessian[key, :, row] += sign * says[k].T
+    said = np.swapaxes(bends, 1, 2) @ weight
+    _add_bent(hessian, a, first + owner, owner >= 0, said, said @ bends)
+
+
+@kernel
+def _add_bent(hessian, a, row_of, is_owned, said, own):
+    """The loop of `_add_shared`: own (k, 3, 3) on the diagonal of each edge's row (k,), said (k, 3, 3) beside it."""
+    for k in range(len(a)):
+        if not is_owned[k]:
+            continue
+        row = row_of[k]
+        for i in range(3):
+            for j in range(3):
+                hessian[row, i, row, j] += own[k, i, j]
+                for key, value in ((a[k] + 1, -said[k, i, j]), (a[k], said[k, i, j])):
+                    hessian[row, i, key, j] += value
+                    hessian[key, j, row, i] += value

@@ -72,7 +72,8 @@ class Graph:
         a part."""
         if self.shared is None:
             return squared_errors(poses, self.edges, self.measured, self.information)
-        measured, cost = self.shared.corrected(poses, self.edges, self.measured, self.information)
+        equations = self.shared.normal_equations(self.information)
+        measured, cost = self.shared.corrected(poses, self.edges, self.measured, equations)
         return squared_errors(poses, self.edges, measured, self.information) + cost
 
 
@@ -135,6 +136,7 @@ class NormalEquations:
         self._count, self._held = count, np.atleast_1d(np.asarray(fixed, np.int64))
         self._fewer: tuple[bytes, NormalEquations] | None = None
         self._shared = shared
+        self._of_errors = () if shared is None else shared.normal_equations(self.information)
         pairs = self.edges.copy()
         is_held = np.zeros(count, bool)
         is_held[self._held] = True
@@ -154,7 +156,7 @@ class NormalEquations:
         """(edges,) as `Graph.squared_errors`."""
         if self._shared is None:
             return relative_squared_errors(poses, self.edges, self.measured, self.information)
-        measured, cost = self._shared.corrected(poses, self.edges, self.measured, self.information)
+        measured, cost = self._shared.corrected(poses, self.edges, self.measured, self._of_errors)
         return relative_squared_errors(poses, self.edges, measured, self.information) + cost
 
     def linearise(self, poses: Array, weight: Array) -> tuple[Array, Array, Array]:
@@ -164,16 +166,19 @@ class NormalEquations:
         """
         block_count, measured, shared = int(self._blocks.max(initial=-1)) + 1, self.measured, self._shared
         if shared is not None:
-            measured, _ = shared.corrected(poses, self.edges, measured, self.information)
-        known, between_poses = (self.edges, measured, self.information), self._blocks[: len(self.edges)]
-        found = linearise_relative(poses, *known, weight, between_poses, block_count, self._held)
+            measured, _ = shared.corrected(poses, self.edges, measured, self._of_errors)
+        between_poses = self._blocks[: len(self.edges)]
+        found = linearise_relative(
+            poses, self.edges, measured, self.information, weight, between_poses, block_count, self._held
+        )
         if shared is None:
             return found
         diagonal, blocks, gradient = found
         rest = np.zeros((shared.count, 3, 3))
         diagonal, gradient = np.concatenate([diagonal, rest]), np.concatenate([gradient, rest[:, 0]])
         block_of_ends = self._blocks[len(self.edges) :].reshape(2, -1).T
-        linearise_shared(poses, *known, shared.owner, shared.bends, block_of_ends, diagonal, blocks)
+        said = self._of_errors[0]
+        linearise_shared(poses, self.edges, measured, said, shared.owner, shared.bends, block_of_ends, diagonal, blocks)
         return diagonal, blocks, gradient
 
     def minimise(

@@ -45,9 +45,16 @@ class SharedErrors:
         bends = np.concatenate([self.bends, np.zeros((count, 3, 3))])
         return SharedErrors(np.concatenate([self.owner, np.full(count, UNOWNED)]), bends)
 
-    def corrected(self, poses: Array, edges: Array, measured: Array, information: Array) -> tuple[Array, Array]:
+    def normal_equations(self, information: Array) -> tuple[Array, ...]:
+        """For `corrected`, of edges with this information (e, 3, 3): bends^T information (e, 3, 3), the covariance of
+        the errors (robots, 3, 3), and the number of edges of each robot (robots,)."""
+        return _normal_equations(information, self.owner, self.bends, self.count)
+
+    def corrected(
+        self, poses: Array, edges: Array, measured: Array, equations: tuple[Array, ...]
+    ) -> tuple[Array, Array]:
         """Measurements (e, 3) without the errors that poses show best; (e,) each edge's share of what these cost."""
-        return _corrected(poses, edges, measured, information, self.owner, self.bends, self.count)
+        return _corrected(poses, edges, measured, self.owner, self.bends, *equations)
 
 
 def shared_errors(owner: Array, measured: Array, length_m: Array, scale_std: float) -> SharedErrors:
@@ -69,17 +76,6 @@ def std_with_shared(std: Array, length_m: Array, scale_std: float) -> Array:
 
 
 @kernel
-def _said(bend, information):
-    """(3, 3) what an edge says of the errors: bend^T information."""
-    out = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                out[i, j] += bend[k, i] * information[k, j]
-    return out
-
-
-@kernel
 def _add_product(a, b, out):
     """Add a b to out, all (3, 3)."""
     for i in range(3):
@@ -89,28 +85,42 @@ def _add_product(a, b, out):
 
 
 @kernel
-def _corrected(poses, edges, measured, information, owner, bends, count):
+def _normal_equations(information, owner, bends, count):
+    """See `SharedErrors.normal_equations`."""
+    says, normal, edge_counts = np.zeros(bends.shape), np.zeros((count, 3, 3)), np.zeros(count)
+    for e in range(len(owner)):
+        if owner[e] < 0:
+            continue
+        for i in range(3):
+            for j in range(3):
+                for k in range(3):
+                    says[e, i, j] += bends[e, k, i] * information[e, k, j]
+        _add_product(says[e], bends[e], normal[owner[e]])
+        edge_counts[owner[e]] += 1
+    covariance = np.empty((count, 3, 3))
+    for k in range(count):
+        for i in range(3):
+            normal[k, i, i] += 1.0
+        invert3(normal[k], covariance[k])
+    return says, covariance, edge_counts
+
+
+@kernel
+def _corrected(poses, edges, measured, owner, bends, says, covariance, edge_counts):
     """See `SharedErrors.corrected`."""
-    residuals = relative_residuals(poses, edges, measured)
-    normal, right, edge_counts = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count)
+    residuals, count = relative_residuals(poses, edges, measured), len(covariance)
+    right, errors, cost = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
     for e in range(len(edges)):
         k = owner[e]
         if k < 0:
             continue
-        says = _said(bends[e], information[e])
-        _add_product(says, bends[e], normal[k])
         for i in range(3):
             for j in range(3):
-                right[k, i] += says[i, j] * residuals[e, j]
-        edge_counts[k] += 1
-    errors, cost, covariance = np.zeros((count, 3)), np.zeros(count), np.empty((3, 3))
+                right[k, i] += says[e, i, j] * residuals[e, j]
     for k in range(count):
         for i in range(3):
-            normal[k, i, i] += 1.0
-        invert3(normal[k], covariance)
-        for i in range(3):
             for j in range(3):
-                errors[k, i] += covariance[i, j] * right[k, j]
+                errors[k, i] += covariance[k, i, j] * right[k, j]
             cost[k] += errors[k, i] ** 2 / max(edge_counts[k], 1.0)
     out, shares, off = measured.copy(), np.zeros(len(edges)), np.empty(3)
     for e in range(len(edges)):
@@ -130,17 +140,17 @@ def _corrected(poses, edges, measured, information, owner, bends, count):
 
 
 @kernel
-def linearise_shared(poses, edges, measured, information, owner, bends, block_of_ends, diagonal, blocks):
+def linearise_shared(poses, edges, measured, said, owner, bends, block_of_ends, diagonal, blocks):
     """Add to diagonal (n + robots, 3, 3) and blocks, in place, what odometry says of its robots' errors.
 
-    block_of_ends (e, 2): the blocks of an edge's ends with the errors of its robot; -1 where an end is held. The
-    derivatives by its two poses are those of `linearise_relative`.
+    said (e, 3, 3): bends^T information. block_of_ends (e, 2): the blocks of an edge's ends with the errors of its
+    robot; -1 where an end is held. The derivatives by its two poses are those of `linearise_relative`.
     """
     first = len(poses)
     for k in range(first, len(diagonal)):
         for i in range(3):
             diagonal[k, i, i] += 1.0
-    by_first, by_second = np.zeros((3, 3)), np.zeros((3, 3))
+    by_first, by_second, says = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
     for e in range(len(edges)):
         if owner[e] < 0:
             continue
@@ -153,11 +163,10 @@ def linearise_shared(poses, edges, measured, information, owner, bends, block_of
             for j in range(2):
                 by_first[i, j] = -by_second[i, j]
         by_first[0, 2], by_first[1, 2], by_first[2, 2] = -s * dx + c * dy, -c * dx - s * dy, -1.0
-        says = _said(bends[e], information[e])
-        _add_product(says, bends[e], diagonal[first + owner[e]])
+        _add_product(said[e], bends[e], diagonal[first + owner[e]])
         for i in range(3):
             for j in range(3):
-                says[i, j] = -says[i, j]
+                says[i, j] = -said[e, i, j]
         if block_of_ends[e, 0] >= 0:
             _add_product(says, by_first, blocks[block_of_ends[e, 0]])
         if block_of_ends[e, 1] >= 0:
