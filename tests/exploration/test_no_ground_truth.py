@@ -12,10 +12,12 @@ import twc_env
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.observations import ObservationBuilder
 from twc_env.messages import Belief, SensorFrame
+from twc_env.observation_check import ACTIONS, BLOCKS, random_actions
 from twc_env.slam.engine import CooperativeSlam
 
 STEPS = 150
 MOTION = np.array([37.3, -81.9, 1.1])
+EVERY_BLOCK = {"slam.k_visibility.enabled": True, **{f"observation.{name}": True for name in BLOCKS}}
 
 
 class LeakyEnv(twc_env.ExplorationEnv):
@@ -71,6 +73,38 @@ def test_the_guard_sees_a_planted_leak_when_the_building_moves(explore, here):
     plans = here.env.floorplan, here.env.floorplan.moved(MOTION)
     first, second = (explore(5, env=LeakyEnv(robots=3, floorplan=plan)) for plan in plans)
     assert largest_difference(first, second) > 1.0
+
+
+def blocks_that_differ(leak: str | None, action: tuple[str, str], steps: int) -> set[str]:
+    """Names of blocks, all enabled, in which two teams differ that get the same actions in the same building, of
+    which one is moved. `leak`: a block to which the true position is added."""
+    config = {**EVERY_BLOCK, "action.kind": action[0], "action.timing": action[1], "action.decision_max_s": 3.0}
+    plan = twc_env.load_map("twin-02")
+    envs = [twc_env.parallel_env(floorplan=p, max_cycles=steps, config=config) for p in (plan, plan.moved(MOTION))]
+    random, names = np.random.default_rng(0), set()
+    seen = [env.reset(seed=0, options={"starts": "map"}) for env in envs]
+    while True:
+        if leak is not None:
+            for env, (observations, *_) in zip(envs, seen, strict=True):
+                for observation, true in zip(observations.values(), env.state().reshape(-1, 6), strict=True):
+                    observation[leak].flat[0] += int(abs(true[0]))
+        for agent, observation in seen[0][0].items():
+            for name, block in observation.items():
+                names |= set() if np.array_equal(block, seen[1][0][agent][name]) else {name}
+        if not envs[0].agents:
+            return names
+        actions = random_actions(envs[0], seen[0][-1], random)
+        seen = [env.step(actions) for env in envs]
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_moving_the_building_changes_no_block_by_any_kind_of_action(action):
+    assert blocks_that_differ(None, action, 200) == set()
+
+
+@pytest.mark.parametrize("block", [*BLOCKS, "radio", "action_mask"])
+def test_the_guard_sees_a_leak_planted_in_any_block_when_the_building_moves(block):
+    assert blocks_that_differ(block, ("frontier", "asynchronous"), 3) == {block}
 
 
 def rebuild_errors(env, steps: int, wander, engine=None) -> int:
