@@ -11,7 +11,13 @@ from twc_env.slam import k_visibility_rules as rules
 from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, silhouette_k, sliding_window
 from twc_env.slam.k_visibility import map_structure
 from twc_env.slam.k_visibility_grid import cell_probabilities
-from twc_env.slam.k_visibility_signal import _forward_backward, _transitions, fit_alike, fit_signal, locate_router
+from twc_env.slam.k_visibility_signal import (
+    _forward_backward,
+    _transitions,
+    fit_identical_routers,
+    fit_signal,
+    locate_router,
+)
 from twc_env.slam.path_bins import bin_along_path
 from twc_env.slam.wall_candidates import WallCandidates, wall_candidates
 
@@ -210,7 +216,7 @@ def test_transmitters_that_are_alike_share_a_signal_and_nothing_that_one_tells_c
     routers_m = np.array([[-1.0, 0.0], [11.0, 0.0]])
     path, rssi, walls = past_a_wall(routers_m)
     bins = bin_along_path(path, rssi)
-    fits = fit_alike(bins, routers_m, 1)
+    fits = fit_identical_routers(bins, routers_m, 1)
     assert np.mean([fit.walls[bins.bin_of] == k for fit, k in zip(fits, walls.T, strict=True)]) > 0.98
     assert fits[0].wall_loss_db == fits[1].wall_loss_db == pytest.approx(9.0, abs=1.0)
     assert fits[0].probability[-1, 1] > 0.99 and fits[1].probability[0, 1] > 0.99

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from twc_env.config import PoseGraphConfig
 from twc_env.geometry import between, compose, inverse, poses_along, wrap_angle
 from twc_env.slam import pose_graph, robust_backend
-from twc_env.slam.closure_agreement import Pairs
+from twc_env.slam.closure_agreement import PairwiseConsistency
 from twc_env.slam.map_prediction import MapPrediction
 from twc_env.slam.odometry_chains import Chains
 from twc_env.slam.pose_graph import Graph
@@ -144,7 +144,7 @@ def test_closures_between_a_way_that_is_read_too_long_and_one_too_short_agree():
 
     def squared(graph):
         chains = Chains(graph, poses)
-        return Pairs(graph, poses, chains, closures).squared(np.array([0]), np.array([1]))[0]
+        return PairwiseConsistency(graph, poses, chains, closures).squared_distances(np.array([0]), np.array([1]))[0]
 
     assert squared(replace(graph, shared=None)) > pose_graph.GATE
     assert squared(graph) < pose_graph.GATE

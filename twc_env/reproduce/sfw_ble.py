@@ -24,7 +24,7 @@ from twc_env.reproduce import sfw_scoring as scoring
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.sfw_walks import WalkReadings
 from twc_env.slam.k_clusters import k_means, predict_walls, sliding_window
-from twc_env.slam.k_visibility_signal import fit_alike
+from twc_env.slam.k_visibility_signal import fit_identical_routers
 from twc_env.slam.path_bins import bin_along_path
 
 SUMMARY = "number of walls crossed in a real flat with six BLE transmitters"
@@ -94,7 +94,7 @@ def measure(run: str, folder: Path, out: Path | None) -> dict:
         for r in range(len(routers)):
             smooth = sliding_window(walk.rssi_dbm[heard[:, r], r], _WINDOW)
             by_means[heard[:, r], r] = predict_walls(smooth, k_means(smooth, k_max + 1))
-        by_signal = np.column_stack([fit.walls[bins.bin_of] for fit in fit_alike(bins, routers, k_max)])
+        by_signal = np.column_stack([fit.walls[bins.bin_of] for fit in fit_identical_routers(bins, routers, k_max)])
         found = {"k-means": by_means, "known signal": known, "map": structure.walls, "ours": by_signal}
         figures |= {f"{method} {k_max}": np.minimum(walls, k_max)[heard] for method, walls in found.items()}
     if out is not None:

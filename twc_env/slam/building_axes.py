@@ -33,58 +33,58 @@ class BuildingAxes:
     std_rad: float = STD_RAD
     """Standard deviation of their direction from the axis, for segments of `LENGTH_M` or more."""
 
-    def fitted(self, places: Array) -> BuildingAxes:
+    def fitted(self, positions: Array) -> BuildingAxes:
         """The model with the share fitted to these positions by expectation maximisation."""
         axes = self
         for _ in range(ITERATIONS):
-            axes = replace(axes, share=float(axes._along(places)[1].mean()))
+            axes = replace(axes, share=float(axes._fit_axis(positions)[1].mean()))
         return axes
 
-    def deviation_rad(self, places: Array) -> float:
+    def deviation_rad(self, positions: Array) -> float:
         """RMS deviation of segments from the axis they follow; positions at least `LENGTH_M` apart."""
-        off, along, _ = self._along(places)
-        return float(np.sqrt((along * off**2).sum() / max(along.sum(), 1e-12)))
+        deviation, probability, _ = self._fit_axis(positions)
+        return float(np.sqrt((probability * deviation**2).sum() / max(probability.sum(), 1e-12)))
 
-    def cost(self, places: Array) -> float:
+    def cost(self, positions: Array) -> float:
         """Negative log-likelihood ratio of the positions under the fitted axes against uniform directions."""
-        off, _, std = self._along(places)
-        return -float(np.log(1.0 - self.share + self.share * _density(off, std)).sum())
+        deviation, _, std = self._fit_axis(positions)
+        return -float(np.log(1.0 - self.share + self.share * _density(deviation, std)).sum())
 
-    def slopes(self, places: Array) -> tuple[Array, Array]:
+    def slopes(self, positions: Array) -> tuple[Array, Array]:
         """Gradient (p, 2) of minus the cost with respect to the positions [1/m], and its information (p, 2, p, 2)
         [1/m2] with the unknown axis direction marginalised out.
 
         Only the direction of a segment is differentiated, not the dependence of its standard deviation on its length;
         otherwise segments shorter than `LENGTH_M` would be lengthened to fit the axes better.
         """
-        off, along, std = self._along(places)
-        weight = along / std**2
+        deviation, probability, std = self._fit_axis(positions)
+        weight = probability / std**2
         information = np.diag(weight) - np.outer(weight, weight) / max(weight.sum(), 1e-12)
-        ways, count = np.diff(places, axis=0), len(places)
-        length2 = np.maximum((ways**2).sum(axis=1), LENGTH_MIN_M**2)
-        turns, k = np.zeros((len(ways), count, 2)), np.arange(len(ways))
-        turns[k, k + 1] = np.column_stack([-ways[:, 1], ways[:, 0]]) / length2[:, None]
-        turns[k, k] = -turns[k, k + 1]
-        flat = turns.reshape(len(ways), -1)
-        return (-(weight * off) @ flat).reshape(count, 2), (flat.T @ information @ flat).reshape(2 * (count, 2))
+        segments, count = np.diff(positions, axis=0), len(positions)
+        length2 = np.maximum((segments**2).sum(axis=1), LENGTH_MIN_M**2)
+        jacobian, k = np.zeros((len(segments), count, 2)), np.arange(len(segments))
+        jacobian[k, k + 1] = np.column_stack([-segments[:, 1], segments[:, 0]]) / length2[:, None]
+        jacobian[k, k] = -jacobian[k, k + 1]
+        flat = jacobian.reshape(len(segments), -1)
+        return (-(weight * deviation) @ flat).reshape(count, 2), (flat.T @ information @ flat).reshape(2 * (count, 2))
 
-    def _along(self, places: Array) -> tuple[Array, Array, Array]:
+    def _fit_axis(self, positions: Array) -> tuple[Array, Array, Array]:
         """(p - 1,) of each segment: deviation from the fitted axis [rad], probability of following it, and standard
         deviation of its direction [rad]. The axis is fitted by expectation maximisation."""
-        ways = np.diff(places, axis=0)
-        direction = np.arctan2(ways[:, 1], ways[:, 0])
-        length = np.maximum(np.hypot(ways[:, 0], ways[:, 1]), LENGTH_MIN_M)
+        segments = np.diff(positions, axis=0)
+        direction = np.arctan2(segments[:, 1], segments[:, 0])
+        length = np.maximum(np.hypot(segments[:, 0], segments[:, 1]), LENGTH_MIN_M)
         std = self.std_rad * np.maximum(1.0, LENGTH_M / length)
         axis = float(np.angle(np.exp(4j * direction).sum())) / 4
         for _ in range(ITERATIONS):
-            off = wrap_angle(4 * (direction - axis)) / 4
-            density = self.share * _density(off, std)
-            along = density / (1.0 - self.share + density)
-            weight = along / std**2
-            axis += float((weight * off).sum() / max(weight.sum(), 1e-12))
-        return off, along, std
+            deviation = wrap_angle(4 * (direction - axis)) / 4
+            density = self.share * _density(deviation, std)
+            probability = density / (1.0 - self.share + density)
+            weight = probability / std**2
+            axis += float((weight * deviation).sum() / max(weight.sum(), 1e-12))
+        return deviation, probability, std
 
 
-def _density(off: Array, std: Array) -> Array:
+def _density(deviation: Array, std: Array) -> Array:
     """Likelihood ratio of a segment that follows an axis, off by this much, against a uniform direction."""
-    return 0.5 * np.pi * np.exp(-0.5 * (off / std) ** 2) / (std * np.sqrt(2 * np.pi))
+    return 0.5 * np.pi * np.exp(-0.5 * (deviation / std) ** 2) / (std * np.sqrt(2 * np.pi))

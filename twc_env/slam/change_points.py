@@ -50,14 +50,14 @@ def refine_changes(walls: Array, loss_db: Array, excess_db: Array, travel_m: Arr
 @kernel
 def _refine(walls, loss, excess, travel, noise, shadowing):
     """Alternately move the change points and remove unsupported short runs, in place; noise and shadowing [dB2]."""
-    home = travel.copy()  # position according to the map of the change point before reading i
+    map_travel = travel.copy()  # position according to the map of the change point before reading i
     for _ in range(_SWEEPS):
-        _move_changes(walls, loss, home, excess, travel, noise, shadowing)
+        _move_changes(walls, loss, map_travel, excess, travel, noise, shadowing)
         _drop_detours(walls, loss, excess, travel, noise, shadowing)
 
 
 @kernel
-def _move_changes(walls, loss, home, excess, travel, noise, shadowing):
+def _move_changes(walls, loss, map_travel, excess, travel, noise, shadowing):
     """Coordinate ascent: move one change point at a time to its most probable position between its neighbours."""
     count, at = walls.shape[0], 1
     while at < count:
@@ -69,20 +69,20 @@ def _move_changes(walls, loss, home, excess, travel, noise, shadowing):
             first -= 1
         while last < count - 1 and walls[last + 1] == walls[at] and travel[last] - travel[at] < REACH_M:
             last += 1
-        left, right, came = loss[at - 1], loss[at], home[at]
-        best, place = -np.inf, at
+        left, right, origin = loss[at - 1], loss[at], map_travel[at]
+        best, moved_to = -np.inf, at
         for c in range(first + 1, last + 1):
             value = right if c < at else left
             score = _likelihood(loss, excess, travel, first, last, min(c, at), max(c, at), value, noise, shadowing)
-            score -= abs(travel[c] - came) / _MAP_ERROR_M
+            score -= abs(travel[c] - origin) / _MAP_ERROR_M
             if score > best:
-                best, place = score, c
+                best, moved_to = score, c
         after, before = walls[at], walls[at - 1]
-        for i in range(min(at, place), max(at, place)):
-            walls[i] = after if place < at else before
-            loss[i] = right if place < at else left
-        home[place] = came
-        at = max(at, place) + 1
+        for i in range(min(at, moved_to), max(at, moved_to)):
+            walls[i] = after if moved_to < at else before
+            loss[i] = right if moved_to < at else left
+        map_travel[moved_to] = origin
+        at = max(at, moved_to) + 1
 
 
 @kernel

@@ -19,7 +19,7 @@ WINDOW_STEPS = 10
 """Neighbouring closures of one group are at most this many poses apart at both ends."""
 
 
-class Pairs:
+class PairwiseConsistency:
     """Consistency test for pairs of closures.
 
     Closure k with ends i, j and measurement z states that the map of the second chain has the pose T_k = X_i z X_j^-1
@@ -29,32 +29,24 @@ class Pairs:
 
     def __init__(self, graph: Graph, poses: Array, chains: Chains, closures: Array):
         self.i, self.j = np.ascontiguousarray(graph.edges[closures].T)
-        put = compose(poses[self.i], graph.measured[closures])
-        claim = compose(put, inverse(poses[self.j]))
-        noise = turned(adjoint(put), np.linalg.inv(graph.information[closures]))
-        bent = chains.shared_error_columns(poses)
-        bent = np.zeros((0, 3, 3)) if bent is None else bent
-        self._facts = (
-            claim,
-            adjoint(claim),
-            noise,
-            self.i,
-            self.j,
-            chains.step,
-            chains.accumulated_covariance(poses),
-            bent,
-        )
+        placed = compose(poses[self.i], graph.measured[closures])
+        claim = compose(placed, inverse(poses[self.j]))
+        noise = turned(adjoint(placed), np.linalg.inv(graph.information[closures]))
+        shared = chains.shared_error_columns(poses)
+        shared = np.zeros((0, 3, 3)) if shared is None else shared
+        odometry = chains.step, chains.accumulated_covariance(poses), shared
+        self._arguments = claim, adjoint(claim), noise, self.i, self.j, *odometry
 
-    def squared(self, a: Array, b: Array) -> Array:
+    def squared_distances(self, a: Array, b: Array) -> Array:
         """(k,) squared Mahalanobis distances between closures a and b (k,): chi-squared, three degrees of freedom."""
-        return _disagreements(a, b, *self._facts)
+        return _disagreements(a, b, *self._arguments)
 
-    def agreement(self, members: Array) -> Array:
+    def consistency_matrix(self, members: Array) -> Array:
         """(m, m) bool consistency matrix of some closures (m,), at `GATE`; False on the diagonal."""
-        agree = np.zeros((len(members), len(members)), bool)
+        is_consistent = np.zeros((len(members), len(members)), bool)
         p, q = np.tril_indices(len(members), -1)
-        agree[p, q] = agree[q, p] = self.squared(members[p], members[q]) < GATE
-        return agree
+        is_consistent[p, q] = is_consistent[q, p] = self.squared_distances(members[p], members[q]) < GATE
+        return is_consistent
 
 
 @kernel
@@ -126,48 +118,48 @@ def pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
     chains = Chains(graph, poses)
     poses = chains.dead_reckoning(poses)
     closures = np.flatnonzero(graph.is_closure)
-    pairs = Pairs(graph, poses, chains, closures)
+    pairs = PairwiseConsistency(graph, poses, chains, closures)
     ends = np.stack([chains.chain[pairs.i], chains.chain[pairs.j]], axis=1)
     accepted = ~graph.is_closure
     for one in np.unique(ends, axis=0):
         members = np.flatnonzero((ends == one).all(axis=1))
-        accepted[closures[members[_greedy_clique(pairs.agreement(members))]]] = True
+        accepted[closures[members[_greedy_clique(pairs.consistency_matrix(members))]]] = True
     return graph.fit(poses, accepted.astype(float)), accepted
 
 
 @kernel
-def _greedy_clique(agree):
+def _greedy_clique(is_consistent):
     """Members of a large clique of the consistency matrix (n, n), ascending.
 
     Greedy: from each of the ten nodes of highest degree, repeatedly add the node that leaves most candidates.
     """
-    count = len(agree)
-    degree = agree.sum(axis=1)
+    count = len(is_consistent)
+    degree = is_consistent.sum(axis=1)
     seeds = np.argsort(-degree, kind="mergesort")[:10]
     best = np.zeros(0, np.int64)
     for seed in seeds:
-        choice = np.flatnonzero(agree[seed])
+        choice = np.flatnonzero(is_consistent[seed])
         choice = choice[choice != seed]
         votes = np.zeros(count, np.int64)
         for a in choice:
             for b in choice:
-                votes[a] += agree[a, b]
+                votes[a] += is_consistent[a, b]
         clique = [seed]
         while len(choice):
             chosen = choice[np.argmax(votes[choice])]
             clique.append(chosen)
-            kept = [c for c in choice if agree[chosen, c] and c != chosen]
+            kept = [c for c in choice if is_consistent[chosen, c] and c != chosen]
             for c in choice:
-                if not agree[chosen, c] or c == chosen:
+                if not is_consistent[chosen, c] or c == chosen:
                     for k in kept:
-                        votes[k] -= agree[k, c]
+                        votes[k] -= is_consistent[k, c]
             choice = np.array(kept, dtype=np.int64)
         if len(clique) > len(best):
             best = np.array(clique, dtype=np.int64)
     return np.sort(best)
 
 
-def neighbour_groups(pairs: Pairs, chains: Chains) -> Array:
+def neighbour_groups(pairs: PairwiseConsistency, chains: Chains) -> Array:
     """(k,) group index of each closure: consistent closures within `WINDOW_STEPS` at both ends, joined transitively."""
     i, j = pairs.i, pairs.j
     order = np.lexsort((np.arange(len(i)), chains.step[i], chains.chain[i]))
@@ -181,8 +173,8 @@ def neighbour_groups(pairs: Pairs, chains: Chains) -> Array:
         near &= np.abs(chains.step[j[b]] - chains.step[j[a]]) <= WINDOW_STEPS
         a, b = a[near], b[near]
         if len(a):
-            agree = pairs.squared(a, b) < GATE
-            for x, y in zip(a[agree].tolist(), b[agree].tolist(), strict=True):
+            is_consistent = pairs.squared_distances(a, b) < GATE
+            for x, y in zip(a[is_consistent].tolist(), b[is_consistent].tolist(), strict=True):
                 while parent[x] != x:
                     x = parent[x]
                 while parent[y] != y:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import PoseGraphConfig
 from twc_env.slam import pose_graph
-from twc_env.slam.closure_agreement import Pairs, neighbour_groups
+from twc_env.slam.closure_agreement import PairwiseConsistency, neighbour_groups
 from twc_env.slam.map_prediction import MapPrediction
 from twc_env.slam.odometry_chains import Chains
 from twc_env.slam.pose_graph import GATE, Graph
@@ -55,7 +55,7 @@ class ClosureGrowth:
         self._closures = np.flatnonzero(graph.is_closure)
         chains = Chains(graph, poses)
         self.poses = chains.dead_reckoning(poses)
-        self._group = neighbour_groups(Pairs(graph, self.poses, chains, self._closures), chains)
+        self._group = neighbour_groups(PairwiseConsistency(graph, self.poses, chains, self._closures), chains)
         self._map = MapPrediction(graph, chains, self._closures, keys_max)
         count = int(self._group.max()) + 1
         first = np.searchsorted(np.sort(self._group), np.arange(count))

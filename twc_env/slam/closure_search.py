@@ -159,7 +159,7 @@ class ClosureSearch:
             is_one_map = self._maps.group_of[target] == self._maps.group_of[source]
             if is_one_map and self._has_recent_closure(self._graph.keyframe((source, index)), candidate.sign_m is None):
                 continue
-            if self._on_request and self._maps.ask_for(self._verifier.compared(candidate, *paths)):
+            if self._on_request and self._maps.ask_for(self._verifier.scans_needed(candidate, *paths)):
                 self._awaiting_scans.append(candidate)
             else:
                 closure = self._verifier.verify(candidate, *paths)

@@ -105,10 +105,10 @@ class Forgetting:
             return np.arange(self._graph.node_count)
         poses, scans = self._graph.rows_of(nodes)
         carriers = carriers_of(poses, scans, self._graph.robot_of_node[nodes], may_go, *self._sign_readings(nodes))
-        gone = np.flatnonzero(carriers >= 0)
-        if not len(gone):
+        removed = np.flatnonzero(carriers >= 0)
+        if not len(removed):
             return np.arange(self._graph.node_count)
-        kept = self._graph.forget(nodes[gone], nodes[carriers[gone]])
+        kept = self._graph.forget(nodes[removed], nodes[carriers[removed]])
         for user in self._users:
             user.forget(kept)
         return kept

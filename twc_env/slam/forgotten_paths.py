@@ -7,7 +7,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.geometry import between, compose
 
-_PLACE = np.dtype([("robot", "i4"), ("index", "i4"), ("step", "i4"), ("carrier", "i4"), ("pose", "f4", 3)])
+_ENTRY = np.dtype([("robot", "i4"), ("index", "i4"), ("step", "i4"), ("carrier", "i4"), ("pose", "f4", 3)])
 """Robot, keyframe index and step; carrier: the node to which the keyframe is attached; pose in the carrier's frame."""
 
 
@@ -15,10 +15,10 @@ class ForgottenPaths:
     """Forgotten keyframes, each rigidly attached to a node that is kept, its carrier."""
 
     def __init__(self) -> None:
-        self._places = np.zeros(0, _PLACE)
+        self._entries = np.zeros(0, _ENTRY)
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._entries)
 
     def add(self, keyframes: tuple[Array, Array, Array], nodes: Array, carrier_of: Array, poses: Array) -> None:
         """Add forgotten keyframes: their robots, indices and steps (k,), and their nodes (k,).
@@ -26,23 +26,23 @@ class ForgottenPaths:
         carrier_of (nodes,): the kept node that carries each node, itself if it is kept; poses (nodes, 3). Earlier
         entries whose carrier is forgotten move to its carrier.
         """
-        there = np.zeros(len(nodes), _PLACE)
-        there["robot"], there["index"], there["step"] = keyframes
-        there["carrier"] = nodes
-        places = self._places = np.concatenate([self._places, there])
-        before, after = places["carrier"], carrier_of[places["carrier"]]
+        new = np.zeros(len(nodes), _ENTRY)
+        new["robot"], new["index"], new["step"] = keyframes
+        new["carrier"] = nodes
+        entries = self._entries = np.concatenate([self._entries, new])
+        before, after = entries["carrier"], carrier_of[entries["carrier"]]
         moved = np.flatnonzero(before != after)
-        away = between(poses[after[moved]], poses[before[moved]])
-        places["pose"][moved] = compose(away, places["pose"][moved])
-        places["carrier"] = after
+        relative = between(poses[after[moved]], poses[before[moved]])
+        entries["pose"][moved] = compose(relative, entries["pose"][moved])
+        entries["carrier"] = after
 
     def renumber(self, number_of: Array) -> None:
         """Replace the node indices; number_of (n,): new index of each old one."""
-        self._places["carrier"] = number_of[self._places["carrier"]]
+        self._entries["carrier"] = number_of[self._entries["carrier"]]
 
     def steps_among(self, robot: int, held: Array, steps: Array) -> Array:
         """(keyframes,) steps of a robot's complete path; steps (k,) of its keyframes in the graph, of indices held."""
-        own = self._places[self._places["robot"] == robot]
+        own = self._entries[self._entries["robot"] == robot]
         whole = np.empty(len(held) + len(own), steps.dtype)
         whole[held], whole[own["index"]] = steps, own["step"]
         return whole
@@ -50,7 +50,7 @@ class ForgottenPaths:
     def poses_among(self, robot: int, held: Array, own_poses: Array, poses: Array) -> Array:
         """(keyframes, 3) poses of a robot's complete path; own_poses (k, 3) of its keyframes in the graph, with indices
         held; poses (nodes, 3) of all nodes."""
-        own = self._places[self._places["robot"] == robot]
+        own = self._entries[self._entries["robot"] == robot]
         whole = np.empty((len(held) + len(own), 3))
         whole[held], whole[own["index"]] = own_poses, compose(poses[own["carrier"]], own["pose"])
         return whole

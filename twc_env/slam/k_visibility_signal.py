@@ -28,7 +28,7 @@ _WALL_LOSS_MIN_DB = 7.0
 _WALL_LOSS_STARTS_DB = (5.0, 8.0, 12.0, 18.0)
 _STAY_M = 1.5
 """Mean path length between changes of k, for paths along walls."""
-_ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M, _ALIKE_SHARE = (0.6, 0.1), 20.0, 0.4
+_IDENTICAL_EXPONENT_PRIOR, _IDENTICAL_STAY_M, _IDENTICAL_SHARE = (0.6, 0.1), 20.0, 0.4
 """The same for identical transmitters in a furnished flat (multipath, robot moves freely), and the prior ratio of the
 probabilities of k + 1 and k walls: weak readings behind many walls are rarely received."""
 _JUMP_DECAY = 0.15
@@ -68,41 +68,52 @@ def fit_signal(bins: PathBins, router: int, router_m: Array) -> SignalFit:
 
     Raises DataError when the router was heard in fewer than five bins.
     """
-    heard = _heard(bins, router, router_m)
-    most = max((_fit(bins, heard, K_MAX, start) for start in _WALL_LOSS_STARTS_DB), key=lambda fit: fit.log_likelihood)
-    fits = [*(_fit(bins, heard, k, most.wall_loss_db) for k in range(K_MAX)), most]
-    effective = max(len(heard[0]) * min(1.0, bins.step_m / _CORRELATION_M), 2.0)
+    readings = _readings_of(bins, router, router_m)
+    most = max(
+        (_fit(bins, readings, K_MAX, start) for start in _WALL_LOSS_STARTS_DB), key=lambda fit: fit.log_likelihood
+    )
+    fits = [*(_fit(bins, readings, k, most.wall_loss_db) for k in range(K_MAX)), most]
+    effective = max(len(readings[0]) * min(1.0, bins.step_m / _CORRELATION_M), 2.0)
     return max(fits, key=lambda fit: fit.log_likelihood - 0.5 * np.log(effective) * fit.probability.shape[1])
 
 
 def typical_signal(bins: PathBins, router: int, router_m: Array) -> SignalFit:
     """Initial guess for further estimation: typical exponent and wall loss, power from the strongest readings."""
-    rows, decades, level = _heard(bins, router, router_m)
+    rows, decades, level = _readings_of(bins, router, router_m)
     power = float(np.quantile(level + _TYPICAL_EXPONENT * decades, _TYPICAL_CLEAR))
     walls = np.clip(np.round((power - _TYPICAL_EXPONENT * decades - level) / _TYPICAL_LOSS_DB), 0, K_MAX).astype(int)
-    probability = _everywhere(bins, rows, np.eye(K_MAX + 1)[walls])
+    probability = _for_all_bins(bins, rows, np.eye(K_MAX + 1)[walls])
     return SignalFit(power, _TYPICAL_EXPONENT, _TYPICAL_LOSS_DB, 3.0, probability, -np.inf)
 
 
-def fit_alike(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
+def fit_identical_routers(bins: PathBins, router_m: Array, k_max: int) -> list[SignalFit]:
     """Joint fit of identical routers at positions (routers, 2), with common power, exponent and wall loss."""
     parts = []
     for router, place in enumerate(np.asarray(router_m, float)):
-        rows, decades, level = _heard(bins, router, place)
+        rows, decades, level = _readings_of(bins, router, place)
         steps = np.diff(bins.travel_m[rows], prepend=-np.inf)  # infinite: independent of the previous router
         parts.append((rows, decades, level, steps))
     decades, level, steps = (np.concatenate([part[i] for part in parts]) for i in (1, 2, 3))
-    tries = []
+    fits = []
     for start in _WALL_LOSS_STARTS_DB:
         score, parameters, probability = _fitted(
-            decades, level, steps, bins.step_m, k_max, start, _ALIKE_EXPONENT_PRIOR, _ALIKE_STAY_M, 40, _ALIKE_SHARE
+            decades,
+            level,
+            steps,
+            bins.step_m,
+            k_max,
+            start,
+            _IDENTICAL_EXPONENT_PRIOR,
+            _IDENTICAL_STAY_M,
+            40,
+            _IDENTICAL_SHARE,
         )
-        score += _log_prior(parameters[1], _ALIKE_EXPONENT_PRIOR) + _log_prior(parameters[2], _WALL_LOSS_PRIOR_DB)
-        tries.append((score, parameters, probability))
-    score, parameters, probability = max(tries, key=lambda tried: tried[0])
+        score += _log_prior(parameters[1], _IDENTICAL_EXPONENT_PRIOR) + _log_prior(parameters[2], _WALL_LOSS_PRIOR_DB)
+        fits.append((score, parameters, probability))
+    score, parameters, probability = max(fits, key=lambda tried: tried[0])
     shares = np.split(probability, np.cumsum([len(part[0]) for part in parts])[:-1])
     return [
-        _signal(parameters, _everywhere(bins, part[0], own), score) for part, own in zip(parts, shares, strict=True)
+        _signal(parameters, _for_all_bins(bins, part[0], own), score) for part, own in zip(parts, shares, strict=True)
     ]
 
 
@@ -120,9 +131,9 @@ def locate_router(bins: PathBins, router: int) -> tuple[Array, SignalFit]:
         for x in np.arange(low[0], high[0] + 1e-9, step_m):
             for y in np.arange(low[1], high[1] + 1e-9, step_m):
                 place = np.array([x, y])
-                heard = _heard(bins, router, place)
+                readings = _readings_of(bins, router, place)
                 for start in _WALL_LOSS_STARTS_DB[1:3]:
-                    fit = _fit(bins, heard, 3, start, iterations=6)
+                    fit = _fit(bins, readings, 3, start, iterations=6)
                     if fit.log_likelihood > best:
                         best, centre = fit.log_likelihood, place
         low, high, step_m = centre - step_m, centre + step_m, step_m / 3
@@ -131,7 +142,7 @@ def locate_router(bins: PathBins, router: int) -> tuple[Array, SignalFit]:
     return centre, fit_signal(bins, router, centre)
 
 
-def _heard(bins: PathBins, router: int, router_m: Array) -> tuple[Array, Array, Array]:
+def _readings_of(bins: PathBins, router: int, router_m: Array) -> tuple[Array, Array, Array]:
     """Indices of the bins where a router at this position was heard, their 10 log10 distance and their RSSI."""
     rows = np.flatnonzero(np.isfinite(bins.rssi_dbm[:, router]))
     if len(rows) < 5:
@@ -140,16 +151,16 @@ def _heard(bins: PathBins, router: int, router_m: Array) -> tuple[Array, Array, 
     return rows, 10.0 * np.log10(np.maximum(distance_m, DISTANCE_MIN_M)), bins.rssi_dbm[rows, router]
 
 
-def _everywhere(bins: PathBins, rows: Array, probability: Array) -> Array:
+def _for_all_bins(bins: PathBins, rows: Array, probability: Array) -> Array:
     """(bins, k + 1) from the probabilities (rows, k + 1) of bins that heard a router; others copy the next such bin."""
     return probability[np.clip(np.searchsorted(rows, np.arange(len(bins.position_m))), 0, len(rows) - 1)]
 
 
 def _fit(
-    bins: PathBins, heard: tuple[Array, Array, Array], k_max: int, start_db: float, iterations: int = 25
+    bins: PathBins, readings: tuple[Array, Array, Array], k_max: int, start_db: float, iterations: int = 25
 ) -> SignalFit:
-    """Model of one router from the output of `_heard`, starting at a wall loss."""
-    rows, decades, level = heard
+    """Model of one router from the output of `_readings_of`, starting at a wall loss."""
+    rows, decades, level = readings
     steps = np.diff(bins.travel_m[rows], prepend=bins.travel_m[rows[0]])
     score, parameters, probability = _fitted(
         decades, level, steps, bins.step_m, k_max, start_db, _EXPONENT_PRIOR, _STAY_M, iterations
@@ -157,7 +168,7 @@ def _fit(
     prior = _log_prior(parameters[1], _EXPONENT_PRIOR)
     if k_max:
         prior += _log_prior(parameters[2], _WALL_LOSS_PRIOR_DB)
-    return _signal(parameters, _everywhere(bins, rows, probability), float(score + prior))
+    return _signal(parameters, _for_all_bins(bins, rows, probability), float(score + prior))
 
 
 def _signal(parameters: Array, probability: Array, log_likelihood: float) -> SignalFit:
@@ -257,12 +268,12 @@ def _forward_backward(log_emit, steps, stay, share, forward, probability):
         _transitions(steps[i] if i > 0 else np.inf, stay, share, transition)
         for k in range(states):
             if i == 0:
-                came = transition[0, k]
+                predicted = transition[0, k]
             else:
-                came = 0.0
+                predicted = 0.0
                 for j in range(states):
-                    came += forward[i - 1, j] * transition[j, k]
-            forward[i, k] = came * np.exp(log_emit[i, k] - top)
+                    predicted += forward[i - 1, j] * transition[j, k]
+            forward[i, k] = predicted * np.exp(log_emit[i, k] - top)
             scale += forward[i, k]
         for k in range(states):
             forward[i, k] /= scale

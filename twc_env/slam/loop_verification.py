@@ -116,13 +116,13 @@ class LoopVerifier:
                 return searched
         return match
 
-    def compared(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
+    def scans_needed(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
         """(robot, keyframe index) of every scan that `verify` needs."""
         reach = self._config.cloud_reach_m
         target, source = _keyframes_of(candidate, target_path, source_path)
-        near = _neighbours(target, target_path, reach)
-        near += _neighbours(source, source_path, min(reach, SPACING_M))
-        return [k.key for k in near]
+        keyframes = _neighbours(target, target_path, reach)
+        keyframes += _neighbours(source, source_path, min(reach, SPACING_M))
+        return [k.key for k in keyframes]
 
     def _draw_target(self, target: Keyframe, path: Path) -> None:
         if self._drawn == target.key and path[-1].travel_m > target.travel_m + self._config.cloud_reach_m:
@@ -152,7 +152,7 @@ class SignVerifier:
         """The candidate's guess as the measurement."""
         return LoopClosure(candidate, candidate.guess, np.diag(np.square(SIGN_ALONE_STD)), 0.0, "accepted")
 
-    def compared(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
+    def scans_needed(self, candidate: LoopCandidate, target_path: Path, source_path: Path) -> list[tuple[int, int]]:
         """No scans."""
         return []
 
@@ -171,10 +171,10 @@ def _keyframes_of(candidate: LoopCandidate, target_path: Path, source_path: Path
 def _neighbours(keyframe: Keyframe, path: Path, reach_m: float) -> list[Keyframe]:
     """The keyframe, followed by others of its robot within reach_m of path length, at least SPACING_M apart."""
     chosen, here_m, position = [keyframe], keyframe.travel_m, path_position(path, keyframe.index)
-    for way, places in ((-1.0, range(position - 1, -1, -1)), (1.0, range(position + 1, len(path)))):
-        first_m = last_m = way * here_m
-        for k in places:
-            other_m = way * path[k].travel_m
+    for direction, positions in ((-1.0, range(position - 1, -1, -1)), (1.0, range(position + 1, len(path)))):
+        first_m = last_m = direction * here_m
+        for k in positions:
+            other_m = direction * path[k].travel_m
             if other_m - first_m > reach_m:
                 break
             if other_m - last_m >= SPACING_M:
