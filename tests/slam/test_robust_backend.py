@@ -80,7 +80,7 @@ def test_a_false_room_that_agrees_with_itself_is_refused_as_a_group():
     assert not result.accepted[-20:].any()
     assert result.accepted[: len(graph.edges)].all()
     refused = result.rejections[-20:]
-    assert all("group of 20 agrees with itself but contradicts the map" in r.reason for r in refused)
+    assert all("group of 20 is self-consistent but contradicts the map" in r.reason for r in refused)
     assert worst_m(solve("plain", start, corrupted).poses, true) > 1.0, "believed, it would bend the map"
 
 

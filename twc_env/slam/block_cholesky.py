@@ -15,15 +15,14 @@ from twc_env.slam.growing import enlarged
 DENSE_FROM = 24
 """Sparse elimination stops when every remaining node has at least this many neighbours ..."""
 DENSE_SHARE = 0.15
-"""... and at least this share of the remaining nodes as neighbours; the rest is factorised densely."""
+"""... and at least this share of the remaining nodes; these are factorised densely."""
 
 
 class BlockCholesky:
-    """Symbolic factorisation of H, and solutions of H x = b, for H with blocks on the diagonal and at the given pairs.
+    """Factorisation of H, and solutions of H x = b, for H with blocks on the diagonal and at the given pairs.
 
-    pairs (e, 2) int: block rows 0..count-1 of each edge; pairs with a negative row or two equal rows have no block.
-    After construction `block_of_pair` (e,) is the index of each pair's off-diagonal block (-1: none), which holds
-    H[larger, smaller].
+    pairs (e, 2) int: block rows 0..count-1 of each edge; a pair with a negative row has no block. `block_of_pair` (e,)
+    is the index of each pair's off-diagonal block (-1: none), which holds H[larger, smaller].
     """
 
     def __init__(self, pairs: Array, count: int):
@@ -64,8 +63,7 @@ class BlockCholesky:
 def _eliminate(pairs, count, dense_from, dense_share):
     """Symbolic factorisation: minimum-degree elimination on linked lists of neighbours.
 
-    Block k occupies the list cells 2 k (list of the smaller node) and 2 k + 1 (list of the larger). Eliminating a node
-    connects all its neighbours (fill-in).
+    Block k has the cells 2 k (list of the smaller node) and 2 k + 1. An eliminated node connects all its neighbours.
     """
     neighbour = np.empty(4 * len(pairs) + 16, np.int32)
     following = np.empty(len(neighbour), np.int32)
@@ -212,9 +210,7 @@ def _eliminate(pairs, count, dense_from, dense_share):
 def factorise(order, start, node_of, block_of, target_start, target, diagonal, blocks, lower, right):
     """Numeric factorisation and forward substitution, in place; False if H is not positive definite.
 
-    order (s,): eliminated nodes; start (s + 1,): the range of each node's column in node_of and block_of (fill
-    included); target_start (s + 1,) and target: the blocks that the column's outer product updates. diagonal (n, 3, 3)
-    receives the Cholesky factors, lower (len(node_of), 3, 3) the columns of L, right (n, 3) the forward solution.
+    diagonal (n, 3, 3) receives the Cholesky factors, lower (k, 3, 3) the columns, right (n, 3) the forward solution.
     """
     for step in range(len(order)):
         p = order[step]
@@ -289,7 +285,7 @@ def factorise(order, start, node_of, block_of, target_start, target, diagonal, b
 
 @kernel
 def _dense_rest(rest, pairs, diagonal, blocks, right):
-    """Lower triangle of the remaining dense matrix, column-major for LAPACK, and its right-hand side (size, 1)."""
+    """Lower triangle of the remaining matrix, column-major for LAPACK, and its right-hand side."""
     size = 3 * len(rest)
     dense = np.zeros((size, size)).T
     part = np.empty((size, 1))

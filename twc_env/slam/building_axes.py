@@ -1,8 +1,8 @@
 """Prior on path directions: segments of a path in a building mostly follow one of two orthogonal wall directions.
 
-Heuristic drift elimination (Borenstein & Ojeda 2010) applied to a complete path. The axis directions and the share of
-segments that follow them are fitted to each path; a small share makes the prior weak. The standard deviation of the
-direction was calibrated on robots in real buildings. Scripted walks deviate by less than one degree; this is not used.
+Heuristic drift elimination (Borenstein & Ojeda 2010) for a complete path. The axes and the share of segments that
+follow them are fitted to each path; a small share makes the prior weak. The standard deviation comes from robots in
+real buildings; that of scripted walks, below one degree, is not used.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from numpy.typing import NDArray as Array
 from twc_env.geometry import wrap_angle
 
 STD_RAD, LENGTH_M = np.radians(5.0), 3.0
-"""Standard deviation of the direction of segments at least this long; shorter ones deviate more, in inverse proportion
-to their length. In laser logs of five buildings: 2.8 to 5.7 degrees, median 4.9; share 0.28 to 0.91
+"""Standard deviation of the direction of segments at least this long; that of shorter ones is inversely proportional to
+their length. Laser logs of five buildings: 2.8 to 5.7 degrees, median 4.9; share 0.28 to 0.91
 (`reproduce building-axes`)."""
 LENGTH_MIN_M = 0.01
 """Shorter segments are treated as this long."""
@@ -51,11 +51,10 @@ class BuildingAxes:
         return -float(np.log(1.0 - self.share + self.share * _density(deviation, std)).sum())
 
     def slopes(self, positions: Array) -> tuple[Array, Array]:
-        """Gradient (p, 2) of minus the cost with respect to the positions [1/m], and its information (p, 2, p, 2)
-        [1/m2] with the unknown axis direction marginalised out.
+        """Gradient (p, 2) of minus the cost by the positions [1/m], and information (p, 2, p, 2) [1/m2] with the axis
+        direction marginalised out.
 
-        Only the direction of a segment is differentiated, not the dependence of its standard deviation on its length;
-        otherwise segments shorter than `LENGTH_M` would be lengthened to fit the axes better.
+        The standard deviation's dependence on the length is not differentiated: it would lengthen short segments.
         """
         deviation, probability, std = self._fit_axis(positions)
         weight = probability / std**2

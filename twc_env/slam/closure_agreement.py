@@ -16,15 +16,14 @@ from twc_env.slam.pose_graph import GATE, Graph
 from twc_env.slam.twists import adjoint, turned
 
 WINDOW_STEPS = 10
-"""Neighbouring closures of one group are at most this many poses apart at both ends."""
+"""Neighbours of one group are at most this many poses apart at both ends."""
 
 
 class PairwiseConsistency:
     """Consistency test for pairs of closures.
 
-    Closure k with ends i, j and measurement z states that the map of the second chain has the pose T_k = X_i z X_j^-1
-    in the map of the first, with X from odometry. Two closures are consistent if the twist of T_a T_b^-1 is small
-    for the covariance of both measurements and of the odometry between their ends.
+    Closure k measures the pose T_k = X_i z X_j^-1 of the second chain in the first, with X from odometry. Two closures
+    are consistent if the twist of T_a T_b^-1 is explained by their noise and the odometry between their ends.
     """
 
     def __init__(self, graph: Graph, poses: Array, chains: Chains, closures: Array):
@@ -38,11 +37,11 @@ class PairwiseConsistency:
         self._arguments = claim, adjoint(claim), noise, self.i, self.j, *odometry
 
     def squared_distances(self, a: Array, b: Array) -> Array:
-        """(k,) squared Mahalanobis distances between closures a and b (k,): chi-squared, three degrees of freedom."""
+        """(k,) squared Mahalanobis distances between closures a and b (k,)."""
         return _disagreements(a, b, *self._arguments)
 
     def consistency_matrix(self, members: Array) -> Array:
-        """(m, m) bool consistency matrix of some closures (m,), at `GATE`; False on the diagonal."""
+        """(m, m) bool: which of these closures are consistent; False on the diagonal."""
         is_consistent = np.zeros((len(members), len(members)), bool)
         p, q = np.tril_indices(len(members), -1)
         is_consistent[p, q] = is_consistent[q, p] = self.squared_distances(members[p], members[q]) < GATE
@@ -89,10 +88,9 @@ def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown, bent):
 
 @kernel
 def _add_shared_errors(ad, forth, back, total):
-    """Add to total (3, 3), in place, the covariance of shared odometry errors (`shared_errors`) on two stretches.
+    """Add the covariance of shared odometry errors on two stretches to total (3, 3), in place.
 
-    forth and back (3, 3): effect of shared errors of one standard deviation on the stretch at the first and at the
-    second ends. The two are treated as independent, as if they belonged to different robots.
+    forth, back (3, 3): effect of shared errors of one standard deviation on each stretch, treated as independent.
     """
     moved = np.zeros((3, 3))
     for p in range(3):
@@ -114,7 +112,7 @@ def _disagreements(first, second, claim, adjoint, noise, i, j, step, grown, bent
 
 
 def pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
-    """Poses (n, 3) and accepted edges (e,) of PCM: a large pairwise consistent set for each pair of odometry chains."""
+    """Poses (n, 3) and accepted edges (e,) of PCM: a large consistent set for each pair of chains."""
     chains = Chains(graph, poses)
     poses = chains.dead_reckoning(poses)
     closures = np.flatnonzero(graph.is_closure)
@@ -129,10 +127,7 @@ def pairwise_consistent(graph: Graph, poses: Array) -> tuple[Array, Array]:
 
 @kernel
 def _greedy_clique(is_consistent):
-    """Members of a large clique of the consistency matrix (n, n), ascending.
-
-    Greedy: from each of the ten nodes of highest degree, repeatedly add the node that leaves most candidates.
-    """
+    """Members of a large clique: from each of ten best connected nodes, greedily add what leaves most candidates."""
     count = len(is_consistent)
     degree = is_consistent.sum(axis=1)
     seeds = np.argsort(-degree, kind="mergesort")[:10]

@@ -52,10 +52,10 @@ def fill_closure_covariance(information, priors, heading, room, out):
 
 
 def closure_covariance(information: Array, priors: Array, heading_rad: float) -> Array:
-    """(3, 3) covariance of a measured pose with this heading, in the axes of that pose (the source).
+    """(3, 3) covariance of a measured pose with this heading, in its own axes.
 
-    information (3, 3) of the match and priors (2, 3, 3), also information, are in the axes of the frame in which the
-    pose is measured (the target). The second prior is used if the first gives a standard deviation above `LOOSE_M`.
+    information (3, 3) of the match and priors (2, 3, 3) are in the axes of the reference frame. The second prior is
+    used if the closure would be loose with the first.
     """
     out = np.empty((3, 3))
     fill_closure_covariance(information, priors, heading_rad, np.empty((2, 3, 3)), out)

@@ -1,11 +1,10 @@
 """The robust back end `ours`: accepts groups of closures incrementally, most certain first, and revokes outliers.
 
 Neighbouring closures that are consistent given the odometry between them form a group. A group counts once, whatever
-its size, because similar rooms produce false closures that are consistent with each other. A group is accepted if its
-log odds are high: the likelihood ratio of its measurement given the current map against a uniformly distributed place
-in the building, plus a prior. While drift is too large for that, several groups are accepted jointly. After each
-acceptance the graph is optimised with an increasingly robust kernel, which makes the next test more precise; closures
-that then contradict the rest are revoked.
+its size, because similar rooms produce false closures that are consistent with each other. It is accepted if its log
+odds are high: the likelihood ratio of its measurement under the current map against a uniformly distributed pose, plus
+a prior. While drift is too large for that, several groups are accepted jointly. After each acceptance the graph is
+optimised with increasingly robust kernels; closures that then contradict the rest are revoked.
 """
 
 from __future__ import annotations
@@ -30,14 +29,12 @@ it."""
 SINGLE_GATE = 9.348
 """The same in the final check of closures in a group of one: 97.5 % of chi-squared with three degrees of freedom."""
 UNCHECKED_BELOW = 0.25
-"""A closure is unchecked if its residual keeps less than this share of its own noise after the fit: no other closure
-constrains the same poses."""
+"""A closure whose residual keeps less than this share of its own noise after the fit is not checked by others."""
 UNCHECKED_MAX, RETRY_ROUNDS_MAX, REVOCATIONS_MAX = 12, 10, 3
-"""With more unchecked closures than this none is tested (they are dead ends of a well constrained graph); rounds of
-acceptance without one of them; how often a group may be revoked."""
+"""With more unchecked closures (dead ends of a well constrained graph) none is tested; rounds of acceptance without one
+of them; how often a group may be revoked."""
 ODDS_SURE, ODDS_LIKELY, ODDS_JOINT = 8.0, 1.5, 3.0
-"""Log odds to accept many groups in one round; if there are none, to accept the best one; and joint log odds to accept
-a set of groups if none is likely on its own."""
+"""Log odds to accept many groups at once; otherwise to accept the best one; otherwise to accept several jointly."""
 PRIOR_GROUPS = 30
 """Weight, in groups, of the share of true groups among all against that among the undecided ones."""
 PRIOR_COUNTS = (3, 1)
@@ -141,10 +138,9 @@ class ClosureGrowth:
         return min(sets, key=lambda found: (len(found[0]), -found[1]))[0] if sets else []
 
     def _grow_set(self, seed: int, joint: Array, error: Array, odds: Array, prior: Array) -> tuple[list[int], float]:
-        """A set of groups grown greedily from `seed` until its joint log odds exceed `ODDS_JOINT`, and these odds.
+        """A set of groups grown greedily from `seed` until its joint log odds exceed `ODDS_JOINT`, or empty; the odds.
 
-        Each added group conditions the predicted errors of the others, as in a Kalman update. Empty if the odds are
-        not reached.
+        Each added group conditions the predicted errors of the others (Kalman update).
         """
         members, chosen, total = [seed], seed, float(odds[seed])
         is_outside = np.ones(len(error), bool)
@@ -198,10 +194,7 @@ class ClosureGrowth:
         return True
 
     def _retry_without_unchecked(self) -> None:
-        """Remove each accepted single closure that no other checks, and keep the result if more groups are accepted.
-
-        One false closure can otherwise exclude several consistent ones.
-        """
+        """Try without each single closure that no other checks: a false one may exclude several consistent ones."""
         self._predict()
         used = np.flatnonzero(self._used() & (self._size[self._group] == 1))
         if not len(used) or self._accepted.all():
@@ -256,11 +249,11 @@ class ClosureGrowth:
         for k in np.flatnonzero(~kept):
             group = self._group[k]
             if squared[k] < GATE:
-                why = "unproven: drift is too large to tell it from a false one"
+                why = "unproven: drift is too large to distinguish it from a false closure"
             elif share[group] > 0:
-                why = "contradicts its own group and the map"
+                why = "contradicts its group and the map"
             elif self._size[group] > 1:
-                why = f"its group of {self._size[group]} agrees with itself but contradicts the map"
+                why = f"its group of {self._size[group]} is self-consistent but contradicts the map"
             else:
                 why = "contradicts the map"
             reasons[int(self._closures[k])] = f"{why} (squared error {squared[k]:.1f}, log evidence {evidence[k]:.1f})"

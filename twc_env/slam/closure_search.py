@@ -147,9 +147,9 @@ class ClosureSearch:
             queue += waiting
 
     def next_closure(self) -> LoopClosure | None:
-        """Verify the first useful candidate whose scans are available; None if the queues are empty.
+        """Verify the next candidate whose scans are here; None if the queues are empty.
 
-        Missing scans are requested. Inside one map, candidates of a keyframe with a recent closure are dropped.
+        Missing scans are requested. Inside one map, candidates of a robot with a recent closure are dropped.
         """
         while self.waiting_count:
             candidate = next(filter(None, self._waiting.values())).popleft()
@@ -177,7 +177,7 @@ class ClosureSearch:
         if closure.status != "accepted" or closure.is_loose or not isinstance(self._verifier, LoopVerifier):
             return
         if not self._verifier.is_fixed_by_walls(closure, target_path, source_path, self._robot_width_m):
-            closure.status, closure.reason = "rejected", "nothing but what may be robots fixes its place"
+            closure.status, closure.reason = "rejected", "constrained only by objects that may be robots"
 
     def scans_arrived(self) -> None:
         """Requested scans have arrived: put the candidates that waited for them at the front of their queues."""

@@ -34,7 +34,7 @@ def restricted_config(config: EnvConfig) -> EnvConfig:
 
 
 def _recognition(rule: PlaceRecognitionConfig, cues: CuesConfig) -> PlaceRecognitionConfig:
-    """The settings with the recogniser that uses most of the enabled cues; a user's recogniser is kept."""
+    """Settings with the recogniser that uses most of the enabled cues."""
     if is_in_file(rule.recogniser):
         return rule if cues.lidar else dataclasses.replace(rule, proximity_m=0.0)
     if not cues.lidar:

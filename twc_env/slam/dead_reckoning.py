@@ -122,7 +122,7 @@ class _OdometryBeliefs(TeamBeliefs):
     __slots__ = ("_ranges_m", "_steps")
 
     def __init__(self, poses: Array, constant: tuple, steps: Sequence[int] | int, ranges_m: Sequence[Array] | Array):
-        # Does not call the parent's: this runs in every step and dominates the cost of an environment without engine.
+        # Sets the parent's fields directly: faster, and this runs in every step of an environment without engine.
         self._records, self.poses = None, poses
         self.since_closure_m, self.grids, self.signs, self.mates, self.mate_poses, self.contact_steps = constant
         self._steps, self._ranges_m = steps, ranges_m

@@ -1,9 +1,8 @@
 """RSSI offsets between the receivers of the robots, estimated where two robots read the same sign.
 
-A more sensitive receiver reports all transmitters a few dB stronger and lists faint ones that another misses; the
-fingerprints of one place then look different. If two robots read the same text and their RSSI differs by nearly the
-same amount for all common transmitters, that amount is the receivers' offset. At two different places the differences
-would vary between transmitters.
+A more sensitive receiver reports all transmitters a few dB stronger and lists faint ones that another misses, so
+fingerprints of one place differ. If two robots read the same text and their RSSI differs by about the same amount for
+all common transmitters, that is the receivers' offset. At different places it would vary between transmitters.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint
 
 OFFSET_MIN_DB, TRANSMITTERS_MIN, PLACES_MIN, LETTERS_MIN = 6.0, 3, 3, 3
-"""An offset is used if it exceeds the first value and was measured with at least this many common transmitters, at this
-many places, with texts of this many letters. The middle half of the places must agree on its sign."""
+"""An offset must exceed the first value and be measured with this many common transmitters at this many places, with
+texts of this many letters. The middle half of the places must agree on its sign."""
 SCATTER_MAX_DB = 5.0
 """Differences that scatter by more (rms) come from two different places."""
 
@@ -31,20 +30,16 @@ class DeviceOffsets:
         self.offset_db = np.zeros((0, 0))
         """[a, b]: RSSI of b minus RSSI of a at the same place; 0 while unknown or small."""
         self.faintest_dbm = np.zeros(0)
-        """Of each robot: RSSI of its faintest transmitter, averaged over the places where another robot read the same
-        text."""
+        """RSSI of each robot's faintest transmitter, averaged over places where another robot read the same text."""
         self._listened_count: list[int] = []
         """Number of places in that average."""
         self._heard: list[dict[str, Fingerprint]] = []
         """Of each robot: text -> fingerprint where the robot first read it; without empty fingerprints."""
         self._places: list[list[list[float]]] = []
-        """[a][b]: mean differences (b minus a) [dB] at the places that both visited, ascending."""
+        """[a][b]: differences (b minus a) [dB] at places that both visited, ascending."""
 
     def note(self, robot: int, text: str, heard: Fingerprint) -> list[int]:
-        """Add the fingerprint of a robot (below the number given to `make_room`) where it reads a text.
-
-        Returns the robots whose offset to this robot has become known by it.
-        """
+        """Add the fingerprint of a robot where it reads a text; returns the robots to which its offset is now known."""
         if len(text) < LETTERS_MIN or text in self._heard[robot] or not len(heard.macs):
             return []
         self._heard[robot][text] = heard
@@ -68,11 +63,8 @@ class DeviceOffsets:
         self.faintest_dbm[robot] += (heard.rssi_dbm.min() - self.faintest_dbm[robot]) / self._listened_count[robot]
 
     def between(self, a: int, b: int) -> list[float]:
-        """Differences b minus a at all common places [dB], ascending.
-
-        If there are fewer than `PLACES_MIN`, differences via third robots are added: their median offset to a plus
-        each difference between them and b.
-        """
+        """Differences b minus a at all common places [dB], ascending; if too few, also via third robots (their median
+        offset to a plus their differences to b)."""
         found = self._places[a][b]
         if len(found) >= PLACES_MIN:
             return found

@@ -39,7 +39,7 @@ class Distances:
         return (np.hypot(away[:, 0], away[:, 1]) - self.distance_m) / np.sqrt(self.variance_m2)
 
     def jacobian(self, poses: Array) -> Array:
-        """(k, 2) derivative of each residual with respect to the first position; for the second it is the negative."""
+        """(k, 2) derivative of each residual by the first position; that by the second is its negative."""
         away = poses[self.pairs[:, 0], :2] - poses[self.pairs[:, 1], :2]
         length = np.hypot(away[:, 0], away[:, 1])
         unit = np.where((length > COINCIDENT_M)[:, None], away / np.maximum(length, COINCIDENT_M)[:, None], 0.0)
@@ -76,8 +76,7 @@ class RadioEquations(NormalEquations):
         )
 
     def fit(self, poses: Array, scale: float, iterations: int) -> Array:
-        """Optimised poses (n, 3) of one path. The first n - 1 edges are its odometry, with weight 1; all others have a
-        Cauchy loss of this scale [standard deviations]."""
+        """Optimised poses (n, 3) of a path. Its odometry, the first n - 1 edges, has weight 1; others a Cauchy loss."""
 
         def weigh(squared: Array) -> Array:
             weight = 1.0 / (1.0 + squared / scale**2)

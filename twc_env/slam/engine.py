@@ -36,10 +36,9 @@ conservative because closures are tested against it."""
 
 @borrowing_kernel
 def _believed_poses(held, poses_odom, mates, out, mate_poses):
-    """Write out (robots, 3, 3), of each robot pose in the map frame, its standard deviation and pose in the odom frame.
+    """Write out (robots, 3, 3): pose in the map frame, its standard deviation, pose in the odom frame.
 
-    Writes mate_poses (robots, robots - 1, 3), too: the mates' poses in the map frame, current (central mapper) or as
-    of the last contact. poses_odom (robots, 3); mates (robots, robots - 1), negative where there is none.
+    Also mate_poses (robots, robots - 1, 3) in the map frame: current, or as of the last contact.
     """
     poses_map_odom, std, std_share, are_heard_now, heard_poses = parts_of(held)
     for k in range(out.shape[0]):
@@ -232,10 +231,7 @@ class CooperativeSlam(CopiedWhole):
         self._run(*now)
 
     def _update_robots(self, number: int, mapper: TeamMapper) -> None:
-        """Update odom frames, drift and mates from a mapper that has changed.
-
-        Arrays that earlier beliefs refer to are replaced, not modified.
-        """
+        """Update odom frames, drift and mates if the mapper has changed; earlier beliefs keep their arrays."""
         counts, before = mapper.counts(), self._counts[number]
         if counts == before:
             return
@@ -253,7 +249,7 @@ class CooperativeSlam(CopiedWhole):
         self._since_closure_m, self._contact_steps = since_m, heard
 
     def _update_mates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
-        """Update the mates of these robots: those that share their map."""
+        """Update the mates of these robots."""
         mates = self._mates.copy()
         for robot in robots:
             others = [mate for mate in mapper.groups[mapper.group_index(robot)].robots if mate != robot]

@@ -1,8 +1,7 @@
 """Message exchange and its cost in bytes: keyframes are forwarded until every mapper has them (store and forward).
 
 Keyframes of a robot are delivered in order, so one count per robot describes what a mapper holds. With
-`scan_on_request` a keyframe is sent as its pose, texts and fingerprint; its scan is sent only to mappers that request
-it.
+`scan_on_request` a keyframe is sent without its scan, which only mappers get that request it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Removal of redundant keyframes from a large map, so that its size is bounded by the building, not by time.
 
 As in the pruning of laser scans for lifelong mapping (Kretzschmar and Stachniss 2012), but by position: a keyframe is
-forgotten if another one of the same robot that is kept was taken nearby with a free line of sight between them, and its
-signs have been read often enough by kept ones. Each robot's keyframes are thinned separately, so that a merge can still
-be undone.
+forgotten if the same robot has a kept one nearby in free line of sight, and if kept ones have read its signs often
+enough. Robots are thinned separately, so that a merge can still be undone.
 """
 
 from __future__ import annotations
@@ -20,17 +19,17 @@ from twc_env.kernels import borrowing_kernel, kernel
 from twc_env.slam.team_graph import TeamGraph
 
 LATEST, CLOSURES_KEPT = 30, 12
-"""Never forgotten: this many latest keyframes of each robot, and the ends of this many first accepted closures, loose
-ones excluded, between each two robots."""
+"""Never forgotten: this many latest keyframes of each robot, and the ends of this many first accepted closures between
+two robots that are not loose."""
 SAME_PLACE_M = 1.0
-"""Distance within which another keyframe makes one redundant."""
+"""A keyframe this near makes another one redundant."""
 SAME_SIGN_M, VIEWS_ENOUGH = 1.0, 3
-"""A sign reading is redundant if the same robot's kept keyframes have this many readings within this distance."""
+"""A sign reading is redundant if the robot's kept keyframes have this many readings this near."""
 
 
 @borrowing_kernel
 def _is_open(pose, ranges, other):
-    """Whether the beam of a scan (beams,) taken at a pose towards another position reaches at least that far."""
+    """Whether the beam of a scan (beams,) from a pose towards another position reaches it."""
     dx, dy = other[0] - pose[0], other[1] - pose[1]
     beams = ranges.shape[0]
     beam = int(math.floor((math.atan2(dy, dx) - pose[2]) * beams / (2 * math.pi) + 0.5)) % beams
@@ -52,11 +51,10 @@ def _adds_sign(places, first, end, before, robots, owner, robot, is_kept):
 
 @kernel
 def carriers_of(poses, scans, robots, may_go, sign_ends, sign_places):
-    """(nodes,) for each redundant node the kept node that makes it redundant (its carrier); -1 for nodes that are kept.
+    """(nodes,) the kept node that makes each node redundant, its carrier; -1 for nodes that are kept.
 
-    poses (nodes, 3) and scans (nodes, beams) in order of arrival; robots (nodes,); may_go (nodes,) bool: nodes that may
-    be removed; sign_places (signs, 2): sign positions in the map frame, sorted by node; sign_ends (nodes,): end of each
-    node's range in them.
+    poses (nodes, 3) and scans (nodes, beams) in order of arrival; robots (nodes,); may_go (nodes,) bool; sign_places
+    (signs, 2) in the map frame, sorted by node; sign_ends (nodes,): end of each node's range in them.
     """
     count = poses.shape[0]
     carriers, is_kept, owner = np.full(count, -1), np.ones(count, np.bool_), np.empty(sign_places.shape[0], np.int64)
@@ -89,7 +87,7 @@ class KeyframeUser(Protocol):
 
 
 class Forgetting:
-    """Removes redundant keyframes from one graph and from the data structures that refer to them."""
+    """Removes redundant keyframes from a graph and its users."""
 
     def __init__(self, graph: TeamGraph, users: Sequence[KeyframeUser]):
         self._graph, self._users = graph, users

@@ -21,10 +21,9 @@ class ForgottenPaths:
         return len(self._entries)
 
     def add(self, keyframes: tuple[Array, Array, Array], nodes: Array, carrier_of: Array, poses: Array) -> None:
-        """Add forgotten keyframes: their robots, indices and steps (k,), and their nodes (k,).
+        """Add forgotten keyframes: their robots, indices, steps and nodes (k,).
 
-        carrier_of (nodes,): the kept node that carries each node, itself if it is kept; poses (nodes, 3). Earlier
-        entries whose carrier is forgotten move to its carrier.
+        carrier_of (nodes,): the kept node that carries each node, itself if it is kept; poses (nodes, 3).
         """
         new = np.zeros(len(nodes), _ENTRY)
         new["robot"], new["index"], new["step"] = keyframes
@@ -37,19 +36,18 @@ class ForgottenPaths:
         entries["carrier"] = after
 
     def renumber(self, number_of: Array) -> None:
-        """Replace the node indices; number_of (n,): new index of each old one."""
+        """Renumber the nodes; number_of (n,): new indices."""
         self._entries["carrier"] = number_of[self._entries["carrier"]]
 
     def steps_among(self, robot: int, held: Array, steps: Array) -> Array:
-        """(keyframes,) steps of a robot's complete path; steps (k,) of its keyframes in the graph, of indices held."""
+        """(keyframes,) steps of a robot's complete path, from those of its keyframes in the graph, of indices held."""
         own = self._entries[self._entries["robot"] == robot]
         whole = np.empty(len(held) + len(own), steps.dtype)
         whole[held], whole[own["index"]] = steps, own["step"]
         return whole
 
     def poses_among(self, robot: int, held: Array, own_poses: Array, poses: Array) -> Array:
-        """(keyframes, 3) poses of a robot's complete path; own_poses (k, 3) of its keyframes in the graph, with indices
-        held; poses (nodes, 3) of all nodes."""
+        """(keyframes, 3) poses of the complete path; own_poses (k, 3) of the robot's nodes, poses (nodes, 3) of all."""
         own = self._entries[self._entries["robot"] == robot]
         whole = np.empty((len(held) + len(own), 3))
         whole[held], whole[own["index"]] = own_poses, compose(poses[own["carrier"]], own["pose"])

@@ -1,4 +1,4 @@
-"""Place recogniser `fused`: the evidence of all cues, added as log-odds."""
+"""The recogniser `fused`: log-odds of all cues."""
 
 from __future__ import annotations
 
@@ -12,17 +12,14 @@ from twc_env.slam.sign_place import Sighting
 
 
 class FusedRecogniser:
-    """Proposes pairs of signs by the joint log-odds of text, radio, walls, neighbouring signs and paths.
-
-    The other recognisers compare each cue with its own threshold.
-    """
+    """Proposes pairs of signs by the sum of the log-odds of text, radio, walls, neighbouring signs and paths."""
 
     name = "fused"
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
         self._config = config
         self.memory = PlaceMemory(range_max_m)
-        """Observed signs and their statistics, from which the evidence is computed."""
+        """Observed signs and statistics of the cues."""
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """See `Recogniser`. For each known sign only the view with the most similar fingerprint is weighed."""
@@ -45,10 +42,7 @@ class FusedRecogniser:
         self.memory.forget(is_held)
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
-        """Largest log-odds over pairs of signs of two keyframes, minus infinity without signs.
-
-        Both keyframes must have been passed to `propose`.
-        """
+        """Largest log-odds over pairs of signs of two keyframes that were proposed before; -inf without signs."""
         pairs = [((target, a), (source, b)) for a in target.signs for b in source.signs]
         return max((self.memory.weigh(*pair).total for pair in pairs), default=-math.inf)
 

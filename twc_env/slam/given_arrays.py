@@ -59,7 +59,7 @@ def given_pose(values: ArrayLike, name: str) -> Array:
 
 
 def plain(values: ArrayLike) -> Array:
-    """The values as a C-contiguous float64 array, without a copy if they already are one."""
+    """The values as a C-contiguous float64 array; not copied if they are one."""
     return values if _is_plain(values) else np.ascontiguousarray(values, float)
 
 

@@ -168,7 +168,7 @@ def _stamp(field, points, origin):
 
 @kernel
 def _widen(fields):
-    """Compute the levels above the first by maxima over doubling squares."""
+    """Compute the levels above the first."""
     levels, rows, columns = fields.shape
     for level in range(1, levels):
         step = 1 << (level - 1)

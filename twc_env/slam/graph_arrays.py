@@ -289,18 +289,17 @@ class GraphArrays(BindsAnew):
     def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
         """Locate some robots (k,) in the maps of their groups; others (robots, robots - 1): the other robots of each.
 
-        Writes the robots' rows of four arrays: odom frame in the map frame (robots, 3); standard deviation of the drift
-        since the last closure, or since the start, from the front end's covariances (robots, 3) [m, m, rad]; path
-        length since then (robots,) [m]; step of the newest keyframe of each other robot (robots, robots - 1), -1 for
-        none. For a robot without keyframes the first three are 0.
+        Writes their rows of: odom frame in the map frame (robots, 3); standard deviation of the drift since the last
+        closure or the start, by the front end (robots, 3) [m, m, rad]; path length since then (robots,) [m]; step of
+        the newest keyframe of each other robot (robots, robots - 1), -1 for none. Zeros for robots without keyframes.
         """
         if self._locate is None:
             self._locate = bound(_locate, self._all(), robots, others, *into)
         self._locate(robots, others, *into)
 
     def residual(self, target: int, source: int, measured: Array, covariance: Array) -> tuple[float, float, float]:
-        """Difference between a measured pose (3,) of the source node in the target's frame and the estimate: distance
-        [m], angle [rad], and squared Mahalanobis length by the covariance (3, 3)."""
+        """Difference of a measured pose (3,) of the source in the target's frame from the estimate: distance [m], angle
+        [rad], and squared Mahalanobis length."""
         now = target, source, measured, covariance
         if self._residual is None:
             self._residual = bound(_residual, self._all(), *now)

@@ -42,7 +42,7 @@ class Edges:
         return self.ends, self.measured, self.information, self.closure, self.is_used
 
     def numbered(self, number_of: Array) -> Edges:
-        """The edges with renumbered closures; number_of (closures,): new number of each old one."""
+        """The edges with renumbered closures; number_of (closures,): new numbers."""
         now = self.closure.copy()
         now[now != ODOMETRY] = number_of[now[now != ODOMETRY]]
         return replace(self, closure=now)
@@ -53,9 +53,8 @@ class Edges:
 
 
 _Offsets = tuple[Array, Array, Array]
-"""Where each removed node is relative to a kept one: (nodes,) the kept end of its odometry stretch with the smaller
-uncertainty, -1 for kept nodes; the relative pose (nodes, 3) of the removed node; its covariance (nodes, 3, 3). As for
-all motions in this file, the covariance is in the frame of the motion's end."""
+"""Pose of each removed node relative to a kept one: (nodes,) the better known end of its odometry stretch, -1 for kept
+nodes; the pose (nodes, 3); its covariance (nodes, 3, 3), as for all motions here in the frame of the motion's end."""
 
 
 @borrowing_kernel
@@ -187,11 +186,10 @@ def _transfer(ends, measured, covariances, starts, motions, spreads):
 
 @kernel
 def _select(order, own, pairs, ends, measured, covariances, counts):
-    """(e,) bool: closures to keep. The first `own`, between kept nodes, always are; the others, in this order, if one
-    of their nodes has fewer than `CLOSURES_MAX`.
+    """(e,) bool: closures to keep: the first `own`, and in this order others of which a node has few closures.
 
-    pairs (e,): index of each closure's pair of nodes; closures of a pair that has one already are fused into it, in
-    place. counts (nodes,): closures at each node, updated.
+    pairs (e,): index of each closure's pair of nodes; further closures of a pair are fused into its first, in place.
+    counts (nodes,): closures at each node, updated.
     """
     stays, fused_into = np.zeros(ends.shape[0], np.bool_), np.full(ends.shape[0], -1)
     for e in range(own):
@@ -212,10 +210,7 @@ def _select(order, own, pairs, ends, measured, covariances, counts):
 
 
 def thinned(edges: Edges, is_gone: Array) -> Edges:
-    """The edges of the graph after removal of nodes, is_gone (nodes,) bool.
-
-    Each robot's first and last node must be kept. Unused closures of removed nodes are dropped.
-    """
+    """The edges after removal of nodes, is_gone (nodes,) bool. Each robot's first and last node must be kept."""
     is_touched = is_gone[edges.ends].any(axis=1)
     is_odometry = edges.closure == ODOMETRY
     joined, offsets = _joined_odometry(edges.of(is_touched & is_odometry), is_gone)

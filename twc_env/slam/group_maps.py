@@ -63,11 +63,11 @@ class GroupMaps:
         self.regroupings = 0
         """Incremented at each merge and split."""
         self.changes = 0
-        """Incremented at each merge and split, when a map is redrawn, and when a grid is reallocated to grow."""
+        """Incremented with it, when a map is redrawn and when a grid is reallocated."""
         self._drawn = np.zeros((ROOM, 3))
         """(nodes, 3) pose at which each node is drawn."""
         self._has_scan = np.zeros(ROOM, bool)
-        """(nodes,) whether the scan has been received; other scans may only be drawn for their own robot."""
+        """(nodes,) whether the scan has been received; others may only be drawn for their own robot."""
         self._partial_maps: dict[tuple[int, ...], PartialMap] = {}
         """Robots of one side of a merge -> grid of their nodes."""
         self._fixed: dict[tuple[int, ...], PartialMap] = {}
@@ -131,10 +131,7 @@ class GroupMaps:
         return partial
 
     def merge(self, a: int, b: int, pose_a_b: Array) -> None:
-        """Move group b into the map frame of group a; pose_a_b (3,): b's map frame in a's.
-
-        Group b is removed: the indices of later groups decrease by one.
-        """
+        """Move group b into the map of group a and remove it: later groups' indices decrease by one."""
         into, other = self.groups[a], self.groups[b]
         moved = self._graph.nodes_of(other.robots)
         self._graph.place(moved, compose(pose_a_b, self._graph.poses[moved]))

@@ -12,14 +12,14 @@ ROOM, SPARE = 1024, 64
 READINGS_ROOM = 32 * ROOM
 """Initial room for RSSI readings of all fingerprints."""
 MANY = 4096
-"""Arrays of at least this many rows grow by a quarter at a time, smaller ones double."""
+"""Arrays with as many rows grow by a quarter, smaller ones double."""
 
 
 def grown(rows: Array) -> Array:
-    """A larger copy, the new rows zero.
+    """A larger copy with zero rows at the end.
 
-    Usually the operating system allocates memory for these only when they are written to. It may however reuse cleared
-    memory, which is allocated at once; large arrays therefore grow by a quarter only.
+    They usually take memory only once written to, but not if the allocator clears old memory for them: large arrays
+    therefore grow by a quarter only.
     """
     count = len(rows)
     out = np.zeros((2 * count if count < MANY else count + count // 4, *rows.shape[1:]), rows.dtype)

@@ -1,7 +1,4 @@
-"""The published estimate of the number of walls between a router and each reading (Eq. 1-3, papers.md K5, K6).
-
-RSSI along the path is smoothed and clustered by k-means; the rank of a reading's cluster is its number of walls.
-"""
+"""Published estimate of the number of walls: smooth RSSI, cluster it, take the cluster's rank (Eq. 1-3, K5, K6)."""
 
 from __future__ import annotations
 
@@ -21,10 +18,7 @@ def sliding_window(rssi_dbm: Array, width: int, median: bool = False) -> Array:
 
 
 def k_means(values: Array, clusters: int, iterations: int = 100) -> Array:
-    """(clusters,) k-means centroids of values (n,), descending (C_0 strongest).
-
-    Starts at quantiles; an empty cluster keeps its centroid.
-    """
+    """(clusters,) centroids, descending (C_0 strongest); starts at quantiles, an empty cluster keeps its centroid."""
     values = np.asarray(values, float)
     centroids = np.quantile(values, (np.arange(clusters) + 0.5) / clusters)
     for _ in range(iterations):
@@ -39,13 +33,13 @@ def k_means(values: Array, clusters: int, iterations: int = 100) -> Array:
 
 
 def predict_walls(values: Array, centroids: Array) -> Array:
-    """(n,) number of walls k of each value: thresholds t_k = (C_(k-1) + C_k) / 2 that it does not exceed (Eq. 1, 3)."""
+    """(n,) k of each value: how many thresholds t_k = (C_(k-1) + C_k) / 2 it does not exceed (Eq. 1 and 3)."""
     thresholds = (centroids[:-1] + centroids[1:]) / 2
     return (np.asarray(values)[:, None] <= thresholds).sum(axis=1)
 
 
 def silhouette_k(values: Array, k_max: int = _K_MAX) -> int:
-    """The largest number of walls, 1 to k_max, whose k + 1 clusters have the best mean simplified silhouette."""
+    """The k, 1 to k_max, whose k + 1 clusters have the best mean simplified silhouette."""
     values = np.asarray(values, float)
     scores = []
     for k in range(1, k_max + 1):

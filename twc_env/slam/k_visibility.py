@@ -24,9 +24,8 @@ from twc_env.slam.wall_solver import WallSolver
 STANDOFF_M, _STANDOFF_ROUNDS = 0.3, 3
 """Initial distance of walls from the path, and how often it is corrected at most (by walls between two tracks)."""
 _TRIES = (0, 1, None)
-"""Annealing can end in a local optimum. It is started several times: candidates on one side of the path are excluded
-at first (0, 1) or none are (None), from the fitted and (for 0 and 1) from a typical signal model. The result with the
-lowest energy is used."""
+"""Annealing can end in a local optimum; of several starts the one with the lowest energy is used: candidates on one
+side of the path excluded at first (0, 1) or none (None), from the fitted and from a typical signal model."""
 _STANDOFF_SPREAD_MAX_M = 0.05
 """With a larger standard deviation the distance to the walls is not constant, and walls that no ray crosses are left
 unknown."""

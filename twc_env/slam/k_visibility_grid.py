@@ -46,12 +46,11 @@ def cell_probabilities(
     position_m: Array, router_m: Array, is_heard: Array, candidates: WallCandidates, probability: Array,
     is_crossed: Array | None, standoff_m: float, resolution_m: float, origin_m: Array | None = None,
 ) -> WallGrid:  # fmt: skip
-    """Draw wall candidates with their probabilities (candidates,) on a grid; positions (bins, 2), is_heard (bins,
-    routers). A cell corner lies at origin_m (2,).
+    """Draw candidates with their probabilities (candidates,) on a grid; positions (bins, 2), is_heard (bins, routers).
 
-    With is_crossed (candidates,) bool, only candidates crossed by rays count, and space between path and walls is known
-    only where rays pass. None: the distance between path and walls is constant; all candidates count, and the space
-    between path and walls is known.
+    With is_crossed (candidates,) bool, only candidates crossed by rays count, and space beside the path is known only
+    where rays pass. None: the walls' distance from the path is constant, and all of this is known. A cell corner lies
+    at origin_m (2,).
     """
     everything = np.concatenate([position_m, router_m, candidates.ends_m[probability > 0.3].reshape(-1, 2)])
     corner = np.zeros(2) if origin_m is None else np.asarray(origin_m, float)
@@ -81,10 +80,8 @@ def cell_probabilities(
 
 
 def _filled(scaled: Array, is_heard: Array, gap_max: float) -> Array:
-    """(k, 2) positions of a path (bins, 2), in cells, where the router was heard.
-
-    Between neighbours closer than gap_max that both heard it, positions half a cell apart are interpolated.
-    """
+    """(k, 2) positions of a path (bins, 2) where the router was heard, in cells; half a cell apart between neighbours
+    closer than gap_max."""
     steps = np.linalg.norm(np.diff(scaled, axis=0), axis=1)
     is_filled = is_heard[1:] & is_heard[:-1] & (steps <= gap_max)
     parts = [scaled[is_heard]]

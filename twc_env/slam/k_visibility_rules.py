@@ -126,7 +126,7 @@ def _draw_box(classes: Array, known: Array) -> None:
 
 @kernel
 def _ray(start_row, start_column, row, column, path):
-    """Write the cells from a position to the centre of a cell, both included, to path; returns their number."""
+    """Write the cells from a position to the centre of a cell to path; returns their number."""
     dr, dc = row + 0.5 - start_row, column + 0.5 - start_column
     steps = int(max(abs(dr), abs(dc)) * 2.0) + 1
     count = 0

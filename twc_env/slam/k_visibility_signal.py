@@ -38,8 +38,7 @@ _STEP_SHARE_MAX = 0.25
 _CORRELATION_M = 0.3
 """Binned readings within this length count as one: their shadowing is correlated."""
 _TYPICAL_EXPONENT, _TYPICAL_LOSS_DB, _TYPICAL_CLEAR = 1.6, 8.0, 0.9
-"""Of `typical_signal`: path loss exponent, wall loss, and the quantile of the distance-corrected level taken as the
-level without walls."""
+"""Of `typical_signal`: exponent, wall loss, and quantile of the distance-corrected RSSI that is free of walls."""
 _NOISE_MIN_DB = 1.0
 
 
@@ -120,8 +119,7 @@ def fit_identical_routers(bins: PathBins, router_m: Array, k_max: int) -> list[S
 def locate_router(bins: PathBins, router: int) -> tuple[Array, SignalFit]:
     """Maximum-likelihood position (2,) of a router from its readings (papers.md K24g), and the fit there.
 
-    Grid search within 4 m of the strongest readings and 1 m of the path's bounding box, refined around the best.
-    Raises DataError as `fit_signal`, and if no position has a finite likelihood.
+    Grid search within 4 m of the strongest readings and 1 m of the path's bounding box, then refined.
     """
     strongest = bins.position_m[np.argsort(np.nan_to_num(bins.rssi_dbm[:, router], nan=-200.0))[-5:]].mean(axis=0)
     low = np.maximum(bins.position_m.min(axis=0) - 1.0, strongest - 4.0)
@@ -203,10 +201,9 @@ def _fitted(
 def _expectation_maximisation(
     decades, level, steps, temper, iterations, has_walls, exponent_prior, stay, share, parameters, probability
 ):
-    """Baum-Welch whose M step is a robust regression (Student's t with four degrees of freedom).
+    """Baum-Welch with a robust regression as its M step (Student's t, 4 degrees of freedom).
 
-    parameters (4,): power, exponent, wall loss, noise, updated in place; writes probability (n, k_max + 1); returns the
-    log-likelihood.
+    parameters (4,): power, exponent, wall loss, noise, updated in place; returns the log-likelihood.
     """
     count, states = probability.shape
     log_emit = np.empty((count, states))
@@ -305,11 +302,10 @@ def _forward_backward(log_emit, steps, stay, share, forward, probability):
 
 @kernel
 def _transitions(step, stay, share, transition):
-    """Write the transition matrix of k over one step of the path; stay: mean path length between changes.
+    """Write the transition matrix of k over one step; stay: mean path length between changes.
 
-    Changes by one wall are more likely than by two (`_JUMP_DECAY`). Changes to more walls are accepted with probability
-    share ** change (Metropolis et al. 1953), which makes the stationary distribution proportional to share ** k. For an
-    infinite step every row is that distribution.
+    Increases are accepted with probability share ** increase (Metropolis et al. 1953): the stationary distribution is
+    proportional to share ** k. An infinite step gives that distribution.
     """
     states = transition.shape[0]
     if np.isinf(step):

@@ -1,7 +1,7 @@
 """Gauss-Newton normal equations of point-to-line scan matching: each point is matched to the line of the nearest wall.
 
-Vectorised, in single precision (resolution 0.01 mm at 40 m). The sums of every LANES-th point are kept separately and
-added at the end, so that results do not depend on the processor's vector width.
+In single precision (0.01 mm at 40 m). The sums of every LANES-th point are kept separately and added at the end, so
+that results do not depend on the processor's vector width.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def line_scratch():
 def _place_points(points, x, y, c, s, inverse_m, height, width, work, places):
     """Transform points (n, 2) to the field frame, and find their cells (flat index; 0 outside the field).
 
-    Writes the rows of work: points px, py; rotated rx, ry; transformed qx, qy, where qy is NaN outside the field.
+    work: rows px, py (points), rx, ry (rotated), qx, qy (transformed); qy is NaN outside the field.
     """
     count = points.shape[0]
     for j in range(count):

@@ -37,7 +37,7 @@ def _of_place(h):
 
 @borrowing_kernel
 def _weakest(h):
-    """Smallest eigenvalue of the translation part: the information along the least constrained direction."""
+    """Information along the least constrained direction of translation: the smallest eigenvalue."""
     a, b, d = _of_place(h)
     mean, half = 0.5 * (a + d), 0.5 * math.sqrt((a - d) ** 2 + 4 * b * b)
     return max(mean - half, 0.0)
@@ -107,10 +107,10 @@ def refine_pose(
     cells, lines, origin, inverse_m, points, n, guess, distance_max, iterations, degenerate_share, stop_m, stop_rad,
     scratch, pose, h,
 ):  # fmt: skip
-    """Gauss-Newton from a guess (3,); no step is taken along a degenerate direction, which the walls do not constrain.
+    """Gauss-Newton from a guess (3,), without steps along a degenerate direction, which the walls do not constrain.
 
-    Writes the pose (3,) and the last h (9,). Returns the sum of weights, the number of points near walls, whether the
-    match is degenerate, and the sum of weights at the guess.
+    Writes the pose (3,) and the last h (9,). Returns the sum of weights, the points near walls, whether the match is
+    degenerate, and the sum of weights at the guess.
     """
     pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
     total, near, begun = 0.0, 0, 0.0
@@ -200,7 +200,7 @@ def _weight_at(cells, lines, origin, inverse_m, x, y, distance_max):
 
 @borrowing_kernel
 def weight_changes(cells, lines, origin, inverse_m, points, n, before, after, distance_max):
-    """Total weight gained by points, and total weight lost by others, when the pose changes from before to after."""
+    """Sums of the weights that points gain, and that others lose, from one pose to another."""
     won = lost = 0.0
     c0, s0, c1, s1 = math.cos(before[2]), math.sin(before[2]), math.cos(after[2]), math.sin(after[2])
     for i in range(n):
@@ -216,7 +216,7 @@ def weight_changes(cells, lines, origin, inverse_m, points, n, before, after, di
 
 @borrowing_kernel
 def fill_information(h, degenerate, scale, out):
-    """Write the information h / scale to out (3, 3); if degenerate, with zero along the least constrained direction."""
+    """Write the information h / scale to out (3, 3), if degenerate with zero along that direction."""
     out[0, 0], out[0, 1], out[0, 2], out[1, 1], out[1, 2], out[2, 2] = h[0], h[1], h[2], h[3], h[4], h[5]
     out[1, 0], out[2, 0], out[2, 1] = h[1], h[2], h[4]
     for i in range(3):

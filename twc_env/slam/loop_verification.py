@@ -24,8 +24,8 @@ SPACING_M = 0.9
 """Path length between the neighbouring keyframes whose scans are used."""
 SIGN_STD, NEAR_STD, OPEN_STD = (0.2, 0.2, 0.1), (2.0, 2.0, 0.5), (50.0, 50.0, 0.5)
 """Prior standard deviation of the candidate's guess [m, m, rad]: from a shared sign, from proximity, and from proximity
-if the scans leave a direction unconstrained. A shared sign fixes the position along a corridor. Proximity does not: the
-errors of several guesses are correlated (same drift, same WiFi outliers), so wrong closures would be consistent."""
+if the match is loose. A shared sign fixes the position along a corridor. Proximity does not: guesses share their errors
+(drift, WiFi), so wrong closures would be consistent."""
 SIGN_ALONE_STD = (0.12, 0.12, 0.1)
 """Standard deviation of a shared sign without scan matching [m, m, rad]. Measured on training buildings for pairs with
 one sign in common: 0.11, 0.13, 0.085."""
@@ -33,18 +33,18 @@ ANYWHERE = ("wifi", "lidar")
 """Recognisers whose guess contains at most a rotation: matches are searched at every heading within WIDE_WINDOW_M."""
 WIDE_WINDOW_M = 3.0
 MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
-"""For candidates from WiFi alone between robots that share no map: least overlap (below it too many are false), least
-score of the global matching (matches below it do not reach that overlap), and number of points it uses."""
+"""For candidates from WiFi alone: least overlap (below it too many are false), least score of the global matching
+(below it the overlap is not reached) and number of points."""
 SIGN_INFORMATION, NEAR_INFORMATION = (
     np.stack([np.diag(1.0 / np.square(std)) for std in stds]) for stds in ((SIGN_STD, SIGN_STD), (NEAR_STD, OPEN_STD))
 )
-"""(2, 3, 3) information of these, the second for matches that leave a direction unconstrained."""
+"""(2, 3, 3) information of these, the second for loose matches."""
 Path = Sequence[Keyframe]
 """All stored keyframes of a robot, in order."""
 
 
 class LoopVerifier:
-    """Verifies candidates by matching the scans of two keyframes and their neighbours along the path."""
+    """Matches the scans of two keyframes and their neighbours along the path."""
 
     def __init__(self, config: VerificationConfig, noise: OdometryFilterConfig, lidar: LidarConfig):
         self._config = config

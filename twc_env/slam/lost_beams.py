@@ -14,7 +14,7 @@ from twc_env.kernels import borrowing_kernel
 CHANCE = 1e-4
 """Probability per scan that a run of dropouts is long enough to count as an opening."""
 NEAR_M = 1e-6
-"""Range of all beams if none has a return and the scan is too short for an opening: nothing is marked free."""
+"""Range of lost beams if no beam has a return: nothing is free."""
 
 
 def opening_beams(beams: int, dropout_probability: float) -> int:

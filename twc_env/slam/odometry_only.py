@@ -1,7 +1,7 @@
 """Correction of odometry edges that scan matching did not constrain, as along a corridor, for a new odometry scale.
 
-A robot estimates the scale error of its odometry where scans constrain all directions, often only at the end of a
-stretch traversed by odometry alone. The graph holds the edges of that stretch with the scale known at the time.
+A robot estimates its odometry scale where scans constrain all directions, often only after such a stretch. The edges
+of the stretch are in the graph with the scale known at the time.
 """
 
 from __future__ import annotations
