@@ -70,7 +70,7 @@ class GroupMaps:
         """(nodes,) whether the scan has been received; others may only be drawn for their own robot."""
         self._partial_maps: dict[tuple[int, ...], PartialMap] = {}
         """Robots of one side of a merge -> grid of their nodes."""
-        self._fixed: dict[tuple[int, ...], PartialMap] = {}
+        self._fixed_maps: dict[tuple[int, ...], PartialMap] = {}
         """Robots of a group -> grid of the nodes that were fixed at its last redraw."""
         self.wanted: dict[tuple[int, int], None] = {}
         """Keys of the scans to request, in order."""
@@ -82,9 +82,9 @@ class GroupMaps:
         self._has_scan[node] = not self._on_request or keyframe.robot == self._home
         self._drawn[node] = poses = self._graph.poses[node : node + 1]
         group = self.group_of[keyframe.robot]
-        if self._has_scan[node] or self._draws_all(group):
+        if self._has_scan[node] or self._may_draw_all(group):
             self._draw(self.groups[group].grid, poses, keyframe.ranges_m[None])
-        elif self._is_seen(group):
+        elif self._is_map_used(group):
             self.wanted[keyframe.key] = None
 
     def receive(self, scans: Sequence[tuple[int, int]]) -> None:
@@ -92,7 +92,7 @@ class GroupMaps:
         for key in scans:
             self.wanted.pop(key, None)
             node, group = self._graph.node(key), self.group_of[key[0]]
-            is_drawn = self._has_scan[node] or self._draws_all(group)
+            is_drawn = self._has_scan[node] or self._may_draw_all(group)
             self._has_scan[node] = True
             if not is_drawn:
                 self._draw(self.groups[group].grid, *self._graph.rows_of(slice(node, node + 1)))
@@ -132,43 +132,43 @@ class GroupMaps:
 
     def merge(self, a: int, b: int, pose_a_b: Array) -> None:
         """Move group b into the map of group a and remove it: later groups' indices decrease by one."""
-        into, other = self.groups[a], self.groups[b]
-        moved = self._graph.nodes_of(other.robots)
-        self._graph.place(moved, compose(pose_a_b, self._graph.poses[moved]))
-        robots = tuple(sorted(into.robots + other.robots))
-        self.groups[a] = Group(robots, into.grid, into.version + other.version + 1)
+        target, source = self.groups[a], self.groups[b]
+        nodes = self._graph.nodes_of(source.robots)
+        self._graph.place(nodes, compose(pose_a_b, self._graph.poses[nodes]))
+        robots = tuple(sorted(target.robots + source.robots))
+        self.groups[a] = Group(robots, target.grid, target.version + source.version + 1)
         del self.groups[b]
         self._renumber()
         merged = self.group_of[robots[0]]
-        if self._is_seen(merged):
+        if self._is_map_used(merged):
             self.ask_for([(robot, k.index) for robot in robots for k in self._graph.keyframes[robot]])
         if self._on_request:
             self.redraw(merged)
         else:
-            self._redraw(merged, moved)
+            self._redraw(merged, nodes)
 
     def split(self, group: int, parts: Sequence[Sequence[int]]) -> None:
         """Split a group. All parts keep the group's map frame; the first keeps its index."""
         version = self.groups[group].version
-        made = [Group(tuple(sorted(part)), self._new_grid(), version) for part in parts]
-        self.groups[group] = made[0]
-        self.groups += made[1:]
+        new_groups = [Group(tuple(sorted(part)), self._new_grid(), version) for part in parts]
+        self.groups[group] = new_groups[0]
+        self.groups += new_groups[1:]
         self._renumber()
-        for one in made:
-            self.redraw(self.group_of[one.robots[0]])
+        for new_group in new_groups:
+            self.redraw(self.group_of[new_group.robots[0]])
 
     def forget(self, kept: Array) -> None:
         """Keep the data of these nodes only; kept (k,): their former indices."""
         self._drawn, self._has_scan = only(self._drawn, kept), only(self._has_scan, kept)
-        self._forget_parts()
+        self._clear_caches()
 
-    def _forget_parts(self) -> None:
+    def _clear_caches(self) -> None:
         """Clear the cached grids."""
         self._partial_maps.clear()
-        self._fixed.clear()
+        self._fixed_maps.clear()
 
     def _renumber(self) -> None:
-        self._forget_parts()
+        self._clear_caches()
         self.regroupings += 1
         self.changes += 1
         for index, group in enumerate(self.groups):
@@ -189,11 +189,11 @@ class GroupMaps:
         nodes, robots = self._graph.nodes_of(self.groups[group].robots), self.groups[group].robots
         fixed = int(np.searchsorted(nodes, first))
         if fixed == 0:
-            self._fixed.pop(robots, None)
+            self._fixed_maps.pop(robots, None)
             self.groups[group].grid.clear()
             self._redraw(group, nodes)
             return
-        fixed_map = self._drawn_in(self._fixed, robots, self._drawable(group, nodes[:fixed]))
+        fixed_map = self._drawn_in(self._fixed_maps, robots, self._drawable(group, nodes[:fixed]))
         self._drawn[nodes[:fixed]] = self._graph.poses[nodes[:fixed]]
         self._drawn[fixed_map.nodes] = fixed_map.poses
         self.groups[group].grid.take_over(fixed_map.grid)
@@ -207,7 +207,7 @@ class GroupMaps:
 
     def _drawable(self, group: int, nodes: Array) -> Array:
         """Those nodes whose scans may be drawn."""
-        return nodes if self._draws_all(group) else nodes[self._has_scan[nodes]]
+        return nodes if self._may_draw_all(group) else nodes[self._has_scan[nodes]]
 
     def _draw(self, grid: OccupancyGrid, poses: Array, scans: Array) -> None:
         cells = grid.log_odds
@@ -217,11 +217,11 @@ class GroupMaps:
     def _new_grid(self) -> OccupancyGrid:
         return OccupancyGrid(self._resolution_m, self._lidar.range_max_m, self._lidar.beam_count)
 
-    def _draws_all(self, group: int) -> bool:
+    def _may_draw_all(self, group: int) -> bool:
         """Whether missing scans may be drawn, too: a robot alone in its map draws them itself (central mapper)."""
         return self._home is None and len(self.groups[group].robots) == 1
 
-    def _is_seen(self, group: int) -> bool:
+    def _is_map_used(self, group: int) -> bool:
         """Whether a robot uses this mapper's map of a group of several robots."""
         robots = self.groups[group].robots
         return len(robots) > 1 and (self._home is None or self._home in robots)
