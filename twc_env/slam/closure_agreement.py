@@ -49,7 +49,7 @@ class PairwiseConsistency:
 
 
 @kernel
-def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown, bent):
+def _disagreement(a, b, claim, adjoint, noise, i, j, step, accumulated, shared):
     ta, tb = claim[a], claim[b]
     turn = (ta[2] - tb[2] + np.pi) % (2 * np.pi) - np.pi
     c, s = np.cos(turn), np.sin(turn)
@@ -60,7 +60,7 @@ def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown, bent):
     back = 1.0 if step[j[a]] <= step[j[b]] else -1.0
     forth = 1.0 if step[i[a]] <= step[i[b]] else -1.0
     half_turned, total = np.empty((3, 3)), np.empty((3, 3))
-    ad, ga, gb = adjoint[a], grown[j[a]], grown[j[b]]
+    ad, ga, gb = adjoint[a], accumulated[j[a]], accumulated[j[b]]
     for p in range(3):
         for q in range(3):
             value = 0.0
@@ -69,12 +69,12 @@ def _disagreement(a, b, claim, adjoint, noise, i, j, step, grown, bent):
             half_turned[p, q] = back * value
     for p in range(3):
         for q in range(p + 1):
-            value = noise[a, p, q] + noise[b, p, q] + forth * (grown[i[b], p, q] - grown[i[a], p, q])
+            value = noise[a, p, q] + noise[b, p, q] + forth * (accumulated[i[b], p, q] - accumulated[i[a], p, q])
             for k in range(3):
                 value += half_turned[p, k] * ad[q, k]
             total[p, q] = value
-    if len(bent):
-        _add_shared_errors(ad, bent[i[b]] - bent[i[a]], bent[j[b]] - bent[j[a]], total)
+    if len(shared):
+        _add_shared_errors(ad, shared[i[b]] - shared[i[a]], shared[j[b]] - shared[j[a]], total)
     l00 = np.sqrt(total[0, 0])
     l10, l20 = total[1, 0] / l00, total[2, 0] / l00
     l11 = np.sqrt(total[1, 1] - l10 * l10)
@@ -104,10 +104,10 @@ def _add_shared_errors(ad, forth, back, total):
 
 
 @kernel
-def _disagreements(first, second, claim, adjoint, noise, i, j, step, grown, bent):
+def _disagreements(first, second, claim, adjoint, noise, i, j, step, accumulated, shared):
     out = np.empty(len(first))
     for k in range(len(first)):
-        out[k] = _disagreement(first[k], second[k], claim, adjoint, noise, i, j, step, grown, bent)
+        out[k] = _disagreement(first[k], second[k], claim, adjoint, noise, i, j, step, accumulated, shared)
     return out
 
 
